@@ -436,6 +436,6 @@ class SceneSections(Section):
             f"barostat needs {temperature}, the temperature of its noise": self.barostat and is_cold,
             'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs': pairs == "bonds"
             and not self.structure.bonds,
-            f"no tabulated potential uses tables.{unused}; give it as the file of one, or leave it out": unused,
+            f"no tabulated potential uses tables.{unused}; name it as the file of a potential, or leave it out": unused,
         }  # fmt: skip
         yield from (fault for fault, is_there in faults.items() if is_there)

@@ -136,9 +136,9 @@ class CellRescaling:
     def _growth(self, state: ThermodynamicState) -> str:
         volume, pressure = self._system.units.volume, self._system.units.pressure
         grown = f"the cell has grown from {self._first_volume:.4g} to {state.volume:.4g} {volume}"
-        why = f"at pressure {self.barostat.pressure:.3g} {pressure} there is no gas at rest"
+        why = f"at pressure {self.barostat.pressure:.3g} {pressure} a gas expands without end"
         cure = "take a pressure above zero, at which the atoms stay together, or a lower temperature"
-        return f"{grown}: {why}, and what was dense has evaporated; {cure}"
+        return f"{grown}: the atoms have evaporated, and {why}; {cure}"
 
     def _thermodynamic_state(self, thermal: float, bath: Bath, back: Array | None = None) -> ThermodynamicState:
         """The present state.  back : (3, 3) rotation applied to its tensors.

@@ -315,10 +315,10 @@ def _obstacle(contents: H5MDContents, engine: Engine, store_forces: bool) -> str
         (
             set(wanted) != set(engine.extra_observables),
             f"was begun with simulation.extra_observables = {wanted}",
-            "set the same",
+            "set the same extra_observables",
         ),
-        (new, begun, "append before you register others"),
-        (missing, f"holds {listed(missing)}, which this run does not record", "register what is missing"),
+        (new, begun, "append before you register other observables"),
+        (missing, f"holds {listed(missing)}, which this run does not record", "register these observables"),
         (store_forces and not contents.has_forces, "was begun without forces", "continue it without store_forces"),
     ]
     first = ((what, cure) for is_there, what, cure in obstacles if is_there)

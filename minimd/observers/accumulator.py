@@ -275,7 +275,7 @@ class Accumulator(ABC, Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        return self.result().display_rows() if self.n_looks else [("observer", f"{self!r}, has not looked yet")]
+        return self.result().display_rows() if self.n_looks else [("observer", f"{self!r}, has observed nothing yet")]
 
     @classmethod
     def _own_name(cls) -> str:

@@ -168,7 +168,7 @@ class StructureFactorResult(Result):
         """See Displayed."""
         k = int(np.argmax(self.s))
         highest = f"highest at {self.q[k]:.4g} /{self.units.length}, {with_error(self.s[k], self.error[k])}"
-        return [("S(q)", f"{len(self.q)} shells up to {self.q[-1]:.4g}, {self.n_frames} looks; {highest}")]
+        return [("S(q)", f"{len(self.q)} shells up to {self.q[-1]:.4g}, {self.n_frames} frames; {highest}")]
 
 
 class SelfScattering(MeanSquareDisplacement):

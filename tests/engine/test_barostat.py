@@ -175,10 +175,9 @@ def test_a_pressure_is_reached_within_three_standard_errors():
         _, density, pressure = map(str, pressure_lines(record, 1.0, barostat(), True))
         assert f" {with_error(1.25 + of_center, 0.0)} " in pressure
         assert f" {with_error(n_atoms / 2.0, 0.0)} atoms/σ³ " in density
-    record = md.Record.of(md.units.ASE, 8, {"step": [0] * 40, "volume": np.full(40, 2.0), "pressure": np.ones(40)})
-    assert f" {with_error(1.0, 0.0)} g/cm³ " in str(
-        list(pressure_lines(record, 2.0 * GRAM_PER_CM3, barostat(), True))[1]
-    )
+    record.units = md.units.ASE
+    _, density, _ = map(str, pressure_lines(record, 2.0 * GRAM_PER_CM3, barostat(), True))
+    assert f" {with_error(1.0, 0.0)} g/cm³ " in density
 
 
 def test_every_file_has_the_cell_of_every_frame(tmp_path):

@@ -25,7 +25,7 @@ class Closed:
         kind = type(self)
         if "own" in vars(kind) and not (name.startswith("_") or name in kind.own or hasattr(kind, name)):
             near = get_close_matches(name, [*kind.own, *(one for one in dir(kind) if not one.startswith("_"))], n=1)
-            hint = HINTS.get(name) or (f"did you mean {near[0]!r}?" if near else "dir() of it lists its attributes")
+            hint = HINTS.get(name) or (f"did you mean {near[0]!r}?" if near else "dir(...) lists its attributes")
             raise AttributeError(f"a {kind.__name__} has no attribute {name!r} that could be set; {hint}")
         super().__setattr__(name, value)
 

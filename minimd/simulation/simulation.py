@@ -380,8 +380,8 @@ class Simulation(Closed, Displayed):
     def report(self) -> Report:
         """How well the last call of run conserved what it should, and how fast it was.  Raises ValueError before it."""
         if self.record is None:
-            only = "only run observes the simulation, not equilibrate, make_steps, minimize or resume"
-            raise ValueError(f"there is nothing to report; call run first: {only} (of a file: minimd check FILE)")
+            others = "equilibrate, make_steps, minimize and resume do not observe the simulation"
+            raise ValueError(f"there is nothing to report; call run first: {others}; for a file: minimd check FILE")
         return report_of(self.guard, self.record, self.reversibility)
 
     def frame(self) -> Frame:

@@ -74,7 +74,7 @@ class System(Displayed):
             wanted = "a list of DistanceConstraints and FixedAtoms"
             raise TypeError(f"constraints of a System must be {wanted}; got {shown(constraints)}")
         if masses is None and units is not unit_systems.LJ:
-            raise ValueError(f"masses are missing: give one number or one for each atom ({units.name}: no default)")
+            raise ValueError(f"masses are missing: give one number or one per atom; {units.name} units have no default")
         if isinstance(cell, Cell) and pbc is not None:
             whereas = "give pbc to System only together with lattice vectors"
             raise ValueError(f"pbc is part of a Cell: Cell.of(vectors, pbc); {whereas}")

@@ -1,6 +1,5 @@
 """The site: sphinx-build -W docs site.  Nothing is fetched while it is built; its pages make no request to any host."""
 
-import re
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -26,11 +25,7 @@ smartquotes = False  # what is quoted may be code
 nitpicky = False
 suppress_warnings = ["config.cache"]
 
-myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist", "substitution"]
-README = (DOCS.parent / "README.md").read_text(encoding="utf-8")
-ROWS = {"melt": "minimd, million", "lammps": "times the speed of LAMMPS", "openmm": "... of OpenMM's CPU"}
-# of 4000 atoms, the second number of the row of README's table
-myst_substitutions = {name: re.search(rf"\| {row}[^|]*\|[^|]*\| ([\d.]+) ", README)[1] for name, row in ROWS.items()}
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
 myst_heading_anchors = 4
 
 autodoc_typehints = "none"

@@ -51,7 +51,7 @@ MEANINGS = {
     "structure": {
         "file": "of any format that ASE or MDAnalysis reads, relative to the scene; instead of `lattice`",
         "lattice": "a block of a cubic crystal",
-        "element": "chemical symbol of the atoms of `lattice`; not needed in reduced units",
+        "element": "chemical symbol of the atoms of `lattice`, also for their masses; in reduced units masses are 1",
         "repeat": "cells of `lattice` along x, y and z",
         "density": "of `lattice`: of mass, in reduced units of atoms",
         "lattice_constant": "edge of the cubic cell, instead of `density`",
@@ -69,7 +69,7 @@ MEANINGS = {
         "model": "its numbers are in the table of [water](water.md)",
         "molecules": "an O and two H each, in this order",
         "density": "from which the edge of the cubic cell follows",
-        "cutoff": "of Lennard-Jones and charges; 9 Å if not given, or 0.45 of the edge if that is less",
+        "cutoff": "of Lennard-Jones and charges; if not given 9 Å, or 0.45 of a shorter edge, with a warning",
         "accuracy": "of the forces of charges, as of the potential `coulomb`",
         "seed": "of the orientations",
     },

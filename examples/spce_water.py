@@ -10,7 +10,7 @@ n_molecules, temperature, timestep = 216, 298.0, 2.0 * md.units.fs
 n_equilibration, n_pressure, n_steps = 10_000, 40_000, 60_000
 ps, bar = md.units.ps, md.units.BAR
 
-system, potentials, rigid = md.water("SPC/E", n_molecules, accuracy=1e-4)
+system, potentials, rigid = md.water("SPC/E", n_molecules, cutoff=8.3, accuracy=1e-4)
 bath = md.LangevinBAOAB(timestep, temperature, friction=2.0 / ps, seed=1)
 barostat = md.StochasticCellRescaling(1.0 * bar, compressibility=4.5e-5 / bar, relaxation_time=2.0 * ps, seed=2)
 pressed = md.Simulation(system, potentials, bath, rigid, barostat=barostat)
@@ -22,7 +22,7 @@ mass = system.masses.sum() / md.units.GRAM_PER_CM3
 density, error = md.structure.statistics.mean_and_error(mass / volume)
 print(f"density {density:.4f} ± {error:.4f} g/cm³")
 
-system, potentials, rigid = md.water("SPC/E", n_molecules, density, accuracy=1e-4)
+system, potentials, rigid = md.water("SPC/E", n_molecules, density, cutoff=8.3, accuracy=1e-4)
 settling = md.Simulation(system, potentials, bath, rigid)
 settling.minimize(force_tolerance=0.1)
 settling.set_temperature(temperature, seed=3)

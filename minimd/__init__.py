@@ -1,11 +1,13 @@
 """minimd: a molecular-dynamics mini-engine, fast and exact. Its modules are described in docs/architecture.md."""
 
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
 from minimd import integrators, observers
 from minimd.console import __version__ as __version__
+from minimd.console.words import near
 from minimd.diagnosis.report import Report
 from minimd.diagnosis.reversibility import Reversibility
 from minimd.diagnosis.shadow_energy import shadow_energy
@@ -78,10 +80,13 @@ __all__ = [
 
 
 def __getattr__(name: str) -> ModuleType:
-    """The bridge to LAMMPS, imported when it is first used."""
-    if name == "lammps":
-        return import_module("minimd.lammps")
-    raise AttributeError(f"module 'minimd' has no attribute {name!r}")
+    """A package of minimd, such as the bridge to LAMMPS, imported when it is first used."""
+    if name.isidentifier() and not name.startswith("_") and find_spec(f"minimd.{name}"):
+        return import_module(f"minimd.{name}")
+    known = "integrators", "observers", "lattice", "units", "mdanalysis"
+    places = [one for one in known if hasattr(globals().get(one) or import_module(f"minimd.{one}"), name)]
+    hint = f"; it is minimd.{places[0]}.{name}" if places else near(name, __all__)
+    raise AttributeError(f"module 'minimd' has no attribute {name!r}{hint}")
 
 
 def read_observers(path: str | Path) -> dict[str, observers.Accumulator]:

@@ -42,10 +42,15 @@ def narrow(code: str) -> str:
     return "\n".join(beside if fits else above)
 
 
+BUILT = {"](../examples)": "](gallery/index.rst)", "](../course)": "](course/index.rst)"}  # pages made of folders
+
+
 def prepare(app: object, name: str, source: list[str]) -> None:
     """For Sphinx' event source-read: changes the text of a Markdown page in place."""
     path = Path(app.env.doc2path(name))
     if path.suffix == ".md":
+        for folder, page in BUILT.items():
+            source[0] = source[0].replace(folder, page)
         source[0] = "".join(
             narrow(part) if k % 2 else re.sub(r"(?<![`\[])`([\w/.]+)`(?!`)", lambda m: link(m, path.parent), part)
             for k, part in enumerate(FENCED.split(source[0]))

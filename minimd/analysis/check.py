@@ -97,7 +97,8 @@ def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
     """The check of a file with an open universe.  damaged : its damaged frames or restarts, see h5md_reader.damage."""
     contents, system, is_free = made.contents, made.system, made.contents.conserves_momentum
     record, found = recomputed(made)
-    lines, angular = [*pressure_lines(record, contents.barostat, is_free)], is_free and not system.cell.is_periodic
+    lines = [*pressure_lines(record, system.masses.sum(), contents.barostat, is_free)]
+    angular = is_free and not system.cell.is_periodic
     bound = "its accuracy bounds the rms error of their forces over the rms force"
     calls = (one.removeprefix("Coulomb: ") for one in contents.potentials if one.startswith("Coulomb: "))
     lines += [Line("charges", call, bound, True) for call in calls]

@@ -146,7 +146,7 @@ def same_bits() -> Finding:
     different = [str(n) for n, end in zip(numbers, ends, strict=True) if not np.array_equal(end, ends[0])]
     on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
     if different:
-        return False, f"positions differ {on}: those on {' and '.join(different)} from 1"
+        return False, f"positions differ {on}: those on {' and '.join(different)} from those on 1"
     rows = [operation(compiling.DirectCalls(), _nothing, _Nothing(0), 2)]
     program = Program(lambda: rows, lambda: 0, thread_pool(available_cores()))
     median = 1e6 * float(np.median(repeat(program.run, number=1, repeat=TASKS_TIMED)))
@@ -190,7 +190,7 @@ def lammps() -> Finding:
             with tempfile.TemporaryDirectory() as folder:
                 done = hand_over(simulation, folder, STEPS_HANDED_OVER, processes=processes, progress=False, tell=None)
         except FileNotFoundError as missing:
-            return True, "; ".join([*told, f"not needed, but for `minimd lammps`: {missing}"])
+            return True, "; ".join([*told, f"needed only for `minimd lammps`: {missing}"])
         except HandOverError as failed:
             return False, "; ".join([*told, str(failed)])
         on = f"on {processes} process{'es' * (processes > 1)}"

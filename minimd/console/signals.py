@@ -56,6 +56,8 @@ def stop_on_signals(run: Stoppable) -> Iterator[None]:
             raise KeyboardInterrupt("stopped after the last step")
     except KeyboardInterrupt as stopped:
         if received[:1] in ([], [signal.SIGINT]):
+            if not _callers:
+                stopped.args = (f"{str(stopped) or 'interrupted'}{_kept(stopped)}",)
             raise
         ended = Terminated(received[0], str(stopped), getattr(stopped, "kept", ()))
     except Terminated as of_inner:
@@ -126,8 +128,16 @@ def endings_are_told() -> Iterator[None]:
 def tell_ending(ended: "Terminated") -> None:
     """Tell on standard error how runs were ended by a signal, unless a caller does."""
     if not _callers and sys.stderr is not None:
-        kept = ", ".join(str(file) for file in ended.kept if file.exists())
-        print(f"minimd: {ended}{f'; what was written is kept in {kept}' if kept else ''}", file=sys.stderr, flush=True)
+        print(f"minimd: {ended}{_kept(ended)}", file=sys.stderr, flush=True)
+
+
+def _kept(stopped: BaseException) -> str:
+    """Which files of a run hold what was written, and how a script goes on, as clauses; empty if there are none."""
+    files = [str(file) for file in getattr(stopped, "kept", ()) if file.exists()]
+    again = "to go on, call run with trajectory={0!r}, append=True; in a new session first sim = {1}({0!r}, potentials)"
+    can_go_on = [file for file in files if file.lower().endswith(".h5md")]
+    go_on = f"; {again.format(can_go_on[0], 'minimd.Simulation.resume')}" if can_go_on else ""
+    return f"; what was written is kept in {', '.join(files)}{go_on}" if files else ""
 
 
 class Terminated(SystemExit):

@@ -29,7 +29,8 @@ from minimd.structure.vectors import Array
 # before
 QUICK = 0.1  # of the relaxation time of a barostat, between two strains: fluctuations are then wrong by up to a tenth
 CRUSHING = 0.5  # eV/Å³: 80 GPa, far more than a Lennard-Jones solid is good for
-TOO_SHORT = 1e-6  # times 1/ω of a collision
+USUAL = 0.3  # times 1/ω of the fastest motion: 20 steps in its period
+TOO_SHORT = 0.01  # of the usual step
 MEANT = 1e-30  # likewise: a step below this is no error of the unit, somebody wants atoms that stand still
 MOVING = 1e-6  # of Σ|mv|: a smaller total momentum is rounding, of files with six digits or in single precision
 TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
@@ -159,7 +160,7 @@ class Evidence:
     def recommended(self) -> str:
         """What advise_timestep recommends for the last good state."""
         if self.advice is None or not self.advice.frequency:
-            return "ask advise_timestep for a shorter one"
+            return "take a shorter timestep, such as advise_timestep recommends"
         return f"take {self.shown(self.advice.recommended)}, as advise_timestep recommends for the last good state"
 
     def contacts(self, system: System, atoms: list[int]) -> list[Contact]:
@@ -206,12 +207,14 @@ def longer_than_collisions(evidence: Evidence) -> Verdict | None:
 
 
 def short_step(evidence: Evidence) -> Verdict | None:
-    """Lennard-Jones atoms that would hardly move in a year of steps."""
-    share = evidence.timestep * evidence.stiffness.collisions(at_rest=True)
-    if not MEANT < share < TOO_SHORT:
+    """A time step far shorter than the harmonic bonds and the collisions of Lennard-Jones atoms need."""
+    bond, shown = evidence.stiffness.bond, evidence.shown
+    fastest = max(evidence.stiffness.collisions(), sqrt(bond.square) if bond else 0.0)
+    if not MEANT < evidence.timestep * fastest / USUAL < TOO_SHORT:
         return None
-    is_short = f"timestep {evidence.shown(evidence.timestep)} is {share:.0e} of the time in which Lennard-Jones atoms"
-    return Verdict(f"{is_short} collide", f"check its unit{', such as 5 * md.units.fs' * (evidence.units == ASE)}")
+    is_short = f"timestep {shown(evidence.timestep)} is far shorter than these atoms need"
+    unit = f"check the unit of the time step{', such as 5 * md.units.fs' * (evidence.units == ASE)}"
+    return Verdict(f"{is_short}: {shown(USUAL / fastest)} would be 20 steps in a period of the fastest motion", unit)
 
 
 def no_pair_in_reach(evidence: Evidence) -> Verdict | None:
@@ -236,7 +239,7 @@ def slow_barostat(evidence: Evidence) -> Verdict | None:
         return None
     acts = f"the barostat acts every {barostat.every} steps, {shown(every)}, which is too long for its"
     cause = f"{acts} relaxation_time {shown(barostat.relaxation_time)}: the volume fluctuates too much"
-    return Verdict(cause, f"take a relaxation_time of at least {1.0 / QUICK:g} such intervals, or a smaller every")
+    return Verdict(cause, f"take a relaxation_time of at least {shown(every / QUICK)}, or a smaller every")
 
 
 def crushing_pressure(evidence: Evidence) -> Verdict | None:
@@ -303,8 +306,7 @@ def law_without_number(evidence: Evidence) -> Verdict | None:
     """A law of the user's, or a table, that is not finite at some distance."""
     for one in evidence.found:
         if not one.is_finite and not is_overlap(one) and (one.is_users or one.is_bond):
-            cause = one.without_number(evidence.units.length)
-            return Verdict(cause, "correct the law at that distance, or keep atoms away from it", one)
+            return Verdict(one.without_number(evidence.units.length), one.cure, one)
     return None
 
 
@@ -345,9 +347,9 @@ def barostat(evidence: Evidence) -> Verdict | None:
         return Verdict(cause, "take a higher pressure, or a lower temperature")
     if not evidence.failure.is_of_barostat:
         return None
-    was = f"{volume:.4g} {unit}, {before:.4g} when the simulation was made"
-    first = "equilibrate at constant volume first, take a longer relaxation_time, or look at the unit of the pressure"
-    return Verdict(f"the barostat strains a cell of {was}, too fast {at}", first)
+    was = f"its volume is {volume:.4g} {unit}, and was {before:.4g} {unit} when the simulation was made"
+    first = "equilibrate at constant volume first, take a longer relaxation_time, or check the unit of the pressure"
+    return Verdict(f"{at} the barostat strains the cell too fast: {was}", first)
 
 
 def broken_constraint(evidence: Evidence) -> Verdict | None:
@@ -422,7 +424,7 @@ def unstable_mode(evidence: Evidence) -> Verdict | None:
     if advice is None or not advice.frequency or dt <= NEAR_LIMIT * advice.limit:
         return None
     where = f"{advice.method} is stable up to {shown(advice.limit)} on the stiffest mode of the last good state"
-    closer = ", and up to less where atoms come closer" if dt <= advice.limit else ""
+    closer = "; where atoms come closer, only shorter steps are stable" if dt <= advice.limit else ""
     return Verdict(f"timestep {shown(dt)} too large: {where}{closer}", evidence.recommended)
 
 

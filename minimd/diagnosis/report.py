@@ -321,7 +321,7 @@ class Report(Displayed):
             return f"NOTHING IS CONSERVED: {self.not_finite}"
         if self.n_frames < FEW:
             are = "frames are" if self.n_frames > 1 else "frame is"
-            return f"{self.n_frames} {are} too few to judge the energy; observe more often"
+            return f"{self.n_frames} {are} too few to judge the energy; run longer, or with a smaller every"
         momentum = "THE TOTAL MOMENTUM CHANGES: a force is not pairwise."
         if self.is_at_rest:
             momentum = "the atoms are at rest: set_temperature gives them velocities."
@@ -346,7 +346,7 @@ class Report(Displayed):
         (first, last), swollen, causes = self.temperatures, "", [self.too_long_a_step] * bool(self.too_long_a_step)
         if self.is_settling:
             went = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}"
-            causes.append(f"{went}, and the error of the energy with it; equilibrate first")
+            causes.append(f"{went}, which changes the error of the energy; equilibrate first")
         if self.swells:
             swollen = f" (the volume changed by {100.0 * (self.volumes[1] / self.volumes[0] - 1.0):+.2g} %)"
         if self.is_far_from_pressure:

@@ -68,7 +68,7 @@ def make_steps_back(guard: RunGuard, n_steps: int) -> None:
     Raises ValueError for an engine whose steps cannot be retraced to the last bit."""
     engine, precision = guard.engine, guard.engine.interactions.options.precision
     if engine.interactions.grid is None:
-        raise ValueError(f"only precision='fixed-point' retraces its steps; precision is {precision!r}")
+        raise ValueError(f"steps can be retraced only with precision='fixed-point'; precision is {precision!r}")
     if engine.constraint_set.bonds is not None:
         rounded = "constraint impulses are rounded after they are computed"
         raise ValueError(f"steps with constraints cannot be retraced to the last bit: {rounded}")
@@ -100,7 +100,7 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
         bath = f"{engine.method.name} is a thermostat" if engine.method.is_thermostat else "there is a barostat"
         raise ValueError(f"{bath}: its noise cannot be undone, so no run with it is reversible")
     if engine.interactions.depend_on_time:
-        goes_on = "time goes on while atoms return; probe the scene without them"
+        goes_on = "time goes on while atoms return; probe the scene without these forces"
         raise ValueError(f"a run with forces that depend on time has no way back: {goes_on}")
     before = engine.snapshot()
     with guard.uncounted():

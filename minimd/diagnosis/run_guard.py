@@ -23,7 +23,7 @@ from minimd.structure.observables import Array, longest
 BLOCK = 100
 # atoms times steps of a block of few atoms, and its steps, at most: its checks cost as much as 30 steps
 SMALL, LONGEST_BLOCK = 50_000, 500
-RUN_BEGAN, FAILED_AS_BLOCK = "the run began", "a block of steps failed, although its steps succeeded one by one"
+RUN_BEGAN, FAILED_AS_BLOCK = "the run began", "some steps failed together, although each of them succeeded alone"
 MOST_SNAPSHOTS, ROOM = 16, 10**6  # numbers of snapshots kept, at least one, and of atoms in all of them
 SNAPSHOTS_APART = 40  # steps between two snapshots that are kept, at least
 SAME_ENERGY = 1e-3  # of K + |U|: a potential that gives another energy for the same atoms has been changed

@@ -22,6 +22,7 @@ from minimd.potentials.pair import Nonbonded
 from minimd.structure.observables import leaves_out_center, longest
 from minimd.structure.statistics import mean_and_error, with_error
 from minimd.structure.system import System
+from minimd.structure.units import ASE, GRAM_PER_CM3
 
 CONTINUOUS = 1e-9  # of the law at INSIDE r_c: a smaller jump is rounding
 INSIDE = (0.9, 0.99, 0.999)  # of these, the first at which the law has a value: a table may begin late
@@ -41,7 +42,7 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     made, what = (interactions.n_builds, interactions.n_evaluations), (interactions.pair_search, interactions.skipped())
     cost = Cost(guard.n_steps, guard.seconds, *made, *what, solvers, peak_memory(), guard.observing)
     angular, lines = is_free and not engine.system.cell.is_periodic, static_checks(engine, reversibility)
-    lines += pressure_lines(record, engine.barostat, is_free)
+    lines += pressure_lines(record, float(engine.system.masses.sum()), engine.barostat, is_free)
     return conservation_report(record, angular, cost, is_free, lines, engine.n_dof, too_long_a_step(engine) or "")
 
 
@@ -96,8 +97,11 @@ def _jumps(law: tuple, cutoff: float, numbers: tuple[float, ...]) -> tuple[float
     return float(u), float(f) * cutoff, float(size), float(size) / cutoff
 
 
-def pressure_lines(record: Record, barostat: StochasticCellRescaling | None, is_free: bool) -> Iterator[Line]:
-    """Lines with the mean volume, and the mean pressure compared with the target of the barostat; none without one."""
+def pressure_lines(
+    record: Record, mass: float, barostat: StochasticCellRescaling | None, is_free: bool
+) -> Iterator[Line]:
+    """Lines with the means of volume and density, and the mean pressure compared with the target of the barostat; none
+    without a barostat.  mass : of all atoms."""
     if barostat is None or len(record) < ENOUGH or not np.isfinite(record.pressure).all():
         return
     first, last, units = float(record.volume[0]), float(record.volume[-1]), record.units
@@ -108,6 +112,10 @@ def pressure_lines(record: Record, barostat: StochasticCellRescaling | None, is_
         return
     words, spread = f"{record.volume.mean():.6g} {units.volume} on average", f"{record.volume.std():.2g}"
     yield Line("volume", words, f"standard deviation {spread}", True)
+    amount, unit = (mass / GRAM_PER_CM3, "g/cm³") if units == ASE else (record.n_atoms, f"atoms/{units.volume}")
+    density = amount / record.volume
+    words = f"{with_error(*mean_and_error(density))} {unit} on average"
+    yield Line("density", words, f"standard deviation {density.std():.2g}", True)
     if barostat.coupling not in ("isotropic", "triclinic"):
         return
     missing = 0.0

@@ -75,8 +75,8 @@ def check_has_shadow(engine: Engine) -> None:
     refusals = (
         (method.is_thermostat, f"{none} with a thermostat, {with_bath}; the method is {method.name}"),
         (engine.barostat is not None, f"{none} with a barostat, {with_bath}"),
-        (not is_known, f"{none} but for velocity-verlet, leapfrog and position-verlet; the method is {method.name}"),
-        (engine.constraint_set.bonds is not None, f"{none} with rigid bonds; leave them out, or do not ask for it"),
+        (not is_known, f"{none} of {method.name}, only of velocity-verlet, leapfrog and position-verlet"),
+        (engine.constraint_set.bonds is not None, f"{none} with rigid bonds; leave out the bonds or the observable"),
     )
     for applies, why in refusals:
         if applies:

@@ -81,14 +81,14 @@ class StepAdvice(Displayed):
             motion = f"{f'mostly of atoms {shares}, ' if shares else ''}spread over some {self.n_moving:.3g} atoms"
             if self.bond is not None:
                 motion = f"the bond of atoms {self.bond[0]} and {self.bond[1]}: {shares} of the kinetic energy"
-            blow_up = "longer steps blow up, and at a temperature shorter ones may"
+            blow_up = "longer steps blow up; with hot atoms, somewhat shorter steps may blow up, too"
             rows = [("stiffest mode", f"ω = {omega:.4g} / {units.shown_time}, period {shown(self.period)}"),
                     ("", motion), ("limit", f"{shown(self.limit)} for {self.method}: {blow_up}"),
                     ("recommended", f"{recommended}{self.period / self.recommended:.3g} steps a period"),
                     ("decided by", "the stiffest mode")]  # fmt: skip
             if self.collision < self.harmonic:
                 heat = f"{self.temperature:.3g} {units.temperature}" if self.temperature else "rest"
-                hotter = f"or at that of the velocities if they are hotter (given: {heat})"
+                hotter = f"or at the temperature of the velocities if that is higher (now: {heat})"
                 alone = f"the stiffest mode alone would allow {shown(self.harmonic)}"
                 rows[-1] = "decided by", f"{by_heat} in a liquid at k_B T up to {COLDEST:.2g} ε, {hotter}"
                 rows.append(("", f"{alone}, for vibrations around this state only"))

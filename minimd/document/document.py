@@ -87,7 +87,7 @@ class Document:
         """New observers as described in the scene.  Raises ValueError, with the file, if two have the same name."""
         made = [section.observer() for section in self.sections.observer]  # type: ignore[attr-defined]
         if len({one.name for one in made}) < len(made):
-            raise ValueError(f"{self.path}: two observers have the same name; give each of the same kind another name")
+            raise ValueError(f"{self.path}: two observers have the same name; give one of them another name")
         return made
 
     def trajectories(self, instead: Path | None = None) -> list[Path]:
@@ -160,8 +160,8 @@ def stored(kind: type[D], text: str, file: Path) -> D:
     for index, section in enumerate(document.sections.potential):
         for name in section.files if isinstance(section, TabulatedSection) else ():
             if name not in document.sections.tables:
-                raise ValueError(f"{file}: potential[{index}] of the stored scene must have its table in the scene; it "
-                                 f"names {name!r}")  # fmt: skip
+                raise ValueError(f"{file}: potential[{index}] of the stored scene needs the table {name!r}, which the "
+                                 "scene does not hold")  # fmt: skip
     return document
 
 
@@ -170,7 +170,7 @@ def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[An
     for the messages.  Raises ValueError if there is no scene, or as stored."""
     if scene:
         return stored(Document, scene, file).potentials()
-    remedy = "pass those of the script, as in md.Past(file, [...]) or md.replay(file, [...]), or give a --scene"
+    remedy = "pass the potentials of the script: md.Past(file, [...]), md.replay(file, [...]); or give a --scene"
     raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; "
                      f"{remedy}")  # fmt: skip
 

@@ -15,8 +15,10 @@ PLAIN = {  # words of pydantic: words of minimd
     "items after validation": "entries", "Value error, ": "",
 }  # fmt: skip
 EDGES = "give all three edges, 0 along a direction that does not repeat, as of a slab"
+OF_MASSES = "masses are those of the element or of the structure file, 1 in LJ units, and always positive; "
 THREE = {  # lists of the wrong length: what to write
     ("structure", "cell"): f": {EDGES}: [20, 20, 0] with pbc = [true, true, false]",
+    ("structure", "repeat"): ": give three numbers of unit cells, such as [5, 5, 5]",
     ("structure", "pbc"): ": give one for all directions, or three, as of a slab: [true, true, false]",
 }
 
@@ -64,7 +66,8 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
     for theirs, ours in PLAIN.items():
         words = words.replace(theirs, ours)
     words = words.partition(" after validation")[0]
-    hint = THREE.get(loc[:2], "") if isinstance(value, list) and len(value) != 3 else ""
+    is_whole = place.endswith("]") or (isinstance(value, list) and len(value) == 3)  # or the fault is in an entry
+    hint = "" if is_whole else THREE.get(loc[:2], "")
     given = "" if isinstance(value, dict) else f"; {place} = {_shown(value)}"
     return place, f"{place} {words}".strip() + given + hint
 
@@ -75,9 +78,12 @@ def _about_key(loc: tuple, reading: Reading) -> str:
     key = loc[-1].removeprefix(UNKNOWN)
     if key in keys:
         return f"{place} has {key!r} and the same quantity in another unit; give only one of them"
-    near, known = _near(loc, reading)[0], f"Keys in {reading.units} units: {', '.join(keys)}"
-    hint = f"did you mean {near!r}? " if near else ""
-    return f"{place or 'a scene'} has no key {key!r} (= {_shown(table[key])}); {hint}{known}"
+    all_keys = [(name, reading.keys(one)) for name, one in reading.document.items() if not place]
+    inside = [f"{name}.{one}" for name, has in all_keys for one in has if key in (one, has[one][0])]
+    known = f'Keys with units = "{reading.units}":'
+    near = " or ".join(inside) or _near(loc, reading)[0]
+    hint = OF_MASSES if key.startswith("mass") else f"did you mean {near!r}? " if near else ""
+    return f"{place or 'a scene'} has no key {key!r} (= {_shown(table[key])}); {hint}{known} {', '.join(keys)}"
 
 
 def _near(loc: tuple, reading: Reading) -> tuple[str | None, str | None]:

@@ -133,7 +133,8 @@ class WaterSection(Section):
 
     def system(self) -> System:
         """The molecules, held rigid.  Raises ValueError as water."""
-        system, _, rigid = water(self.model, self.molecules, self.density / GRAM_PER_CM3, seed=self.seed)
+        given = self.model, self.molecules, self.density / GRAM_PER_CM3
+        system, _, rigid = water(*given, cutoff=self.cutoff, seed=self.seed)
         return changed(system, constraints=(rigid,))
 
     def potentials(self) -> list[OwnPotential]:
@@ -435,6 +436,6 @@ class SceneSections(Section):
             f"barostat needs {temperature}, the temperature of its noise": self.barostat and is_cold,
             'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs': pairs == "bonds"
             and not self.structure.bonds,
-            f"no tabulated potential uses tables.{unused}; give it as the file of one, or leave it out": unused,
+            f"no tabulated potential uses tables.{unused}; name it as the file of a potential, or leave it out": unused,
         }  # fmt: skip
         yield from (fault for fault, is_there in faults.items() if is_there)

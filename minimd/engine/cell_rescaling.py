@@ -101,7 +101,7 @@ class CellRescaling:
             why = "which has no temperature, needs temperature=... for its noise"
             raise ValueError(f"a barostat with {method.name}, {why}")
         if own is not None and theirs is not None and own != theirs:
-            they = f"they have {own} and {theirs}: leave out that of the barostat"
+            they = f"they have {own} and {theirs}: leave out the temperature of the barostat"
             raise ValueError(f"barostat and thermostat must have the same temperature; {they}")
         found: Any = theirs if own is None else own
         return float(found)
@@ -124,7 +124,7 @@ class CellRescaling:
         if not largest <= LARGEST_STRAIN:
             target = f"{self.barostat.pressure:.3g} {self._system.units.pressure}"
             why = f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {target}"
-            cure = "equilibrate first, take a longer relaxation_time, or look at the unit of the pressure"
+            cure = "equilibrate first, take a longer relaxation_time, or check the unit of the pressure"
             raise RangeError(f"the barostat would strain the cell by {largest:.1e} at once ({why}): {cure}")
         if self.barostat.pressure <= 0.0 and before.volume > EVAPORATED * self._first_volume:
             raise RangeError(self._growth(before))
@@ -136,9 +136,9 @@ class CellRescaling:
     def _growth(self, state: ThermodynamicState) -> str:
         volume, pressure = self._system.units.volume, self._system.units.pressure
         grown = f"the cell has grown from {self._first_volume:.4g} to {state.volume:.4g} {volume}"
-        why = f"at pressure {self.barostat.pressure:.3g} {pressure} there is no gas at rest"
+        why = f"at pressure {self.barostat.pressure:.3g} {pressure} a gas expands without end"
         cure = "take a pressure above zero, at which the atoms stay together, or a lower temperature"
-        return f"{grown}: {why}, and what was dense has evaporated; {cure}"
+        return f"{grown}: the atoms have evaporated, and {why}; {cure}"
 
     def _thermodynamic_state(self, thermal: float, bath: Bath, back: Array | None = None) -> ThermodynamicState:
         """The present state.  back : (3, 3) rotation applied to its tensors.

@@ -135,9 +135,8 @@ def ensemble(
                     tell(n_made + 1)
         except (KeyboardInterrupt, Terminated) as stopped:
             table = written_table(opened, asked, len(rows))
-            told = (
-                f"{int(table.done.sum())} of {len(table)} members are done and kept in {place}; the same call goes on"
-            )
+            done = f"{int(table.done.sum())} of {len(table)} members are done and kept in {place}"
+            told = f"{done}; make the same call again to go on"
             if isinstance(stopped, Terminated):
                 stopped.words, stopped.kept = f"{stopped.words}; {told}", ()
                 tell_ending(stopped)
@@ -288,7 +287,7 @@ def checked_members(members: range | None, n_members: int, resume: bool) -> rang
         words = f"members must be some of the {n_members} members, such as range(0, 50)"
         raise ValueError(f"{words}; members = {shown(members)}")
     if not resume:
-        raise ValueError(f"resume = False (--overwrite) replaces what all calls made: leave out members = {members}")
+        raise ValueError(f"resume = False (--overwrite) replaces all earlier members: leave out members = {members}")
     return range(members.start, min(members.stop, n_members))
 
 

@@ -96,7 +96,7 @@ def changed_text(path: Path, text: str, values: Iterable[tuple[str, Value]]) -> 
             try:
                 node = node[int(part)] if part.isdecimal() and isinstance(node, list) else node[part]
             except (KeyError, IndexError, TypeError):
-                raise ValueError(f"{path} has no {key!r}: {part!r} is not in it") from None
+                raise ValueError(f"{path} has no {key!r}, because it has no {part!r}") from None
         if not isinstance(node, dict):
             raise ValueError(
                 f"{path} has no {key!r}: {last!r} must be a key in a table; write an entry of a list as in "

@@ -233,7 +233,7 @@ def repair(path: str | Path) -> None:
     except OSError as error:
         if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
             raise
-        why = f"its last commit was interrupted, and cannot be finished here ({error.strerror})"
+        why = f"the last write to it was interrupted, and cannot be finished here ({error.strerror})"
         raise OSError(error.errno, f"{why}; copy it to a folder of your own, and make the copy writable") from None
     with open(descriptor, "rb"):
         _finish(descriptor)

@@ -218,8 +218,8 @@ def restore_observers(h5: h5py.File, file: str | Path, restart: Restart, observe
             if not one.n_looks:
                 one.restore(states.get(one.name, {}))
     if left := set(known) - {one.name for one in observers}:
-        words = f"file {str(file)!r} holds {listed(sorted(left))}, which this run does not go on with"
-        warnings.warn(f"{words}; to go on with them, pass observers=", stacklevel=outside_minimd())
+        words = f"file {str(file)!r} holds the observers {listed(sorted(left))}, which this run does not continue"
+        warnings.warn(f"{words}; to continue them, pass them as observers=[...]", stacklevel=outside_minimd())
 
 
 def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:

@@ -228,7 +228,7 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
             answer = look(), None
         except MemoryError:
             much = f"to read it takes more memory than {MEMORY / 1e9:.2g} GB"
-            answer = None, OSError(f"file {str(path)!r} is damaged: {much}; copy it, or run, again")
+            answer = None, OSError(f"file {str(path)!r} is damaged: {much}; copy it again, or run again")
         except Exception as error:
             answer = None, error
         with open(pipe, "wb") as told:

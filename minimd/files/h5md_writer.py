@@ -125,7 +125,7 @@ class H5MDWriter:
         if words := _obstacle(contents, self._engine, self._store_forces):
             raise ValueError(f"trajectory {file!r} {words}")
         if other := layout.other_method(contents.method, contents.parameters, contents.precision, self._engine):
-            goes_on = f"the run in {file!r} goes on with other steps: {other}"
+            goes_on = f"the run in {file!r} is continued with another method, bath or precision: {other}"
             warnings.warn(f"{goes_on}; frames before and after belong to different runs", stacklevel=outside_minimd())
         restart = digest.read_restart(h5)
         digest.restore_observers(h5, file, restart, self._observers)
@@ -315,10 +315,10 @@ def _obstacle(contents: H5MDContents, engine: Engine, store_forces: bool) -> str
         (
             set(wanted) != set(engine.extra_observables),
             f"was begun with simulation.extra_observables = {wanted}",
-            "set the same",
+            "set the same extra_observables",
         ),
-        (new, begun, "append before you register others"),
-        (missing, f"holds {listed(missing)}, which this run does not record", "register what is missing"),
+        (new, begun, "append before you register other observables"),
+        (missing, f"holds {listed(missing)}, which this run does not record", "register these observables"),
         (store_forces and not contents.has_forces, "was begun without forces", "continue it without store_forces"),
     ]
     first = ((what, cure) for is_there, what, cure in obstacles if is_there)

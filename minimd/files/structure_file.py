@@ -179,7 +179,7 @@ def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joi
         made = _universe(path, name)
         positions, found = np.asarray(made.atoms.positions, dtype=np.float64), _joined_of(made)
     if positions.shape != source.positions.shape or np.abs(positions - source.positions).max() > NEAR:
-        why = f"file {str(path)!r} is read in different orders by ASE and by MDAnalysis, which reads its bonds"
+        why = f"ASE reads the atoms of file {str(path)!r} in another order than MDAnalysis, which reads the bonds"
         raise ValueError(f"{why}; give the bonds as pairs")
     return found
 

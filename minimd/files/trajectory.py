@@ -225,7 +225,9 @@ def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] 
     open_trajectories."""
     file = Path(path)
     if file.suffix.lower() not in suffixes:
-        raise ValueError(f"the suffix of a trajectory must be one of {', '.join(suffixes)}; the file is {str(file)!r}")
+        other = "; docs/formats.md says how other formats are made from an .h5md file" * (suffixes is FORMATS)
+        wanted = f"the suffix of a trajectory must be one of {', '.join(suffixes)}"
+        raise ValueError(f"{wanted}; the file is {str(file)!r}{other}")
     if file.exists() and not overwrite:
         raise FileExistsError(f"output {str(file)!r} exists; choose another name, or pass overwrite=True")
     if not file.absolute().parent.is_dir():

@@ -66,12 +66,19 @@ class Contact:
     def apart(self, length: str) -> str:
         """The distance as text.  length : its unit."""
         ratio = "" if self.ratio is None else f" (r/{'r₀' if self.is_bond else 'σ'} = {self.ratio:.3g})"
-        limit = "" if self.longest is None else f" (R = {self.longest:.4g})"
+        limit = "" if self.longest is None else f" (longest = {self.longest:.4g} {length})"
         return f"{self.distance:.3g} {length} apart{ratio}{limit}"
 
     def without_number(self, length: str) -> str:
         """That the law gives no finite number here, as a clause.  length : as for apart."""
         return f"the law of {self.law} gives no finite number for {self.atoms}, {self.apart(length)}"
+
+    @property
+    def cure(self) -> str:
+        """What to do about a law without a finite number."""
+        if self.longest is not None and self.distance >= self.longest:
+            return "begin with shorter bonds or give a larger longest; if it happened during a run, reduce the timestep"
+        return "correct the law at that distance, or keep atoms away from it"
 
     def stiffness(self, timestep: float) -> str:
         """Δt·ω as text; empty if the pair does not oscillate."""
@@ -87,7 +94,7 @@ def why_not_finite(system: System, potentials: Sequence[Any]) -> str:
         bad = np.flatnonzero(~(np.isfinite(alone.forces).all(axis=1) & np.isfinite(alone.energies))).tolist()
         if bad:
             found = contacts(system, [potential], np.ones(len(system)), bad[:2])
-            named = (one.without_number(system.units.length) for one in found if not one.is_finite)
+            named = (f"{one.without_number(system.units.length)}; {one.cure}" for one in found if not one.is_finite)
             return next(named, f"{shown(potential)} gives no finite number for atom {bad[0]}")
     return "every potential by itself is finite here"
 

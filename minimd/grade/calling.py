@@ -77,8 +77,8 @@ class Called:
         except (TypeError, ValueError):
             raise TypeError(f"give a function, such as {example}; got {function!r}") from None
         if [*parameters][:1] == ["self"]:
-            raise TypeError(f"{self.name} is a method without its object (its first parameter is self): pass that of "
-                            f"an object, as in md.grade(Simulation().{self.name})")  # fmt: skip
+            raise TypeError(f"{self.name} is a method without its object (its first parameter is self): pass the "
+                            f"method of an object, as in md.grade(Simulation().{self.name})")  # fmt: skip
         starred = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
         kept = {name: one.default for name, one in parameters.items() if one.kind not in starred}
         self.roles = {name: role_of(name, names) for name in kept}

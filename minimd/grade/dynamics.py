@@ -215,7 +215,7 @@ def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
     remarks = [f"the total momentum is {momentum}: {'3N − 3' if is_still else '3N'} degrees of freedom move"]
     if seen := [100.0 * one.limit for one in findings if one.name.endswith((": temperature", ": mean volume"))]:
         what = "temperature or mean volume" if claims.pressure else "temperature"
-        remarks += [f"a {what} wrong by {max(seen):.0f} % would have been seen; more runs= or steps= show smaller ones"]
+        remarks += [f"a {what} wrong by {max(seen):.0f} % would be seen; more runs= or steps= show smaller errors"]
     if "temperature_K" not in options and "temperature_K" in inspect.signature(dynamics).parameters:
         remarks += [f"judged as {ensemble}{' at 300 K' * (ensemble != 'NVE')}, since no temperature_K is given"]
     told = f"{name}({', '.join(options)}): {ensemble}, {ENSEMBLES[ensemble]}"

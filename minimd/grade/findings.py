@@ -106,7 +106,7 @@ class Grade(Displayed):
         """The finding of a law, such as grade["order"].  Raises KeyError with the names that exist."""
         by_name = {finding.name: finding for finding in self.findings}
         if name not in by_name:
-            raise KeyError(f"no law {name!r} was tested; those that were: {', '.join(by_name)}")
+            raise KeyError(f"no law {name!r} was tested; the laws tested are {', '.join(by_name)}")
         return by_name[name]
 
     @property

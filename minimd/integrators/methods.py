@@ -16,11 +16,12 @@ class MethodTable(Displayed, dict[str, type[Method]]):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        rows: list[tuple[str, ...]] = [("name", "order", "stages", "symmetric", "symplectic", "explicit", "source")]
+        kinds = "class", "order", "stages", "symmetric", "symplectic", "explicit", "source"
+        rows: list[tuple[str, ...]] = [("name", *kinds)]
         for method in self.values():
             answers = (method.is_symmetric, method.is_symplectic, method.is_explicit)
             known = ("yes" if answer else "no" for answer in answers)
-            rows.append((method.name, str(method.order), str(method.stages), *known, method.source))
+            rows.append((method.name, method.__name__, str(method.order), str(method.stages), *known, method.source))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return [(row[0], "  ".join(map(str.ljust, row[1:], widths[1:])).rstrip()) for row in rows]
 

@@ -67,8 +67,8 @@ def _opened(pairs: Indices, lengths: Array, triangles: Indices) -> tuple[Indices
     equal = np.argmin(differences, axis=1)  # the first of two equal sides; the second follows it, cyclically
     rows = np.arange(len(triangles))
     if (differences[rows, equal] > EQUAL).any():
-        raise ValueError(f"{CAN}; that of atom {pairs[triangles[np.argmax(differences[rows, equal] > EQUAL), 0], 0]} "
-                         "has none: run it with minimd instead")  # fmt: skip
+        atom = pairs[triangles[np.argmax(differences[rows, equal] > EQUAL), 0], 0]
+        raise ValueError(f"{CAN}; the triangle of atom {atom} has no equal sides: run this scene with minimd")
     first, second, third = (triangles[rows, (equal + k) % 3] for k in range(3))
     if (lengths[third] > (1.0 - FLAT) * (lengths[first] + lengths[second])).any():
         raise ValueError(f"{CAN}, but not three atoms in a line: run this scene with minimd")
@@ -270,8 +270,8 @@ class Model:
         known = self.bonds.atoms
         if len(known) and not among(known, bonds).all():
             pair = known[np.argmin(among(known, bonds))].tolist()
-            raise ValueError("minimd counts bonded_scale along the bonds of the system, LAMMPS also along held "
-                             f"lengths and others; atoms {pair} are not bonded")  # fmt: skip
+            raise ValueError("LAMMPS counts bonded_scale also along rigid lengths and bonds given as pairs; minimd "
+                             f"does not, and atoms {pair} have no bond in the system: add it there")  # fmt: skip
         missing = bonds[~among(bonds, known)] if len(known) else bonds
         self.bonds.add(missing, np.zeros((len(missing), 1)), lambda _: ("harmonic", "0 1"))
 

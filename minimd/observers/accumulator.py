@@ -275,7 +275,7 @@ class Accumulator(ABC, Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        return self.result().display_rows() if self.n_looks else [("observer", f"{self!r}, has not looked yet")]
+        return self.result().display_rows() if self.n_looks else [("observer", f"{self!r}, has observed nothing yet")]
 
     @classmethod
     def _own_name(cls) -> str:
@@ -330,7 +330,7 @@ class Accumulator(ABC, Displayed):
         """The scene, which a result needs.  Raises ValueError before the first look."""
         if self.scene is None or not self.n_looks:
             advice = f"pass it to a run of {self.every} steps or more: sim.run(n_steps, observers=[...])"
-            raise ValueError(f"{self!r} has not looked yet; {advice}")
+            raise ValueError(f"{self!r} has not observed any state yet; {advice}")
         return self.scene
 
     def _begin(self, engine: Engine) -> None:
@@ -375,9 +375,9 @@ class Accumulator(ABC, Displayed):
             return
         words = json.loads(bytes(state["words"]))
         if not self.can_restore(state):
-            other = f"convention {words.get('convention', 1)} of another version of minimd, not {self.convention}"
-            advice = "go on without it, or with one of another name, which begins anew"
-            raise ValueError(f"observer {self.name} cannot go on: its sums have {other}; {advice}")
+            other = f"another version of minimd (convention {words.get('convention', 1)}, not {self.convention})"
+            advice = "leave this observer out, or give it another name, under which it begins anew"
+            raise ValueError(f"observer {self.name} cannot be continued: its sums are of {other}; {advice}")
         for name in self.settled:  # no other attribute, whatever a file says
             setattr(self, name, words["settled"][name])
         self.scene = ObservedRun(**words["scene"])
@@ -447,8 +447,8 @@ class Attached:
             step = self._engine.step
             for one in self.accumulators:
                 if n_later := one.break_off(step):
-                    failed = f"step {step}, the last good one of a run that failed; its result includes these looks"
-                    warnings.warn(f"{one!r} has looked {n_later} times after {failed}", stacklevel=outside_minimd())
+                    failed = f"step {step}, the last good step of a run that failed; its result includes these states"
+                    warnings.warn(f"{one!r} has observed {n_later} states after {failed}", stacklevel=outside_minimd())
             raise
         finally:
             for looking in self._with_steps:

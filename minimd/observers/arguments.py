@@ -31,7 +31,7 @@ def argument(check: Callable[[str, Any], Any], words: str, default: Any, dimensi
 
 def steps(default: int) -> Any:
     """The field every."""
-    return argument(checked_count, "steps between two looks", default)
+    return argument(checked_count, "steps between two observations", default)
 
 
 def label() -> Any:

@@ -147,7 +147,7 @@ class FluctuationResult(Result):
         """See Displayed."""
         units, unit = self.units, self.scene.n_atoms * self.units.k_B
         temperature = with_error(self.temperature, self.temperature_error)
-        rows = [("fluctuations", f"at {self.ensemble}, {self.n_looks} looks, T = {temperature} {units.temperature}")]
+        rows = [("fluctuations", f"at {self.ensemble}, {self.n_looks} frames, T = {temperature} {units.temperature}")]
         told = [("C_V", 1, unit, "k_B per atom"), ("C_P", 2, unit, "k_B per atom")]
         for symbol, k, size, words in [*told, ("κ_T", 3, 1.0, f"{units.length}³/{units.energy}")]:
             if np.isfinite(self.values[k]):

@@ -124,7 +124,7 @@ class ProfileResult(Result):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        layers = f"along {self.axis}, {len(self.z)} layers, {self.n_frames} looks"
+        layers = f"along {self.axis}, {len(self.z)} layers, {self.n_frames} frames"
         between = f"from {self.density.min():.4g} to {self.density.max():.4g} /{self.units.length}³"
         return [("profile", f"{layers}; density {between}")]
 
@@ -132,4 +132,4 @@ class ProfileResult(Result):
         """See Result."""
         curves, label = dict(zip(self.scene.species, self.densities, strict=True)), f"density  [1/{self.units.length}³]"
         self.draw_curves(panel, curves, f"along {self.axis}", label)
-        panel.set(ylim=(0.0, None), title=f"{self.title}, {self.n_frames} looks")
+        panel.set(ylim=(0.0, None), title=f"{self.title}, {self.n_frames} frames")

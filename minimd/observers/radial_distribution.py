@@ -183,10 +183,10 @@ class RadialDistributionResult(Result):
         """See Displayed."""
         k, length = int(np.argmax(self.g)), self.units.length
         highest = f"highest at {self.r[k]:.4g} {length}, {with_error(self.g[k], self.error[k])}"
-        return [("g(r)", f"{len(self.r)} bins up to {self.r[-1]:.4g} {length}, {self.n_frames} looks; {highest}")]
+        return [("g(r)", f"{len(self.r)} bins up to {self.r[-1]:.4g} {length}, {self.n_frames} frames; {highest}")]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
         panel.axhline(1.0, color="0.7", lw=0.8)
         self.draw_curves(panel, dict(zip(self.pairs, self.g_of_pairs, strict=True)), "r", "g(r)")
-        panel.set(title=f"{self.title}, {self.n_frames} looks", xlim=(0.0, self.r[-1]), ylim=(0.0, None))
+        panel.set(title=f"{self.title}, {self.n_frames} frames", xlim=(0.0, self.r[-1]), ylim=(0.0, None))

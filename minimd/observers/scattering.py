@@ -51,7 +51,7 @@ def waves_near(lengths: Array, cell: Cell, n_directions: int) -> NDArray[np.int6
     wanted = lengths[:, None, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=2)
     exact = wanted @ cell.vectors.T / (2.0 * pi)
     if np.abs(exact).max() > MOST_PERIODS:
-        raise ValueError(f"q = {lengths.max():.6g} has more than {MOST_PERIODS} periods in this cell; lower it")
+        raise ValueError(f"q = {lengths.max():.6g} has more than {MOST_PERIODS} periods in this cell; lower q")
     waves = np.rint(exact).astype(np.int64).reshape(-1, 3)
     leading = np.sign(waves @ [4 * np.abs(waves).max() ** 2 + 4, 2 * np.abs(waves).max() + 1, 1])
     return np.unique((waves * leading[:, None])[leading != 0], axis=0)
@@ -168,7 +168,7 @@ class StructureFactorResult(Result):
         """See Displayed."""
         k = int(np.argmax(self.s))
         highest = f"highest at {self.q[k]:.4g} /{self.units.length}, {with_error(self.s[k], self.error[k])}"
-        return [("S(q)", f"{len(self.q)} shells up to {self.q[-1]:.4g}, {self.n_frames} looks; {highest}")]
+        return [("S(q)", f"{len(self.q)} shells up to {self.q[-1]:.4g}, {self.n_frames} frames; {highest}")]
 
 
 class SelfScattering(MeanSquareDisplacement):

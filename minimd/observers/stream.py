@@ -172,7 +172,7 @@ class Stream:
             self._heard = self._heard[HEADER.size :]
             self._obey(kind, value, engine)
         if self._reader is not None and not self._has_gone and monotonic() > self._go_until:
-            self._part_with_reader("has not said go")
+            self._part_with_reader("has not asked for frames")
 
     def _obey(self, kind: int, value: int, engine: Engine) -> None:
         """Do what a message asks for."""

@@ -140,7 +140,8 @@ class Coulomb(Declared):
             raise ValueError(f"Coulomb needs a cell that is periodic in all directions or in none; pbc = {pbc}: {hint}")
         cutoff, is_split = self.cutoff or inf, is_sum and pbc.all()
         if cutoff == inf and (pbc.any() or not is_sum):
-            raise ValueError("cutoff of Coulomb must be given in a periodic cell and for pairs only; it is None")
+            where = "in a periodic cell" if is_sum else f"with method {self.method!r}"
+            raise ValueError(f"cutoff of Coulomb must be given {where}; it is None")
         return CoulombTerm(self, system, cutoff, split_for(cutoff, self.accuracy) if is_split else None)
 
 

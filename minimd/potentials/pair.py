@@ -418,7 +418,9 @@ class Tabulated(Nonbonded):
 
     r: ArrayLike = declared(kind.given, "equally spaced or not", "length", of=f"{FEWEST} or more increasing distances")
     u: ArrayLike | Mapping[tuple[Label, Label], ArrayLike] = declared(kind.given, "u(r)", "energy", of=FOR_EACH)
-    cutoff: Cutoff | None = declared(kind.given, "r_c; its end if not given", "length", of=FOR_PAIRS, default=None)
+    cutoff: Cutoff | None = declared(
+        kind.given, "r_c; the end of the table if not given", "length", of=FOR_PAIRS, default=None
+    )
     truncation: TruncationName = declared(kind.choice, SEE, of=TRUNCATIONS, default="shifted")
     mixing: None = declared(kind.given, init=False, default=None)
     pairs: None = declared(kind.given, init=False, default=None)

@@ -1,10 +1,12 @@
 """Rigid water of three charges, by the name of its model: box, charges, laws, constraints."""
 
+import warnings
 from math import ceil, cos, radians, sin
 from typing import Literal, NamedTuple
 
 import numpy as np
 
+from minimd.console.quiet import outside_minimd
 from minimd.potentials.coulomb import Coulomb
 from minimd.potentials.pair import LennardJones
 from minimd.potentials.term import OwnPotential
@@ -63,12 +65,16 @@ def water(
     ----------
     model : "SPC/E", "TIP3P" or "OPC3"; the numbers and their sources are in MODELS.
     n : of molecules, each an O and two H, in this order.  density : [g/cm³].
-    cutoff : of Lennard-Jones and charges [Å]; 9, or 0.45 of the edge of the box if that is less.
+    cutoff : of Lennard-Jones and charges [Å]; if not given, 9, or 0.45 of the edge of the box if that is less, as for
+        fewer than 267 molecules at the density of water; a warning then says so.
     accuracy : see Coulomb.  seed : of the orientations.
 
     Raises ValueError for an unknown model, a number of molecules below one, a density or cutoff that is not positive.
     """
     potentials, edge = water_potentials(model, n, density, cutoff, accuracy), edge_of(n, density)
+    if cutoff is None and (most := OF_BOX * edge) < CUTOFF:
+        small = f"the cutoff of water is {most:.3g} Å, not {CUTOFF:g} Å, because the box is only {edge:.3g} Å wide"
+        warnings.warn(f"{small}; take more molecules, or give cutoff to choose it", stacklevel=outside_minimd())
     length, angle, charge, _, _ = MODELS[model]
     # the lattice with the fewest empty places, from which some are left out evenly
     repeats = {name: ceil(round((n / len(BASES[name])) ** (1.0 / 3.0), 9)) for name in ("sc", "bcc", "fcc")}

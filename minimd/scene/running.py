@@ -121,8 +121,8 @@ def resume_run(
             raise ValueError(f"the run in {str(file)!r} has reached the end of its scene: {there}; {remedy}")
         end = contents.step  # it was killed after its last step
     if known is not None and (other := differences(known, scene)):
-        tell("NOTE           the scene given replaces that of the run so far; frames before and after differ")
-        for line in ("in what is listed here:", *other):
+        tell("NOTE           the scene given replaces the one of the run so far; the keys that differ are:")
+        for line in other:
             tell(f"               {line}")
     if contents.repaired:
         tell(f"repaired       {contents.repaired}")
@@ -136,8 +136,8 @@ def resume_run(
         else:
             simulation.engine.moved()
     if given is None and (changed := other_potentials(contents.potentials, simulation.potentials)):
-        those = f"and the run goes on with those of the scene: {changed}"
-        tell(f"NOTE           the scene in the file has other potentials than the last steps, {those}")
+        those = f"the run goes on with those of the scene: {changed}"
+        tell(f"NOTE           the last steps were made with other potentials than the scene in the file has; {those}")
     for line in description(scene, simulation, end - contents.step):
         tell(line)
     when = f"at step {contents.step}, {scene.units.shown(contents.time)}, after {contents.n_frames} frames"

@@ -49,7 +49,7 @@ def load_scene(path: str | Path) -> Scene:
     except FileNotFoundError:
         raise FileNotFoundError(f"scene file {str(file)!r} does not exist") from None
     except UnicodeDecodeError as error:
-        raise ValueError(f"{file}: a scene file must be UTF-8 text: {error}") from None
+        raise ValueError(f"{file}: a scene file (TOML) must be UTF-8 text, which this is not: {error}") from None
     except OSError as error:
         raise OSError(f"scene file {str(file)!r} cannot be read: {error.strerror}") from None
 

@@ -25,7 +25,7 @@ class Archive(Displayed):
     def __str__(self) -> str:
         (frames, kept), (before, after) = self.n_frames, self.n_bytes
         sizes = f"{before / 1e6:.3g} MB -> {after / 1e6:.3g} MB, {before / after:.3g} times smaller"
-        what = f"archive        {self.file}: {kept} of {frames} frames, one each {self.every} steps; {sizes}"
+        what = f"archive        {self.file}: {kept} of {frames} frames, one every {self.every} steps; {sizes}"
         return f"{what}\nany step       minimd frames {self.file} --at STEP"
 
 

@@ -9,7 +9,7 @@ from minimd.engine.observation import measure
 
 T = TypeVar("T")
 # for names that are not misspelt
-HINTS = {"timestep": "the time step is that of its method; take another: sim.method = VelocityVerlet(0.001)"}
+HINTS = dict.fromkeys(("timestep", "dt"), "give it to a new method: sim.method = VelocityVerlet(0.001)")
 ARRAYS = ("positions", "velocities", "forces")
 
 
@@ -25,7 +25,7 @@ class Closed:
         kind = type(self)
         if "own" in vars(kind) and not (name.startswith("_") or name in kind.own or hasattr(kind, name)):
             near = get_close_matches(name, [*kind.own, *(one for one in dir(kind) if not one.startswith("_"))], n=1)
-            hint = HINTS.get(name) or (f"did you mean {near[0]!r}?" if near else "the time step is that of its method")
+            hint = HINTS.get(name) or (f"did you mean {near[0]!r}?" if near else "dir(...) lists its attributes")
             raise AttributeError(f"a {kind.__name__} has no attribute {name!r} that could be set; {hint}")
         super().__setattr__(name, value)
 
@@ -84,5 +84,5 @@ class Measured(Generic[T]):
         return found
 
     def __set__(self, _simulation: Any, _value: T) -> None:
-        see = "see set_temperature and system.cell"
+        see = "change the velocities, by set_temperature for example, or system.cell"
         raise AttributeError(f"{self._name} of a Simulation is measured and cannot be set; {see}")

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 SAME_PACE = 1e-6  # relative: times in a file are rounded
 TELLS = 100  # of a progress bar
-BEFORE = " that can be made again, those before with another method, bath or state, of which it keeps only frames"
+BEFORE = "; the steps before were made with another method, bath or state"
 
 
 class Past(Displayed):
@@ -102,8 +102,8 @@ class Past(Displayed):
         """
         step, first, last = checked_count("step", step, 0), self.steps[0], self.steps[-1]
         if not first <= step <= last:
-            has = f"file {str(self.file)!r} has the steps {first} to {last}{BEFORE * (self.contents.since > 0)}"
-            raise ValueError(f"{has}; step must be one of them, but step = {step}")
+            can = f"the steps of {str(self.file)!r} that can be made again{BEFORE * (self.contents.since > 0)}"
+            raise ValueError(f"step must be from {first} to {last}, {can}; step = {step}")
         ways = step - self.steps
         return int(ways[np.argmin(np.where((ways >= 0) | self.goes_back, np.abs(ways), COUNTS - 1))])
 

@@ -33,8 +33,8 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
     simulation.system.cell = contents.system.cell  # not rounded to another grid than that of the run
     simulation.engine.go_on_from(contents.restart)
     if other := other_potentials(contents.potentials, simulation.potentials):
-        those = f"those of the last steps in {str(file)!r}: {other}"
-        warnings.warn(f"the potentials are not {those}; energies jump at this step", stacklevel=outside_minimd())
+        given = f"the potentials given are not those of the last steps in {str(file)!r}: {other}"
+        warnings.warn(f"{given}; the potential energy jumps at this step", stacklevel=outside_minimd())
     if contents.repaired:
         warnings.warn(contents.repaired, stacklevel=outside_minimd())
     return simulation

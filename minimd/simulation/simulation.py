@@ -378,9 +378,10 @@ class Simulation(Closed, Displayed):
             self._is_running, self.engine.noise_shift = False, before
 
     def report(self) -> Report:
-        """How well the last run conserved what it should, and how fast it was.  Raises ValueError before a run."""
+        """How well the last call of run conserved what it should, and how fast it was.  Raises ValueError before it."""
         if self.record is None:
-            raise ValueError("there is nothing to report yet; call run first")
+            others = "equilibrate, make_steps, minimize and resume do not observe the simulation"
+            raise ValueError(f"there is nothing to report; call run first: {others}; for a file: minimd check FILE")
         return report_of(self.guard, self.record, self.reversibility)
 
     def frame(self) -> Frame:

@@ -41,7 +41,7 @@ class System(Displayed):
     velocities : (N, 3) [length/time]; zero if not given.
     cell : one length, three lengths, or (3, 3) rows = lattice vectors [length]; None for no cell.
     pbc : one bool or three; by default True where a lattice vector is given.
-    species : N labels (str or int); all alike if not given.
+    species : N labels (str or int), or one str for all atoms, as "Ar"; all alike if not given.
     bonds : (B, 2) int, pairs of bonded atoms.  angles : (A, 3) int, triples of atoms with an angle at the second one.
     dihedrals, impropers : (D, 4), (I, 4) int, quadruples of atoms with an angle between
         the planes through the first and the last three.
@@ -63,7 +63,7 @@ class System(Displayed):
 
     def __init__(self, positions: ArrayLike, *, masses: ArrayLike | None = None, velocities: ArrayLike | None = None,
                  cell: ArrayLike | Cell | None = None, pbc: ArrayLike | None = None,
-                 species: Sequence[str] | Sequence[int] | NDArray | None = None, bonds: ArrayLike | None = None,
+                 species: str | Sequence[str] | Sequence[int] | NDArray | None = None, bonds: ArrayLike | None = None,
                  angles: ArrayLike | None = None, dihedrals: ArrayLike | None = None,
                  impropers: ArrayLike | None = None, units: UnitSystem = unit_systems.LJ,
                  constraints: Sequence[Constraint] = (),
@@ -74,7 +74,7 @@ class System(Displayed):
             wanted = "a list of DistanceConstraints and FixedAtoms"
             raise TypeError(f"constraints of a System must be {wanted}; got {shown(constraints)}")
         if masses is None and units is not unit_systems.LJ:
-            raise ValueError(f"masses must be given in {units.name} units; only reduced units have a default, 1")
+            raise ValueError(f"masses are missing: give one number or one per atom; {units.name} units have no default")
         if isinstance(cell, Cell) and pbc is not None:
             whereas = "give pbc to System only together with lattice vectors"
             raise ValueError(f"pbc is part of a Cell: Cell.of(vectors, pbc); {whereas}")
@@ -251,8 +251,8 @@ def _charges(charges: Any, species_names: tuple, species_index: NDArray[np.int64
     return checked
 
 
-def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, NDArray[np.int64]]:
-    wanted = f"species must be {n_atoms} labels, one for each atom"
+def _species(species: str | Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, NDArray[np.int64]]:
+    wanted = f"species must be {n_atoms} labels, one for each atom, or one str for all"
     one = np.zeros(n_atoms, dtype=np.int64)  # pages of zeros that nobody writes to need no memory
     if species is None:
         return ("X",), one
@@ -261,7 +261,7 @@ def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, N
     if isinstance(species, np.ndarray) and species.shape != (n_atoms,):
         raise ValueError(f"{wanted}; their shape is {species.shape}")
     try:
-        labels = np.asarray(species, dtype=object)
+        labels = np.asarray([species] * n_atoms if isinstance(species, str) else species, dtype=object)
     except ValueError as error:
         raise ValueError(f"{wanted}: {error}") from None
     if labels.shape != (n_atoms,):

@@ -327,7 +327,7 @@ def test_probes_of_a_long_way_of_rigid_bonds_and_of_an_atom_on_which_nothing_act
 BATH = md.LangevinBAOAB(0.003, 1.0, 1.0, seed=1)
 test_what_is_not_known_or_cannot_be_undone_is_refused = answered(
     (lambda: md.shadow_energy(argon(BATH)), ValueError, "thermostat"),
-    (lambda: md.shadow_energy(argon(SPLITTINGS["yoshida-6"](0.003))), ValueError, "the method is yoshida-6"),
+    (lambda: md.shadow_energy(argon(SPLITTINGS["yoshida-6"](0.003))), ValueError, "yoshida-6"),
     (lambda: md.shadow_energy(SCENES["dumbbells"]().simulation()), ValueError, "rigid bonds"),
     (lambda: setattr(argon(), "extra_observables", ("entropy",)), ValueError, "extra_observables", "entropy"),
     (lambda: argon(BATH).probe_reversibility(10), ValueError, "noise"),

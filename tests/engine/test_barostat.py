@@ -21,6 +21,7 @@ from minimd.mdanalysis import universe as universe_of
 from minimd.observers.fluctuations import FEWEST
 from minimd.scene import load_scene, run_scene
 from minimd.structure.statistics import mean_and_error, with_error
+from minimd.structure.units import GRAM_PER_CM3
 
 slow = pytest.mark.slow
 BATH, BUSSI = md.LangevinBAOAB(0.003, 0.8, 1.0, 2), md.StochasticVelocityRescaling(0.003, 0.8, 0.1, 2)
@@ -165,13 +166,18 @@ def test_a_pressure_is_reached_within_three_standard_errors():
     for n_errors, is_reached in ((0.0, True), (2.5, True), (-3.43, False), (6.0, False)):
         pressure = 1.0 + noise - mean + n_errors * error
         record = record_of(np.full(200, 2.0), pressure=pressure, volume=100.0 + 0.1 * noise)
-        lines = tuple(pressure_lines(record, barostat(), False))
+        lines = tuple(pressure_lines(record, 1.0, barostat(), False))
         report = conservation_report(record, angular=False, lines=lines)
-        assert [line.is_good for line in report.lines] == [True, is_reached]
+        assert [line.is_good for line in report.lines] == [True, True, is_reached]
         assert report.is_far_from_pressure is not is_reached
     for n_atoms, of_center in ((8, 0.5), (1, 0.0)):  # is added where it is left out
         record = record_of(np.full(40, 2.0), n_atoms, volume=np.full(40, 2.0), pressure=np.full(40, 1.25))
-        assert f" {with_error(1.25 + of_center, 0.0)} " in str(list(pressure_lines(record, barostat(), True))[1])
+        _, density, pressure = map(str, pressure_lines(record, 1.0, barostat(), True))
+        assert f" {with_error(1.25 + of_center, 0.0)} " in pressure
+        assert f" {with_error(n_atoms / 2.0, 0.0)} atoms/σ³ " in density
+    record.units = md.units.ASE
+    _, density, _ = map(str, pressure_lines(record, 2.0 * GRAM_PER_CM3, barostat(), True))
+    assert f" {with_error(1.0, 0.0)} g/cm³ " in density
 
 
 def test_every_file_has_the_cell_of_every_frame(tmp_path):
@@ -216,7 +222,7 @@ def test_what_evaporates_at_a_negative_pressure_is_told():
     assert caught.value.crash_report.kind == "barostat"
     assert simulation.system.volume < 300.0
     record = record_of(np.ones(20), volume=np.geomspace(1.0, 9.0, 20), pressure=np.ones(20))  # of a file
-    assert "EVAPORATED" in str(next(pressure_lines(record, barostat(), False)))
+    assert "EVAPORATED" in str(next(pressure_lines(record, 1.0, barostat(), False)))
 
 
 @pytest.mark.parametrize("make", [lambda: SCENES["dumbbells"]()[:3], wrapped_dumbbells], ids=["whole", "wrapped"])

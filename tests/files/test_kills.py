@@ -266,7 +266,7 @@ def test_a_journal_that_cannot_be_carried_out_is_told(killed_in_a_commit):
         def read():
             if os.geteuid() == 0:
                 os.setuid(65534)
-            with pytest.raises(OSError, match=r"a\.h5md' cannot be opened: .*commit was interrupted"):
+            with pytest.raises(OSError, match=r"a\.h5md' cannot be opened: .*interrupted"):
                 read_file(path)
             return "told"
 
@@ -305,5 +305,5 @@ def test_an_answer_that_fails_costs_no_frame_and_leaves_no_lock(tmp_path):
     with pytest.raises(ValueError, match="no answer"):
         sim.run(20, every=10, trajectory=path, observers=[Failing()])
     assert (read_file(path).n_frames, sorted(tmp_path.iterdir())) == (3, [path])
-    with pytest.warns(UserWarning, match="does not go on with"):
+    with pytest.warns(UserWarning, match="mean_square_displacement"):
         sim.run(10, every=10, trajectory=path, append=True)

@@ -106,14 +106,23 @@ def raising(number, step):
 def test_a_script_that_is_terminated_says_at_which_step_and_what_is_kept(number, tmp_path, capsys):
     path, told = tmp_path / "a.h5md", f"by {signal.Signals(number).name}"
     inner = [lambda _: simulation().run(100, every=10, observers=raising(number, 30))]
-    for options, silent, step, more in (
-        ({"trajectory": path, "observers": raising(number, 20)}, False, 21, f"; what was written is kept in {path}"),
-        ({"observers": inner}, False, 31, ""),  # both runs stop, and one sentence is enough
-        ({"observers": inner}, True, 31, ""),
+    for options, silent, step in (
+        ({"trajectory": path, "observers": raising(number, 20)}, False, 21),
+        ({"observers": inner}, False, 31),  # both runs stop, and one sentence is enough
+        ({"observers": inner}, True, 31),
     ):
         with ending_of(number, "step"), endings_are_told() if silent else nullcontext():
             simulation().run(100, every=10, **options)
-        assert capsys.readouterr().err == ("" if silent else f"minimd: stopped after step {step} {told}{more}\n")
+        said = capsys.readouterr().err
+        assert (said.count("\n"), f"step {step} {told}" in said) == (not silent, not silent)
+        assert (f" {path}; " in said, "append" in said) == ("trajectory" in options,) * 2
+
+
+def test_after_ctrl_c_a_script_is_told_its_files_and_how_to_go_on_and_a_command_is_not(tmp_path):
+    for name, silent, known in (("a.h5md", False, "append"), ("b.xyz", False, "b.xyz"), ("c.h5md", True, "step 21")):
+        with ending_of(signal.SIGINT, known) as caught, endings_are_told() if silent else nullcontext():
+            simulation().run(100, every=10, trajectory=tmp_path / name, observers=raising(signal.SIGINT, 20))
+        assert (name in str(caught.value), "resume" in str(caught.value)) == (not silent, name == "a.h5md")
 
 
 def command(*arguments, **environment):

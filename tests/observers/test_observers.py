@@ -438,7 +438,7 @@ def test_looks_after_the_last_good_state_are_told(monkeypatch):
 
     monkeypatch.setattr(sim.guard, "is_hot", lambda: True)
     monkeypatch.setattr(sim.guard, "observe", observe)
-    with pytest.raises(md.NonFiniteError), pytest.warns(UserWarning, match="has looked 4 times after step 0"):
+    with pytest.raises(md.NonFiniteError), pytest.warns(UserWarning, match=" 4 .* step 0"):
         sim.run(100, observers=[looking], progress=False)
     assert looking.n_looks == 5
     monkeypatch.undo()
@@ -469,7 +469,7 @@ def test_a_file_that_asks_for_too_much_is_refused(tmp_path):
 test_what_cannot_be_observed_is_refused = answered(
     (lambda: seen_by(3), TypeError, "observers", "[3]"),
     (lambda: seen_by(md.observers.Profile(), md.observers.Profile()), ValueError, "observers", "'profile'"),
-    (lambda: md.observers.Profile().result(), ValueError, "Profile(", "not looked"),
+    (lambda: md.observers.Profile().result(), ValueError, "Profile(every=50)"),
     (lambda: md.observers.RadialDistribution(every=0), ValueError, "every", "0"),
     (lambda: md.observers.Profile("d"), ValueError, "axis", "'d'"),
     (lambda: md.observers.Viscosity(name="a/b"), ValueError, "name", "'a/b'"),

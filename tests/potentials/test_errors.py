@@ -38,7 +38,7 @@ test_what_is_wrong_is_named_and_shown = answered(
     (lambda: md.evaluate(LINE, md.PeriodicDihedral([1.0, 2.0], 1, 0.0, CHAINS)), ValueError, "k must", "7", "2"),
     (lambda: md.PeriodicDihedral(1.0, 1, quadruples=[[0, 1, 2, 2]]), ValueError, "quadruples", "[0, 1, 2, 2]"),
     (lambda: md.evaluate(md.System([[0, 0, 0], [1.5, 0, 0]], bonds=[[0, 1]]), md.FENEBond(30.0, 1.5)),
-     md.NonFiniteError, "FENEBond", "atoms 0 and 1, 1.5"),
+     md.NonFiniteError, "FENEBond", "atoms 0 and 1, 1.5 σ", "longest = 1.5 σ"),
     # pairs
     (lambda: md.evaluate(TWO, EXCLUDING), ValueError, "exclusions", "[0, 2]"),
     (lambda: md.PairPotential(lambda r2: (r2, -2.0), exclusions=[[1, 1]]), ValueError, "exclusions", "[1, 1]"),

@@ -82,6 +82,7 @@ SYSTEMS = [  # what is given to a system of three atoms that raises ValueError, 
     ({"positions": THREE + 0j}, "positions", "complex"),      ({"positions": MASKED}, "positions", "masked"),
     ({"velocities": [[0, 0, 0]]}, "velocities", "3 atoms", "1"), ({"masses": [1, 0, 1]}, "masses[1]", "0.0"),
     ({"units": md.units.ASE}, "masses", "ASE"),               ({"species": ["Ar"]}, "species", "3", "(1,)"),
+    ({"species": "A\n"}, "species", "'A\\n'"),
     ({"charges": [1.0, -1.0]}, "charges", "3", "(2,)"),       ({"charges": [1.0, NAN, 0.0]}, "charges[1]", "nan"),
     ({"charges": {"A": 1.0}, "species": ["A", "B", "A"]}, "charges", "'A', 'B'"), ({"charges": {"X": "a"}}, "'a'"),
     ({"species": ["Ar", 1, None]}, "species", "None"),        ({"bonds": [[1, 1]]}, "bonds[0]", "[1, 1]"),
@@ -123,11 +124,17 @@ OTHERS = [  # calls that raise something else, its kind, and what its sentence m
     (lambda: setattr(made(), "stp", 3), AttributeError, "'stp'", "did you mean 'step'"),
     (lambda: setattr(made(), "positions", THREE), AttributeError, "sim.positions[:]"),
     (lambda: setattr(made(), "timestep", 0.001), AttributeError, "sim.method = VelocityVerlet"),
+    (lambda: md.METHODS, AttributeError, "'METHODS'", "minimd.integrators.METHODS"),
+    (lambda: md.LenardJones, AttributeError, "'LenardJones'", "'LennardJones'"),
 ]
 # fmt: on
 WRONG += [(lambda given=given: system(**given), *shown) for given, *shown in SYSTEMS]
 ROWS = [(call, ValueError, *shown) for call, *shown in WRONG] + OTHERS
 test_a_wrong_value_is_answered_with_its_name_and_itself = answered(*ROWS)
+
+
+def test_one_text_is_the_species_of_all_atoms():
+    assert md.System(THREE, species="Ar").species.tolist() == ["Ar", "Ar", "Ar"]
 
 
 def test_a_library_of_pairs_may_know_more_species_than_the_system():

@@ -66,6 +66,10 @@ def test_names_that_are_offered_are_public_ones_that_exist():
     names = [name for name in dir(md) if not name.startswith("__")]
     assert names == sorted(md.__all__)
     assert all(hasattr(md, name) for name in names)
+    assert {"langevin-baoab LangevinBAOAB", "symplectic-euler-1 SE1"} <= {
+        " ".join((name, words.split()[0])) for name, words in md.integrators.METHODS.display_rows()
+    }
+    assert callable(md.scene.load_scene)  # a package, imported when it is asked for
     assert not {"Any", "dataclass", "math"} & set(dir(md.units))
     choices = (TruncationName, TRUNCATIONS), (MixingName, MIXING), (MethodName, METHODS)
     for words, known in (*choices, (Precision, ["double", "fixed-point"])):

@@ -31,12 +31,12 @@ def argument(check: Callable[[str, Any], Any], words: str, default: Any, dimensi
 
 def steps(default: int) -> Any:
     """The field every."""
-    return argument(checked_count, "steps between two looks", default)
+    return argument(checked_count, "steps between two observations", default)
 
 
 def label() -> Any:
     """The field name."""
-    return argument(identifier, "under which files store it; the kind if not given", "")
+    return argument(identifier, "name in files; the kind if not given", "")
 
 
 levels = partial(checked_count, limit=40)  # of a correlator

@@ -102,11 +102,7 @@ class Coulomb(Declared):
     """
 
     cutoff: float | None = declared(
-        number,
-        "r_c of the pairs; a smaller r_c needs more waves; required in a periodic cell",
-        "length",
-        POSITIVE,
-        default=None,
+        number, "r_c of the pairs; a small r_c needs many waves; required if periodic", "length", POSITIVE, default=None
     )
     accuracy: float = declared(
         number, "bound of the rms error of forces, divided by the rms force", demand=POSITIVE, default=1e-5
@@ -115,11 +111,7 @@ class Coulomb(Declared):
         choice, "how charges are summed; the last two are approximations", of=METHODS, default="ewald", kw_only=True
     )
     dielectric: float = declared(
-        number,
-        "ε of the reaction field, 1 or more; if not given, infinite: a conductor",
-        of=inf,
-        default=inf,
-        kw_only=True,
+        number, "ε of the reaction field, 1 or more; default: infinite, a conductor", of=inf, default=inf, kw_only=True
     )
     bonded_scale: Sequence[float] = declared(
         factors, "factors for pairs one, two and three bonds apart", default=(0.0, 0.0, 1.0), kw_only=True

@@ -206,9 +206,9 @@ class SteeredSpring(Springs):
     points: ArrayLike = declared(kind.points, "points at the start, one for all atoms or one for each", "length")
     velocity: ArrayLike = declared(kind.vector, "velocity of the points", "velocity")
     atoms: ArrayLike | None = declared(kind.atoms, default=None)
-    start: float = declared(kind.number, "time at which the points begin to move", "time", default=0.0, kw_only=True)
+    start: float = declared(kind.number, "start of the motion of the points", "time", default=0.0, kw_only=True)
     end: float = declared(
-        kind.number, "time at which the points stop; never if not given", "time", of=inf, default=inf, kw_only=True
+        kind.number, "end of the motion; never if not given", "time", of=inf, default=inf, kw_only=True
     )
 
     def __post_init__(self) -> None:

@@ -180,10 +180,10 @@ def files() -> Iterator[str]:
     """Sizes of files."""
     meanings = {
         "atoms.data": "atoms, as text",
-        "copy.data": "the smaller copy, until it is compared",
-        "atoms.data.bin": "energies, forces and virials at step 0, until they are compared; as much for the copy",
-        "last.bin": "the last state, and each frame in `frames.bin`, until they are read back",
-        "run.h5md": "minimd's file: 48 for each of three frames, and two restarts",
+        "copy.data": "the smaller copy; removed after the comparison",
+        "atoms.data.bin": "energies, forces and virials at step 0; the copy needs as much; both are removed then",
+        "last.bin": "the last state; each frame in `frames.bin` needs as much; both are removed in the end",
+        "run.h5md": "minimd's file: three frames of 48 bytes per atom, and two restarts",
     }
     return table_of(
         ["file", "bytes per atom", ""],
@@ -201,7 +201,7 @@ def large_model() -> Iterator[str]:
 
     own = max(growth("own", phase) for phase in PHASES)
     rows = [
-        row("memory of minimd, at most", own / 1e9, "GB", rounded),
+        row("largest memory of minimd", own / 1e9, "GB", rounded),
         row("memory of LAMMPS, all processes", max(growth("others", phase) for phase in PHASES) / 1e9, "GB", rounded),
         row("`atoms.data`", file_bytes("atoms.data") / 1e9, "GB", rounded),
         row("a frame of `run.h5md`", BYTES_OF_A_FRAME / 1e9, "GB", rounded),

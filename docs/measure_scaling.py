@@ -92,16 +92,16 @@ def members() -> Iterator[str]:
     each = np.median([(many["own"] - few["own"]) / SHORT_MEMBERS for few, many in turns])
     spawned = np.median([sum(one_ensemble(1, 1, 1, 1)[name] for name in ("own", "children")) for _ in range(TURNS)])
     rows = [
-        ["a member of one step, two frames: scene, file, averages, line", f"{1e3 * each:.0f} ms"],
-        ["its calls of fsync", f"{syncs(10 + SHORT_MEMBERS) - syncs(10):.0f} for {SHORT_MEMBERS} members"],
+        ["a member of one step and two frames: scene, file, averages, line of the journal", f"{1e3 * each:.0f} ms"],
+        ["calls of fsync", f"{syncs(10 + SHORT_MEMBERS) - syncs(10):.0f} for {SHORT_MEMBERS} members"],
         ["a worker: start of Python, imports, kernels loaded", f"{spawned - each:.1f} s"],
-        [f"the caller, for each of {ON_DASK:,} members on dask that do nothing", f"{1e3 * on_dask() / ON_DASK:.2f} ms"],
+        [f"the caller, for each of {ON_DASK:,} members without work, on dask", f"{1e3 * on_dask() / ON_DASK:.2f} ms"],
     ]
     yield from table_of(["", "processor time"], rows)
     few, frames = turns[0][0]["bytes"], one_ensemble(2, 2000, 0, every=10)["bytes"]
     first, other = f"{few / 1e3:.0f} kB", f"{(frames - few) / 199 / 1e3:.1f} kB"
     yield ""
-    yield f"The file of a member of 256 atoms: {first} with 2 frames, and {other} for each other one."
+    yield f"The file of a member of 256 atoms: {first} with 2 frames, and {other} for each further frame."
 
 
 def syncs(n: int) -> int:
@@ -124,7 +124,7 @@ def nothing(_simulation, member):
 
 
 def on_dask() -> float:
-    """Processor time of the caller for members on dask that do nothing [s]."""
+    """Processor time of the caller for members without work, on dask [s]."""
     import measure_scaling as here  # by a name that workers can import
     from distributed import Client
 
@@ -200,7 +200,7 @@ def tables() -> Iterator[str]:
     """What tables take, against the number of members."""
     found = {n: in_a_process("--table", n) for n in ROWS}
     words = {
-        "lines": "lines of all members, as they end",
+        "lines": "writing the lines of all members, as they end",
         "journal": "reading the journal",
         "table": "making the table",
         "written": "writing `table.csv` and `table.json`",
@@ -209,7 +209,7 @@ def tables() -> Iterator[str]:
     }
     rows = [[told, *(f"{found[n][name]:.2f} s" for n in ROWS)] for name, told in words.items()]
     rows.append(["journal and tables on the disk", *(f"{found[n]['bytes'] / 1e6:.0f} MB" for n in ROWS)])
-    rows.append(["memory at most", *(f"{found[n]['memory'] / 1e6:.0f} MB" for n in ROWS)])
+    rows.append(["largest memory", *(f"{found[n]['memory'] / 1e6:.0f} MB" for n in ROWS)])
     return table_of(["", *(f"{n:,} members" for n in ROWS)], rows)
 
 

@@ -6,6 +6,7 @@ A key without a meaning below is refused, and a test compares the page with what
 """
 
 import json
+import re
 import types
 import typing
 from collections.abc import Iterator
@@ -45,111 +46,114 @@ CHOICES = {
 }
 MEANINGS = {
     "": {
-        "title": "a line for reports and files",
-        "units": "of the whole file",
+        "title": "title line of reports and files",
+        "units": "units of the whole file; LJ: reduced",
     },
     "structure": {
-        "file": "of any format that ASE or MDAnalysis reads, relative to the scene; instead of `lattice`",
-        "lattice": "a block of a cubic crystal",
-        "element": "chemical symbol of the atoms of `lattice`, also for their masses; in reduced units masses are 1",
-        "repeat": "cells of `lattice` along x, y and z",
-        "density": "of `lattice`: of mass, in reduced units of atoms",
+        "file": "structure file that ASE or MDAnalysis reads, relative to the scene; instead of `lattice`",
+        "lattice": "crystal structure of a block of atoms",
+        "element": "chemical symbol of the atoms of `lattice`; it gives the masses, which are 1 in reduced units",
+        "repeat": "number of cubic cells along x, y and z",
+        "density": "mass density of the crystal; in reduced units number density",
         "lattice_constant": "edge of the cubic cell, instead of `density`",
-        "cell": "edges, instead of those of the file; 0 in a direction that does not repeat",
-        "pbc": "periodic directions, one for all or three; of a slab `[true, true, false]`",
-        "species": "a label for each atom, instead of those of the file or the element",
-        "charges": "of all atoms [e], or of each species, as `{ Na = 1.0, Cl = -1.0 }`; instead of those of the file",
-        "format": 'of `file`, if its suffix does not tell it, such as `"lammps-data"`',
+        "cell": "edges of the cell, instead of those of the file; 0 in a direction that is not periodic",
+        "pbc": "whether directions are periodic: one value for all, or three; `[true, true, false]` for a slab",
+        "species": "a label for each atom; by default those of the file, or the element",
+        "charges": "charges [e] of all atoms, or of species, `{ Na = 1.0, Cl = -1.0 }`; instead of those of the file",
+        "format": 'format of `file`, such as `"lammps-data"`, if the suffix does not show it',
         "bonds": (
-            'pairs of atoms; `"file"` for those that the file names, with its angles and dihedrals; or another file '
-            "that names them, from which charges are taken, too, if the first has none"
+            'pairs of atoms; or `"file"`: the bonds, angles and dihedrals of `file`; or the name of another file with '
+            "bonds, whose charges are used if `file` has none"
         ),
     },
     "water": {
-        "model": "its numbers are in the table of [water](water.md)",
-        "molecules": "an O and two H each, in this order",
-        "density": "from which the edge of the cubic cell follows",
-        "cutoff": "of Lennard-Jones and charges; if not given 9 Å, or 0.45 of a shorter edge, with a warning",
-        "accuracy": "of the forces of charges, as of the potential `coulomb`",
-        "seed": "of the orientations",
+        "model": "model; its parameters are in the table of [water](water.md)",
+        "molecules": "number of molecules; the atoms of each are O, H, H",
+        "density": "density, which determines the edge of the cubic cell",
+        "cutoff": "cutoff of Lennard-Jones and charges; if not given, 9 Å, or 0.45 of a shorter edge, with a warning",
+        "accuracy": "accuracy of the forces of charges, see the potential `coulomb`",
+        "seed": "seed of the orientations",
     },
     "constraints": {
-        "pairs": 'of atoms whose distance is held; `"bonds"` for those of the structure',
-        "lengths": "one for all, or one for each pair; as they are at the start if not given",
-        "fixed": "atoms that stay where they are",
-        "tolerance": "relative, of the solver `shake`",
-        "solver": "for the lengths",
+        "pairs": 'pairs of atoms at a fixed distance; `"bonds"` for the bonds of the structure',
+        "lengths": "fixed distance, one for all pairs or one for each; if not given, the distances at the start",
+        "fixed": "atoms that do not move",
+        "tolerance": "relative tolerance of the solver `shake`",
+        "solver": "solver for the fixed distances",
     },
     "potential, lennard-jones": {
-        "type": "of the potential",
+        "type": "type of the potential",
         "epsilon": "depth of the well, the same for all species",
         "sigma": "distance where u = 0, the same for all species",
-        "species": "instead of `epsilon` and `sigma`: a table of tables, see below",
+        "species": "table of parameters of each species, see below; instead of `epsilon` and `sigma`",
         "pairs": "parameters of two species that do not follow the mixing rule, see below",
         "mixing": "rule for unlike species",
-        "cutoff": "needed in a periodic cell",
+        "cutoff": "r_c; required in a periodic cell",
         "truncation": "how the law goes to zero at the cutoff",
-        "switch_start": 'where `"switched"`, `"charmm"` and `"smooth"` begin; 0.8 of the cutoff if not given',
+        "switch_start": 'distance where `"switched"`, `"charmm"` and `"smooth"` begin; if not given, 0.8 of the cutoff',
         "bonded_scale": "factors for pairs one, two and three bonds apart",
-        "tail_correction": "add the energy and pressure of the pairs beyond the cutoff",
+        "tail_correction": "whether to add energy and pressure of the pairs beyond the cutoff",
     },
     "potential.species.X": {"epsilon": "depth of the well", "sigma": "distance where u = 0"},
     "potential.pairs": {
         "epsilon": "depth of the well",
         "sigma": "distance where u = 0",
-        "species": "the two",
-        "file": "their table",
+        "species": "the two species",
+        "file": "table of this pair, as `file` above",
     },
-    "tables": {"r": "distances", "u": "energies, as many"},
+    "tables": {"r": "distances", "u": "energies, one for each distance"},
     "potential, tabulated": {
-        "type": "of the potential",
+        "type": "type of the potential",
         "file": (
-            "table of all atoms: two columns, r and u in the units of the scene, relative to the scene; or a name in "
-            "`[tables]`"
+            "file, relative to the scene, with a table for all atoms: columns r and u in the units of the scene; or "
+            "a name in `[tables]`"
         ),
-        "pairs": "instead of `file`: a table for each pair of species, see below",
-        "cutoff": "the last r of the table if not given",
+        "pairs": "a table for each pair of species, see below; instead of `file`",
+        "cutoff": "r_c; if not given, the last r of the table",
         "truncation": "how the law goes to zero at the cutoff",
-        "switch_start": 'where `"switched"`, `"charmm"` and `"smooth"` begin; 0.8 of the cutoff if not given',
+        "switch_start": 'distance where `"switched"`, `"charmm"` and `"smooth"` begin; if not given, 0.8 of the cutoff',
         "bonded_scale": "factors for pairs one, two and three bonds apart",
     },
     "dynamics": {
-        "method": "of integration",
-        "timestep": "Δt",
-        "steps": "of the run",
-        "temperature": "of the initial velocities, and of a thermostat; without it velocities stay as they are",
-        "relaxation_time": "of a thermostat, which needs it; for Langevin dynamics 1/friction",
-        "seed": "of velocities and noise",
-        "threads": "at most; all cores of the process if not given",
-        "precision": "of the forces between pairs",
+        "method": "integration method",
+        "timestep": "time step",
+        "steps": "number of steps of the run",
+        "temperature": "initial temperature, and that of a thermostat; if not given, the velocities are not changed",
+        "relaxation_time": "relaxation time of a thermostat, required with one; 1/friction in Langevin dynamics",
+        "seed": "seed of velocities and noise",
+        "threads": "largest number of threads; if not given, all cores of the process",
+        "precision": "precision of the forces between pairs",
     },
     "barostat": {
-        "pressure": "P₀",
-        "compressibility": "isothermal; a rough value is enough: 4.6e-5 bar⁻¹ for water, 2e-4 bar⁻¹ for liquid argon",
-        "relaxation_time": "of the volume, at least ten times the time between two strains",
-        "coupling": "which strains the cell can have: the same along all axes, any, or along some axes independently",
+        "pressure": "target pressure",
+        "compressibility": (
+            "isothermal compressibility; a rough value is enough: 4.6e-5 bar⁻¹ for water, 2e-4 bar⁻¹ for liquid argon"
+        ),
+        "relaxation_time": "relaxation time of the volume, at least ten times the time between two strains",
+        "coupling": "strains: the same along all axes, any strain, or independent strains along the named axes",
         "every": "steps between two strains",
-        "seed": "of the noise",
+        "seed": "seed of the noise",
     },
     "minimization": {
-        "force_tolerance": "the largest force that may remain",
+        "force_tolerance": "largest force at the end",
         "max_steps": "largest number of steps",
         "max_step_length": "largest displacement of an atom in one step",
     },
     "equilibration": {
-        "steps": "before the run, which then begins at step 0",
-        "temperature": "to which velocities are rescaled; that of `[dynamics]` if not given",
+        "steps": "number of steps before the run, which then begins at step 0",
+        "temperature": "temperature to which velocities are rescaled; if not given, that of `[dynamics]`",
         "rescale_every": "steps between two rescalings",
     },
     "output": {
         "trajectory": (
-            "a file, or several, of the format that the suffix names; the name of the scene with `.h5md` if not given"
+            "one file or several; the suffix determines the format; if not given, the name of the scene with `.h5md`"
         ),
         "every": "steps between two observations",
-        "forces": "store them in the trajectory",
-        "shadow_energy": "observe it",
-        "stress": "observe the tensor",
-        "plot": "draw the run, next to the trajectory or into a file that ends in " + ", ".join(PLOT_SUFFIXES),
+        "forces": "whether to store forces in the trajectory",
+        "shadow_energy": "whether to record the shadow energy",
+        "stress": "whether to record the stress tensor",
+        "plot": "whether to draw the run next to the trajectory; or a file name that ends in "
+        + ", ".join(PLOT_SUFFIXES),
     },
 }
 INTRODUCTION = """# What can stand in a scene file?
@@ -182,11 +186,11 @@ steps = 20
 temperature_K = 94.4
 ```
 
-The key of a quantity ends in its unit, as `timestep_fs` does. With `units = "LJ"` numbers are reduced and keys \
+The key of a quantity ends in its unit, as `timestep_fs` does. With `units = "LJ"` numbers are reduced, and keys \
 have no such ending (`timestep`),
-except for angles. An unknown key is refused, and the message lists the known ones. The tables below have every \
-key. (This page is written by
-`docs/write_scenes.py` from the code that reads scenes.)
+except for angles. An unknown key is refused; the message lists the known keys. The tables below have every \
+key. (`docs/write_scenes.py` makes
+this page from the code that reads scenes.)
 """
 HEADINGS = {
     "": "At the top of the file",
@@ -195,48 +199,50 @@ HEADINGS = {
 }
 NOTES = {
     "structure": (
-        "Either `file`, or `lattice` with `repeat` and `density` or `lattice_constant`, and `element` unless units "
-        "are reduced."
+        "Give either `file`; or `lattice`, `repeat`, and either `density` or `lattice_constant`. `lattice` also needs "
+        "`element`, unless units are reduced."
     ),
     "water": (
-        "Rigid water by the name of its model, instead of `[structure]`: atoms, charges, potentials and constraints, "
-        "as `md.water` makes them. Further potentials may be added. `[water]` alone is 512 molecules of SPC/E. They "
-        "stand on a lattice, turned at random: give a `[minimization]`, and an `[equilibration]` or a bath. "
-        "`units` is ASE; `[constraints]` has no `pairs` then."
+        "Rigid water, instead of `[structure]`: atoms, charges, potentials and constraints of a water model, as "
+        "`md.water` makes them. Further potentials may be added. `[water]` alone makes 512 molecules of SPC/E. "
+        "The molecules stand on a lattice, with random orientations: add a `[minimization]`, and an `[equilibration]` "
+        "or a bath. Units must be ASE's, and `[constraints]` must not have `pairs`."
     ),
-    "constraints": "Optional. What it does not name is taken from the structure file.",
+    "constraints": "Optional. Constraints that are not given here are those of the structure file.",
     "potential, lennard-jones": (
-        "Double brackets: a scene can have several potentials. Either `epsilon` and `sigma`, or `species`."
+        "Double brackets: a scene can have several potentials. Give either `epsilon` and `sigma`, or `species`."
     ),
     "potential, fene-bond": (
-        "Exclude bonded pairs from the potential between all beads with `bonded_scale = [0.0, 1.0, 1.0]`."
+        "`bonded_scale = [0.0, 1.0, 1.0]` of the potential between all beads excludes bonded pairs from it."
     ),
-    "potential, steered-spring": "The work that moving the points does is recorded as `work`.",
+    "potential, steered-spring": "The work of the moving points is recorded as `work`.",
     "potential, wall": (
-        "Fields are external forces. Their formulas, and those of all other potentials, are on the page on "
-        "[forces](forces.md)."
+        "Walls are external forces. The page on [forces](forces.md) has the formulas of all potentials."
     ),
     "potential.species.X": (
-        "A table for each species X, below its `[[potential]]`, or: `species = { X = { epsilon_eV = 0.01, sigma_A = "
-        "3.4 } }`"
+        "One table for each species X, below its `[[potential]]`. A shorter form is the key `species = { X = { "
+        "epsilon_eV = 0.01, sigma_A = 3.4 } }`."
     ),
-    "potential.pairs": "One table for each pair, below its `[[potential]]`.",
-    "potential, tabulated": "Either `file` or `pairs`.",
-    "potential, coulomb": "The charges are those of `[structure]`: of its `file`, or its key `charges`.",
+    "potential.pairs": "One table for each pair of species, below its `[[potential]]`.",
+    "potential, tabulated": "Give either `file` or `pairs`.",
+    "potential, coulomb": "The charges are those of `[structure]`: from its `file`, or from its key `charges`.",
     "tables": (
-        "A table `[tables.X]` is what a file named X would hold: a scene that is stored in the file of its run has "
-        "its tables there."
+        "`[tables.X]` replaces a file named X. The scene that is stored in the file of a run has its tables in this "
+        "form."
     ),
     "barostat": (
-        "Optional: constant pressure by stochastic cell rescaling, at the temperature of `[dynamics]`; see "
+        "Optional. Stochastic cell rescaling keeps the pressure constant, at the temperature of `[dynamics]`; see "
         "[pressure.md](pressure.md)."
     ),
     "minimization": (
-        "Optional: before everything else, atoms move to a nearby minimum of the energy. `[minimization]` alone is "
-        "enough."
+        "Optional. Before everything else, atoms move to a nearby minimum of the energy. A `[minimization]` without "
+        "keys uses the defaults."
     ),
-    "equilibration": "Optional: steps before the run, with velocities rescaled.",
-    "observer": "Optional. Double brackets: a scene can have several. The defaults are those of the kind.",
+    "equilibration": "Optional. These steps come before the run and rescale the velocities.",
+    "observer": (
+        "Optional. Double brackets: a scene can have several observers. Keys that are not given have the defaults of "
+        "the kind."
+    ),
     "output": "Optional.",
 }
 
@@ -280,12 +286,17 @@ def what(name: str, kind: object, limits: list[object]) -> str:
         return " or ".join(what("", one, limits) for one in arguments if one is not type(None))
     if origin is list:
         most = next((one.max_length for one in limits if isinstance(one, MaxLen)), None)
-        return f"list{f' of {most}' if most else ''}: {what('', arguments[0], [])}"
+        return f"list of {f'{most} ' if most else ''}{many(what('', arguments[0], []))}"
     if origin is dict or (isinstance(kind, type) and issubclass(kind, Section)):
         return "table"
-    least = next((f", at least {one.ge:g}" for one in limits if isinstance(one, Ge)), "")
-    above = next((", positive" for one in limits if isinstance(one, Gt)), "")
-    return {int: "whole number", float: "number", bool: "true or false", str: "text"}[kind] + (least or above)  # type: ignore[index]
+    least = next((f" ≥ {one.ge:g}" for one in limits if isinstance(one, Ge)), "")
+    above = next((" > 0" for one in limits if isinstance(one, Gt)), "")
+    return {int: "integer", float: "number", bool: "boolean", str: "string"}[kind] + (least or above)  # type: ignore[index]
+
+
+def many(words: str) -> str:
+    """The plural of a kind of value."""
+    return re.sub("integer|number|boolean|string|table|list", r"\g<0>s", words, count=1)
 
 
 def default(info: typing.Any, size: float) -> str:
@@ -313,7 +324,7 @@ def rows(name: str, section: type[Section]) -> Iterator[str]:
             if dimension == "angle":
                 reduced = f"`{field}_degree`, {reduced}"
         kind = what(field, info.annotation, list(info.metadata))
-        meaning = info.description or MEANINGS.get(name, {"type": "of the potential"}).get(field)
+        meaning = info.description or MEANINGS.get(name, {"type": "type of the potential"}).get(field)
         if meaning is None:
             raise KeyError(f"docs/write_scenes.py has no meaning for the key {field!r} of [{name}]; give it one there")
         cells = [
@@ -334,7 +345,7 @@ def page() -> str:
         kind = name.partition("potential, ")[2]
         heading = HEADINGS.get(name, f'[[potential]] with type = "{kind}"' if kind else f"[{name}]")
         note = [NOTES[name], ""] if name in NOTES else []
-        head = ["| key | what it is | value | unit | reduced | default |", "| --- | --- | --- | --- | --- | --- |"]
+        head = ["| key | meaning | value | unit | reduced | default |", "| --- | --- | --- | --- | --- | --- |"]
         parts.append("\n".join([f"## {heading}", "", *note, *head, *rows(name, section), ""]))
     return "\n".join(parts)
 

@@ -1,8 +1,8 @@
-"""A comet, e = 0.9, over 1000 periods with steps of varying length: does its energy stay?
+"""A comet, e = 0.9, over 1000 periods with steps of varying length: does its energy drift?
 
-A comet needs short steps near the sun and long ones far from it. Steps chosen by an error estimate spoil the
-long-term behavior of Störmer-Verlet; steps chosen reversibly, their density in a leapfrog with the state, keep it.
-Units: semi-axis 1, period 2π.
+A comet needs short steps near the sun and long steps far from it. With steps chosen by an error estimate, the energy
+of Störmer-Verlet drifts. It does not drift with reversible steps, whose density is integrated with the state by a
+leapfrog. Units: semi-axis 1, period 2π.
 """
 
 import matplotlib.pyplot as plt

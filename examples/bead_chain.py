@@ -1,6 +1,6 @@
 """A melt of bead-spring chains: is the total energy conserved, and does every spring hold k_B T/2?
 
-Reduced units. Bonded beads feel only the spring: pairs one bond apart are excluded from the Lennard-Jones repulsion.
+Reduced units. Between bonded beads only the spring acts, because pairs one bond apart have no Lennard-Jones repulsion.
 """
 
 import matplotlib.pyplot as plt
@@ -13,7 +13,7 @@ density, temperature = 0.5, 1.0
 stiffness, length = 400.0, 1.0  # ε/σ², σ
 n_equilibration, n_steps = 4000, 8000
 
-# Each chain starts as a straight rod; rods stand in a square array.
+# Each chain starts as a straight rod; the rods form a square array.
 edge = (n_chains * n_beads / density / n_beads) ** 0.5  # σ, across the rods
 side = int(np.sqrt(n_chains))
 feet = (np.indices((side, side)).reshape(2, -1).T + 0.5) * edge / side

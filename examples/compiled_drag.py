@@ -1,4 +1,4 @@
-"""A substep of one's own as compiled operations, on all threads: a drag, whose heat is counted. Reduced units."""
+"""A substep of one's own as compiled operations on all threads: a drag, whose heat is counted. Reduced units."""
 
 from collections import namedtuple
 
@@ -11,7 +11,7 @@ from minimd.compiled.program import GO_ON, n_chunks_of, operation
 from minimd.integrators.splitting.substeps import Drift, Kick, Thermalize
 from minimd.integrators.splitting.thermostats import kinetic_energy_at, settled
 
-CALLS = {False: DirectCalls(), True: DirectCalls()}  # by whether there is a grid: data of another type
+CALLS = {False: DirectCalls(), True: DirectCalls()}  # without and with a grid, which have data of different types
 
 
 class Dragging(ByAddress, namedtuple("Dragging", "velocities masses inverse_masses kept parts heat steps")):
@@ -20,7 +20,7 @@ class Dragging(ByAddress, namedtuple("Dragging", "velocities masses inverse_mass
 
 @called_kernel
 def drag(data, chunk):
-    """v ← e^(−γΔt) v; what this gives to the energy, a negative number."""
+    """v ← e^(−γΔt) v; adds the change of the kinetic energy, which is negative, to parts."""
     v, masses, inverse_masses, kept, parts, _, steps = data
     parts[chunk] = 0.0
     for i in range(chunk * masses.size // parts.size, (chunk + 1) * masses.size // parts.size):

@@ -1,4 +1,4 @@
-"""A force of one's own as a compiled operation, on all threads: a constant pull on half of the atoms. Reduced units."""
+"""A force of one's own as a compiled operation on all threads: a constant pull on half of the atoms. Reduced units."""
 
 from collections import namedtuple
 
@@ -13,7 +13,7 @@ from minimd.potentials.term import PER_ATOM, TOTALS, OwnTerm
 
 
 class Data(ByAddress, namedtuple("Data", "positions atoms force forces energies detail totals steps")):
-    """What pull works on.  totals : (chunks,) output, energy of each chunk."""
+    """Data of the kernel pull.  totals : (chunks,) output, energy of each chunk."""
 
 
 @called_kernel
@@ -33,7 +33,7 @@ def pull(data, chunk):
 
 
 class Pull(OwnTerm):
-    acts_from_outside = fits_grid = True  # from outside: it may leave out the virial; on a grid force_along rounds it
+    acts_from_outside = fits_grid = True  # external: it has no virial; on a grid force_along rounds it
 
     def __init__(self, atoms, force):
         self.atoms, self.force, self.calls = np.asarray(atoms), np.asarray(force), DirectCalls()
@@ -50,7 +50,7 @@ class Pull(OwnTerm):
         target.energies[:1] += self.totals.sum() if target.detail == TOTALS else 0.0
 
 
-positions, edges = md.lattice.crystal("fcc", [8, 8, 8], 1.68)  # 2048 atoms: two chunks of those that are pulled
+positions, edges = md.lattice.crystal("fcc", [8, 8, 8], 1.68)  # 2048 atoms; the pulled half is two chunks
 potentials = [md.LennardJones(1.0, 1.0, 2.5, "force-shifted"), Pull(np.arange(0, 2048, 2), [0.5, 0.0, 0.0])]
 for precision in ("double", "fixed-point"):
     sim = md.Simulation(md.System(positions, cell=edges), potentials, md.VelocityVerlet(0.002), precision=precision)

@@ -1,8 +1,8 @@
 """Liquid argon at constant pressure: are density and compressibility those of the equation of state?
 
-NIST's Monte Carlo results for 500 Lennard-Jones atoms, https://mmlapps.nist.gov/srs/LJ_PURE/mc.htm: at T* = 0.90 the
-density 0.776 has the pressure 0.24056. A parabola through this point and those at 0.82 and 0.90 has the slope dp/dρ =
-10.2 there: κ = 1/(ρ dp/dρ) = 0.126.
+NIST has Monte Carlo results for 500 Lennard-Jones atoms, https://mmlapps.nist.gov/srs/LJ_PURE/mc.htm. At T* = 0.90 the
+density 0.776 has the pressure 0.24056. A parabola through this point and the points at 0.82 and 0.90 has the slope
+dp/dρ = 10.2 at 0.776, so κ = 1/(ρ dp/dρ) = 0.126.
 """
 
 import matplotlib.pyplot as plt
@@ -12,7 +12,7 @@ import minimd as md
 n_cells, temperature, pressure = 5, 0.90, 0.24056
 timestep, n_equilibration, n_steps, every, seed = 0.004, 10_000, 100_000, 20, 1
 
-positions, edges = md.lattice.crystal("fcc", [n_cells] * 3, (4 / 0.74) ** (1 / 3))  # 500 atoms, 5 % too thin
+positions, edges = md.lattice.crystal("fcc", [n_cells] * 3, (4 / 0.74) ** (1 / 3))  # 500 atoms; density 5 % too low
 law = md.LennardJones(1.0, 1.0, cutoff=3.0, truncation="truncated", tail_correction=True)
 bath = md.LangevinBAOAB(timestep, temperature, friction=0.5, seed=seed)
 barostat = md.StochasticCellRescaling(pressure, compressibility=0.1, relaxation_time=2.0, seed=seed, every=every)

@@ -1,9 +1,9 @@
-"""Two particles in double wells, coupled by a spring: may the energy be used to save one of the four equations?
+"""Two particles in double wells, coupled by a spring: can the energy replace one of the four equations?
 
-H = v₁²/2 + v₂²/2 + V(x₁) + V(x₂) + k (x₁ − x₂)²/2 with V = (x² − 1)²/4 is constant, so x₂ could be computed from x₁,
-v₁ and v₂, in a differential-algebraic problem of index 1. It should not be: ∂H/∂x₂ is minus the force on particle 2,
-and whenever this force vanishes, in each swing, two roots for x₂ meet. The equations are singular there, and beyond
-this point either root has the right energy.
+The energy H = v₁²/2 + v₂²/2 + V(x₁) + V(x₂) + k (x₁ − x₂)²/2 with V = (x² − 1)²/4 is constant. So x₂ could be computed
+from x₁, v₁ and v₂, in a differential-algebraic problem of index 1. This fails: ∂H/∂x₂ is minus the force on particle 2.
+When this force vanishes, as it does in each swing, two roots for x₂ meet and the equations are singular. Beyond this
+point both roots have the right energy.
 """
 
 import matplotlib.pyplot as plt
@@ -14,7 +14,7 @@ from minimd.integrators import GaussLegendre4, Hessenberg1, RadauIIA3, SecondOrd
 
 spring, t_end = 0.3, 6.0
 x, v = np.array([-1.0, 0.2]), np.array([0.7, 0.8])
-np.seterr(over="ignore")  # of attempts to solve the singular equations
+np.seterr(over="ignore")  # attempts to solve the singular equations overflow
 
 
 def force(q):

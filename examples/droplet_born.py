@@ -1,8 +1,8 @@
-"""A vapor condenses while nobody looks. When was the droplet born, and how did it look then?
+"""A vapor condenses during a run. When did the droplet form, and how did it look then?
 
-Bisection of 21 frames, and of steps between two of them, which are made again to the last bit (docs/past.md): it was
-born at the step from which half of the futures are droplets. P. G. Bolhuis, Annu. Rev. Phys. Chem. 53, 291 (2002).
-"""
+The birth of the droplet is the step from which half of all continuations become droplets. Bisection finds it among 21
+frames, and then among the steps between two frames, which are computed again to the last bit (docs/past.md).
+P. G. Bolhuis, Annu. Rev. Phys. Chem. 53, 291 (2002)."""
 
 from bisect import bisect_left
 
@@ -16,13 +16,13 @@ n_atoms, edge, bond, n_steps, n_futures, duration, before, droplet = 150, 22.0, 
 noise = [md.LangevinBAOAB(0.01, temperature=0.5, friction=0.1, seed=4 + k) for k in range(n_futures + 1)]
 
 
-def cluster(sim):  # which atoms are in the largest one
+def cluster(sim):  # which atoms are in the largest cluster
     apart = sim.positions[:, None] - sim.positions
     labels = connected_components(((apart - edge * np.rint(apart / edge)) ** 2).sum(axis=2) < bond**2)[1]
     return labels == np.bincount(labels).argmax()
 
 
-def futures(step):  # the sizes of the largest cluster from a step on, with other noise
+def futures(step):  # sizes of the largest cluster after a step, with other noise
     sim, sizes = past.branch(step), []
     here = sim.snapshot()
     for sim.method in noise[1:]:

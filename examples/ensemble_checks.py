@@ -1,7 +1,7 @@
 """Is it the right ensemble? physical_validation judges runs of liquid argon (P. T. Merz, M. R. Shirts, 2018).
 
-Without a bath the oscillation of the energy must be ∝ Δt². With one, kinetic energies must be gamma distributed, and
-runs at two temperatures must overlap as Boltzmann's factor says. PLOS ONE 13, e0202764.
+Without a bath the oscillation of the energy must be ∝ Δt². With a bath, kinetic energies must be gamma distributed, and
+the energy distributions of runs at two temperatures must differ by Boltzmann's factor. PLOS ONE 13, e0202764.
 Needs: pip install '.[validation]'"""
 
 import matplotlib.pyplot as plt
@@ -14,7 +14,7 @@ import minimd as md
 ASE, fs = md.units.ASE, md.units.fs
 temperatures = np.array([94.4, 100.0])  # K
 n_melting, n_production, every = 5000, 50_000, 25
-in_kj_mol_nm_ps_bar = 96.485, 0.1, 1e-3, 1.0, 1.602e6, 1e-3 / fs  # what eV, Å, Å³, K, eV/Å³, Å √(u/eV) are
+in_kj_mol_nm_ps_bar = 96.485, 0.1, 1e-3, 1.0, 1.602e6, 1e-3 / fs  # values of 1 eV, Å, Å³, K, eV/Å³, Å √(u/eV)
 units = pv.data.UnitData(ASE.k_B, *in_kj_mol_nm_ps_bar)
 argon = md.LennardJones(120 * ASE.k_B, 3.4, 8.0, "smooth")
 positions, edges = md.lattice.crystal("fcc", [3, 3, 3], 5.78)
@@ -25,7 +25,7 @@ melt.equilibrate(n_melting, temperatures[0])
 
 
 def run(method, temperature, n_steps, every):
-    """A simulation after its run, and the same for physical_validation."""
+    """A simulation after its run, and its data for physical_validation."""
     liquid = md.Simulation(melt.system, argon, method)
     record = liquid.run(n_steps, every=every)
     kinetic, potential, total = record.kinetic_energy, record.potential_energy, record.total_energy

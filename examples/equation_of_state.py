@@ -1,7 +1,8 @@
 """The equation of state of the Lennard-Jones liquid, at twenty temperatures on all cores: is it that of NIST?
 
-At ρ* = 0.776 NIST has results for 500 atoms: https://mmlapps.nist.gov/srs/LJ_PURE/mc.htm. With 256, and forces that
-do not feel the jump at the cutoff, p is 0.014 lower (docs/ensembles.md). Run it again to go on: it keeps 240 MB."""
+NIST has results for 500 atoms at ρ* = 0.776: https://mmlapps.nist.gov/srs/LJ_PURE/mc.htm. Here p is 0.014 lower,
+because there are 256 atoms and forces do not feel the jump at the cutoff (docs/ensembles.md). An interrupted scan
+continues when the script is run again; its folder needs 240 MB."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -15,7 +16,7 @@ temperatures = np.round(np.arange(0.70, 1.69, 0.05), 2)
 
 
 def build(member):
-    """256 atoms in a bath, on a lattice at first."""
+    """256 atoms in a bath, which start on a lattice."""
     positions, edges = md.lattice.crystal("fcc", [n_cells] * 3, (4.0 / density) ** (1 / 3))
     law = md.LennardJones(1.0, 1.0, 3.0, "truncated", tail_correction=True)
     bath = md.LangevinBAOAB(timestep, member["temperature"], friction, seed=member.seed)
@@ -25,7 +26,7 @@ def build(member):
 
 
 def melt(liquid, member):
-    """Once, before the steps that count."""
+    """Equilibrate once, before the steps that count."""
     liquid.equilibrate(n_equilibration, 3.0, progress=False)
     liquid.run(n_equilibration, every=n_equilibration, progress=False)
 

@@ -1,8 +1,8 @@
 """A star in a galaxy, after Hénon and Heiles: does its motion have a third invariant besides energy and time?
 
-H = (vx² + vy² + x² + y²)/2 + x² y − y³/3. Each time an orbit passes x = 0 with vx > 0, it leaves a point (y, vy). At
-low energy the points of an orbit form a curve: there is a third invariant. Near the energy of escape, 1/6, most orbits
-fill an area: chaos. M. Hénon, C. Heiles, Astron. J. 69, 73 (1964).
+H = (vx² + vy² + x² + y²)/2 + x² y − y³/3. Each time an orbit passes x = 0 with vx > 0, a point (y, vy) is drawn. At low
+energy the points of an orbit form a curve, because there is a third invariant. Near the energy of escape, 1/6, most
+orbits are chaotic and fill an area. M. Hénon, C. Heiles, Astron. J. 69, 73 (1964).
 """
 
 import matplotlib.pyplot as plt
@@ -22,7 +22,7 @@ def energy(path):
 
 
 def points(path, k):
-    """Where orbit k passes x = 0 upwards: y and vy there."""
+    """y and vy where orbit k passes x = 0 with vx > 0."""
     x, y = (CubicHermiteSpline(path.t, path.q[:, i, k], path.v[:, i, k]) for i in (0, 1))
     passes = x.roots(extrapolate=False)
     upwards = passes[x(passes, 1) > 0]

@@ -1,7 +1,7 @@
 """A planet, e = 0.6, by Störmer-Verlet and by SciPy's RK45: which of them leaves the ellipse?
 
-RK45 runs twice: with the same number of force evaluations over the same time, and with steps of its own choice
-(SciPy's tolerances). Units: semi-axis 1, period 2π. On the ellipse the distances from the two foci add up to 2.
+RK45 runs twice: with the same number of force evaluations over the same time, and with steps from SciPy's tolerances.
+Units: semi-axis 1, period 2π. On the ellipse the distances from the two foci add up to 2.
 """
 
 import matplotlib.pyplot as plt
@@ -11,7 +11,7 @@ from scipy.integrate import RK45, solve_ivp
 from minimd.integrators import SecondOrder, VelocityVerlet, run_steps
 
 e, timestep = 0.6, 0.05
-focus = np.array([-2 * e, 0.0])  # where the sun is not
+focus = np.array([-2 * e, 0.0])  # the focus without the sun
 q0, v0 = np.array([1 - e, 0.0]), np.array([0.0, np.sqrt((1 + e) / (1 - e))])
 
 
@@ -29,7 +29,7 @@ def verlet(n):
 
 
 def rk45_fixed(n):
-    step = timestep * n / (n // 6)  # six forces per step; tolerances that are always met
+    step = timestep * n / (n // 6)  # six forces per step; tolerances that never shorten it
     path = solve_ivp(field, (0, n * timestep), [*q0, *v0], first_step=step, max_step=step, rtol=1e9, atol=1e9)
     return path.y[:2].T, path.nfev
 

@@ -1,6 +1,6 @@
-"""The film run backwards: a planet, e = 0.6, whose velocity is turned around. Does it come back to the start?
+"""A planet, e = 0.6, whose velocity is reversed: does it return to the start?
 
-Störmer-Verlet is reversible, ρΦρΦ = 1, and comes back except for rounding; RK45 makes its errors a second time.
+Störmer-Verlet is reversible, ρΦρΦ = 1, and returns except for rounding. RK45 makes its errors a second time.
 Units: semi-axis 1, period 2π.
 """
 
@@ -12,7 +12,7 @@ import minimd as md
 from minimd.integrators import SecondOrder, run_steps
 
 e, timestep = 0.6, 0.05
-n_turns = 400  # steps of Störmer-Verlet before the velocity is turned around: 20 units of time, 3.2 periods
+n_turns = 400  # steps of Störmer-Verlet before the reversal: 20 units of time, 3.2 periods
 start = np.array([1 - e, 0.0]), np.array([0.0, np.sqrt((1 + e) / (1 - e))])
 end = n_turns * timestep
 

@@ -24,16 +24,16 @@ simulation.equilibrate(n_equilibration, temperature)  # melts the crystal
 
 frames = []
 record = simulation.run(n_steps, every=every, observers=[lambda run: frames.append(run.positions.copy())])
-positions = np.array(frames)  # (T, N, 3), never wrapped: displacements can be read off
+positions = np.array(frames)  # (T, N, 3), never wrapped, so differences are displacements
 
-# D = ⟨|r(t) − r(0)|²⟩ / 6t, over all starts in time; the first picosecond is not diffusive yet
+# D = ⟨|r(t) − r(0)|²⟩ / 6t, averaged over all time origins; the first picosecond is not diffusive
 lags = np.arange(1, len(positions) // 3)
 squares = np.array([np.mean(np.sum((positions[lag:] - positions[:-lag]) ** 2, axis=2)) for lag in lags])
 time = lags * every * timestep / ps
 late = time > 1.0
 diffusion = np.polyfit(time[late], squares[late], 1)[0] / 6.0 * 1e-4  # 1 Å²/ps = 1e-4 cm²/s
 
-# g(r): how many neighbors there are in a shell, beside those of an ideal gas
+# g(r): the number of neighbors in a shell, divided by that of an ideal gas
 edges = np.arange(2.5, 10.0, 0.05)
 radii = 0.5 * (edges[1:] + edges[:-1])
 counts = np.zeros(len(radii))

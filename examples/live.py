@@ -1,7 +1,7 @@
-"""Does a run conserve energy and momentum, seen while it goes on? MDAnalysis reads liquid argon live.
+"""Does a run conserve energy and momentum, seen during the run? MDAnalysis reads liquid argon live.
 
-The run sends its frames by the protocol IMDv3; the reader adds ½ Σ m v² to the potential energy it is sent, and looks
-at Σ m v. Here both share a process; otherwise the reader opens imd://localhost:8888 wherever it likes.
+The run sends its frames by the protocol IMDv3. The reader adds ½ Σ m v² to the potential energy that it receives, and
+computes Σ m v. Here both are in one process; another process opens imd://localhost:8888.
 Needs: pip install '.[live]'"""
 
 from importlib.util import find_spec
@@ -27,7 +27,7 @@ simulation.equilibrate(n_equilibration, 95.0)
 
 
 def watch(trajectory, masses):
-    """Total energies [kJ/mol], and the share of momenta that is left in their sum, of all frames."""
+    """Total energy of each frame [kJ/mol], and the largest |Σ m v| relative to Σ |m v|."""
     totals, shares = [], []
     for ts in trajectory:
         kinetic = 0.5 * kinetic_unit * (masses * (ts.velocities**2).sum(axis=1)).sum()
@@ -41,11 +41,11 @@ def watch(trajectory, masses):
 if find_spec("imdclient") is None:
     print("nobody reads: the package imdclient is missing (pip install '.[live]')")
 else:
-    stream = md.observers.Stream(port=0, every=20, wait=True)  # any port; the run begins when the reader has come
+    stream = md.observers.Stream(port=0, every=20, wait=True)  # any free port; the run begins when a reader connects
     run = Thread(target=simulation.run, args=[n_steps], kwargs={"observers": [stream], "progress": False})
     reader = universe(simulation)
     run.start()
-    while run.is_alive() and stream.address.endswith(":0"):  # until it is open
+    while run.is_alive() and stream.address.endswith(":0"):  # until the port is open
         sleep(0.01)
     reader.load_new(stream.address)
     energies, share = watch(reader.trajectory, reader.atoms.masses)

@@ -1,8 +1,8 @@
-"""A mechanism: three points, two of them on the lines y = ±l, joined to the middle one by rods, and pulled along.
+"""A mechanism: two rods join a middle point to two points on the lines y = ±l, and all three points are pulled along x.
 
-Nothing is eliminated: six coordinates obey four constraints, and their multipliers are the forces of rods and lines.
-The kinetic energy must equal the work of the pulls; and as long as the positions of the rods are functions of the
-middle point, solve_ivp must find the same path.
+No coordinate is eliminated: six coordinates obey four constraints, and the multipliers are the forces of rods and
+lines. The kinetic energy must equal the work of the pulls. As long as the outer points are functions of the middle
+point, solve_ivp must find the same path.
 """
 
 import matplotlib.pyplot as plt

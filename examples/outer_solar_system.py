@@ -1,7 +1,7 @@
-"""Jupiter to Pluto over 20 000 days, 54.8 years: which method comes closest for its price, and which keeps the energy?
+"""Jupiter to Pluto over 20 000 days, 54.8 years: which method is most accurate for its cost, which keeps the energy?
 
 The run starts on 5 September 1994, with the sun and the inner planets as one body (E. Hairer, C. Lubich, G. Wanner,
-Geometric Numerical Integration (2006), I.2.4); its end is known to 6e-15. Units: AU, days, solar masses."""
+Geometric Numerical Integration (2006), I.2.4). The final state is known to 6e-15. Units: AU, days, solar masses."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -21,7 +21,7 @@ pluto = [37.285949448705704, -10.728138680006204, -14.554583801118436]
 
 
 def gravity(q):
-    d = q[None] - q[:, None] + np.eye(6)[:, :, None]  # not zero, although nobody pulls itself
+    d = q[None] - q[:, None] + np.eye(6)[:, :, None]  # + 1 on the diagonal avoids 0/0
     return G * np.einsum("ij,ijk->ik", masses * (1 - np.eye(6)), d / (d**2).sum(axis=2, keepdims=True) ** 1.5)
 
 

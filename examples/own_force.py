@@ -1,4 +1,4 @@
-"""Forces of one's own: atoms fall onto an attractive floor, one is held by a spring. Is the total energy conserved?
+"""Forces of one's own: atoms fall onto an attractive floor, and a spring holds one atom. Is the total energy conserved?
 
     gravity  U = m g z                                F_z = −m g
     floor    U = ε [2/15 (σ/z)⁹ − (σ/z)³]             F_z = ε/z [6/5 (σ/z)⁹ − 3 (σ/z)³]
@@ -27,10 +27,10 @@ def add_field(positions, masses, g, epsilon, with_energy, forces, energies):
 
 
 class Outside(Term):
-    acts_from_outside = True  # the total momentum is no constant
+    acts_from_outside = True  # the total momentum is not conserved
 
     def bind(self, system):
-        return self  # nothing to prepare: the potential is its own term
+        return self  # the potential is its own term
 
 
 class Field(Outside):

@@ -1,4 +1,4 @@
-"""A law of one's own: a diatomic molecule bound by a Morse potential, and a Yukawa law in addition to the built-in one.
+"""A law of one's own: a diatomic molecule with a Morse potential, and a Yukawa law added to a built-in law.
 
     Morse    u(r) = D [(1 − e^(−a(r − r₀)))² − 1],   small oscillations at ω = a √(2D/μ)
     Yukawa   u(r) = A e^(−κr)/r
@@ -29,7 +29,7 @@ def yukawa(r2, a, k):
     return u, u * (k + 1.0 / r) / r
 
 
-# One molecule, stretched by a thousandth of its length: how often does it swing?
+# One molecule, stretched by a thousandth of its length: what is its frequency?
 molecule = md.System([[0.0, 0.0, 0.0], [1.001 * length, 0.0, 0.0]], bonds=[(0, 1)])
 bond = md.BondPotential(morse, (depth, width, length))
 simulation = md.Simulation(molecule, bond, md.VelocityVerlet(0.002))
@@ -47,7 +47,7 @@ figure.legend(loc="outside upper center", ncols=2)
 figure.savefig("own_law.png", dpi=150)
 print(f"Morse bond     ω = {frequency:.3f}/τ   (small oscillations: {width * sqrt(2 * depth / 0.5):.3f}/τ)")
 
-# A hundred atoms with Lennard-Jones and Yukawa together: is the force still minus the gradient of the energy?
+# A hundred atoms with both Lennard-Jones and Yukawa: is the force minus the gradient of the energy?
 grid = np.indices((5, 5, 4)).reshape(3, -1).T * 1.2 + np.random.default_rng(1).normal(0.0, 0.05, (100, 3))
 laws = [md.LennardJones(1.0, 1.0, 2.5), md.PairPotential(yukawa, (strength, screening), cutoff=2.9)]
 cluster = md.System(grid, cell=[6.0, 6.0, 5.9])

@@ -2,7 +2,7 @@
 
     x″ = −λ x,  z″ = −λ z − g,  0 = (x² + z² − 1)/2      rod, mass and gravity 1; λ is the tension of the rod
 
-Position, velocity and tension are solved for together. The position has order 5, the velocity 3, the tension 2.
+The method solves for position, velocity and tension together. Their orders are 5, 3 and 2.
 """
 
 import matplotlib.pyplot as plt
@@ -14,7 +14,7 @@ from minimd.integrators import Mechanical, RadauIIA3, run_until
 angle, end = 1.0, 3.0  # rad, released at rest; time √(rod/g)
 
 pendulum = Mechanical(1.0, lambda q: np.array([0.0, -1.0]), g=lambda q: (q @ q - 1) / 2, gradient=lambda q: q)
-start = (np.sin(angle), -np.cos(angle)), (0.0, 0.0)  # the tension follows
+start = (np.sin(angle), -np.cos(angle)), (0.0, 0.0)  # minimd computes the tension
 
 
 def closed_form(t):

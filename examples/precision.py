@@ -1,4 +1,4 @@
-"""The Lennard-Jones melt in float64 and in fixed-point arithmetic: how wrong are the forces, does the energy drift?
+"""The Lennard-Jones melt in float64 and in fixed-point arithmetic: how exact are forces, does the energy drift?
 
 Reduced units. The reference is the same sum over pairs in extended precision, if the machine has it.
 """

@@ -1,6 +1,6 @@
 """Chains of beads on rigid bonds, without any other force: do their ends reach the distance of a random walk?
 
-The inertia of the beads favors some bond angles, but none over its mirror image, so bonds stay uncorrelated and
+The inertia of the beads favors some bond angles, but mirror images are equally likely. So bonds are uncorrelated, and
 ⟨R²⟩ = (n − 1) b², exactly as for freely jointed bonds. Chains start as straight rods, R = (n − 1) b, in a Langevin
 bath. Reduced units. M. Fixman, Proc. Natl. Acad. Sci. USA 71, 3050 (1974).
 """
@@ -15,7 +15,7 @@ n_equilibration, n_steps, every = 2000, 8000, 20
 
 positions = np.zeros((n_chains, n_beads, 3))
 positions[..., 0] = length * np.arange(n_beads)
-positions[..., 1] = 3.0 * np.arange(n_chains)[:, None]  # no matter where: chains do not feel each other
+positions[..., 1] = 3.0 * np.arange(n_chains)[:, None]  # any place will do: chains do not interact
 beads = np.arange(n_chains * n_beads).reshape(n_chains, n_beads)
 pairs = np.stack([beads[:, :-1], beads[:, 1:]], axis=-1).reshape(-1, 2)
 ends = beads[:, [0, -1]]

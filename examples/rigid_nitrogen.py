@@ -1,8 +1,8 @@
-"""Liquid nitrogen of rigid molecules: what suffers from a longer time step, the energy or the bonds?
+"""Liquid nitrogen of rigid molecules: does a longer time step affect the energy or the bonds?
 
-ASE builds the molecules with FixBondLengths, which minimd understands. Two-center Lennard-Jones model of P. S. Y.
-Cheung and J. G. Powles, Mol. Phys. 30, 921 (1975). Bonds are kept to rounding at any time step; the error of the
-energy grows with its square.
+ASE builds the molecules with FixBondLengths, which minimd reads. Two-center Lennard-Jones model of P. S. Y. Cheung and
+J. G. Powles, Mol. Phys. 30, 921 (1975). Bonds are kept to rounding at any time step. The error of the energy grows with
+the square of the time step.
 """
 
 import matplotlib.pyplot as plt

@@ -1,9 +1,9 @@
-"""A closed chain that runs along itself: does it keep its shape?
+"""A closed chain that moves along itself: does it keep its shape?
 
-A flexible, inextensible loop of line density μ keeps any shape if all its points move along it with speed v: where
-the curvature is κ, the tension T = μ v² gives the force T κ per length, just the centripetal force μ v² κ that is
-needed. Here the loop is a ring of beads on rigid bonds of length b; it keeps its shape to a fraction of b. The same
-ring, squeezed, does not. No forces; mass 1, speed 1, b about 1.
+A flexible, inextensible loop of line density μ keeps any shape if all its points move along it with speed v. Where the
+curvature is κ, the tension T = μ v² gives the force T κ per length, which equals the centripetal force μ v² κ. Here
+the loop is a ring of beads on rigid bonds of length b; it keeps its shape to a fraction of b. The same ring, squeezed,
+does not. No forces; mass 1, speed 1, b about 1.
 """
 
 import matplotlib.pyplot as plt
@@ -13,7 +13,7 @@ import minimd as md
 from minimd.constraints import ConstraintSolver
 
 n_beads, timestep = 200, 0.05
-n_steps = 4000  # one round: n_beads / timestep
+n_steps = 4000  # one revolution: n_beads / timestep
 
 angle = np.linspace(0.0, 2.0 * np.pi, 20_001)  # a peanut, cut into pieces of equal length
 curve = (1.0 + 0.35 * np.cos(2.0 * angle)) * np.array([np.cos(angle), np.sin(angle)])

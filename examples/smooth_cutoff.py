@@ -1,8 +1,8 @@
-"""How smooth must a cutoff be for a method of order 6 to be one? The energy error of an argon droplet.
+"""How smooth must a cutoff be for a method of order 6? The energy error of an argon droplet.
 
-Each atom that crosses a cutoff where the third derivative of u jumps keeps an error of order Δt³, whatever the
-method: the usual switch, with two continuous derivatives, spoils all orders above 3. The smooth switch has seven
-continuous derivatives.
+An atom that crosses a cutoff where the third derivative of u jumps gets an error of order Δt³ with any method. So the
+usual switch, with two continuous derivatives, limits the order to 3. The smooth switch has seven continuous
+derivatives.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """SPC/E water at 298 K: density at 1 bar, structure, diffusion and viscosity.
 
-The literature has a density of 0.998 g/cm³, the first peak of g(r) at 2.75 Å, D = 2.7 to 2.8 · 10⁻⁵ cm²/s free of
-the size of the cell, and η = 0.729 ± 0.07 mPa s (S. Tazi et al., J. Phys.: Condens. Matter 24, 284117 (2012)).
+Values in the literature: density 0.998 g/cm³; first peak of g(r) at 2.75 Å; D = 2.7 to 2.8 · 10⁻⁵ cm²/s in an infinite
+cell; η = 0.729 ± 0.07 mPa s (S. Tazi et al., J. Phys.: Condens. Matter 24, 284117 (2012)).
 """
 
 import minimd as md
@@ -34,7 +34,7 @@ structure = md.observers.RadialDistribution(every=50)
 motion, flow = md.observers.MeanSquareDisplacement(every=10), md.observers.Viscosity(every=2)
 sim.run(n_steps, every=1000, observers=[structure, motion, flow])
 print(flow.result())
-turned = n_steps * timestep / 24  # 5 ps: hydrogens turn, and the straight line begins when they have
+turned = n_steps * timestep / 24  # 5 ps: the straight line begins when hydrogens have turned
 print(motion.result(window=(turned, 4 * turned), viscosity=flow.result().viscosity))
 picture = structure.result().plot()
 picture.axes[0].set(xlim=(1.7, None), ylim=(0.0, 3.5))  # beyond the distances within a molecule

@@ -1,9 +1,9 @@
-"""A spring pendulum of growing stiffness k: what becomes of it in the limit, when the spring is a rod?
+"""A spring pendulum of growing stiffness k: what is its limit, when the spring is a rod?
 
     q″ = −λ q/|q| − e_z,  0 = |q| − 1 − λ/k         mass, gravity and length 1; λ is the tension
 
-For k < ∞ the tension follows from the length, index 1; the limit is a differential-algebraic equation of index 3. The
-same code solves both, and paths that start without vibration approach that of the rod like 1/k. Units: length,
+For k < ∞ the tension follows from the length, index 1. The limit is a differential-algebraic equation of index 3. The
+same code solves both. Paths that start without vibration approach the path of the rod as 1/k. Units: length,
 √(length/gravity).
 """
 
@@ -17,7 +17,7 @@ stiffness = 10.0 ** np.arange(1, 6)  # weight / length
 
 
 def swing(softness):
-    """The path, and the index that minimd finds; softness = 1/k."""
+    """The path, and the index that minimd determines; softness = 1/k."""
 
     def equations(y, slope):
         x, z, vx, vz, tension = y

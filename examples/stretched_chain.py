@@ -1,8 +1,8 @@
-"""A chain is pulled by a spring: what does the work say about the free energy? Jarzynski's equality.
+"""A spring pulls a chain: what does the work say about the free energy? Jarzynski's equality.
 
-Four beads on harmonic springs of length zero, in a bath: the first is held at the origin, the last is pulled by a
-spring whose point moves from 0 to L in a time τ. Positions are Gaussian, so that the free energy is exact: springs in
-a row, k_eff = 1/(3/k + 1/κ), ΔF = k_eff L²/2.
+Four beads on harmonic springs of length zero are in a bath. The first bead is held at the origin. A spring, whose point
+moves from 0 to L in a time τ, pulls the last bead. Positions are Gaussian, so the free energy is exact: for springs in
+series, k_eff = 1/(3/k + 1/κ) and ΔF = k_eff L²/2.
 
     ⟨W⟩ ≥ ΔF, by the second law;   −k_B T ln ⟨exp(−W/k_B T)⟩ = ΔF, at any speed;
     ⟨W⟩ − var W/(2 k_B T) = ΔF, because W is Gaussian
@@ -18,12 +18,12 @@ import minimd as md
 n_chains, temperature, k, kappa, length = 400, 1.0, 8.0, 10.0, 2.0
 exact = 0.5 * length**2 / (3.0 / k + 1.0 / kappa)
 atoms = np.arange(4 * n_chains).reshape(n_chains, 4)
-bonds = np.concatenate([atoms[:, c : c + 2] for c in range(3)])  # many chains at once, which do not see each other
+bonds = np.concatenate([atoms[:, c : c + 2] for c in range(3)])  # many chains at once, which do not interact
 system = md.System(np.zeros((4 * n_chains, 3)), bonds=bonds)
 
 
 def works(duration, seed):
-    """The work on each chain: its share of ∫ −v·F dt, for one pull of this duration."""
+    """The work on each chain, ∫ −v·F dt, for one pull of this duration."""
     spring = md.SteeredSpring(kappa, [0.0, 0.0, 0.0], [length / duration, 0.0, 0.0], atoms[:, 3])
     bath = md.LangevinBAOAB(0.05, temperature, friction=1.0, seed=seed)
     simulation = md.Simulation(system, [md.HarmonicBond(k, 0.0), spring], bath, md.FixedAtoms(atoms[:, 0]))

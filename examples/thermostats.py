@@ -1,8 +1,8 @@
-"""Argon in a heat bath: is its kinetic energy distributed canonically, and what does a large time step cost?
+"""Argon in a heat bath: is its kinetic energy distributed canonically, and what error has a large time step?
 
-Langevin dynamics acts on each atom, stochastic velocity rescaling on all at once; both must give a gamma distribution.
-A harmonic oscillator at ωΔt = 1.5, near the limit of stability, then shows what is special about BAOAB: its positions
-are exactly distributed.
+Langevin dynamics acts on each atom, stochastic velocity rescaling on all atoms at once. Both must give a gamma
+distribution. A harmonic oscillator at ωΔt = 1.5, near the limit of stability, shows the advantage of BAOAB: its
+positions have the exact distribution.
 """
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,8 @@
-"""Three equal masses chase each other on a figure eight: what keeps their energy, if the method does not?
+"""Three equal masses chase each other on a figure eight: what keeps their energy if the method does not?
 
-RadauIIA2 is not a geometric method: it loses energy. Projecting each step onto the initial energy prevents that, and
-other invariants of the exact flow can be added to the list. A symplectic method needs no such help. Units: G = m = 1,
-period 6.3259. A. Chenciner, R. Montgomery, Ann. Math. 152, 881 (2000).
+RadauIIA2 is not a geometric method: it loses energy. A projection of each step onto the initial energy prevents this,
+and other invariants of the exact flow can be added to the projection. A symplectic method does not need it. Units:
+G = m = 1, period 6.3259. A. Chenciner, R. Montgomery, Ann. Math. 152, 881 (2000).
 """
 
 import matplotlib.pyplot as plt

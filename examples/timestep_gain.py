@@ -1,8 +1,8 @@
 """Liquid nitrogen with rigid bonds and with springs: how much longer a time step do rigid bonds allow?
 
 Two-center Lennard-Jones molecules: P. S. Y. Cheung, J. G. Powles, Mol. Phys. 30, 921 (1975). The spring vibrates at
-2359 cm⁻¹: no step longer than 2/ω = 4.5 fs is stable. With rigid bonds only the liquid itself limits the step. What
-is measured, over a picosecond, is how much the total energy oscillates, in k_B T √(degrees of freedom)."""
+2359 cm⁻¹: no step longer than 2/ω = 4.5 fs is stable. With rigid bonds only the liquid limits the step. The script
+measures the oscillation of the total energy over a picosecond, in k_B T √(degrees of freedom)."""
 
 import warnings
 
@@ -12,7 +12,7 @@ import numpy as np
 import minimd as md
 
 ASE, fs = md.units.ASE, md.units.fs
-warnings.filterwarnings("ignore", message="timestep")  # too long a step is what this is about
+warnings.filterwarnings("ignore", message="timestep")  # too long steps are tested here
 temperature, length, mass = 77.0, 1.098, 14.007  # K, Å, u
 omega = 2.0 * np.pi * 2.99792458e-5 * 2359.0 / fs  # c = 2.998e-5 cm/fs
 stiffness = 0.5 * mass * omega**2  # eV/Å²: reduced mass · ω²

@@ -1,8 +1,8 @@
 """A drop of a hundred atoms boils away, all velocities are reversed, and the gas runs back. Is it the drop again?
 
-In float64 it does not: each step rounds, and collisions make a difference of 1e-16 as large as the drop. In
-fixed-point arithmetic every step can be undone to the last bit, and the total momentum, a linear first integral, does
-not change at all. D. Levesque, L. Verlet, J. Stat. Phys. 72, 519 (1993).  docs/fixed-point.md
+In float64 it is not: each step rounds, and collisions make a difference of 1e-16 as large as the drop. In fixed-point
+arithmetic every step can be undone to the last bit. The total momentum, a linear first integral, does not change at
+all. D. Levesque, L. Verlet, J. Stat. Phys. 72, 519 (1993).  docs/fixed-point.md
 """
 
 import matplotlib.pyplot as plt
@@ -15,14 +15,14 @@ colors = {"fixed-point": "tab:blue", "double": "tab:orange"}
 
 
 def drop():
-    """The atoms of a crystal that are nearest to its middle."""
+    """The atoms of a crystal that are nearest to its center."""
     positions, _ = md.lattice.crystal("fcc", (6, 6, 6), 1.6)
     positions -= positions.mean(axis=0)
     return md.System(positions[np.argsort((positions**2).sum(axis=1), kind="stable")[:n_atoms]])
 
 
 def there_and_back(precision):
-    """Positions at the start, where time turns and at the end; and the change of the momentum at each look."""
+    """Positions at the start, at the reversal and at the end; and the change of the momentum at each observation."""
     lj = md.LennardJones(epsilon=1.0, sigma=1.0, cutoff=2.5, truncation="force-shifted")
     sim = md.Simulation(drop(), lj, md.VelocityVerlet(0.004), precision=precision)
     sim.set_temperature(2.2, seed=1)

@@ -12,7 +12,7 @@ density, temperature, cutoff = 0.8442, 0.722, 3.0  # σ⁻³, ε/k_B, σ
 timestep, relaxation_time = (
     0.004,
     10.0,
-)  # τ; the bath acts on all atoms alike, and so slowly that they move as without it
+)  # τ; the bath acts on all atoms alike, and too slowly to change their motion
 n_equilibration, n_steps = 10_000, 200_000
 
 edge = md.lattice.constant_from_density("fcc", density)

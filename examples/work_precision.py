@@ -1,7 +1,7 @@
-"""Kepler's ellipse, e = 0.6, over 100 periods: which method comes closest for its price?
+"""Kepler's ellipse, e = 0.6, over 100 periods: which method is most accurate for its cost?
 
-Four symplectic methods of minimd, and RK45 and DOP853 of SciPy. Units: semi-axis 1, period 2π. The price is the
-number of force evaluations; with atoms, they are nearly all that a step costs.
+Four symplectic methods of minimd are compared with RK45 and DOP853 of SciPy. Units: semi-axis 1, period 2π. The cost is
+the number of force evaluations, which take nearly all the time of a step with atoms.
 """
 
 import matplotlib.pyplot as plt
@@ -30,7 +30,7 @@ def field(t, y):
 def symplectic(method, cost):
     n = round(cost / method.stages) * n_periods
     path = run_steps(SecondOrder(attraction), method(end / n), (q0, v0), n, every=n)
-    return path.nfev / n_periods, np.linalg.norm(path.q[-1] - q0)  # whole periods: the start is the exact end
+    return path.nfev / n_periods, np.linalg.norm(path.q[-1] - q0)  # whole periods: the exact end is the start
 
 
 def scipy(method, tolerance):

@@ -34,10 +34,10 @@ def key(one: Any, made: type[law.Declared]) -> tuple[Any, Any]:
     kind: Any = KINDS.get(asked.kind) or NUMBERS.get(asked.demand, FiniteFloat)
     words = asked.words
     if issubclass(made, Bonded) and asked.kind is law.groups:
-        kind, words = GROUPS[asked.of], f"of atoms{words and ', '}{words}; the {made.acts_on} of the structure"
-        words += " if not given" if made.acts_on == "bonds" else " file if not given"
+        words = f"{one.name} of atoms{words and ', '}{words}; the {made.acts_on} of the structure"
+        kind, words = GROUPS[asked.of], words + (" if not given" if made.acts_on == "bonds" else " file if not given")
     elif asked.kind is law.atoms:
-        words = "on which it acts; all if not given"
+        words = "atoms on which the potential acts; all if not given"
     elif asked.kind is law.choice:
         kind = Literal[tuple(asked.of)]
     if default in (None, inf):

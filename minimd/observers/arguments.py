@@ -36,7 +36,7 @@ def steps(default: int) -> Any:
 
 def label() -> Any:
     """The field name."""
-    return argument(identifier, "under which files store it; the kind if not given", "")
+    return argument(identifier, "name in files; the kind if not given", "")
 
 
 levels = partial(checked_count, limit=40)  # of a correlator

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 POINTS = 16  # entries on each level of the correlator
-MOST_ATOMS = "largest number of atoms, and up to one more of each species, chosen evenly; time and memory grow with it"
+MOST_ATOMS = "largest number of atoms, chosen evenly, with up to one more for each species; it bounds time and memory"
 XI = 2.837297  # ξ of a cubic cell
 CUBIC = 1e-9  # largest relative deviation of the squares and products of lattice vectors from those of a cube
 DECADE = 10.0  # the window of a fit ends at this multiple of its start

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
-EXTENT_WORDS = "lower and upper end, for an open axis only; atoms outside are not counted"
+EXTENT_WORDS = "lower and upper end of an open axis; atoms outside are not counted"
 # places in the sums, before the densities of each species, and Σ m v² of the atoms in each bin
 FRAMES, EXTENT, HEAD = range(3)
 
@@ -37,7 +37,7 @@ class Profile(Accumulator):
     """
 
     kind = "profile"
-    axis: str = argument(axis_name, "a, b or c, the lattice vector", "c")
+    axis: str = argument(axis_name, "the lattice vector a, b or c", "c")
     n_bins: int = argument(checked_count, "number of bins", 100)
     every: int = steps(50)
     extent: tuple[float, float] | None = argument(interval, EXTENT_WORDS, None, "length")

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 FRAMES, HEAD = 0, 1  # places in the sums: number of frames, then V times the numbers of pairs
 NO_PAIRS = np.zeros((0, 2), dtype=np.int64)
 SPACINGS = 4.0  # in r_max if not given: four shells of neighbors
-R_MAX = "largest distance; if not given 4 (V/N)^(1/3), but at most half the smallest height of the cell at the start"
+R_MAX = "largest distance; if not given, the smaller of 4 (V/N)^(1/3) and half the smallest height of the initial cell"
 
 
 class Counting(ByAddress, namedtuple("Counting", "arrays species kinds per_width beyond places counts")):

@@ -31,9 +31,9 @@ FAR = 3.0  # in q of the peak, the largest q if not given
 GOLDEN = pi * (3.0 - 5.0**0.5)  # angle between two directions that follow each other
 MOST_PERIODS, MOST_WAVES, TABLE = 10_000, 100_000, 2**18  # in the cell; in all shells; cosines of k for atoms
 N_WAVES, MANY = 3, 60  # wave vectors for F_s, the nearest of those in so many directions
-Q_MAX = "largest q; three times that of the main peak of a simple liquid if not given"
-Q_SELF = "length of the wave vectors; that of the main peak of a simple liquid, 1.15 · 2π (N/V)^(1/3), if not given"
-PER_SHELL = "number of directions in which wave vectors are sought for each shell of q"
+Q_MAX = "largest q; if not given, three times that of the main peak of a simple liquid"
+Q_SELF = "length of the wave vectors; if not given, the main peak of a simple liquid, 1.15 · 2π (N/V)^(1/3)"
+PER_SHELL = "number of directions for which wave vectors are chosen in each shell of q"
 
 
 def peak_of(system: System, what: str) -> float:

@@ -84,7 +84,7 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
 
 
 COUNT, TEMPERATURE, VOLUME, HEAD = 0, 1, 2, 3  # places in the sums, before those of the correlator
-LEVELS = "k, largest number of levels of the correlator"
+LEVELS = "largest number of levels of the correlator"
 LONGEST = 0.25  # of the duration: longer lags have too few origins
 
 

@@ -18,8 +18,8 @@ from minimd.structure.bond_graph import GROUPS, checked_groups, checked_pairs
 from minimd.structure.cell import nearest_vectors
 from minimd.structure.system import System
 
-STRETCH = "u = −k longest² ln(1 − (r/longest)²)/2, and the repulsion"
-REPULSION = "of the repulsion, Lennard-Jones cut at its minimum; 0 for none"
+STRETCH = "u = −k longest² ln(1 − (r/longest)²)/2, plus the repulsion"
+REPULSION = "ε of the repulsion, a Lennard-Jones law cut at its minimum; 0 for none"
 TRIED_AT = (0.9, 0.97, 1.06)  # of the length of the first bond: where a user's law of bonds is tried
 ARGUMENTS = {2: "pairs", 3: "triples", 4: "quadruples"}
 
@@ -81,7 +81,7 @@ class HarmonicBond(Bond):
 
     law, lammps = laws.HarmonicLaw(), LammpsStyle("harmonic", lambda k, length: (0.5 * k, length))
     k: ArrayLike = declared(kind.each, "u = k (r − length)²/2", "stiffness", NOT_NEGATIVE)
-    length: ArrayLike = declared(kind.each, "at rest", "length", NOT_NEGATIVE)
+    length: ArrayLike = declared(kind.each, "rest length", "length", NOT_NEGATIVE)
     pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
 
 
@@ -91,7 +91,7 @@ class MorseBond(Bond):
     law, lammps = laws.MorseLaw(), LammpsStyle("morse")
     depth: ArrayLike = declared(kind.each, "u = depth (1 − exp(−a (r − length)))²", "energy", NOT_NEGATIVE)
     a: ArrayLike = declared(kind.each, "inverse width", "inverse length", POSITIVE)
-    length: ArrayLike = declared(kind.each, "at rest", "length", NOT_NEGATIVE)
+    length: ArrayLike = declared(kind.each, "rest length", "length", NOT_NEGATIVE)
     pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
 
 
@@ -107,7 +107,7 @@ class FENEBond(Bond):
     k: ArrayLike = declared(kind.each, STRETCH, "stiffness", NOT_NEGATIVE)
     longest: ArrayLike = declared(kind.each, "length that a bond cannot reach", "length", POSITIVE)
     epsilon: ArrayLike = declared(kind.each, REPULSION, "energy", NOT_NEGATIVE, default=1.0)
-    sigma: ArrayLike = declared(kind.each, "of the repulsion", "length", POSITIVE, default=1.0)
+    sigma: ArrayLike = declared(kind.each, "σ of the repulsion", "length", POSITIVE, default=1.0)
     pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
 
 
@@ -119,7 +119,7 @@ class HarmonicAngle(Bonded):
 
     acts_on, lammps = "angles", LammpsStyle("harmonic", lambda k, angle: (0.5 * k, np.degrees(angle)))
     k: ArrayLike = declared(kind.each, "u = k (θ − angle)²/2", "angular stiffness", NOT_NEGATIVE)
-    angle: ArrayLike = declared(kind.each, "at rest", "angle", kind.ANGLE)
+    angle: ArrayLike = declared(kind.each, "rest angle", "angle", kind.ANGLE)
     triples: ArrayLike | None = declared(kind.groups, "the middle one second", of=3, default=None)
 
     def term(self, found: NDArray[np.int64], columns: tuple[Array, ...]) -> Term:
@@ -164,8 +164,8 @@ class PeriodicDihedral(Dihedral):
 
     law, lammps = laws.PeriodicLaw(), LammpsStyle("fourier", lambda k, n, phase: (1, k, n, np.degrees(phase)))
     k: ArrayLike = declared(kind.each, "u = k (1 + cos(n φ − phase))", "energy")
-    n: ArrayLike = declared(kind.each, "minima in a turn", "", kind.WHOLE)
-    phase: ArrayLike = declared(kind.each, "φ₀, see k", "angle", default=0.0)
+    n: ArrayLike = declared(kind.each, "number of minima in a turn", "", kind.WHOLE)
+    phase: ArrayLike = declared(kind.each, "phase of u, see k", "angle", default=0.0)
     quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
 
 
@@ -223,5 +223,5 @@ class HarmonicImproper(Dihedral):
 
     acts_on, law = "impropers", laws.HarmonicTorsionLaw()
     k: ArrayLike = declared(kind.each, "u = k (φ − angle)²/2", "angular stiffness", NOT_NEGATIVE)
-    angle: ArrayLike = declared(kind.each, "at rest, with its sign", "angle", kind.SIGNED_ANGLE, default=0.0)
+    angle: ArrayLike = declared(kind.each, "rest angle, with its sign", "angle", kind.SIGNED_ANGLE, default=0.0)
     quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)

@@ -102,22 +102,22 @@ class Coulomb(Declared):
     """
 
     cutoff: float | None = declared(
-        number, "r_c of the pairs; a smaller one gives more waves; needed if periodic", "length", POSITIVE, default=None
+        number, "r_c of the pairs; a small r_c needs many waves; required if periodic", "length", POSITIVE, default=None
     )
     accuracy: float = declared(
         number, "bound of the rms error of forces, divided by the rms force", demand=POSITIVE, default=1e-5
     )
     method: MethodName = declared(
-        choice, "of the sum; the last two are approximations", of=METHODS, default="ewald", kw_only=True
+        choice, "how charges are summed; the last two are approximations", of=METHODS, default="ewald", kw_only=True
     )
     dielectric: float = declared(
-        number, "ε of the reaction field, 1 or more; infinite: a conductor", of=inf, default=inf, kw_only=True
+        number, "ε of the reaction field, 1 or more; default: infinite, a conductor", of=inf, default=inf, kw_only=True
     )
     bonded_scale: Sequence[float] = declared(
         factors, "factors for pairs one, two and three bonds apart", default=(0.0, 0.0, 1.0), kw_only=True
     )
     exclusions: ArrayLike | None = declared(
-        pairs, "on which it does not act, whatever bonded_scale says", default=None, kw_only=True
+        pairs, "pairs that do not interact, whatever bonded_scale says", default=None, kw_only=True
     )
 
     def __post_init__(self) -> None:

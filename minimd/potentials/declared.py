@@ -5,7 +5,7 @@
 
         law, lammps = HarmonicLaw(), LammpsStyle("harmonic", lambda k, length: (0.5 * k, length))
         k: ArrayLike = declared(each, "u = k (r − length)²/2", "stiffness", NOT_NEGATIVE)
-        length: ArrayLike = declared(each, "at rest", "length", NOT_NEGATIVE)
+        length: ArrayLike = declared(each, "rest length", "length", NOT_NEGATIVE)
         pairs: ArrayLike | None = declared(groups, of=2, default=None)
 
 From it follow the constructor and its checks, the sections Parameters and Raises of its docstring, repr, the section of

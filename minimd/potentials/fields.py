@@ -35,8 +35,8 @@ TIMED = 5  # numbers that it returns if its u depends on time
 RETURNED = "u, three forces, and ∂u/∂t if it depends on t"
 WALL_LAWS: dict[str, Any] = {"9-3": LennardJones93Law(), "12-6": LennardJonesLaw()}
 WallLaw = Literal["9-3", "12-6"]  # the keys of WALL_LAWS
-REACH = "distance from the wall from which on there is no force; none if not given"
-OF_DISTANCE = "of the distance d: ε [2/15 (σ/d)⁹ − (σ/d)³], or 4ε [(σ/d)¹² − (σ/d)⁶]; shifted to 0 at the cutoff"
+REACH = "distance beyond which the wall exerts no force; no cutoff if not given"
+OF_DISTANCE = "energy at the distance d: ε [2/15 (σ/d)⁹ − (σ/d)³], or 4ε [(σ/d)¹² − (σ/d)⁶]; shifted to 0 at the cutoff"
 ALONG = 1e-9  # of a lattice vector: one that leaves the plane of a wall by less counts as parallel to it
 
 
@@ -152,7 +152,7 @@ def rows_of(name: str, vectors: Any, n: int) -> Array:
 class ConstantForce(OnAtoms):
     """A constant force F on atoms, u = −F·r. r is never wrapped: u changes steadily as an atom is pulled along."""
 
-    force: ArrayLike = declared(kind.vectors, "on each atom", "force")
+    force: ArrayLike = declared(kind.vectors, "force on each atom", "force")
     atoms: ArrayLike | None = declared(kind.atoms, default=None)
 
     def bind(self, system: System) -> Term:
@@ -164,7 +164,7 @@ class ConstantForce(OnAtoms):
 class Gravity(OnAtoms):
     """Weight, F = m g, u = −m g·r."""
 
-    acceleration: ArrayLike = declared(kind.weight, "of free fall", "acceleration")
+    acceleration: ArrayLike = declared(kind.weight, "acceleration of free fall", "acceleration")
     atoms: ArrayLike | None = declared(kind.atoms, default=None)
 
     def bind(self, system: System) -> Term:
@@ -191,7 +191,7 @@ class Restraint(Springs):
     """
 
     k: ArrayLike = declared(kind.stiffness, "u = k (r − point)²/2", "stiffness", NOT_NEGATIVE)
-    points: ArrayLike = declared(kind.points, "one for all atoms, or one for each", "length")
+    points: ArrayLike = declared(kind.points, "anchor points, one for all atoms or one for each", "length")
     atoms: ArrayLike | None = declared(kind.atoms, default=None)
 
 
@@ -203,11 +203,11 @@ class SteeredSpring(Springs):
     """
 
     k: ArrayLike = declared(kind.stiffness, "u = k (r − point)²/2", "stiffness", NOT_NEGATIVE)
-    points: ArrayLike = declared(kind.points, "at the start; one for all atoms, or one for each", "length")
-    velocity: ArrayLike = declared(kind.vector, "of the points", "velocity")
+    points: ArrayLike = declared(kind.points, "points at the start, one for all atoms or one for each", "length")
+    velocity: ArrayLike = declared(kind.vector, "velocity of the points", "velocity")
     atoms: ArrayLike | None = declared(kind.atoms, default=None)
-    start: float = declared(kind.number, "of the motion of the points", "time", default=0.0, kw_only=True)
-    end: float = declared(kind.number, "of the motion; none if not given", "time", of=inf, default=inf, kw_only=True)
+    start: float = declared(kind.number, "start of the motion of the points", "time", default=0.0, kw_only=True)
+    end: float = declared(kind.number, "end of the motion; default: never", "time", of=inf, default=inf, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -358,8 +358,8 @@ class Wall(OwnWall):
     """
 
     around = Planar
-    point: ArrayLike = declared(kind.vector, "of the plane", "length")
-    normal: ArrayLike = declared(kind.direction, "of the plane, towards the atoms, of any length")
+    point: ArrayLike = declared(kind.vector, "point of the plane", "length")
+    normal: ArrayLike = declared(kind.direction, "normal of the plane, towards the atoms, of any length")
     epsilon: ArrayLike = declared(kind.each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
     sigma: ArrayLike = declared(kind.each, "range of the wall", "length", POSITIVE, default=1.0)
     cutoff: float | None = declared(kind.number, REACH, "length", POSITIVE, default=None)
@@ -397,9 +397,9 @@ class CylinderWall(RoundWall):
     Positions count relative to the nearest image of the point.
     """
 
-    point: ArrayLike = declared(kind.vector, "on the axis", "length")
-    axis: ArrayLike = declared(kind.direction, "direction, of any length")
-    radius: float = declared(kind.number, "of the cylinder; atoms are inside", "length", POSITIVE)
+    point: ArrayLike = declared(kind.vector, "point on the axis", "length")
+    axis: ArrayLike = declared(kind.direction, "direction of the axis, of any length")
+    radius: float = declared(kind.number, "radius of the cylinder; atoms are inside", "length", POSITIVE)
     epsilon: ArrayLike = declared(kind.each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
     sigma: ArrayLike = declared(kind.each, "range of the wall", "length", POSITIVE, default=1.0)
     cutoff: float | None = declared(kind.number, REACH, "length", POSITIVE, default=None)
@@ -410,8 +410,8 @@ class CylinderWall(RoundWall):
 class SphereWall(RoundWall):
     """The wall of a sphere with atoms inside: u(d) of the distance d = R − |r − p| from it."""
 
-    point: ArrayLike = declared(kind.vector, "the center", "length")
-    radius: float = declared(kind.number, "of the sphere; atoms are inside", "length", POSITIVE)
+    point: ArrayLike = declared(kind.vector, "center of the sphere", "length")
+    radius: float = declared(kind.number, "radius of the sphere; atoms are inside", "length", POSITIVE)
     epsilon: ArrayLike = declared(kind.each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
     sigma: ArrayLike = declared(kind.each, "range of the wall", "length", POSITIVE, default=1.0)
     cutoff: float | None = declared(kind.number, REACH, "length", POSITIVE, default=None)

@@ -93,7 +93,6 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     start, (first, growth) = guard.failed_from or last.state, guard.judgment
     energies = {name: value for name, value in (first or {}).items() if name.endswith("energy")}
     known = {"noise_shift": engine.noise_shift, "first": energies or None, "growth": growth}
-
     texts = {"findings": json.dumps(asdict(findings)), "words": str(findings), "simulation": json.dumps(known)}
     told = {f"{REPORT}/{name}": Item(data=np.array(text.encode(), TEXT)) for name, text in texts.items()}
 

@@ -26,7 +26,7 @@ import warnings
 import zlib
 from collections.abc import Mapping, Sequence
 from itertools import count
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
@@ -246,12 +246,10 @@ def observers_of(h5: h5py.File, restart: Restart) -> dict[str, Accumulator]:
 def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> None:
     """Append the row of a block: n_frames frames are now in the file; entries : of the frames of the block,
     by the paths of their series."""
-    if BLOCKS not in h5:
-        put(h5, {BLOCKS: Item({"series": sorted(entries)}, np.empty((0, 2), np.int64), rows=64)})
-    blocks = h5[BLOCKS]
-    row = int(np.searchsorted(blocks[:, 0], n_frames))  # a block that is written again replaces its row
-    blocks.resize(row + 1, axis=0)
-    blocks[row] = n_frames, digest_of(entries)
+    # a block that is written again replaces its row
+    row = int(np.searchsorted(h5[BLOCKS][:, 0], n_frames)) if BLOCKS in h5 else 0
+    about = NOTHING if row else {"series": sorted(entries)}
+    put(h5, {BLOCKS: Item(about, np.array([[n_frames, digest_of(entries)]]), 64, row)})
 
 
 def damaged_frames(h5: h5py.File) -> str:
@@ -283,62 +281,41 @@ def n_whole_frames(h5: h5py.File) -> int:
     return int(h5[BLOCKS][-1, 0]) if BLOCKS in h5 and len(h5[BLOCKS]) else 0
 
 
-def sign(h5: h5py.File, written: Mapping[str, Item] | None = None) -> None:
-    """Store the digest of everything that does not change.  written : all of it, if it need not be read."""
-    h5["minimd"].attrs[DIGEST] = np.uint32(_digest_of_description(_read(h5) if written is None else _named(written)))
+def sign(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> None:
+    """Store the digest of everything that does not change.  written : all of it, which then is not read."""
+    h5["minimd"].attrs[DIGEST] = np.uint32(_digest_of_description(h5, written))
 
 
 def check_description(h5: h5py.File) -> None:
     """Raise ValueError unless the description is the one that was signed."""
-    if h5["minimd"].attrs.get(DIGEST) != _digest_of_description(_read(h5)):
+    if h5["minimd"].attrs.get(DIGEST) != _digest_of_description(h5):
         raise ValueError("what it says about the scene does not match its checksum: it was damaged or changed")
 
 
-def _read(h5: h5py.File) -> dict[str, Item | None]:
-    """Everything that does not change, by its names; None for a second name of an item that is visited under another."""
-    names: dict[str, bool] = {}  # False for a second name
+def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> int:
+    """CRC-32 of names, attributes and contents of everything that does not change, in order.  written : as in sign."""
+    names: dict[str, bool] = {}  # False for a second name of an item that is visited under another
     for group in FIXED:
         names[group] = True  # a visit stops if the function returns anything but None
         h5[group].visit_links(lambda name, group=group: names.update({f"{group}/{name}": False}))
         h5[group].visit(lambda name, group=group: names.update({f"{group}/{name}": True}))
-    found: dict[str, Item | None] = {}
-    for name, is_first in names.items():
+    digest = 0
+    for name, is_first in sorted(names.items()):
         if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):
             continue
-        found[name], item = None, h5[name] if is_first else None
-        if isinstance(item, h5py.Dataset):
-            rows = item.chunks[0] if item.maxshape[:1] == (None,) else 0
-            data = np.empty((0, *item.shape[1:]), item.dtype) if rows else np.asarray(item[()], item.dtype)
-            found[name] = Item(dict(item.attrs), data, rows)
-        elif item is not None:
-            found[name] = Item(dict(item.attrs))
-    return found
-
-
-def _named(items: Mapping[str, Item]) -> dict[str, Item | None]:
-    """Items as they are read, with the groups above them.  A dataset is visited under its first name in a group of
-    FIXED; groups are visited in the order of names, each with all that is in it."""
-    above = {str(one) for path in items for one in PurePosixPath(path).parents if one.name}
-    found, visited = dict[str, Item | None](), set()
-    for name in sorted({*items, *above}, key=lambda name: name.split("/")):
-        item = items.get(name, Item())
-        one = name.partition("/")[0], item.other or name
-        found[name] = None if one in visited else items.get(one[1], item)
-        visited.add(one)
-    return found
-
-
-def _digest_of_description(items: Mapping[str, Item | None]) -> int:
-    """CRC-32 of names, attributes and contents of items, in order."""
-    digest = 0
-    for name, item in sorted(items.items()):
-        words = [name.encode()]
-        for key in sorted(set(item.attributes if item else ()) - {DIGEST, REFERENCE}):
+        item = written.get(name, Item()) if is_first else Item()
+        if is_first and not written:
+            read = h5[name]
+            grows, data = isinstance(read, h5py.Dataset) and read.maxshape[:1] == (None,), None
+            if isinstance(read, h5py.Dataset):
+                data = np.empty((0, *read.shape[1:]), read.dtype) if grows else np.asarray(read[()], read.dtype)
+            item = Item(read.attrs, data, int(grows))
+        item, words = written.get(item.other, item), [name.encode()]
+        for key in sorted(set(item.attributes) - {DIGEST, REFERENCE}):
             words.append(repr((key, np.asarray(item.attributes[key]).tolist())).encode())
-        if item and item.data is not None:
-            grows, data = bool(item.rows), item.data
-            words.append(repr((data.shape[grows:], data.dtype.str)).encode())
-            if not grows:
+        if (data := item.data) is not None:
+            words.append(repr((data.shape[bool(item.rows) :], data.dtype.str)).encode())
+            if not item.rows:
                 words.append(repr(data.tolist()).encode() if data.dtype.kind == "O" else data.tobytes())
         digest = zlib.crc32(b"".join(words), digest)
     return digest

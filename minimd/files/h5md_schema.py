@@ -105,23 +105,17 @@ def chunk_rows(entry: np.ndarray, n_frames: int | None = None) -> int:
     return int(np.clip(CHUNK_BYTES // entry.nbytes, 1, min(CHUNK_ROWS, expected)))
 
 
-def series(columns: Sequence[Column], entries: Mapping[str, np.ndarray], n_frames: int | None) -> dict[str, Item]:
-    """The series of a new file.  entries : of its first frames, by path.  Series of H5MD share one step and one time.
-    n_frames : as for chunk_rows."""
+def series(columns: list[Column], entries: dict[str, np.ndarray], first: int, n_frames: int | None) -> dict[str, Item]:
+    """Series of a file from the index `first` on; what was behind it is replaced.  Series of H5MD share one step and
+    one time.  entries : by path.  n_frames : as for chunk_rows."""
     found: dict[str, Item] = {}
     for path, unit, _ in columns:
-        unit_of = {"unit": unit} if unit else NOTHING
-        found[path] = Item(unit_of, entries[path], chunk_rows(entries[path][0], n_frames))
+        about = {"unit": unit} if unit and first == 0 else NOTHING
+        found[path] = Item(about, entries[path], chunk_rows(entries[path][0], n_frames), first)
         group, _, name = path.rpartition("/")
-        if name == "value" and not STEPS.startswith(group):
+        if name == "value" and first == 0 and not STEPS.startswith(group):
             found |= {f"{group}/{other.rpartition('/')[2]}": Item(other=other) for other in (STEPS, TIMES)}
     return found
-
-
-def extend(h5: h5py.File, column: Column, first: int, entries: np.ndarray) -> None:
-    """Write entries into the series of a column, from the index `first` on; what was behind it is replaced."""
-    h5[column.path].resize(first + len(entries), axis=0)
-    h5[column.path][first:] = entries
 
 
 def description(engine: Engine) -> dict[str, Item]:
@@ -132,15 +126,14 @@ def description(engine: Engine) -> dict[str, Item]:
     kind = h5py.enum_dtype(labels, basetype=np.int64) if len(labels) <= LARGEST_ENUMERATION else np.dtype(np.int64)
     texts = [name.encode() if isinstance(name, str) else name for name in names]
     title = engine.notes["title"] or f"{len(system)} atoms of {', '.join(map(str, names))}"
-    about = {"version": __version__, "units": system.units.name, "pbc": system.cell.pbc}
-    about |= {"title": title, "scene": engine.notes["scene"]}
+    about = {"version": __version__, "units": system.units.name, "pbc": system.cell.pbc, "title": title}
     found = {
         "h5md": Item({"version": [1, 1]}),
         "h5md/author": Item({"name": "N/A"}),
         "h5md/creator": Item({"name": "minimd", "version": __version__}),
         f"{TRAJECTORY}/box": Item({"dimension": 3, "boundary": boundary}),
         f"{TRAJECTORY}/species": Item(data=system.species_index.astype(kind)),
-        "minimd": Item(about | of_method(engine)),
+        "minimd": Item(about | {"scene": engine.notes["scene"]} | of_method(engine)),
         "minimd/species_names": Item(data=np.array(texts, dtype=TEXT if isinstance(names[0], str) else np.int64)),
         "minimd/cell": Item(data=system.cell.vectors),
         "minimd/species_index": Item(data=system.species_index),

@@ -8,7 +8,7 @@ process is killed, the file holds the frames up to a commit, and the restart of 
 import signal
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -183,14 +183,12 @@ class H5MDWriter:
         is_restart = self._engine.is_whole or first == 0
         marks = self._bring_others(self.claim) if is_restart else []
         with self._telling(f"take the frame of step {step}"), uninterrupted():
-            if entries and first == 0:  # repeated after an error, this gives the same file
-                written = self.description | layout.series(self._columns, entries, self._n_expected)
-                put(self._h5, written)
-                digest.sign(self._h5, written)
-            for column in self._columns if entries and first else ():
-                layout.extend(self._h5, column, first, entries[column.path])
-            if entries:
+            if entries:  # repeated after an error, this gives the same file
+                series = layout.series(self._columns, entries, first, self._n_expected)
+                put(self._h5, series if first else self.description | series)
                 digest.add_block(self._h5, n_frames, entries)
+                if first == 0:
+                    digest.sign(self._h5, self.description | series)
             if self._method is not self._engine.method:
                 self._describe_method()
             if is_restart:

@@ -296,9 +296,9 @@ def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING)
     """CRC-32 of names, attributes and contents of everything that does not change, in order.  written : as in sign."""
     names: dict[str, bool] = {}  # False for a second name of an item that is visited under another
     for group in FIXED:
-        names[group] = True  # a visit stops if the function returns anything but None
-        h5[group].visit_links(lambda name, group=group: names.update({f"{group}/{name}": False}))
-        h5[group].visit(lambda name, group=group: names.update({f"{group}/{name}": True}))
+        names[group], here = True, h5[group]  # a visit stops if the function returns anything but None
+        here.visit_links(lambda name, group=group: names.update({f"{group}/{name}": False}))
+        here.visit(lambda name, group=group: names.update({f"{group}/{name}": True}))
     digest = 0
     for name, is_first in sorted(names.items()):
         if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):

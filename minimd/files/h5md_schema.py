@@ -102,7 +102,7 @@ def chunk_rows(entry: np.ndarray, n_frames: int | None = None) -> int:
     """The number of entries in a chunk of a series; a chunk takes its full size on the disk.  n_frames : expected in
     the file, if known."""
     expected = CHUNK_ROWS if n_frames is None else max(FEW_ROWS, n_frames)
-    return int(np.clip(CHUNK_BYTES // entry.nbytes, 1, min(CHUNK_ROWS, expected)))
+    return max(1, min(CHUNK_BYTES // entry.nbytes, CHUNK_ROWS, expected))
 
 
 def series(columns: list[Column], entries: dict[str, np.ndarray], first: int, n_frames: int | None) -> dict[str, Item]:

@@ -16,6 +16,8 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_type_hints
 
+import numpy as np
+
 from minimd.console.words import printable, shown
 from minimd.diagnosis.crash_report import CrashReport
 from minimd.diagnosis.judge import RUNAWAY
@@ -29,6 +31,7 @@ from minimd.structure.checks import COUNTS
 from minimd.structure.errors import ConstraintError, NonFiniteError
 
 SUFFIX = ".crash.h5md"
+REPORT = "minimd/crash_report"
 ATOMS = ("first", "second", "pushed", "fastest")  # in findings, by index
 
 
@@ -82,19 +85,16 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     """Write the crash file of a run that has just failed; its engine is in the last good state, before and afterwards.
     Raises OSError if it cannot be written."""
     from minimd.files.claim import Claim  # h5py is slow to load
-    from minimd.files.h5md_digest import flattened, write_group
+    from minimd.files.h5_items import TEXT, Item
+    from minimd.files.h5md_digest import checked, flattened
     from minimd.files.h5md_writer import H5MDWriter
 
     engine, last = guard.engine, guard.engine.checkpoint()
     start, (first, growth) = guard.failed_from or last.state, guard.judgment
     energies = {name: value for name, value in (first or {}).items() if name.endswith("energy")}
     known = {"noise_shift": engine.noise_shift, "first": energies or None, "growth": growth}
-
-    def add(h5: Any) -> None:
-        group = h5.create_group("minimd/crash_report")
-        write_group(group.create_group("start"), *flattened(last._replace(state=start)))
-        texts = {"findings": json.dumps(asdict(findings)), "words": str(findings), "simulation": json.dumps(known)}
-        group.update(texts)
+    texts = {"findings": json.dumps(asdict(findings)), "words": str(findings), "simulation": json.dumps(known)}
+    told = {f"{REPORT}/{name}": Item(data=np.array(text.encode(), TEXT)) for name, text in texts.items()}
 
     part = path.with_name(f"{path.name}.part")  # so that no incomplete file has the final name
     claim, every = Claim(part, overwrite=True), max(1, last.state.step - start.step)
@@ -103,7 +103,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
             raise OSError(f"{str(part)!r} is a link to another file; remove it")
         writer = H5MDWriter(claim, engine, store_forces=True, every=every, n_frames=2)
         try:
-            writer.describe(add)
+            writer.description |= told | checked(f"{REPORT}/start", *flattened(last._replace(state=start)))
             for snapshot in (start, last.state):
                 engine.restore(snapshot)
                 engine.fit_images()
@@ -122,7 +122,7 @@ def is_crash_file(path: str | Path) -> bool:
     from minimd.files.h5md_reader import opened
 
     with opened(path) as h5:
-        return "minimd/crash_report" in h5
+        return REPORT in h5
 
 
 def read_crash_report(path: str | Path) -> CrashFile:
@@ -133,9 +133,9 @@ def read_crash_report(path: str | Path) -> CrashFile:
 
     contents = read_file(path)
     with opened(path) as h5:
-        if "minimd/crash_report" not in h5:
+        if REPORT not in h5:
             raise ValueError(f"file {str(path)!r} holds no crash report; give the {SUFFIX} file of a run that failed")
-        group, system = h5["minimd/crash_report"], contents.system
+        group, system = h5[REPORT], contents.system
         with damage_told(path):
             texts = (group[name].asstr()[()] for name in ("simulation", "findings"))
             told, found = (json.loads(text, object_hook=_printable) for text in texts)

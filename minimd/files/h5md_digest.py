@@ -27,7 +27,6 @@ import zlib
 from collections.abc import Mapping, Sequence
 from itertools import count
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import h5py
@@ -36,6 +35,7 @@ import numpy as np
 from minimd.console.quiet import outside_minimd
 from minimd.console.words import listed, shown
 from minimd.engine.engine import Checkpoint, Snapshot
+from minimd.files.h5_items import NOTHING, REFERENCE, Item, put
 from minimd.neighbors.verlet_list import Built
 from minimd.observers import KINDS
 from minimd.observers.accumulator import Accumulator
@@ -46,7 +46,6 @@ RESTART, EARLIER, SPARE = "minimd/restart", "minimd/earlier_restart", "minimd/sp
 OBSERVERS, MARK = "minimd/observers", "observer."
 BLOCKS, DIGEST = "minimd/blocks", "digest"
 FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")  # groups; but for the above, they do not change
-NOTHING: Mapping[str, Any] = MappingProxyType({})
 STATE = {"step": int, "time": float, "reservoir_energy": float}  # numbers of a state; older files have no work
 
 
@@ -121,7 +120,10 @@ def write_restart(
     older = EARLIER if EARLIER in h5 else SPARE
     arrays, numbers = flattened(checkpoint)
     arrays |= {f"{MARK}{one.name}.{key}": np.asarray(part) for one in observers for key, part in one.state().items()}
-    write_group(h5.require_group(older), {**arrays, **beside}, numbers | {"n_frames": n_frames})
+    arrays, group = {**arrays, **beside}, h5.require_group(older)
+    for name in [name for name in group if name not in arrays or group[name].shape != arrays[name].shape]:
+        del group[name]
+    put(h5, checked(older, arrays, numbers | {"n_frames": n_frames}))
     if older != SPARE:
         h5.move(older, SPARE)
     if RESTART in h5:
@@ -162,23 +164,15 @@ def _whole(h5: h5py.File, name: str) -> Restart | None:
         return None
 
 
-def write_group(group: h5py.Group, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> None:
-    """Write arrays, numbers and their digest into a group, in place of its contents."""
-    for name in [name for name in group if name not in arrays or group[name].shape != arrays[name].shape]:
-        del group[name]
-    for name, array in arrays.items():
-        group.require_dataset(name, array.shape, array.dtype)[...] = array
-    for name, number in numbers.items():
-        value = np.asarray(number, dtype=np.int64 if isinstance(number, int) else np.float64)
-        if name in group.attrs and group.attrs[name].shape == value.shape:
-            group.attrs.modify(name, value)
-        else:
-            group.attrs[name] = value
-    group.attrs[DIGEST] = np.uint32(digest_of(arrays, numbers))
+def checked(path: str, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> dict[str, Item]:
+    """A group of arrays, numbers, and their digest."""
+    values = {name: np.asarray(one, np.int64 if isinstance(one, int) else np.float64) for name, one in numbers.items()}
+    values[DIGEST] = np.asarray(digest_of(arrays, numbers), np.uint32)
+    return {path: Item(values)} | {f"{path}/{name}": Item(data=array) for name, array in arrays.items()}
 
 
 def read_group(group: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays and numbers as write_group wrote them.  Raises ValueError if their digest is wrong."""
+    """Arrays and numbers of a group, as in checked.  Raises ValueError if their digest is wrong."""
     arrays, numbers = {name: group[name][()] for name in group}, dict(group.attrs)
     if digest_of(arrays, numbers) != numbers.pop(DIGEST, None):
         raise ValueError(f"{group.name} is damaged")
@@ -196,11 +190,10 @@ def digest_of(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any] = NOT
     return digest
 
 
-def describe_observers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
-    """Write the arguments of the observers, replacing those that the file has for the same names."""
-    for one in observers:
-        group = h5.require_group(f"{OBSERVERS}/{one.name}")
-        group.attrs.update({"kind": one.kind, "arguments": json.dumps(one.made_with())})
+def description(observers: Sequence[Accumulator]) -> dict[str, Item]:
+    """The arguments of the observers."""
+    told = {one.name: {"kind": one.kind, "arguments": json.dumps(one.made_with())} for one in observers}
+    return {f"{OBSERVERS}/{name}": Item(attributes) for name, attributes in told.items()}
 
 
 def restore_observers(h5: h5py.File, file: str | Path, restart: Restart, observers: Sequence[Accumulator]) -> None:
@@ -253,13 +246,10 @@ def observers_of(h5: h5py.File, restart: Restart) -> dict[str, Accumulator]:
 def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> None:
     """Append the row of a block: n_frames frames are now in the file; entries : of the frames of the block,
     by the paths of their series."""
-    if BLOCKS not in h5:
-        blocks = h5.create_dataset(BLOCKS, (0, 2), np.int64, maxshape=(None, 2), chunks=(64, 2))
-        blocks.attrs["series"] = sorted(entries)
-    blocks = h5[BLOCKS]
-    row = int(np.searchsorted(blocks[:, 0], n_frames))  # a block that is written again replaces its row
-    blocks.resize(row + 1, axis=0)
-    blocks[row] = n_frames, digest_of(entries)
+    # a block that is written again replaces its row
+    row = int(np.searchsorted(h5[BLOCKS][:, 0], n_frames)) if BLOCKS in h5 else 0
+    about = NOTHING if row else {"series": sorted(entries)}
+    put(h5, {BLOCKS: Item(about, np.array([[n_frames, digest_of(entries)]]), 64, row)})
 
 
 def damaged_frames(h5: h5py.File) -> str:
@@ -291,9 +281,9 @@ def n_whole_frames(h5: h5py.File) -> int:
     return int(h5[BLOCKS][-1, 0]) if BLOCKS in h5 and len(h5[BLOCKS]) else 0
 
 
-def sign(h5: h5py.File) -> None:
-    """Store the digest of everything that does not change."""
-    h5["minimd"].attrs[DIGEST] = np.uint32(_digest_of_description(h5))
+def sign(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> None:
+    """Store the digest of everything that does not change.  written : all of it, which then is not read."""
+    h5["minimd"].attrs[DIGEST] = np.uint32(_digest_of_description(h5, written))
 
 
 def check_description(h5: h5py.File) -> None:
@@ -302,26 +292,30 @@ def check_description(h5: h5py.File) -> None:
         raise ValueError("what it says about the scene does not match its checksum: it was damaged or changed")
 
 
-def _digest_of_description(h5: h5py.File) -> int:
-    """CRC-32 of names, attributes and contents of everything that does not change, in order."""
+def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> int:
+    """CRC-32 of names, attributes and contents of everything that does not change, in order.  written : as in sign."""
     names: dict[str, bool] = {}  # False for a second name of an item that is visited under another
     for group in FIXED:
-        names[group] = True  # a visit stops if the function returns anything but None
-        h5[group].visit_links(lambda name, group=group: names.update({f"{group}/{name}": False}))
-        h5[group].visit(lambda name, group=group: names.update({f"{group}/{name}": True}))
+        names[group], here = True, h5[group]  # a visit stops if the function returns anything but None
+        here.visit_links(lambda name, group=group: names.update({f"{group}/{name}": False}))
+        here.visit(lambda name, group=group: names.update({f"{group}/{name}": True}))
     digest = 0
     for name, is_first in sorted(names.items()):
         if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):
             continue
-        item = h5[name] if is_first else None
-        words, attributes = [name.encode()], {} if item is None else item.attrs
-        for key in sorted(set(attributes) - {DIGEST, "particles_group"}):
-            words.append(repr((key, np.asarray(attributes[key]).tolist())).encode())
-        if isinstance(item, h5py.Dataset):
-            grows = item.maxshape[:1] == (None,)
-            words.append(repr((item.shape[grows:], item.dtype.str)).encode())
-            if not grows:
-                content = np.asarray(item[()])
-                words.append(repr(content.tolist()).encode() if item.dtype.kind == "O" else content.tobytes())
+        item = written.get(name, Item()) if is_first else Item()
+        if is_first and not written:
+            read = h5[name]
+            grows, data = isinstance(read, h5py.Dataset) and read.maxshape[:1] == (None,), None
+            if isinstance(read, h5py.Dataset):
+                data = np.empty((0, *read.shape[1:]), read.dtype) if grows else np.asarray(read[()], read.dtype)
+            item = Item(read.attrs, data, int(grows))
+        item, words = written.get(item.other, item), [name.encode()]
+        for key in sorted(set(item.attributes) - {DIGEST, REFERENCE}):
+            words.append(repr((key, np.asarray(item.attributes[key]).tolist())).encode())
+        if (data := item.data) is not None:
+            words.append(repr((data.shape[bool(item.rows) :], data.dtype.str)).encode())
+            if not item.rows:
+                words.append(repr(data.tolist()).encode() if data.dtype.kind == "O" else data.tobytes())
         digest = zlib.crc32(b"".join(words), digest)
     return digest

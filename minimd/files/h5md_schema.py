@@ -35,6 +35,7 @@ from minimd.constraints.solver import ROUNDINGS
 from minimd.diagnosis.judge import too_long_a_step
 from minimd.engine.engine import Engine
 from minimd.engine.record import SERIES, Frame
+from minimd.files.h5_items import NOTHING, REFERENCE, TEXT, Item
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.structure.cell import Cell
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
@@ -101,75 +102,70 @@ def chunk_rows(entry: np.ndarray, n_frames: int | None = None) -> int:
     """The number of entries in a chunk of a series; a chunk takes its full size on the disk.  n_frames : expected in
     the file, if known."""
     expected = CHUNK_ROWS if n_frames is None else max(FEW_ROWS, n_frames)
-    return int(np.clip(CHUNK_BYTES // entry.nbytes, 1, min(CHUNK_ROWS, expected)))
+    return max(1, min(CHUNK_BYTES // entry.nbytes, CHUNK_ROWS, expected))
 
 
-def extend(h5: h5py.File, column: Column, first: int, entries: np.ndarray, n_frames: int | None = None) -> None:
-    """Write entries into the series of a column, from the index `first` on; what was behind it is replaced.  Series of
-    H5MD share one step and one time.  n_frames : as for chunk_rows."""
-    if column.path in h5:
-        h5[column.path].resize(first + len(entries), axis=0)
-        h5[column.path][first:] = entries
-        return
-    shape = entries.shape[1:]
-    growing = {"maxshape": (None, *shape), "chunks": (chunk_rows(entries[0], n_frames), *shape)}
-    series = h5.create_dataset(column.path, data=entries, **growing)
-    if column.unit:
-        series.attrs["unit"] = column.unit
-    group, _, name = column.path.rpartition("/")
-    if name == "value" and not STEPS.startswith(group):
-        for other in (STEPS, TIMES):
-            h5.id.links.create_hard(f"{group}/{other.rpartition('/')[2]}".encode(), h5.id, other.encode())
+def series(columns: list[Column], entries: dict[str, np.ndarray], first: int, n_frames: int | None) -> dict[str, Item]:
+    """Series of a file from the index `first` on; what was behind it is replaced.  Series of H5MD share one step and
+    one time.  entries : by path.  n_frames : as for chunk_rows."""
+    found: dict[str, Item] = {}
+    for path, unit, _ in columns:
+        about = {"unit": unit} if unit and first == 0 else NOTHING
+        found[path] = Item(about, entries[path], chunk_rows(entries[path][0], n_frames), first)
+        group, _, name = path.rpartition("/")
+        if name == "value" and first == 0 and not STEPS.startswith(group):
+            found |= {f"{group}/{other.rpartition('/')[2]}": Item(other=other) for other in (STEPS, TIMES)}
+    return found
 
 
-def describe(h5: h5py.File, engine: Engine) -> None:
-    """Write all that does not change: the program, species, masses, charges, bonds, cell, method, constraints."""
-    system = engine.system
-    h5.create_group("h5md").attrs["version"] = np.array([1, 1])
-    h5.create_group("h5md/author").attrs["name"] = "N/A"
-    h5.create_group("h5md/creator").attrs.update({"name": "minimd", "version": __version__})
-    particles, names = h5.create_group(TRAJECTORY), system.species_names
+def description(engine: Engine) -> dict[str, Item]:
+    """All that does not change: the program, species, masses, charges, bonds, cell, method, constraints."""
+    system, names = engine.system, engine.system.species_names
     boundary = ["periodic" if has_edges(system.cell) else "none"] * 3
-    particles.create_group("box").attrs.update({"dimension": 3, "boundary": boundary})
     labels = {str(name): number for number, name in enumerate(names)}
-    kind = h5py.enum_dtype(labels, basetype=np.int64) if len(labels) <= LARGEST_ENUMERATION else np.int64
-    particles.create_dataset("species", data=system.species_index, dtype=kind)
-    group = h5.create_group("minimd")
+    kind = h5py.enum_dtype(labels, basetype=np.int64) if len(labels) <= LARGEST_ENUMERATION else np.dtype(np.int64)
+    texts = [name.encode() if isinstance(name, str) else name for name in names]
+    title = engine.notes["title"] or f"{len(system)} atoms of {', '.join(map(str, names))}"
+    about = {"version": __version__, "units": system.units.name, "pbc": system.cell.pbc, "title": title}
+    found = {
+        "h5md": Item({"version": [1, 1]}),
+        "h5md/author": Item({"name": "N/A"}),
+        "h5md/creator": Item({"name": "minimd", "version": __version__}),
+        f"{TRAJECTORY}/box": Item({"dimension": 3, "boundary": boundary}),
+        f"{TRAJECTORY}/species": Item(data=system.species_index.astype(kind)),
+        "minimd": Item(about | {"scene": engine.notes["scene"]} | of_method(engine)),
+        "minimd/species_names": Item(data=np.array(texts, dtype=TEXT if isinstance(names[0], str) else np.int64)),
+        "minimd/cell": Item(data=system.cell.vectors),
+        "minimd/species_index": Item(data=system.species_index),
+    }
     for name, second, unit in (("mass", "masses", "u"), ("charge", "charges", "e")):
         if (values := getattr(system, second)).any():
-            particles.create_dataset(name, data=values).attrs["unit"] = unit
-            group[second] = particles[name]
+            found[f"{TRAJECTORY}/{name}"] = Item({"unit": unit}, values)
+            found[f"minimd/{second}"] = Item(other=f"{TRAJECTORY}/{name}")
     for name, members in system.groups().items():
         if len(members) or name == "bonds":
-            h5[f"connectivity/{name}"] = members
-            h5[f"connectivity/{name}"].attrs["particles_group"] = particles.ref
-            group[name] = h5[f"connectivity/{name}"]
-    title = engine.notes["title"] or f"{len(system)} atoms of {', '.join(map(str, names))}"
-    group.attrs.update({"version": __version__, "units": system.units.name, "pbc": system.cell.pbc})
-    group.attrs.update({"title": title, "scene": engine.notes["scene"]})
-    group["species_names"] = np.array(names, dtype=h5py.string_dtype() if isinstance(names[0], str) else np.int64)
-    group["cell"], group["species_index"] = system.cell.vectors, system.species_index
-    describe_method(group, engine)
-    held = group.create_group("constraints") if engine.constraints else group
+            found[f"connectivity/{name}"] = Item({REFERENCE: TRAJECTORY}, members)
+            found[f"minimd/{name}"] = Item(other=f"connectivity/{name}")
     for one in engine.constraints:
         if isinstance(one, FixedAtoms):
-            held["fixed"] = one.atoms
+            found["minimd/constraints/fixed"] = Item(data=one.atoms)
         else:
-            held["pairs"], held["lengths"] = one.pairs, one.lengths
-            held.attrs.update({"tolerance": one.tolerance, "solver": one.solver})
+            found["minimd/constraints"] = Item({"tolerance": one.tolerance, "solver": one.solver})
+            found |= {f"minimd/constraints/{name}": Item(data=getattr(one, name)) for name in ("pairs", "lengths")}
+    return found
 
 
-def describe_method(group: h5py.Group, engine: Engine) -> None:
-    """Write method and time step of the frames that come next, and the options with which they are computed."""
+def of_method(engine: Engine, before: Mapping[str, Any] = NOTHING) -> dict[str, Any]:
+    """Method and time step of the frames that come next, and the options with which they are computed.
+    before : the attributes of the group minimd in the file."""
     now = {name: told(engine) for name, (told, _) in METHOD.items()}
-    if any(group.attrs.get(name, now[name]) != now[name] for name in DECISIVE):
-        group.attrs["since"] = max(engine.step, group.attrs.get("since", 0))
-    group.attrs.update(now)
-    group.attrs.update({name: value for name, value in engine.method.parameters.items() if isinstance(value, float)})
+    if any(before.get(name, now[name]) != now[name] for name in DECISIVE):
+        now["since"] = max(engine.step, before.get("since", 0))
+    return now | {name: value for name, value in engine.method.parameters.items() if isinstance(value, float)}
 
 
 def read_method(group: h5py.Group) -> dict[str, Any]:
-    """What describe_method wrote, by the names of H5MDContents; older files have no barostat."""
+    """What of_method told, by the names of H5MDContents; older files have no barostat."""
     return {name: read(group.attrs.get(name, "")) for name, (_, read) in METHOD.items()}
 
 

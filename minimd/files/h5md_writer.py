@@ -25,6 +25,7 @@ from minimd.engine.record import Frame
 from minimd.files import h5md_digest as digest
 from minimd.files import h5md_schema as layout
 from minimd.files.claim import Claim, JournaledFile
+from minimd.files.h5_items import Item, put
 from minimd.files.h5md_reader import H5MDContents, admitted, contents_of, damage_told, looked_at, opened
 from minimd.observers.accumulator import Accumulator
 
@@ -64,6 +65,7 @@ class H5MDWriter:
         self._every: int | None = every  # None for a continued file that does not hold it
         self.marks: list[bytes] = []  # of other trajectories, in the restart from which a file is continued
         self._columns: list[layout.Column] = []
+        self.description: dict[str, Item] = {}  # what does not change; it is written with the first frame of a new file
         # of frames that wait to be written, by path: it is reused, because new memory would take longer than copying
         self._room: dict[str, np.ndarray] = {}
         self._n_frames, self._n_waiting = 0, 0  # in the file, and in memory
@@ -73,18 +75,12 @@ class H5MDWriter:
         self._h5 = admitted(h5py.File(self._disk, "w" if claim.is_new else "r+"), claim.name)
         try:
             if claim.is_new:
-                self.describe(partial(layout.describe, engine=engine))
-                self.describe(partial(digest.describe_observers, observers=observers))
+                self.description = layout.description(engine) | digest.description(observers)
             else:
                 self._continue()
         except BaseException:
             self._give_up()
             raise
-
-    def describe(self, write: Callable[[h5py.File], None]) -> None:
-        """Let a function write what does not change into a file that has no frame yet.  Raises OSError as write."""
-        with self._telling("begin"):
-            write(self._h5)
 
     @classmethod
     def append_to(
@@ -138,7 +134,7 @@ class H5MDWriter:
             self.marks = [array.tobytes() for name, array in restart.arrays.items() if name.startswith(BESIDE)]
             digest.set_aside_damaged(h5)
             digest.drop_frames(h5, self._n_frames)
-            digest.describe_observers(h5, self._observers)
+            put(h5, digest.description(self._observers))
             if scene := self._engine.notes["scene"]:  # the scene with which the run goes on
                 title = self._engine.notes["title"] or contents.title
                 h5["minimd"].attrs.update({"scene": scene, "title": title})
@@ -187,12 +183,12 @@ class H5MDWriter:
         is_restart = self._engine.is_whole or first == 0
         marks = self._bring_others(self.claim) if is_restart else []
         with self._telling(f"take the frame of step {step}"), uninterrupted():
-            for column in self._columns if entries else ():  # repeated after an error, this gives the same file
-                layout.extend(self._h5, column, first, entries[column.path], self._n_expected)
-            if entries:
+            if entries:  # repeated after an error, this gives the same file
+                series = layout.series(self._columns, entries, first, self._n_expected)
+                put(self._h5, series if first else self.description | series)
                 digest.add_block(self._h5, n_frames, entries)
-            if entries and first == 0:
-                digest.sign(self._h5)  # now that the series exist
+                if first == 0:
+                    digest.sign(self._h5, self.description | series)
             if self._method is not self._engine.method:
                 self._describe_method()
             if is_restart:
@@ -227,7 +223,7 @@ class H5MDWriter:
 
     def _describe_method(self) -> None:
         """Describe the method again: it may have been replaced."""
-        layout.describe_method(self._h5["minimd"], self._engine)
+        put(self._h5, {"minimd": Item(layout.of_method(self._engine, self._h5["minimd"].attrs))})
         digest.sign(self._h5)
         self._method = self._engine.method
 

@@ -176,24 +176,27 @@ def test_a_short_run_writes_its_file_in_one_commit(tmp_path):
     assert (fsync.call_count, seen, read_file(tmp_path / "a.h5md").n_frames) == (2, [], 3)
 
 
-def test_an_interrupt_inside_a_write_leaves_whole_frames_only(tmp_path, monkeypatch):
-    path, sim, extend = tmp_path / "a.h5md", simulation(), h5md.layout.extend
+@pytest.mark.parametrize("n_before", [0, 1])
+def test_an_interrupt_inside_a_write_leaves_whole_frames_only(n_before, tmp_path, monkeypatch):
+    path, sim, put = tmp_path / "a.h5md", simulation(), h5md.put
 
-    def interrupted(h5, column, *entries):
-        if column.path.endswith("velocity/value"):
-            raise KeyboardInterrupt
-        return extend(h5, column, *entries)
+    def interrupted(h5, items):
+        put(h5, dict([*items.items()][: len(items) // 2]))
+        raise KeyboardInterrupt
 
     bring_to_disk_every(0.0, monkeypatch)
     writer = h5md.H5MDWriter(claim.Claim(path), sim.engine, False)
-    writer.write(sim.frame())
-    sim.run(5)
-    with mock.patch("minimd.files.h5md_writer.layout.extend", interrupted), pytest.raises(KeyboardInterrupt):
+    for _ in range(n_before):
         writer.write(sim.frame())
-    shutil.copy(path, tmp_path / "copy.h5md")
-    assert read_file(tmp_path / "copy.h5md").record.step.tolist() == [0]
+        sim.run(5)
+    with mock.patch("minimd.files.h5md_writer.put", interrupted), pytest.raises(KeyboardInterrupt):
+        writer.write(sim.frame())
+    assert path.exists() == bool(n_before)
+    if n_before:
+        shutil.copy(path, tmp_path / "copy.h5md")
+        assert read_file(tmp_path / "copy.h5md").record.step.tolist() == [0]
     writer.close()
-    assert read_file(path).record.step.tolist() == [0, 5]
+    assert read_file(path).record.step.tolist() == [0, 5][: n_before + 1]
 
 
 @pytest.mark.parametrize("way", ["patched", pytest.param("limit", marks=pytest.mark.slow)])

@@ -300,8 +300,9 @@ class StudentForce(Called):
                 wrong.append(f"{np.shape(trial)} raised {type(error).__name__}: {error}")
             if not wrong[-1]:
                 return
-        raise ValueError(f"{self.name}({', '.join(self.names)}) with {self.names[0]} of shape {wrong[len(kinds) - 1]}. "
-                         "If it is written for a fixed number of atoms, give their positions=")  # fmt: skip
+        call, told = f"{self.name}({', '.join(self.names)})", f"{self.names[0]} of shape {wrong[len(kinds) - 1]}"
+        advice = f"If {self.name} is written for a fixed number of atoms, pass them: positions=..."
+        raise ValueError(f"{call} was called with {told}. {advice}")
 
     def _misfit(self, answer: Any, shape: tuple[int, ...], may_be_pair: bool) -> str:
         """What is wrong with a result for an argument of a shape; "" if nothing is."""

@@ -370,9 +370,9 @@ def _stand(job: Job, box: Box, step: int, columns: NDArray[np.float64]) -> None:
                             f"({timestep:g})")  # fmt: skip
     half = 0.5 * (step - engine.step) * timestep
     if (most := np.abs(box.crossed(half * (velocities - engine.velocities))).max()) > IMAGES / 2:
-        raise HandOverError(f"the images of atoms at step {step} are unknown: the change of their velocities since "
-                            f"step {engine.step} amounts to {most:.3g} cells, and LAMMPS counts {IMAGES // 2}; bring "
-                            f"frames back more often (every = {job.every})")  # fmt: skip
+        raise HandOverError(f"it is unknown how many cells the atoms have crossed at step {step}: their places are "
+                            f"uncertain by {most:.3g} cells since step {engine.step}, and LAMMPS counts {IMAGES // 2} "
+                            f"at most; bring frames back more often (every = {job.every})")  # fmt: skip
     expected = engine.positions + half * (velocities + engine.velocities)
     engine.positions[:] = box.positions_back(columns[:, :3], expected)
     engine.velocities[:] = velocities

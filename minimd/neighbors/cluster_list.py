@@ -194,8 +194,8 @@ class ClusterList(VerletList):
         window = self.domains.window
         needed = self.n_ghosts, int(window[-1]), int(self.domains.numbers[BLOCKS])
         if (widest := int(np.diff(window).max())) > GHOST_BITS:
-            most = f"{GHOST_BITS} ghost clusters of a domain"
-            raise ValueError(f"cluster lists hold up to {most}, this scene needs {widest}: simulate fewer atoms")
+            needs = f"needs {widest} clusters of atoms and images in one part of the cell, and {GHOST_BITS} fit"
+            raise ValueError(f"this scene is too large for a cluster list: it {needs}; simulate fewer atoms")
         room = tuple(room if n <= room else with_room(n) for n, room in zip(needed, self._room, strict=True))
         is_enough, self._room = room == self._room, room
         if len(self._entry_start) != self.n_domains + 1:

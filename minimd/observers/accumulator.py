@@ -447,8 +447,9 @@ class Attached:
             step = self._engine.step
             for one in self.accumulators:
                 if n_later := one.break_off(step):
-                    failed = f"step {step}, the last good step of a run that failed; its result includes these states"
-                    warnings.warn(f"{one!r} has observed {n_later} states after {failed}", stacklevel=outside_minimd())
+                    seen = f"the result of {one!r} includes {n_later} states after it"
+                    failed = f"the run has failed after step {step}, and {seen}; use another observer to run again"
+                    warnings.warn(failed, stacklevel=outside_minimd())
             raise
         finally:
             for looking in self._with_steps:

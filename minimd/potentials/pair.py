@@ -170,9 +170,8 @@ class Nonbonded(Declared, metaclass=ABCMeta):
             self._is_tried = True
         extra = TRUNCATIONS[self.truncation].numbers(self.plain_law, parameters, cutoff, self._switch_start_for(cutoff))
         if not all(map(isfinite, extra)) and self.truncation not in SWITCHES:
-            hint = "a cutoff" if cutoff == inf else f"another cutoff than {cutoff:g}"
-            where = f"at the cutoff, where it is {self.truncation}; it is {extra[0]}"
-            raise ValueError(f"the law must be finite {where}: give {hint}, or 'truncated'")
+            there = f"the law is {extra[0]} at the cutoff {cutoff:g}, where it must be finite to be {self.truncation}"
+            raise ValueError(f"{there}: give another cutoff, or truncation='truncated'")
         return (cutoff * cutoff, *extra, *parameters)
 
     def _parameters_of(self, a: Any, b: Any) -> Parameters:

@@ -106,7 +106,7 @@ GROUPS = [  # function, error, argument, and several of (what the function is ca
     (lambda m: run_steps(OSCILLATOR, m, ONE, 3), T, "method", (mi.SE1, "SE1"), ("verlet", "'verlet'")),
     (lambda m: run_reversible(KEPLER, m, KEPLER_START, 1.0), T, "with its time step", (mi.SE1, "SE1")),
     (lambda m: run_adaptive(OSCILLATOR, m, ONE, 1.0), T, "method", (VERLET, "0.1"), ("verlet", "'verlet'")),
-    (lambda m: run_adaptive(DECAY, m, [1.0], 1.0), T, "own path", (mi.BDF2, "bdf-2"), (mi.BDF5, "bdf-5")),
+    (lambda m: run_adaptive(DECAY, m, [1.0], 1.0), T, "its path", (mi.BDF2, "bdf-2"), (mi.BDF5, "bdf-5")),
     (lambda m: run_reversible(KEPLER, m, KEPLER_START, 1.0), V, "symmetric", (mi.SE1(0.1), "euler-1")),
     (lambda p: run_steps(p, VERLET, ONE, 1), T, "problem", (np.negative, "negative"), (None, "None")),
     (lambda s: mi.SecondOrder(np.negative, solver=s), T, "solver", (None, "None"), (mi.Newton, "Newton")),

@@ -147,7 +147,7 @@ def test_images_that_cannot_be_known_are_noticed(tmp_path, monkeypatch):
 
     monkeypatch.setattr(handing_over, "frames", slowed)
     call = lambda: handed_over(simulation, tmp_path / "run", 4000, every=5000)  # noqa: E731
-    assert_answered(call, HandOverError, "images", "600 cells", "every = 5000")
+    assert_answered(call, HandOverError, "600 cells", "every = 5000")
 
 
 def test_the_command_hands_over_and_resume_goes_on(here, capsys):

@@ -438,7 +438,7 @@ def test_looks_after_the_last_good_state_are_told(monkeypatch):
 
     monkeypatch.setattr(sim.guard, "is_hot", lambda: True)
     monkeypatch.setattr(sim.guard, "observe", observe)
-    with pytest.raises(md.NonFiniteError), pytest.warns(UserWarning, match=" 4 .* step 0"):
+    with pytest.raises(md.NonFiniteError), pytest.warns(UserWarning, match="step 0.* 4 "):
         sim.run(100, observers=[looking], progress=False)
     assert looking.n_looks == 5
     monkeypatch.undo()

@@ -145,7 +145,7 @@ class Implicit(DifferentialAlgebraic):
         if not abs(left[k]) <= allowed[k]:
             n, equation = divmod(k, y.size)
             stays = f"{ORDINALS[n]}equation {equation} stays at {left[k] / unit**n:.2e} at t = {t:g}"
-            why = f"{stays}, whatever y′ and the variables without one are"
+            why = f"{stays} for every choice of y′ and of the variables that have no derivative in F"
             raise ValueError(f"the start violates F(t, y, y′) = 0: {why}; {ADVICE}")
         moved, derivatives = taken(x)
         return moved, derivatives[0]

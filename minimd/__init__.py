@@ -75,7 +75,8 @@ __all__ = [
     "Restraint", "Reversibility", "RyckaertBellemans", "Simulation", "SphereWall", "SteeredSpring", "StepAdvice",
     "StochasticCellRescaling", "StochasticVelocityRescaling", "System", "Tabulated", "Term", "VelocityVerlet", "Wall",
     "advise_timestep", "archive", "ensemble", "evaluate", "from_openmm", "grade", "integrators", "lammps", "lattice",
-    "minimize", "neighbor_list", "observers", "read_observers", "replay", "shadow_energy", "units", "view", "water",
+    "minimize", "neighbor_list", "observers", "read_observers", "read_record", "replay", "shadow_energy", "units",
+    "view", "water",
 ]  # fmt: skip
 
 
@@ -98,6 +99,13 @@ def read_observers(path: str | Path) -> dict[str, observers.Accumulator]:
     from minimd.files.h5md_reader import read_file  # h5py is slow to load
 
     return read_file(path).observers
+
+
+def read_record(path: str | Path) -> Record:
+    """The Record of all frames in an H5MD file, also of a run that was continued.  Raises as read_observers."""
+    from minimd.files.h5md_reader import read_file
+
+    return read_file(path).record
 
 
 def __dir__() -> list[str]:

@@ -99,7 +99,7 @@ def replay(
     potentials : those of the run; if not given, those of the scene that is stored in the file.
     trajectory, picture : where to write the steps and a picture of them; True for names made from that of the file,
         False for none.
-    overwrite : replace files that exist.
+    overwrite : replace files that exist; those with names that minimd has made are always replaced.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def _output(wanted: str | Path | bool, file: Path, end: str, overwrite: bool) ->
         return None
     own = file.name.removesuffix(SUFFIX).removesuffix(file.suffix)
     path = file.with_name(f"{own}.replay.{end}") if wanted is True else Path(wanted)
-    if path.exists() and not overwrite:
+    if path.exists() and not overwrite and wanted is not True:
         advice = "choose another name, or replace it with overwrite=True, or --overwrite of the command"
         raise FileExistsError(f"output {str(path)!r} exists; {advice}")
     return path

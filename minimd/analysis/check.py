@@ -17,7 +17,7 @@ from minimd.files.h5md_reader import damage, damage_told, frames_of
 from minimd.files.turned_cell import as_in_run
 from minimd.integrators import LangevinBAOAB
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
-from minimd.structure.cell import images_of_length
+from minimd.structure.cell import images_of_length, nearest_vectors
 from minimd.structure.constraints import DistanceConstraints, lengths_of
 from minimd.structure.observables import Array, absolute_momentum, kinetic_energy, momentum
 from minimd.structure.system import System
@@ -191,7 +191,11 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
         above = np.append(g >= 0.5 * g.max(), False)  # the first interval of this has the first peak
         first = int(np.argmax(above))
         peak = float(r[first + np.argmax(g[first : first + int(np.argmin(above[first:]))])])
-        lines = [f"g(r)           first peak at {peak:.3g} {system.units.length}"]
+        rigid = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
+        bonds = nearest_vectors(system.positions, system.cell, np.concatenate([system.bonds, *rigid]))
+        apart = np.linalg.norm(bonds, axis=1)
+        inside = ", between bonded atoms" * bool((np.abs(apart - peak) < 0.1 * peak).any())
+        lines = [f"g(r)           first peak at {peak:.3g} {system.units.length}{inside}"]
         if contents.n_frames >= ENOUGH_FRAMES:
             diffusion = diffusion_coefficient(made)
             moved = float(diffusion.displacements[diffusion.lags <= diffusion.window[1]][-1]) ** 0.5

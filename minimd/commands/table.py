@@ -132,7 +132,7 @@ def scan(arguments: argparse.Namespace) -> bool:
     """Scan a scene, or print the status of a scan, with averages and picture; False if members have failed.  Raises as
     scan_scene."""
     from minimd.ensemble.scan import parsed_setting, scan_scene
-    from minimd.ensemble.table import save_picture, status, told_averages
+    from minimd.ensemble.table import save_picture, status
     from minimd.ensemble.workers import named_executor
 
     if arguments.status is not None:
@@ -150,8 +150,6 @@ def scan(arguments: argparse.Namespace) -> bool:
             table = scan_scene(arguments.scene, settings, **options, **workers)
         lines = [str(table)]
     print("\n".join(lines))
-    if table.done.any():
-        print("\n".join(told_averages(table)))
     if table.done.any() and arguments.members is None:
         picture = save_picture(table, arguments.plot)
         tables = [] if arguments.status is not None else [table.folder / "table.csv", table.folder / "table.json"]

@@ -163,6 +163,19 @@ class Evidence:
             return "take a shorter timestep, such as advise_timestep recommends"
         return f"take {self.shown(self.advice.recommended)}, as advise_timestep recommends for the last good state"
 
+    def usual_step(self, at_rest: bool = False) -> float:
+        """A time step with 20 steps in a period of harmonic bonds and of collisions of Lennard-Jones atoms, see
+        Stiffness.collisions; ∞ without both [time]."""
+        bond = self.stiffness.bond
+        fastest = max(self.stiffness.collisions(at_rest), sqrt(bond.square) if bond else 0.0)
+        return USUAL / fastest if fastest else float("inf")
+
+    @property
+    def shorter(self) -> str:
+        """Advice for a time step that is too long for two atoms that meet."""
+        usual = self.usual_step(at_rest=True)
+        return f"take {self.shown(usual)} or less, and {HALVE}" if usual < 0.5 * self.timestep else HALVE
+
     def contacts(self, system: System, atoms: list[int]) -> list[Contact]:
         """The contacts of some atoms in some state."""
         return contacts(system, self.engine.interactions.potentials, self.engine.constraint_set.inverse_masses, atoms)
@@ -208,13 +221,12 @@ def longer_than_collisions(evidence: Evidence) -> Verdict | None:
 
 def short_step(evidence: Evidence) -> Verdict | None:
     """A time step far shorter than the harmonic bonds and the collisions of Lennard-Jones atoms need."""
-    bond, shown = evidence.stiffness.bond, evidence.shown
-    fastest = max(evidence.stiffness.collisions(), sqrt(bond.square) if bond else 0.0)
-    if not MEANT < evidence.timestep * fastest / USUAL < TOO_SHORT:
+    usual, shown = evidence.usual_step(), evidence.shown
+    if not MEANT < evidence.timestep / usual < TOO_SHORT:
         return None
     is_short = f"timestep {shown(evidence.timestep)} is far shorter than these atoms need"
     unit = f"check the unit of the time step{', such as 5 * md.units.fs' * (evidence.units == ASE)}"
-    return Verdict(f"{is_short}: {shown(USUAL / fastest)} would be 20 steps in a period of the fastest motion", unit)
+    return Verdict(f"{is_short}: {shown(usual)} would be 20 steps in a period of the fastest motion", unit)
 
 
 def no_pair_in_reach(evidence: Evidence) -> Verdict | None:
@@ -415,7 +427,7 @@ def collision_in_a_step(evidence: Evidence) -> Verdict | None:
         return None
     there = f"{met.apart(evidence.units.length)}{met.stiffness(dt)}"
     drives = f"step {evidence.failure.step} drives {met.atoms} into each other, {there}"
-    return Verdict(f"timestep {evidence.shown(dt)} too large: {drives}", HALVE, met)
+    return Verdict(f"timestep {evidence.shown(dt)} too large: {drives}", evidence.shorter, met)
 
 
 def unstable_mode(evidence: Evidence) -> Verdict | None:
@@ -443,7 +455,7 @@ def long_step(evidence: Evidence) -> Verdict | None:
         return None
     what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms}"
     where = f"{pair.apart(evidence.units.length)}{pair.stiffness(dt)}"
-    return Verdict(f"timestep {evidence.shown(dt)} too large for the {what}, {where}", HALVE, pair)
+    return Verdict(f"timestep {evidence.shown(dt)} too large for the {what}, {where}", evidence.shorter, pair)
 
 
 BEFORE, DURING, START, AFTER = "before", "during", "start", "after"

@@ -147,14 +147,8 @@ class EnsembleTable(Displayed):
             values = self[name]
             limits = f", {values.min()} to {values.max()}" if values.dtype.kind in "if" else ""
             rows.append((name, f"{len(set(values.tolist()))} values{limits}"))
-        averages = self.averaged()
-        for name in (one for one in self.observables if "momentum" not in one and len(averages)):
-            means, errors, limits = averages[f"{name}_mean"], averages[f"{name}_error"], "not known"
-            if not np.isnan(means).all():
-                ends = dict.fromkeys((int(np.nanargmin(means)), int(np.nanargmax(means))))
-                limits = " to ".join(with_error(means[k], errors[k]) for k in ends)
-                limits = f"from {limits}" if len(ends) > 1 else limits
-            rows.append((f"mean {name}".replace("_", " "), f"{limits} {self.unit(name)}".rstrip()))
+        if self.done.any():
+            rows += [("" if k else "means", line) for k, line in enumerate(told_averages(self))]
         several = list(self.failures())
         rows += [("FAILED", told) for told in several[:SHOWN_FAILURES]]
         return rows + ([("", f"and {len(several) - SHOWN_FAILURES} more")] if len(several) > SHOWN_FAILURES else [])
@@ -239,7 +233,7 @@ def told_averages(table: EnsembleTable) -> Iterator[str]:
     """A line of names, then the averages over members with the same parameters, a line for each of the first hundred
     sets."""
     rows = table.averaged()
-    names = [name for name in TOLD if name in table.observables] or list(table.observables)
+    names = [name for name in table.observables if name in TOLD or name not in SERIES] or list(table.observables)
     units = {name: f" [{table.unit(name)}]" if table.unit(name) else "" for name in names}
     lines = [[*table.parameters, "members", *(f"{name.replace('_', ' ')}{units[name]}" for name in names)]]
     for row in rows[:MOST_LINES]:

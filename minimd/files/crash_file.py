@@ -73,8 +73,9 @@ def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iter
             try:
                 write_crash_report(file, guard, error.crash_report)
                 error.file = file
-                look = f"to see the last steps again: minimd replay {file}; in the browser: minimd view {file}"
-                hint = f"Crash report in {file}; {look}; in a script: minimd.replay(file, potentials)"
+                again = f"minimd replay {file}" if guard.engine.notes["scene"] else "minimd.replay(file, potentials)"
+                look = f"to see the last steps again: {again}; in the browser: minimd view {file}"
+                hint = f"Crash report in {file}; {look}"
             except Exception as reason:  # of any kind: the error of the run itself must be raised
                 hint = f"No crash report was written: {reason}"
             error.args = (f"{error}. {hint}",)

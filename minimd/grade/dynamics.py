@@ -213,9 +213,12 @@ def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
         faults += of_half_a_step(halved, claims, is_still, failed["ring: temperature"])
     momentum = "kept at zero" if is_still else "not conserved"
     remarks = [f"the total momentum is {momentum}: {'3N − 3' if is_still else '3N'} degrees of freedom move"]
-    if seen := [100.0 * one.limit for one in findings if one.name.endswith((": temperature", ": mean volume"))]:
+    means = [one for one in findings if one.name.endswith((": temperature", ": mean volume"))]
+    if means:
         what = "temperature or mean volume" if claims.pressure else "temperature"
-        remarks += [f"a {what} wrong by {max(seen):.0f} % would be seen; more runs= or steps= show smaller errors"]
+        coarsest = max(means, key=lambda one: one.limit)
+        seen = f"a {what} wrong by {100.0 * coarsest.limit:.0f} % would be seen in any scene, less in others than in"
+        remarks += [f"{seen} {coarsest.name.partition(':')[0]!r}; more runs= or steps= show smaller errors"]
     if "temperature_K" not in options and "temperature_K" in inspect.signature(dynamics).parameters:
         remarks += [f"judged as {ensemble}{' at 300 K' * (ensemble != 'NVE')}, since no temperature_K is given"]
     told = f"{name}({', '.join(options)}): {ensemble}, {ENSEMBLES[ensemble]}"

@@ -45,7 +45,10 @@ def load_scene(path: str | Path) -> Scene:
     """
     file = Path(path)
     try:
-        return parse_scene(file.read_text(encoding="utf-8"), file)
+        if (written := file.read_bytes()).startswith(b"\x89HDF"):
+            goes_on = "minimd resume continues it; in a script, md.Simulation.resume(file) has its state"
+            raise ValueError(f"{file} is not a scene file (TOML), but the file of a run: {goes_on}")
+        return parse_scene(written.decode("utf-8"), file)
     except FileNotFoundError:
         raise FileNotFoundError(f"scene file {str(file)!r} does not exist") from None
     except UnicodeDecodeError as error:

@@ -182,6 +182,7 @@ class Simulation(Closed, Displayed):
         crash_report: str | Path | bool = True,
     ) -> Record:
         """Make n_steps steps, or those up to until_step; observe the first state, and those at multiples of every.
+        Return the Record of these steps only; minimd.read_record(file) has all frames of a file.
 
         A run of N steps and one of M steps give the same numbers, to the last bit, as one of N + M steps,
         if nothing is changed in between.

@@ -132,7 +132,7 @@ def test_file_holds_the_last_good_state_and_loses_nothing(tmp_path, monkeypatch)
     error = failing(simulation, every=20, trajectory=tmp_path / "a.h5md")
     assert seen[0] == pytest.approx(md.evaluate(simulation.system, LJ).energies, rel=1e-9)  # rounding
     assert error.file == tmp_path / "a.crash.h5md"
-    assert f"minimd replay {error.file}" in str(error)
+    assert "minimd.replay(file, potentials)" in str(error)
     contents, kept = read_file(error.file), read_file(tmp_path / "a.h5md")
     assert contents.step == simulation.step == error.crash_report.last_good_step
     for name in ("positions", "velocities"):
@@ -199,7 +199,8 @@ def test_findings_come_back_and_a_replay_fails_again_at_the_same_step_on_the_sam
     assert (seen.trajectory, replayed.n_frames) == (tmp_path / "a.replay.h5md", len(seen.rows))
     assert replayed.restart.grid == past.run.restart.grid
     assert make is not chain or (tmp_path / "a.replay.png").read_bytes().startswith(b"\x89PNG")
-    assert_answered(lambda: md.replay(error.file, simulation.potentials), FileExistsError, "replace it")
+    other = tmp_path / "a.replay.h5md"  # replaced unless it is named
+    assert_answered(lambda: md.replay(error.file, simulation.potentials, trajectory=other), FileExistsError, "replace")
 
 
 def test_replay_says_when_it_does_not_fail_again_and_what_it_does_not_know(crash_file, tmp_path):

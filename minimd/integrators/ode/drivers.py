@@ -324,9 +324,7 @@ def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: floa
     """
     check_ahead(t0, t_end)
     if not (isinstance(method, type) and issubclass(method, Method)):
-        raise TypeError(
-            f"method must be a class, such as VelocityVerlet, not an object; got {shown(method)}"
-        )
+        raise TypeError(f"method must be a class, such as VelocityVerlet, not an object; got {shown(method)}")
     if not isinstance(control, StepControl):
         raise TypeError(f"control must be StepControl(rtol, atol); got {shown(control)}")
     path = Path(problem, start, t0)

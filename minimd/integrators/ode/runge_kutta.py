@@ -148,12 +148,15 @@ class RungeKutta(Method):
     @classmethod
     def on(cls, problem: Problem) -> Step:
         """The step on any problem; those of index 3 need a method whose last stage is the next state.
-        Raises TypeError for Gauss-Legendre methods on problems of index 3,
-        where errors of the multipliers do not shrink with the time step."""
+        Raises TypeError for Gauss-Legendre methods on problems of index 3, where errors of the multipliers do not
+        shrink with the time step; and for a tableau with equal nodes, as explicit methods have them."""
         if isinstance(problem, DifferentialAlgebraic) and problem.index > 2 and not cls.tableau.is_stiffly_accurate:
             why = f"does not converge on problems of index {problem.index}, whose multipliers stay wrong however short"
             advice = "take RadauIIA3 or BDF3, or a Holonomic problem with a splitting"
             raise TypeError(f"{cls.name} {why} the steps; {advice}")
+        if len(set(nodes := cls.tableau.nodes.tolist())) < len(nodes):
+            why = f"has equal nodes, {nodes}, and implicit methods must have different ones"
+            raise TypeError(f"{cls.name} {why}; for explicit Runge-Kutta methods use scipy.integrate.solve_ivp")
         return StageStep(problem, cls.tableau)
 
     @classmethod

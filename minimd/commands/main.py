@@ -41,7 +41,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     commands = parser.add_subparsers(metavar="command", title="commands")
     for one in (*COMMANDS, *(other.load() for other in entry_points(group="minimd.commands")), doctor.COMMAND):
         add(commands, one)
-    arguments = parser.parse_args(argv)
+    arguments, unknown = parser.parse_known_args(argv)
+    if unknown:
+        getattr(arguments, "refuse", parser.error)(f"unrecognized arguments: {' '.join(unknown)}")
     if "command" not in arguments:
         parser.print_help()
         return OK

@@ -52,7 +52,7 @@ def add(parsers: Any, command: Command) -> None:
     """Add a command to the subparsers of argparse."""
     words = {"help": command.help, "description": command.description, "epilog": command.epilog}
     parser: argparse.ArgumentParser = parsers.add_parser(command.name, **words)
-    parser.set_defaults(command=command.run)
+    parser.set_defaults(command=command.run, refuse=parser.error)
     for one in command.arguments if command.below else (*command.arguments, QUIET):
         kind = {"type": one.kind, "metavar": one.metavar}
         given: dict[str, Any] = {name: value for name, value in kind.items() if value is not None}

@@ -74,7 +74,9 @@ def _is_word_by_word(kind: Any) -> bool:
 
 @typeof_impl.register(ByAddress)
 def _typeof(value, context):
-    return AddressType(tuple(typeof_impl(one, context) for one in value), type(value))
+    if "kind" not in vars(value):  # found once for each object: many share parts
+        vars(value)["kind"] = AddressType(tuple(typeof_impl(one, context) for one in value), type(value))
+    return vars(value)["kind"]
 
 
 @extending.register_model(AddressType)

@@ -84,7 +84,7 @@ def __getattr__(name: str) -> ModuleType:
     """A package of minimd, such as the bridge to LAMMPS, imported when it is first used."""
     if name.isidentifier() and not name.startswith("_") and find_spec(f"minimd.{name}"):
         return import_module(f"minimd.{name}")
-    known = "integrators", "observers", "lattice", "units", "mdanalysis"
+    known = () if name.startswith("_") else ("integrators", "observers", "lattice", "units", "mdanalysis")
     places = [one for one in known if hasattr(globals().get(one) or import_module(f"minimd.{one}"), name)]
     hint = f"; it is minimd.{places[0]}.{name}" if places else near(name, __all__)
     raise AttributeError(f"module 'minimd' has no attribute {name!r}{hint}")

@@ -235,8 +235,8 @@ def check(system: System, interactions: Forces, constraints: ConstraintSet) -> N
         why = "external forces, such as fields and walls, have none: remove them"
         raise ValueError(f"a barostat needs the virial of all forces, but {why}")
     if interactions.options.precision == FIXED_POINT:
-        why = "needs a constant cell, whose vectors lie on its grid; with a barostat take precision='double'"
-        raise ValueError(f"precision='fixed-point' {why}")
+        why = "needs a constant cell, with vectors on the fixed-point grid: take precision='double'"
+        raise ValueError(f"a barostat cannot be used with precision='fixed-point', which {why}")
 
 
 def check_cell(system: System) -> None:

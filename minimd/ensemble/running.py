@@ -287,7 +287,9 @@ def checked_members(members: range | None, n_members: int, resume: bool) -> rang
         words = f"members must be some of the {n_members} members, such as range(0, 50)"
         raise ValueError(f"{words}; members = {shown(members)}")
     if not resume:
-        raise ValueError(f"resume = False (--overwrite) replaces all earlier members: leave out members = {members}")
+        raise ValueError(
+            f"members = {members} cannot be given with resume = False (--overwrite), which replaces all members"
+        )
     return range(members.start, min(members.stop, n_members))
 
 

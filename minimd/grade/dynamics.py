@@ -202,7 +202,7 @@ def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
         with np.errstate(all="ignore"):
             findings = judged(LAWS, motion)
     except Exception as error:  # whatever a class raises
-        hint = "; does it keep rigid bonds?" * ("chain" in claims.scenes)
+        hint = f"; the atoms have rigid bonds: does {name} support constraints?" * ("chain" in claims.scenes)
         raise ValueError(f"{name} failed with {options}: {type(error).__name__}: {error}{hint}") from error
     is_still, laws = motion.is_still, claims.laws()
     rate = RATE / max(1, sum(len(names) for _, names in laws))

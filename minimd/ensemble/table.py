@@ -233,7 +233,8 @@ def told_averages(table: EnsembleTable) -> Iterator[str]:
     """A line of names, then the averages over members with the same parameters, a line for each of the first hundred
     sets."""
     rows = table.averaged()
-    names = [name for name in table.observables if name in TOLD or name not in SERIES] or list(table.observables)
+    own = [name for name in table.observables if not name.startswith(tuple(SERIES))]
+    names = [name for name in TOLD if name in table.observables] + own or list(table.observables)
     units = {name: f" [{table.unit(name)}]" if table.unit(name) else "" for name in names}
     lines = [[*table.parameters, "members", *(f"{name.replace('_', ' ')}{units[name]}" for name in names)]]
     for row in rows[:MOST_LINES]:

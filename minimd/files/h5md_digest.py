@@ -230,12 +230,17 @@ def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
 
 def observers_of(h5: h5py.File, restart: Restart) -> dict[str, Accumulator]:
     """The observers in an open file, by name, in their state at the restart;
-    new ones where the convention of the state is another."""
+    new ones where the convention of the state is another. A warning tells those of a kind that is not known here."""
     states, found = restart.states(), {}
     for name, group in h5.get(OBSERVERS, {}).items():
         arguments: dict[str, Any] = json.loads(group.attrs["arguments"])
+        if (kind := str(group.attrs["kind"])) not in KINDS:
+            known = f"to read it, register its class: minimd.observers.KINDS[{kind!r}] = ..."
+            left_out = f"observer {shown(name)} is left out, because its kind {shown(kind)} is not known; {known}"
+            warnings.warn(left_out, stacklevel=outside_minimd())
+            continue
         try:
-            found[name] = KINDS[group.attrs["kind"]](**arguments)
+            found[name] = KINDS[kind](**arguments)
             if found[name].can_restore(state := states.get(name, {})):
                 found[name].restore(state)
         except MemoryError:

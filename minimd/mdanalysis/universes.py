@@ -30,7 +30,8 @@ from minimd.console.quiet import outside_minimd, quiet
 from minimd.files.h5md_reader import H5MDContents, admitted, damage_told, read_file
 from minimd.files.h5md_schema import has_edges
 from minimd.files.turned_cell import ROTATION, Turn, cell_dimensions, turn_of
-from minimd.observers.motion import finite_size_correction, is_cubic
+from minimd.observers.motion import finite_size_correction, is_cubic, per_ps_in_words, with_its_error
+from minimd.observers.viscosity import ViscosityResult
 from minimd.simulation.simulation import Simulation
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.observables import Array, center
@@ -336,7 +337,8 @@ class Diffusion(Displayed):
     ----------
     coefficient : D in this cell [Å²/ps, or σ²/τ].  cm2_per_s : the same in cm²/s, None in reduced units.
     error : standard error of D, from the scatter of the slopes of the atoms; NaN for fewer than 4 atoms.
-    infinite : D in an infinite system, by the correction of Yeh and Hummer; None if no viscosity was given.
+    infinite, infinite_error : D in an infinite system, by the correction of Yeh and Hummer; None if no viscosity was
+        given.
     window : lags of the straight-line fit [ps or τ].  lags, displacements : (T,) [ps or τ], (T,)
         mean squares [Å² or σ²].
     """
@@ -348,28 +350,30 @@ class Diffusion(Displayed):
     displacements: Array
     error: float = np.nan
     infinite: float | None = None
+    infinite_error: float = np.nan
 
     @property
-    def _units(self) -> tuple[str, str]:
-        return ("σ²/τ", "τ") if self.cm2_per_s is None else ("Å²/ps", "ps")
+    def _time(self) -> str:
+        return "τ" if self.cm2_per_s is None else "ps"
+
+    def _told(self, value: float, error: float) -> str:
+        return f"{with_error(value, error)} σ²/τ" if self.cm2_per_s is None else per_ps_in_words(value, error)
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        size = "in a larger cell D is larger: viscosity= corrects for this"
-        if self.infinite is not None:
-            corrected = f"D = {with_error(self.infinite, self.error)} {self._units[0]}"
-            size = f"{corrected} in an infinite system, by Yeh and Hummer"
-        lags = f"{len(self.lags)}, up to {self.lags[-1]:.4g} {self._units[1]}"
-        return [("diffusion", str(self)), ("", size), ("lags", lags)]
+        rows = [("diffusion", str(self)), ("lags", f"{len(self.lags)}, up to {self.lags[-1]:.4g} {self._time}")]
+        larger = ("", "in a larger cell D is larger: viscosity= corrects for this")
+        return rows if self.infinite is not None else [*rows, larger]
 
     def __repr__(self) -> str:
         return f"Diffusion({self})"
 
     def __str__(self) -> str:
-        (unit, time), (start, end) = self._units, self.window
-        absolute = "" if self.cm2_per_s is None else f" = {self.cm2_per_s:.4g} cm²/s"
-        mean = f"D = {with_error(self.coefficient, self.error)} {unit}{absolute}"
-        return f"{mean}, from lags of {start:.4g} to {end:.4g} {time}"
+        time, (start, end) = self._time, self.window
+        found = f"D = {self._told(self.coefficient, self.error)}, from lags of {start:.4g} to {end:.4g} {time}"
+        if self.infinite is None:
+            return found
+        return f"{found}; {self._told(self.infinite, self.infinite_error)} in an infinite system (Yeh and Hummer)"
 
 
 def mean_square_displacement(run: Run) -> tuple[Array, Array]:
@@ -404,7 +408,7 @@ def _displacements(run: Run) -> tuple[Array, Array]:
 
 
 def diffusion_coefficient(
-    run: Run, window: tuple[float, float] | None = None, viscosity: float | None = None
+    run: Run, window: tuple[float, float] | None = None, viscosity: float | ViscosityResult | None = None
 ) -> Diffusion:
     """D from the mean-square displacement, by a straight line fitted within a window of lags, with its standard error.
 
@@ -427,6 +431,7 @@ def diffusion_coefficient(
     if chosen.sum() < 3:
         needs = f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g})"
         raise ValueError(f"{needs} holds {chosen.sum()} of {len(lags)}")
+    infinite_error = np.nan
     coefficient = float(np.polyfit(lags[chosen], squares[chosen], 1)[0]) / 6.0
     each = np.polyfit(lags[chosen], of_atoms[chosen], 1)[0] / 6.0
     error = float(each.std(ddof=1) / np.sqrt(len(each))) if len(each) >= FEW else np.nan
@@ -435,7 +440,9 @@ def diffusion_coefficient(
             needs = "the correction of Yeh and Hummer needs the file of a run in a cubic cell"
             raise ValueError(f"{needs} that is periodic in all directions; without one, do not pass viscosity")
         thermal_energy = units.k_B * float(made.contents.record.temperature.mean())
-        added = finite_size_correction(thermal_energy, viscosity, float(np.linalg.norm(cell.vectors[0])))
-        infinite = coefficient + added * units.to_angstrom**2 / units.to_picosecond
+        eta, eta_error = with_its_error(viscosity)
+        added = finite_size_correction(thermal_energy, eta, float(np.linalg.norm(cell.vectors[0])))
+        added *= units.to_angstrom**2 / units.to_picosecond
+        infinite, infinite_error = coefficient + added, float(np.hypot(error, added * eta_error / eta))
     absolute = coefficient * CM2_PER_S if units is ASE else None
-    return Diffusion(coefficient, absolute, (float(start), float(end)), lags, squares, error, infinite)
+    return Diffusion(coefficient, absolute, (float(start), float(end)), lags, squares, error, infinite, infinite_error)

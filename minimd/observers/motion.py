@@ -20,6 +20,7 @@ from minimd.observers.accumulator import ObservedRun, Result, Series, State
 from minimd.observers.arguments import argument, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
 from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, Plateau, TimeCorrelation
+from minimd.observers.viscosity import ViscosityResult
 from minimd.structure.cell import Cell
 from minimd.structure.checks import checked_count
 from minimd.structure.observables import center
@@ -36,7 +37,7 @@ XI = 2.837297  # ξ of a cubic cell
 CUBIC = 1e-9  # largest relative deviation of the squares and products of lattice vectors from those of a cube
 DECADE = 10.0  # the window of a fit ends at this multiple of its start
 LEFT = 0.5  # of the distance of neighbors: an atom that has moved by more has left its place
-CM2_PER_S = 1e-4  # per Å²/ps
+USUAL = 10.0  # 10⁻⁵ cm²/s per Å²/ps
 AXES = ("x", "y", "z")
 
 
@@ -66,13 +67,23 @@ def finite_size_correction(thermal_energy: float, viscosity: float, edge: float)
     return XI * thermal_energy / (6.0 * np.pi * viscosity * edge)
 
 
+def with_its_error(viscosity: float | ViscosityResult) -> tuple[float, float]:
+    """A viscosity and its standard error, 0 if it is a number."""
+    if isinstance(viscosity, ViscosityResult):
+        return viscosity.viscosity, viscosity.viscosity_error
+    return float(viscosity), 0.0
+
+
 def diffusion_words(coefficient: float, error: float, units: UnitSystem) -> str:
     """D in words, in Å²/ps and cm²/s, or in reduced units."""
     if units.name != "ASE":
         return f"{with_error(coefficient, error)} {units.length}²/{units.time}"
-    per_ps = 1.0 / units.to_picosecond
-    mean, uncertain = coefficient * per_ps, error * per_ps
-    return f"{with_error(mean, uncertain)} Å²/ps = {mean * CM2_PER_S:.4g} cm²/s"
+    return per_ps_in_words(coefficient / units.to_picosecond, error / units.to_picosecond)
+
+
+def per_ps_in_words(coefficient: float, error: float) -> str:
+    """D [Å²/ps] in words, also in cm²/s."""
+    return f"{with_error(coefficient, error)} Å²/ps = ({with_error(USUAL * coefficient, USUAL * error)})·10⁻⁵ cm²/s"
 
 
 class _OfAtoms(TimeCorrelation):
@@ -216,12 +227,15 @@ class MeanSquareDisplacement(_OfAtoms):
     def _parts(self) -> list[Any]:
         return [*super()._parts(), self._of_cell]
 
-    def result(self, window: tuple[float, float] | None = None, viscosity: float | None = None) -> DisplacementResult:
+    def result(
+        self, window: tuple[float, float] | None = None, viscosity: float | ViscosityResult | None = None
+    ) -> DisplacementResult:
         """The displacements so far, and D of the atoms, each with its standard error.
 
         window : lags for the fit of a straight line [time]; if not given, a decade that begins when atoms have moved by
             half the distance of neighbors, and ends at a quarter of the run at the latest.
-        viscosity : η [energy time/length³], for the finite-size correction of Yeh and Hummer, which needs a cubic cell.
+        viscosity : η [energy time/length³], for the finite-size correction of Yeh and Hummer, which needs a cubic cell;
+            or the result of md.observers.Viscosity, whose error then counts, too.
 
         Raises ValueError before the first look, for a window with fewer than 3 lags, or if a viscosity is given and the
         cell is not cubic.
@@ -296,7 +310,8 @@ class DisplacementResult(MotionResult):
     means, errors : (1 + S + 3, T) [length²], of all atoms, of those of each species, and along x, y, z.
     diffusion, diffusion_error : D in this cell [length²/time]; NaN if the window holds too few lags.
         diffusion_of_species : D of each, (S,).
-    infinite, infinite_error : D of an infinite system by Yeh and Hummer; NaN without a viscosity.
+    infinite, infinite_error : D of an infinite system by Yeh and Hummer; NaN without a viscosity. The error includes
+        that of the viscosity, if it is known.
     window : of the straight line [time].  temperature, volume : means.
     n_atoms : number of atoms whose displacements were measured.
     """
@@ -309,6 +324,7 @@ class DisplacementResult(MotionResult):
     diffusion_error: float = np.nan
     diffusion_of_species: tuple[float, ...] = ()
     infinite: float = np.nan
+    infinite_error: float = np.nan
     window: tuple[float, float] = (np.nan, np.nan)
     title = "mean-square displacement"
     symbol = "msd"
@@ -318,14 +334,8 @@ class DisplacementResult(MotionResult):
         """(T,) [length²], of all atoms."""
         return np.asarray(self.means[0])
 
-    @property
-    def infinite_error(self) -> float:
-        """Standard error of infinite; it does not include the error of the viscosity."""
-        return self.diffusion_error if np.isfinite(self.infinite) else np.nan
-
-    def fitted(
-        self, without: Array, window: tuple[float, float] | None, longest: float, viscosity: float | None
-    ) -> DisplacementResult:
+    def fitted(self, without: Array, window: tuple[float, float] | None, longest: float,
+               viscosity: float | ViscosityResult | None) -> DisplacementResult:  # fmt: skip
         """This result with D.  without : (K, 1 + S + 3, T) replicas of the means.  longest : last lag for a fit [time].
         Raises ValueError."""
         spacing = (self.volume / self.scene.n_atoms) ** (1.0 / 3.0)
@@ -344,19 +354,22 @@ class DisplacementResult(MotionResult):
         coefficients = slope(times, self.means[:n, inside]) / 6.0
         error = float(spread(slope(times, without[:, 0, inside]) / 6.0)) if len(without) else np.nan
         found, *of_species = coefficients.tolist()
-        ends, infinite = (float(times[0]), float(times[-1])), np.nan
+        made = {"diffusion": found, "diffusion_error": error, "diffusion_of_species": tuple(of_species)}
+        made["window"] = float(times[0]), float(times[-1])
         if viscosity is not None:
             if not self.is_cubic:
                 needs = "needs a cubic cell that is periodic in all directions; without one, do not pass viscosity"
                 raise ValueError(f"the correction of Yeh and Hummer {needs}")
             thermal_energy, edge = self.units.k_B * self.temperature, self.volume ** (1.0 / 3.0)
-            infinite = found + finite_size_correction(thermal_energy, viscosity, edge)
-        made = {"diffusion": found, "diffusion_error": error, "diffusion_of_species": tuple(of_species)}
-        return replace(self, **made, window=ends, infinite=infinite)
+            eta, eta_error = with_its_error(viscosity)
+            added = finite_size_correction(thermal_energy, eta, edge)
+            made |= {"infinite": found + added, "infinite_error": float(np.hypot(error, added * eta_error / eta))}
+        return replace(self, **made)
 
     def numbers(self) -> dict[str, float]:
         """See Result."""
-        return {**super().numbers(), "diffusion_infinite": self.infinite}
+        infinite = {"diffusion_infinite": self.infinite, "diffusion_infinite_error": self.infinite_error}
+        return {**super().numbers(), **infinite}
 
     def display_rows(self) -> Rows:
         """See Displayed."""

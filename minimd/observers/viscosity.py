@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
+ENOUGH = 100.0  # times the start of the plateau: a shorter run knows its error bar badly
 POINTS = 32  # entries on each level of the correlator: averages are over at most a sixteenth of a lag
 WEIGHT = 10.0  # divisor of the sum over all components of a symmetric tensor without trace
 MPA_S = 1e-4 / (BAR * PICOSECOND)  # per eV/Å³ Å √(u/eV): a bar times a picosecond is 1e-4 mPa s
@@ -73,7 +74,8 @@ class Viscosity(TimeCorrelation):
             return correlation(sums) * (sums[VOLUME] / (k_B * sums[TEMPERATURE]))  # both are sums over the same looks
 
         values, errors, found = self._integral(times, longest, integrand)
-        return ViscosityResult(scene, times, *self._estimate(times, longest, correlation), values, errors, found)
+        correlations, duration = self._estimate(times, longest, correlation), self.n_looks * scene.spacing
+        return ViscosityResult(scene, times, *correlations, values, errors, found, duration)
 
 
 def traceless(tensor: Array) -> Array:
@@ -89,6 +91,7 @@ class ViscosityResult(Result):
 
     times : (T,) lags [time].  autocorrelation, autocorrelation_error : C, (T,) [pressure²].
     integral, integral_error : V/(k_B T) ∫₀ᵗ C, (T,) [pressure time].  plateau : of the integral, with η.
+    duration : of the run [time].
     """
 
     times: Array
@@ -97,6 +100,7 @@ class ViscosityResult(Result):
     integral: Array
     integral_error: Array
     plateau: Plateau
+    duration: float
     title = "viscosity"
     coefficients = ("viscosity", "viscosity_error")
 
@@ -125,7 +129,11 @@ class ViscosityResult(Result):
         if units.name == "ASE":
             factor, unit = MPA_S, "mPa s"
         words = with_error(self.viscosity * factor, self.viscosity_error * factor)
-        return [("viscosity", f"η = {words} {unit}; {self.plateau.said(units)}")]
+        rows = [("viscosity", f"η = {words} {unit}; {self.plateau.said(units)}")]
+        if self.duration < (enough := ENOUGH * self.plateau.window[0]):
+            short = f"the run is SHORT, {units.shown(self.duration)}: its error bar is reliable"
+            rows.append(("", f"{short} from about {units.shown(enough)} on"))
+        return rows
 
     def draw(self, panel: Axes) -> None:
         """See Result."""

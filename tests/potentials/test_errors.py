@@ -8,6 +8,13 @@ import minimd as md
 
 R = np.linspace(0.8, 2.5, 10)
 CHAINS = [[k, k + 1, k + 2, k + 3] for k in range(7)]
+
+
+def waving(x, y, z, t):
+    """It does not change with time at t = 0, nor at x = 0."""
+    return x * np.cos(3.0 * t), -np.cos(3.0 * t), 0.0, 0.0
+
+
 LINE = md.System(np.arange(10)[:, None] * [1.0, 0.3, 0.0])
 TWO = md.System([[0, 0, 0], [1, 0, 0]], bonds=[[0, 1]])
 TALL = md.System([[0.1, 0.2, 0.3], [0.4, 0.2, -0.6]], cell=[[3.6, 0, 0], [1.2, 3.5, 0], [-0.8, 0.7, 4.0]])
@@ -56,6 +63,7 @@ test_what_is_wrong_is_named_and_shown = answered(
     (lambda: md.evaluate(LINE, md.Restraint(1.0, np.zeros((2, 3)))), ValueError, "points", "(10, 3)", "(2, 3)"),
     (lambda: md.evaluate(LINE, md.Field(lambda x, y, z, t: (x * y, -y, x, 0.0))), ValueError, "∂u/∂y"),
     (lambda: md.evaluate(LINE, md.Field(lambda x, y, z, t: (x * t, -t, 0.0, 0.0))), ValueError, "∂u/∂t"),
+    (lambda: md.evaluate(LINE, md.Field(waving)), ValueError, "fifth"),
     (lambda: md.evaluate(LINE, md.Field(lambda x, y, z, t: (x, 1.0, 0.0))), TypeError, "returns 3 numbers"),
     (lambda: md.evaluate(LINE, md.Field(saddle, (1.0, 2.0))), TypeError, "2 parameters"),
     (lambda: md.Simulation(TWO, md.Field(saddle, (1.0,)), md.VelocityVerlet(0.01), precision="fixed-point"),

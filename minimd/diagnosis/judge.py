@@ -395,6 +395,18 @@ def bottomless_law(evidence: Evidence) -> Verdict | None:
     return Verdict(cause, "give the law a repulsive core; a shorter timestep does not help", pair)
 
 
+def law_on_a_constraint(evidence: Evidence) -> Verdict | None:
+    """A pair law that acts most strongly between two atoms whose distance is held."""
+    pair, bonds = evidence.strongest, evidence.engine.constraint_set.bonds
+    if pair is None or pair.is_bond or bonds is None:
+        return None
+    if not among(np.array([[pair.first, pair.second]]), bonds.pairs).any():
+        return None
+    cause = f"{pair.law} acts between {pair.atoms}, although a constraint holds their distance"
+    advice = "give bonds=... to the system and bonded_scale=(0, 1, 1) to the potential, or exclusions"
+    return Verdict(f"{cause}, {pair.apart(evidence.units.length)}", advice, pair)
+
+
 def too_hot(evidence: Evidence) -> Verdict | None:
     """Atoms, all or one of them, that were too fast before anything had gone wrong."""
     pairs = [one for one in evidence.found if one.ratio and not one.is_bond]
@@ -467,7 +479,8 @@ RULES = (
     Rule(START, "start", thrown_at_start), Rule(DURING, "number", not_numbers),
     Rule(DURING, "neighbors", past_neighbors), Rule(AFTER, "law", law_without_number),
     Rule(AFTER, "overlap", overlap_at_start), Rule(AFTER, "overlap", one_place), Rule(AFTER, "barostat", barostat),
-    Rule(AFTER, "constraint", broken_constraint), Rule(AFTER, "bond", unstable_bond),
+    Rule(AFTER, "law", law_on_a_constraint), Rule(AFTER, "constraint", broken_constraint),
+    Rule(AFTER, "bond", unstable_bond),
     Rule(AFTER, "law", bottomless_law), Rule(AFTER, "hot", too_hot), Rule(AFTER, "pair", collision_in_a_step),
     Rule(AFTER, "step", unstable_mode), Rule(AFTER, "law", unknown_forces), Rule(AFTER, "pair", long_step))  # fmt: skip
 

@@ -97,7 +97,8 @@ class StructureFactor(Accumulator):
         S(q) = ⟨|Σ_j exp(i q · r_j)|²⟩ / N
 
     Each shell has the mean over some n_waves wave vectors: those of the cell that are nearest to n_waves directions,
-    spread evenly. Shells without a wave vector of the cell, as at small q, are left out. If the cell changes, so do the
+    spread evenly. This suits liquids and glasses, which look the same in all directions; in a crystal most Bragg peaks
+    are missed. Shells without a wave vector of the cell, as at small q, are left out. If the cell changes, so do the
     wave vectors, not the shells; q is the mean over the run.
 
     Raises ValueError for arguments out of range; when a run begins, for a cell that is not periodic in all directions.

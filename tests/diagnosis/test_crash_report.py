@@ -69,6 +69,12 @@ def of_two(law, second, timestep, velocities=0.0):
     return md.Simulation(system, law, md.VelocityVerlet(timestep))
 
 
+def with_law_in_a_molecule():
+    system = md.System([[0.0, 0, 0], [0.1, 0.05, 0], [1.5, 0, 0]])
+    rigid = md.DistanceConstraints([[0, 1]])
+    return md.Simulation(system, md.LennardJones(1.0, 1.0), md.VelocityVerlet(0.004), rigid)
+
+
 def one_fast_atom():
     simulation = melt(0.005)
     simulation.velocities[7] = [400.0, 0.0, 0.0]
@@ -85,6 +91,7 @@ CASES = [  # scene, kind of the cause, what is said
     (chain, "bond", r"Δt·ω = \d\.\d+ \(stable to 2\)"), (lambda: melt(0.04), "pair", "atoms"),
     (one_fast_atom, "hot", "atom 7"), (rigid_with_one_fixed, "constraint", "atoms"),
     (lambda: of_two(HOLLOW, 1.5, 0.01, APPROACHING), "law", "atoms 0 and 1"),
+    (with_law_in_a_molecule, "law", "0 and 1, although a constraint holds"),
     # beyond all numbers in use: positions are still finite, but no System can hold them
     (lambda: of_two(SPRING, 1.0, 10.0, FAST), "pair", r"\nAt step 1: positions of 2 .* 1e\+75"),
 ]  # fmt: skip

@@ -262,6 +262,11 @@ def test_the_correction_of_yeh_and_hummer(run):
     expected = 2.837297 * result.temperature / (6.0 * np.pi * 2.0 * run.edges[0])
     assert result.infinite - result.diffusion == pytest.approx(expected, rel=1e-12)
     assert result.diffusion == looking.result(window=window).diffusion
+    eta, added = run.looking["viscosity"].result(), result.infinite - result.diffusion
+    both = looking.result(window=window, viscosity=eta)  # the correction goes as 1/η
+    assert both.infinite - both.diffusion == pytest.approx(added * 2.0 / eta.viscosity)
+    of_viscosity = added * 2.0 / eta.viscosity**2 * eta.viscosity_error
+    assert both.infinite_error == pytest.approx(np.hypot(both.diffusion_error, of_viscosity))
     assert_answered(lambda: looking.result(window=(0.1, 0.101)), ValueError, "window", "0.101")
 
 

@@ -56,23 +56,16 @@ def rigid_with_one_fixed():
     return scene._replace(constraints=[*scene.constraints, md.FixedAtoms([2])]).simulation(md.VelocityVerlet(0.08))
 
 
-def heated_on_a_grid():
-    """Its grid is not the one that would be chosen for its last state."""
+def heated_on_a_grid():  # which is not the one that would be chosen for its last state
     simulation = SCENES["argon"]().simulation(md.VelocityVerlet(0.004), precision="fixed-point")
     simulation.velocities[:] *= 4.0
     simulation.method = md.VelocityVerlet(0.02)
     return simulation
 
 
-def of_two(law, second, timestep, velocities=0.0):
+def of_two(law, second, timestep, velocities=0.0, constraints=None):
     system = md.System([[0.0, 0, 0], [second, 0, 0]], velocities=np.full((2, 3), velocities))
-    return md.Simulation(system, law, md.VelocityVerlet(timestep))
-
-
-def with_law_in_a_molecule():
-    system = md.System([[0.0, 0, 0], [0.1, 0.05, 0], [1.5, 0, 0]])
-    rigid = md.DistanceConstraints([[0, 1]])
-    return md.Simulation(system, md.LennardJones(1.0, 1.0), md.VelocityVerlet(0.004), rigid)
+    return md.Simulation(system, law, md.VelocityVerlet(timestep), constraints)
 
 
 def one_fast_atom():
@@ -91,7 +84,7 @@ CASES = [  # scene, kind of the cause, what is said
     (chain, "bond", r"Δt·ω = \d\.\d+ \(stable to 2\)"), (lambda: melt(0.04), "pair", "atoms"),
     (one_fast_atom, "hot", "atom 7"), (rigid_with_one_fixed, "constraint", "atoms"),
     (lambda: of_two(HOLLOW, 1.5, 0.01, APPROACHING), "law", "atoms 0 and 1"),
-    (with_law_in_a_molecule, "law", "0 and 1, although a constraint holds"),
+    (lambda: of_two(md.LennardJones(1, 1), 0.02, 0.004, constraints=md.DistanceConstraints([[0, 1]])), "law", "holds"),
     # beyond all numbers in use: positions are still finite, but no System can hold them
     (lambda: of_two(SPRING, 1.0, 10.0, FAST), "pair", r"\nAt step 1: positions of 2 .* 1e\+75"),
 ]  # fmt: skip

@@ -1,5 +1,7 @@
 """Wrong potentials, fields, tables and laws: refused with the name of the argument and its value, or with the atoms."""
 
+from math import cos
+
 import numpy as np
 import pytest
 from wrong_calls import answered
@@ -8,11 +10,6 @@ import minimd as md
 
 R = np.linspace(0.8, 2.5, 10)
 CHAINS = [[k, k + 1, k + 2, k + 3] for k in range(7)]
-
-
-def waving(x, y, z, t):
-    """It does not change with time at t = 0, nor at x = 0."""
-    return x * np.cos(3.0 * t), -np.cos(3.0 * t), 0.0, 0.0
 
 
 LINE = md.System(np.arange(10)[:, None] * [1.0, 0.3, 0.0])
@@ -63,7 +60,7 @@ test_what_is_wrong_is_named_and_shown = answered(
     (lambda: md.evaluate(LINE, md.Restraint(1.0, np.zeros((2, 3)))), ValueError, "points", "(10, 3)", "(2, 3)"),
     (lambda: md.evaluate(LINE, md.Field(lambda x, y, z, t: (x * y, -y, x, 0.0))), ValueError, "∂u/∂y"),
     (lambda: md.evaluate(LINE, md.Field(lambda x, y, z, t: (x * t, -t, 0.0, 0.0))), ValueError, "∂u/∂t"),
-    (lambda: md.evaluate(LINE, md.Field(waving)), ValueError, "fifth"),
+    (lambda: md.evaluate(LINE, md.Field(lambda x, y, z, t: (x * cos(t), -cos(t), 0.0, 0.0))), ValueError, "fifth"),
     (lambda: md.evaluate(LINE, md.Field(lambda x, y, z, t: (x, 1.0, 0.0))), TypeError, "returns 3 numbers"),
     (lambda: md.evaluate(LINE, md.Field(saddle, (1.0, 2.0))), TypeError, "2 parameters"),
     (lambda: md.Simulation(TWO, md.Field(saddle, (1.0,)), md.VelocityVerlet(0.01), precision="fixed-point"),

@@ -30,7 +30,7 @@ from minimd.structure.vectors import Array
 QUICK = 0.1  # of the relaxation time of a barostat, between two strains: fluctuations are then wrong by up to a tenth
 CRUSHING = 0.5  # eV/Å³: 80 GPa, far more than a Lennard-Jones solid is good for
 USUAL = 0.3  # times 1/ω of the fastest motion: 20 steps in its period
-TOO_SHORT = 0.01  # of the usual step
+TOO_SHORT = 0.001  # of the usual step
 MEANT = 1e-30  # likewise: a step below this is no error of the unit, somebody wants atoms that stand still
 MOVING = 1e-6  # of Σ|mv|: a smaller total momentum is rounding, of files with six digits or in single precision
 TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
@@ -222,7 +222,7 @@ def longer_than_collisions(evidence: Evidence) -> Verdict | None:
 def short_step(evidence: Evidence) -> Verdict | None:
     """A time step far shorter than the harmonic bonds and the collisions of Lennard-Jones atoms need."""
     usual, shown = evidence.usual_step(), evidence.shown
-    if not MEANT < evidence.timestep / usual < TOO_SHORT:
+    if not MEANT * usual < evidence.timestep < TOO_SHORT * usual:
         return None
     is_short = f"timestep {shown(evidence.timestep)} is far shorter than these atoms need"
     unit = f"check the unit of the time step{', such as 5 * md.units.fs' * (evidence.units == ASE)}"

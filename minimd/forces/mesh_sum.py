@@ -14,7 +14,7 @@ T. Darden, D. York, L. Pedersen, J. Chem. Phys. 98, 10089 (1993); U. Essmann et 
 
 from collections import namedtuple
 from collections.abc import Iterator
-from math import pi
+from math import pi, prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -213,12 +213,12 @@ def charge_sum(
     )
     times = {
         window: PER_SUM
-        + PER_POINT * float(np.prod(shape_for(system, window)))
+        + PER_POINT * prod(shape_for(system, window))
         + len(system) * (PER_ATOM + PER_ROW * window.points**2 * -(-window.points // Lanes8.size))
         for window in (windows(split) if method == "mesh" or wave_by_wave > PER_SUM else [])
     }
     best = min(times, key=times.__getitem__, default=None)
-    if best is not None and np.prod(shape_for(system, best)) > MOST_POINTS:
+    if best is not None and prod(shape_for(system, best)) > MOST_POINTS:
         needs = (
             f"needs a mesh of {' x '.join(map(str, shape_for(system, best)))} points, at most {MOST_POINTS} are allowed"
         )

@@ -72,11 +72,11 @@ def test_any_frames_of_an_h5md_file_are_read_and_atoms_are_bonded(written, known
 @pytest.mark.slow
 def test_ase_finds_format_and_calculator_by_the_entry_points(tmp_path):
     """The format without loading minimd: everybody who imports ase.io would wait for it."""
-    place = tmp_path / "site" / "minimd-0.dist-info"  # installed as far as entry points go
+    place = tmp_path / "site" / "minimd_engine-0.dist-info"  # installed as far as entry points go
     place.mkdir(parents=True)
     rows = [f"[{group}]\n{name} = {target}\n" for group, of in entry_points().items() for name, target in of.items()]
     (place / "entry_points.txt").write_text("".join(rows))
-    (place / "METADATA").write_text("Metadata-Version: 2.1\nName: minimd\nVersion: 0\nSummary: installed\n")
+    (place / "METADATA").write_text("Metadata-Version: 2.1\nName: minimd-engine\nVersion: 0\nSummary: installed\n")
     made = ended("-W", "error::UserWarning", "-c", ANSWER, PYTHONPATH=f"{REPOSITORY}:{place.parent}")
     assert made.returncode == 0, made.stderr
     assert made.stdout.splitlines() == ["True minimd-h5md False", "('minimd', 'Calculator')"]

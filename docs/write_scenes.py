@@ -50,7 +50,7 @@ MEANINGS = {
         "units": "units of the whole file; LJ: reduced",
     },
     "structure": {
-        "file": "structure file that ASE or MDAnalysis reads, relative to the scene; instead of `lattice`",
+        "file": "structure file for ASE or MDAnalysis, with a path relative to the scene file; instead of `lattice`",
         "lattice": "crystal structure of a block of atoms",
         "element": "chemical symbol of the atoms of `lattice`; it gives the masses, which are 1 in reduced units",
         "repeat": "number of cubic cells along x, y and z",
@@ -63,7 +63,7 @@ MEANINGS = {
         "format": 'format of `file`, such as `"lammps-data"`, if the suffix does not show it',
         "bonds": (
             'pairs of atoms; or `"file"`: the bonds, angles and dihedrals of `file`; or the name of another file with '
-            "bonds, whose charges are used if `file` has none"
+            "bonds; charges of that file are used if `file` has none"
         ),
     },
     "water": {
@@ -86,7 +86,7 @@ MEANINGS = {
         "epsilon": "depth of the well, the same for all species",
         "sigma": "distance where u = 0, the same for all species",
         "species": "table of parameters of each species, see below; instead of `epsilon` and `sigma`",
-        "pairs": "parameters of two species that do not follow the mixing rule, see below",
+        "pairs": "for two species, parameters that do not follow the mixing rule, see below",
         "mixing": "rule for unlike species",
         "cutoff": "r_c; required in a periodic cell",
         "truncation": "how the law goes to zero at the cutoff",
@@ -105,8 +105,8 @@ MEANINGS = {
     "potential, tabulated": {
         "type": "type of the potential",
         "file": (
-            "file, relative to the scene, with a table for all atoms: columns r and u in the units of the scene; or "
-            "a name in `[tables]`"
+            "file with a table for all atoms: columns r and u in the units of the scene; its path is relative to the "
+            "scene file; or a name in `[tables]`"
         ),
         "pairs": "a table for each pair of species, see below; instead of `file`",
         "cutoff": "r_c; if not given, the last r of the table",
@@ -130,7 +130,7 @@ MEANINGS = {
             "isothermal compressibility; a rough value is enough: 4.6e-5 bar⁻¹ for water, 2e-4 bar⁻¹ for liquid argon"
         ),
         "relaxation_time": "relaxation time of the volume, at least ten times the time between two strains",
-        "coupling": "strains: the same along all axes, any strain, or independent strains along the named axes",
+        "coupling": "strain of the cell: the same along all axes, any strain, or independent ones along the named axes",
         "every": "steps between two strains",
         "seed": "seed of the noise",
     },

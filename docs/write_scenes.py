@@ -50,11 +50,11 @@ MEANINGS = {
         "units": "units of the whole file; LJ: reduced",
     },
     "structure": {
-        "file": "structure file that ASE or MDAnalysis reads, relative to the scene; instead of `lattice`",
+        "file": "structure file for ASE or MDAnalysis, with a path relative to the scene file; instead of `lattice`",
         "lattice": "crystal structure of a block of atoms",
         "element": "chemical symbol of the atoms of `lattice`; it gives the masses, which are 1 in reduced units",
         "repeat": "number of cubic cells along x, y and z",
-        "density": "mass density of the crystal; in reduced units number density",
+        "density": "mass density of the crystal; in reduced units its number density",
         "lattice_constant": "edge of the cubic cell, instead of `density`",
         "cell": "edges of the cell, instead of those of the file; 0 in a direction that is not periodic",
         "pbc": "whether directions are periodic: one value for all, or three; `[true, true, false]` for a slab",
@@ -63,7 +63,7 @@ MEANINGS = {
         "format": 'format of `file`, such as `"lammps-data"`, if the suffix does not show it',
         "bonds": (
             'pairs of atoms; or `"file"`: the bonds, angles and dihedrals of `file`; or the name of another file with '
-            "bonds, whose charges are used if `file` has none"
+            "bonds; charges of that file are used if `file` has none"
         ),
     },
     "water": {
@@ -86,7 +86,7 @@ MEANINGS = {
         "epsilon": "depth of the well, the same for all species",
         "sigma": "distance where u = 0, the same for all species",
         "species": "table of parameters of each species, see below; instead of `epsilon` and `sigma`",
-        "pairs": "parameters of two species that do not follow the mixing rule, see below",
+        "pairs": "for two species, parameters that do not follow the mixing rule, see below",
         "mixing": "rule for unlike species",
         "cutoff": "r_c; required in a periodic cell",
         "truncation": "how the law goes to zero at the cutoff",
@@ -105,8 +105,8 @@ MEANINGS = {
     "potential, tabulated": {
         "type": "type of the potential",
         "file": (
-            "file, relative to the scene, with a table for all atoms: columns r and u in the units of the scene; or "
-            "a name in `[tables]`"
+            "file with a table for all atoms: columns r and u in the units of the scene; its path is relative to the "
+            "scene file; or a name in `[tables]`"
         ),
         "pairs": "a table for each pair of species, see below; instead of `file`",
         "cutoff": "r_c; if not given, the last r of the table",
@@ -118,11 +118,11 @@ MEANINGS = {
         "method": "integration method",
         "timestep": "time step",
         "steps": "number of steps of the run",
-        "temperature": "initial temperature, and that of a thermostat; if not given, the velocities are not changed",
+        "temperature": "initial temperature, also that of a thermostat; if not given, the velocities are not changed",
         "relaxation_time": "relaxation time of a thermostat, required with one; 1/friction in Langevin dynamics",
         "seed": "seed of velocities and noise",
-        "threads": "largest number of threads; if not given, all cores of the process",
-        "precision": "precision of the forces between pairs",
+        "threads": "largest number of threads; if not given, the number of cores that the process may use",
+        "precision": "arithmetic of the run, see [fixed point](fixed-point.md)",
     },
     "barostat": {
         "pressure": "target pressure",
@@ -130,13 +130,13 @@ MEANINGS = {
             "isothermal compressibility; a rough value is enough: 4.6e-5 bar⁻¹ for water, 2e-4 bar⁻¹ for liquid argon"
         ),
         "relaxation_time": "relaxation time of the volume, at least ten times the time between two strains",
-        "coupling": "strains: the same along all axes, any strain, or independent strains along the named axes",
+        "coupling": "strain of the cell: the same along all axes, any strain, or independent ones along the named axes",
         "every": "steps between two strains",
         "seed": "seed of the noise",
     },
     "minimization": {
-        "force_tolerance": "largest force at the end",
-        "max_steps": "largest number of steps",
+        "force_tolerance": "minimization ends when no force is larger",
+        "max_steps": "largest number of steps of the minimization",
         "max_step_length": "largest displacement of an atom in one step",
     },
     "equilibration": {
@@ -186,9 +186,9 @@ steps = 20
 temperature_K = 94.4
 ```
 
-The key of a quantity ends in its unit, as `timestep_fs` does. With `units = "LJ"` numbers are reduced, and keys \
-have no such ending (`timestep`),
-except for angles. An unknown key is refused; the message lists the known keys. The tables below have every \
+The key of a quantity ends in its unit, as `timestep_fs` does. With `units = "LJ"` numbers are in reduced units, and \
+keys have no such ending (`timestep`),
+except for angles. minimd refuses an unknown key, and lists the known keys. The tables below have every \
 key. (`docs/write_scenes.py` makes
 this page from the code that reads scenes.)
 """
@@ -206,16 +206,16 @@ NOTES = {
         "Rigid water, instead of `[structure]`: atoms, charges, potentials and constraints of a water model, as "
         "`md.water` makes them. Further potentials may be added. `[water]` alone makes 512 molecules of SPC/E. "
         "The molecules stand on a lattice, with random orientations: add a `[minimization]`, and an `[equilibration]` "
-        "or a bath. Units must be ASE's, and `[constraints]` must not have `pairs`."
+        "or a thermostat. Units must be ASE's, and `[constraints]` must not have `pairs`."
     ),
     "constraints": "Optional. Constraints that are not given here are those of the structure file.",
     "potential, lennard-jones": (
         "Double brackets: a scene can have several potentials. Give either `epsilon` and `sigma`, or `species`."
     ),
     "potential, fene-bond": (
-        "`bonded_scale = [0.0, 1.0, 1.0]` of the potential between all beads excludes bonded pairs from it."
+        "To exclude bonded pairs from a pair potential, set its `bonded_scale = [0.0, 1.0, 1.0]`."
     ),
-    "potential, steered-spring": "The work of the moving points is recorded as `work`.",
+    "potential, steered-spring": "The record has the work of the moving points as `work`.",
     "potential, wall": (
         "Walls are external forces. The page on [forces](forces.md) has the formulas of all potentials."
     ),
@@ -227,21 +227,20 @@ NOTES = {
     "potential, tabulated": "Give either `file` or `pairs`.",
     "potential, coulomb": "The charges are those of `[structure]`: from its `file`, or from its key `charges`.",
     "tables": (
-        "`[tables.X]` replaces a file named X. The scene that is stored in the file of a run has its tables in this "
-        "form."
+        "The table `[tables.X]` is used instead of a file named X. The file of a run stores its scene with such tables."
     ),
     "barostat": (
         "Optional. Stochastic cell rescaling keeps the pressure constant, at the temperature of `[dynamics]`; see "
         "[pressure.md](pressure.md)."
     ),
     "minimization": (
-        "Optional. Before everything else, atoms move to a nearby minimum of the energy. A `[minimization]` without "
-        "keys uses the defaults."
+        "Optional. Before all steps, atoms move to a nearby minimum of the energy. A `[minimization]` without keys "
+        "uses the defaults."
     ),
-    "equilibration": "Optional. These steps come before the run and rescale the velocities.",
+    "equilibration": "Optional. Steps before the run, in which velocities are rescaled to a temperature.",
     "observer": (
         "Optional. Double brackets: a scene can have several observers. Keys that are not given have the defaults of "
-        "the kind."
+        "the observer."
     ),
     "output": "Optional.",
 }

@@ -13,7 +13,7 @@ from minimd.integrators import Mechanical, RadauIIA3, run_until
 
 angle, end = 1.0, 3.0  # rad, released at rest; time √(rod/g)
 
-pendulum = Mechanical(1.0, lambda q: np.array([0.0, -1.0]), g=lambda q: (q @ q - 1) / 2, gradient=lambda q: q)
+pendulum = Mechanical(1.0, lambda q: np.array([0.0, -1.0]), g=lambda q: (q @ q - 1) / 2, jacobian=lambda q: q)
 start = (np.sin(angle), -np.cos(angle)), (0.0, 0.0)  # minimd computes the tension
 
 

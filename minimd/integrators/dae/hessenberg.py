@@ -237,27 +237,27 @@ class Mechanical(Hessenberg):
     ----------
     mass : number, (n,) diagonal, (n, n) matrix, or a function of q that answers with one of them [mass].
     force : function of t, q, v, or of some of them under these names [force].
-    g : (m,) constraints, function of t, q.  gradient : (m, n) G = ∂g/∂q, a function of the same; by differences of
+    g : (m,) constraints, function of t, q.  jacobian : (m, n) G = ∂g/∂q, a function of the same; by differences of
         order 6 if not given.
 
     The start is (q, v), or (q, v, λ) with a guess of λ; the force of the constraints is −Gᵀ λ. An error of G is one of
-    this force: for all digits of λ and v′ give the gradient. The message of a solution says how large the error is.
+    this force: for all digits of λ and v′ give the jacobian. The message of a solution says how large the error is.
     """
 
     index, names, functions, regular = 3, ("q", "v", "λ"), (("q′", 2), ("force", 2), ("g", 1)), "G M⁻¹ Gᵀ"
     chain = ("g", "dg/dt = G v + g_t", "d²g/dt²")
 
-    def __init__(self, mass: ArrayLike | Function, force: Function, g: Function, gradient: Function | None = None,
+    def __init__(self, mass: ArrayLike | Function, force: Function, g: Function, jacobian: Function | None = None,
                  solver: Newton = Newton()) -> None:  # fmt: skip
         super().__init__(solver, lambda v: v, force, g)
         self._force = self._functions[1]
-        self._gradient = gradient if gradient is None else taking(gradient, "t q", "gradient")
+        self._jacobian = jacobian if jacobian is None else taking(jacobian, "t q", "jacobian")
         self._mass = taking(mass if callable(mass) else lambda: mass, "q", "mass")
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """See Hessenberg."""
         y = super().begin(start, t0)
-        self.remark = remark_on_differences("G = ∂g/∂q", partial(self.g, t0), self._gradient, self.parts(y)[0])
+        self.remark = remark_on_differences("G = ∂g/∂q", partial(self.g, t0), self._jacobian, self.parts(y)[0])
         return y
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
@@ -281,11 +281,11 @@ class Mechanical(Hessenberg):
         def momentum(q: Array, v: Array) -> Array:
             return np.dot(self.mass(q), v_slope) - self._pull(t, q, v, multipliers)
 
-        here, gradient, matrix = momentum(q, v), self.gradient(t, q), np.zeros((y.size, y.size))
+        here, jacobian, matrix = momentum(q, v), self.jacobian(t, q), np.zeros((y.size, y.size))
         matrix[of_q, of_v] = -np.eye(q.size)
         matrix[of_v, of_q] = forward_differences(lambda x: momentum(x, v), q, here)
         matrix[of_v, of_v] = forward_differences(lambda x: momentum(q, x), v, here)
-        matrix[of_v, of_multipliers], matrix[of_multipliers, of_q] = gradient.T, gradient
+        matrix[of_v, of_multipliers], matrix[of_multipliers, of_q] = jacobian.T, jacobian
         return matrix
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
@@ -302,7 +302,7 @@ class Mechanical(Hessenberg):
         q, v, _ = parts
         q_second = self._highest_derivative(t, *parts)
         turning = time_derivative(lambda e: self.g(t + e, q + e * v), 2, unit_of_time(q, v, q_second))
-        return self.gradient(t, q) @ q_second + turning
+        return self.jacobian(t, q) @ q_second + turning
 
     def mass(self, q: Array) -> Array:
         """M(q), (n, n)."""
@@ -312,12 +312,12 @@ class Mechanical(Hessenberg):
             raise ValueError(f"mass must be {needed}; got {mass.size} numbers")
         return mass.reshape(n, n) if mass.size == n * n else np.eye(n) * mass
 
-    def gradient(self, t: float, q: Array) -> Array:
+    def jacobian(self, t: float, q: Array) -> Array:
         """G(t, q), (m, n)."""
-        return derivative(partial(self.g, t), self._gradient and partial(self._gradient, t), q)
+        return derivative(partial(self.g, t), self._jacobian and partial(self._jacobian, t), q)
 
     def _pull(self, t: float, q: Array, v: Array, multipliers: Array) -> Array:
-        return self._force(t, q, v) - multipliers @ self.gradient(t, q)
+        return self._force(t, q, v) - multipliers @ self.jacobian(t, q)
 
     def _highest_derivative(self, t: float, *parts: Array) -> Array:
         """q″ = M⁻¹ (f − Gᵀ λ)."""

@@ -61,7 +61,7 @@ class Holonomic(SecondOrder):
         """g(q), (m,), for q of length n."""
         return np.array(self._g(q.reshape(self.shape)), dtype=float).reshape(-1)
 
-    def gradient(self, q: Array) -> Array:
+    def jacobian(self, q: Array) -> Array:
         """G(q), (m, n)."""
         given = self._jacobian
         return derivative(self.violation, given and (lambda x: given(x.reshape(self.shape))), q)
@@ -76,7 +76,7 @@ class Holonomic(SecondOrder):
         masses = np.broadcast_to(self._masses, self.shape).reshape(-1)
         if not (masses > 0.0).all():
             raise ValueError(f"masses must be positive; the smallest is {masses.min()}")
-        sizes = np.linalg.svd(self.gradient(q) / np.sqrt(masses), compute_uv=False)
+        sizes = np.linalg.svd(self.jacobian(q) / np.sqrt(masses), compute_uv=False)
         if sizes.size > q.size or not sizes[-1] > DEPENDENT * sizes[0]:
             spread = f"singular values of G M^(-1/2) from {sizes[0]:.1e} to {sizes[-1]:.1e}"
             raise ValueError(f"the gradients of g must be independent at the start; {spread}")
@@ -108,24 +108,24 @@ class Holonomic(SecondOrder):
     def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
         """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
         q, v = np.asarray(q, dtype=float).reshape(-1), np.asarray(v, dtype=float).reshape(-1)
-        gradient, unit = self.gradient(q), unit_of_time(q, v)
-        turning = time_derivative(lambda e: self.gradient(q + e * v) @ v, 1, unit)
+        gradient, unit = self.jacobian(q), unit_of_time(q, v)
+        turning = time_derivative(lambda e: self.jacobian(q + e * v) @ v, 1, unit)
         force = self.f(t, q.reshape(self.shape), v.reshape(self.shape))
         return np.asarray(np.linalg.solve(gradient @ self.directions(gradient), gradient @ force + turning))
 
 
 def projected(problem: Holonomic, q0: Array, q: Array, iteration: Iteration | None = None) -> Array:
     """The point q + M⁻¹ G(q0)ᵀ λ with g = 0.  Raises ConvergenceError if there is none near q."""
-    directions = problem.directions(problem.gradient(q0))
+    directions = problem.directions(problem.jacobian(q0))
     residual = lambda x: problem.violation(q + directions @ x)  # noqa: E731
-    jacobian = lambda x: problem.gradient(q + directions @ x) @ directions  # noqa: E731
+    jacobian = lambda x: problem.jacobian(q + directions @ x) @ directions  # noqa: E731
     solve, scale = (iteration or problem.solver.iteration()).solve, np.abs(q).max() / np.abs(directions).max()
     return q + directions @ solve(residual, np.zeros(directions.shape[1]), jacobian, scale=scale)
 
 
 def tangent(problem: Holonomic, q: Array, v: Array) -> Array:
     """The velocity v + M⁻¹ G(q)ᵀ μ with G v = 0; projected twice, to remove the rounding of the first projection."""
-    gradient = problem.gradient(q)
+    gradient = problem.jacobian(q)
     directions = problem.directions(gradient)
     matrix = gradient @ directions
     try:

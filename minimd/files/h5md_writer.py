@@ -121,7 +121,7 @@ class H5MDWriter:
         if words := _obstacle(contents, self._engine, self._store_forces):
             raise ValueError(f"trajectory {file!r} {words}")
         if other := layout.other_method(contents.method, contents.parameters, contents.precision, self._engine):
-            goes_on = f"the run in {file!r} is continued with another method, bath or precision: {other}"
+            goes_on = f"the run in {file!r} is continued with another method, barostat or precision: {other}"
             warnings.warn(f"{goes_on}; frames before and after belong to different runs", stacklevel=outside_minimd())
         restart = digest.read_restart(h5)
         digest.restore_observers(h5, file, restart, self._observers)

@@ -271,7 +271,7 @@ class Model:
         if len(known) and not among(known, bonds).all():
             pair = known[np.argmin(among(known, bonds))].tolist()
             raise ValueError("LAMMPS counts bonded_scale also along rigid lengths and bonds given as pairs; minimd "
-                             f"does not, and atoms {pair} have no bond in the system: add it there")  # fmt: skip
+                             f"does not, and atoms {pair} have no bond in the system: add this bond to it")  # fmt: skip
         missing = bonds[~among(bonds, known)] if len(known) else bonds
         self.bonds.add(missing, np.zeros((len(missing), 1)), lambda _: ("harmonic", "0 1"))
 

@@ -76,7 +76,7 @@ def checked_sizes(name: str, values: Any, n: int, each: str) -> NDArray[np.float
     Raises ValueError as checked_array, for another shape, and as checked_number."""
     array = checked_numbers(name, values, f"one number, or one for each {each}")
     if array.shape not in ((), (n,)):
-        raise ValueError(f"{name} must be one number or {n}, one for each {each}; their shape is {array.shape}")
+        raise ValueError(f"{name} must be one number, or {n} numbers, one for each {each}; its shape is {array.shape}")
     array = np.broadcast_to(array, (n,)).copy()
     check_rows(name, "positive and finite", np.isfinite(array) & (array > 0.0), array)
     check_rows(name, f"between {SMALLEST:g} and {LARGEST:g}", (array >= SMALLEST) & (array <= LARGEST), array)

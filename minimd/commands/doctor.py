@@ -83,7 +83,7 @@ def cache() -> Finding:
     damaged = [file for file in folder.glob("*/*.nb[ic]") if is_damaged(file)]
     for file in damaged:
         file.unlink(missing_ok=True)
-    words = f"; damaged files, removed and compiled anew at their next use: {len(damaged)}" if damaged else ""
+    words = f"; damaged files removed, which will be compiled anew: {len(damaged)}" if damaged else ""
     return True, f"{folder}{words}"
 
 

@@ -236,7 +236,7 @@ class H5MDWriter:
             self._give_up()
             failed = f"trajectory {self.claim.name!r} could not {what}"
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-            raise OSError(f"{failed}: {reason}; the {self._n_frames} frames before it are valid") from error
+            raise OSError(f"{failed}: {reason}; the {self._n_frames} earlier frames are valid") from error
 
     def _give_up(self) -> None:
         self._h5.close()

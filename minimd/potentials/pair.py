@@ -207,7 +207,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         by_pair = {pair: self._checked_numbers(numbers, pair) for pair, numbers in both_orders.items()}
         if len({len(numbers) for numbers in (*by_label.values(), *by_pair.values())}) > 1:
             told = shown(by_label | by_pair)
-            raise ValueError(f"all species and pairs must have the same number of parameters; they are {told}")
+            raise ValueError(f"all species and pairs must have the same number of parameters; these are {told}")
         return by_label, by_pair
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:

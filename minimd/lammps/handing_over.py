@@ -372,7 +372,7 @@ def _stand(job: Job, box: Box, step: int, columns: NDArray[np.float64]) -> None:
     if (most := np.abs(box.crossed(half * (velocities - engine.velocities))).max()) > IMAGES / 2:
         raise HandOverError(f"it is unknown how many cells the atoms have crossed at step {step}: their places are "
                             f"uncertain by {most:.3g} cells since step {engine.step}, and LAMMPS counts {IMAGES // 2} "
-                            f"at most; bring frames back more often than every {job.every} steps")  # fmt: skip
+                            f"at most; bring frames back more often (every = {job.every})")  # fmt: skip
     expected = engine.positions + half * (velocities + engine.velocities)
     engine.positions[:] = box.positions_back(columns[:, :3], expected)
     engine.velocities[:] = velocities

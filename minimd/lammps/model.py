@@ -114,7 +114,7 @@ class AtomTypes(NamedTuple):
         rows, of_atom = np.unique(keys, axis=0, return_inverse=True)
         if len(rows) > MOST_TYPES:
             raise ValueError("LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs "
-                             f"{len(rows)}, allowed are {MOST_TYPES}")  # fmt: skip
+                             f"{len(rows)}, but at most {MOST_TYPES} are allowed")  # fmt: skip
         species, masses, is_fixed = rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
         return cls(of_atom.reshape(-1), species, masses, is_fixed)
 

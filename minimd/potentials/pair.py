@@ -186,7 +186,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         if a == b:
             return own[a]
         if self.mixing is None:
-            raise ValueError(f"{lacking} the pair {a!r}, {b!r}; give them in pairs, or a mixing rule")
+            raise ValueError(f"{lacking} the pair {a!r}, {b!r}; give pairs={{...}}, or a mixing rule")
         rule = MIXING[self.mixing] if isinstance(self.mixing, str) else self.mixing
         mixed, reverse = (self._checked_numbers(rule(own[x], own[y]), (x, y)) for x, y in ((a, b), (b, a)))
         is_same = all(map(partial(isclose, rel_tol=MIXED), mixed, reverse))

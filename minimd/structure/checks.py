@@ -130,7 +130,7 @@ def _find_kinds(values: Any, found: set[str]) -> None:
     array = np.empty(0) if is_list and len(values) > MOST_NUMBERS else np.asanyarray(values)
     kind = array.dtype.kind.replace("u", "i")
     if (size := max(array.size, len(values) if is_list else 0)) > MOST_NUMBERS:
-        raise ValueError(f"there are {size} values, at most {MOST_NUMBERS} are allowed")
+        raise ValueError(f"there are {size} values; at most {MOST_NUMBERS} are allowed")
     if np.ma.is_masked(array):
         raise ValueError("some are masked; fill them or leave them out")
     if array.dtype == object and array.ndim:

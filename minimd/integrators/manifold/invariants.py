@@ -102,7 +102,7 @@ class Manifold:
         sines = np.abs(np.diagonal(r)) / np.maximum(np.linalg.norm(gradients, axis=0), np.finfo(float).tiny)
         if not np.all(sines > PARALLEL):
             k = int(np.argmin(sines > PARALLEL))
-            why = f"its gradient {_shown(gradients[:, k])} vanishes, or lies in the span of those before it"
+            why = f"its gradient {_shown(gradients[:, k])} vanishes, or lies in the span of earlier gradients"
             needed = "the Jacobian of invariants must have full rank"
             raise ConvergenceError(f"invariant {k} is not independent: {why}; {needed}")
         return q, r

@@ -237,7 +237,7 @@ def _accurate(asked: Sequence[tuple[Load, int]], scene: BenchScene) -> list[dict
                 if error <= scene.error:
                     groups[-1][k] = engine
                     break
-            tell(f"{scene.name}: {engine.name}{'' if k in groups[-1] else ': left out, no accuracy is enough'}")
+            tell(f"{scene.name}: {engine.name}{'' if k in groups[-1] else ': left out, as no accuracy is high enough'}")
     return groups
 
 

@@ -243,7 +243,7 @@ WRONG_FORCES = {  # (function, options of md.grade, words)
     "only one atom": (lambda x: (on_each(x, force_of_distance) * np.tri(len(x)).T[:, :, None]).sum(axis=1),
                       {}, "only one of the two atoms"),
     "= for +=": (overwritten, {}, "overwritten"),
-    "jump of the energy": (lambda x: lennard_jones(x, shift=False), {}, "energy jumps at the cutoff"),
+    "jump of the energy": (lambda x: lennard_jones(x, shift=False), {}, "energy jumps"),
     "cutoff not applied": (lambda x: lennard_jones(x, cutoff=1e3), {"cutoff": 2.5}, "cutoff 2.5 is not applied"),
     "no minimum image": (lambda x: lennard_jones(x), {"cell": 8.0}, "minimum image is missing"),
     "one direction": (lambda x, box, cutoff: lennard_jones(x, None, cutoff, image=lambda d: d - box * (d > box / 2))[0],

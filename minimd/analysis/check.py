@@ -99,7 +99,7 @@ def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
     record, found = recomputed(made)
     lines = [*pressure_lines(record, system.masses.sum(), contents.barostat, is_free)]
     angular = is_free and not system.cell.is_periodic
-    bound = "its accuracy bounds the rms error of their forces over the rms force"
+    bound = "accuracy bounds the rms error of the forces of charges, over their rms"
     calls = (one.removeprefix("Coulomb: ") for one in contents.potentials if one.startswith("Coulomb: "))
     lines += [Line("charges", call, bound, True) for call in calls]
     n_dof = ConstraintSet(system, system.constraints).degrees_of_freedom(is_free)
@@ -200,6 +200,6 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
             diffusion = diffusion_coefficient(made)
             moved = float(diffusion.displacements[diffusion.lags <= diffusion.window[1]][-1]) ** 0.5
             if moved > 0.5 * peak * system.units.to_angstrom:
-                slowed = ", of Langevin dynamics, whose friction slows it" * (contents.method == LangevinBAOAB.name)
+                slowed = ", slowed by the friction of Langevin dynamics" * (contents.method == LangevinBAOAB.name)
                 lines.append(f"diffusion      {diffusion}{slowed}")
     return lines

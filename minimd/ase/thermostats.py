@@ -76,8 +76,8 @@ class Langevin(MinimdSteps, Noisy, langevin.Langevin):
         if self.fix_com and _center_is_free(self.atoms):
             n_dof = self.atoms.get_number_of_degrees_of_freedom()
             if n_dof <= 3:
-                given = f"{len(self.atoms)} atoms have {n_dof}; use fixcm=False"
-                raise ValueError(f"fixcm = True needs more than 3 degrees of freedom, {given}")
+                given = f"{len(self.atoms)} atoms have {n_dof}: use fixcm=False"
+                raise ValueError(f"fixcm = True needs more than 3 degrees of freedom; {given}")
             keeps_center, temperature = True, temperature * n_dof / (n_dof - 3)
         return LangevinBath(self.dt, temperature, self.fr, self.noise_seed(), keeps_center)
 

@@ -83,7 +83,7 @@ def cache() -> Finding:
     damaged = [file for file in folder.glob("*/*.nb[ic]") if is_damaged(file)]
     for file in damaged:
         file.unlink(missing_ok=True)
-    words = f"; damaged files, removed and compiled anew at their next use: {len(damaged)}" if damaged else ""
+    words = f"; damaged files removed, which will be compiled anew: {len(damaged)}" if damaged else ""
     return True, f"{folder}{words}"
 
 
@@ -146,11 +146,11 @@ def same_bits() -> Finding:
     different = [str(n) for n, end in zip(numbers, ends, strict=True) if not np.array_equal(end, ends[0])]
     on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
     if different:
-        return False, f"positions differ {on}: those on {' and '.join(different)} from those on 1"
+        return False, f"positions differ {on}: {' and '.join(different)} threads give others than 1 thread"
     rows = [operation(compiling.DirectCalls(), _nothing, _Nothing(0), 2)]
     program = Program(lambda: rows, lambda: 0, thread_pool(available_cores()))
     median = 1e6 * float(np.median(repeat(program.run, number=1, repeat=TASKS_TIMED)))
-    takes = f"a program for all threads starts and ends in {median:.1f} µs"
+    takes = f"to give work to all threads takes {median:.1f} µs"
     return True, f"positions are equal to the last bit {on}; {takes}"
 
 
@@ -190,7 +190,7 @@ def lammps() -> Finding:
             with tempfile.TemporaryDirectory() as folder:
                 done = hand_over(simulation, folder, STEPS_HANDED_OVER, processes=processes, progress=False, tell=None)
         except FileNotFoundError as missing:
-            return True, "; ".join([*told, f"needed only for `minimd lammps`: {missing}"])
+            return True, "; ".join([*told, f"LAMMPS is needed only for `minimd lammps`: {missing}"])
         except HandOverError as failed:
             return False, "; ".join([*told, str(failed)])
         on = f"on {processes} process{'es' * (processes > 1)}"
@@ -218,5 +218,5 @@ TESTS = {"cache folder": cache, "known energy": known_energy, "forces": gradient
          "threads": same_bits, "LAMMPS": lammps, "speed": speed}  # fmt: skip
 COMMAND = Command("doctor", "describe this machine and test minimd on it",
                   "Describe this machine, and test minimd on it: forces, conservation laws, equal bits on all threads, "
-                  "speed.", (flag("--clear-cache", "only remove compiled kernels, those of other versions too"),),
+                  "speed.", (flag("--clear-cache", "only remove the compiled kernels, of all versions of minimd"),),
                   lambda given: clear_cache() if given.clear_cache else examine())  # fmt: skip

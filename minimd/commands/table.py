@@ -289,8 +289,8 @@ COMMANDS = (
         written_to("FILE", "one trajectory file, in place of those in the scene; the picture is written beside it"),
     ), run),
     Command("scan", "run a scene with many values of its keys",
-            "Run a scene with different values of its keys, each run with its own file, and average. The same command "
-            "goes on where it was stopped; with more replicas or steps it adds to the runs that are there. Example: "
+            "Run a scene with different values of its keys, each run with its own file, and average. Give the same "
+            "command again to go on with a stopped scan; more replicas or steps add to the runs there. Example: "
             "minimd scan argon.toml --set dynamics.temperature_K=80:120:5 --replicas 4 --workers 2 --out scan", (
         SCENE_FILE._replace(more={"nargs": "?"}),
         Argument("--set", "values for a key of the scene: 80:120:5 is 80, 85, ..., 120; several --set give all "
@@ -303,7 +303,7 @@ COMMANDS = (
                  "dask, from the scheduler in DASK_SCHEDULER_ADDRESS, or on this machine; mpi, the processes of the "
                  "mpiexec that begins the command", more={"choices": EXECUTORS, "default": EXECUTORS[0]}),
         Argument("--workers", "number of processes or threads of this machine, one for each core if not given; 0 for "
-                 "this process only, but dask has at least one worker", whole_number, "N"),
+                 "this process only (dask starts at least one worker)", whole_number, "N"),
         Argument("--members", "make only these runs, from FROM to TO - 1; other commands may make others in the same "
                  "folder at the same time", slice_of_members, "FROM:TO"),
         Argument("--retries", "how often a run is tried again if its worker died, or after an error of files or memory",
@@ -317,7 +317,7 @@ COMMANDS = (
     Command("resume", "go on with a run", "Continue the run in an H5MD file and append to it.", (
         RUN_FILE._replace(help="trajectory (.h5md) of a run from a scene file"),
         SCENE._replace(help="use this scene, from now on, in place of the one stored in the run: potentials, method, "
-                       "time step, bath, output; structure, minimization and equilibration, which concern only the "
+                       "time step, barostat, output; structure, minimization and equilibration, which concern only the "
                        "start, are not used"),
         STEPS._replace(help="number of further steps; if not given, up to the number in the scene"),
     ), resume),
@@ -339,7 +339,7 @@ COMMANDS = (
             "Test a class of dynamics, as those of ase.md, in scenes with exact answers: does it sample the ensemble "
             "that it claims? Example: minimd grade ase.md.langevin:Langevin temperature_K=300 friction=0.2", (
         Argument("dynamics", "module:class, or file.py:class", None, "MODULE:CLASS"),
-        Argument("options", "of the class, in units of ASE, and of md.grade: ensemble, runs, constraints, …",
+        Argument("options", "options of the class, in ASE units, and of md.grade: ensemble, runs, constraints, …",
                  option, "NAME=VALUE", {"nargs": "*"}),
         flag("--json", "print JSON"), written_to("PNG", "draw a picture"),
     ), grade),
@@ -348,8 +348,8 @@ COMMANDS = (
         RUN_FILE, written_to("PNG", "file of the picture; named after the trajectory if not given"),
     ), plot),
     Command("view", "show the atoms of a run in motion, in the browser",
-            "Write a run as one HTML page: its report, its pictures, its atoms in motion. For a failed run it shows "
-            "the last steps and marks the pair.", (
+            "Write a run as one HTML page: its report, its pictures, its atoms in motion. For a failed run the page "
+            "shows the last steps and marks the pair of atoms to blame.", (
         RUN_FILE._replace(help="trajectory (.h5md), or file (.crash.h5md) that a failed run left"), SCENE,
         written_to("HTML", "file of the page; named after the run if not given"),
         Argument("--frames", f"largest number of frames, evenly chosen (default: {FRAMES})",
@@ -357,16 +357,16 @@ COMMANDS = (
         flag("--open", "show the page in the browser"),
     ), view),
     Command("frames", "make any step of a run again",
-            "Make steps of a run with precision='fixed-point' again, from the nearest frames.", (
+            "Compute steps of a run with precision='fixed-point' again, each from the nearest frame.", (
         RUN_FILE, SCENE, OVERWRITE,
         Argument("--at", "steps to make again", whole_number, "STEP", {"nargs": "+", "required": True}),
         written_to("FILE", "file to write; for several steps, the step is added to the name"),
     ), frames),
     Command("archive", "make a run's file small",
-            "Keep few frames of a run with precision='fixed-point'. All steps in between can be made again from them, "
-            "to the last bit.", (
+            "Copy few frames of a run with precision='fixed-point' to a new file. All steps between these frames can "
+            "be computed again, to the last bit.", (
         RUN_FILE, SCENE, OVERWRITE,
-        Argument("--every", "keep the frames whose step is a multiple of N", whole_number, "N", {"required": True}),
+        Argument("--every", "copy the frames whose step is a multiple of N", whole_number, "N", {"required": True}),
         written_to("FILE", "the archive (.h5md); beside the file if not given"),
     ), archive),
 )  # fmt: skip

@@ -189,7 +189,7 @@ def by_type(choose: Callable) -> Callable:
 
     @functools.wraps(choose)
     def compiled_only(*arguments):
-        raise NotImplementedError(f"{choose.__name__} runs in kernels only")
+        raise NotImplementedError(f"{choose.__name__} can be called from compiled kernels only")
 
     options: Any = {"no_cfunc_wrapper": True, "pipeline_class": PartCompiler}
     overload(compiled_only, jit_options=options)(choose)

@@ -90,7 +90,7 @@ class Program:
             if answer:
                 one = self.operations[course[AT]]
                 if one.python is None:
-                    raise RuntimeError(f"an operation has answered {answer}, and nothing is known about it")
+                    raise RuntimeError(f"operation {course[AT]} returned the unknown status {answer}")
                 if one.code:
                     one.python(answer)
                 else:

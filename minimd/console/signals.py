@@ -53,7 +53,7 @@ def stop_on_signals(run: Stoppable) -> Iterator[None]:
             run.stop_requested = False
             del active[id(request)]
         if received:
-            raise KeyboardInterrupt("a signal arrived after the last step; the run is complete")
+            raise KeyboardInterrupt("the run is complete, and was stopped after the last step")
     except KeyboardInterrupt as stopped:
         if received[:1] in ([], [signal.SIGINT]):
             if not _callers:

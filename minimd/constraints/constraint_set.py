@@ -39,7 +39,7 @@ class ConstraintSet:
                 raise TypeError(f"constraints must be DistanceConstraints or FixedAtoms; got {shown(constraint)}")
         distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
         if len(distances) > 1:
-            raise ValueError(f"constraints must hold all pairs in one DistanceConstraints; there are {len(distances)}")
+            raise ValueError(f"constraints must hold all pairs in one DistanceConstraints; {len(distances)} are given")
         self._threads, self._cell = threads, system.cell  # the cell for which the images of bonds were found
         self.n_fixed = int((self.inverse_masses == 0.0).sum())
         self.kept: tuple[Any, ...] = (FixedAtoms(self.inverse_masses == 0.0),) if self.n_fixed else ()

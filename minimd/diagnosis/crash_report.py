@@ -57,7 +57,7 @@ def examine(engine: Engine, failure: Failure) -> CrashReport:
     (pushed, force), (fastest, speed) = longest(engine.forces), longest(engine.velocities)
     kind, (cause, advice, pair) = next(verdicts(evidence, AFTER))
     if depth := strange_depth(evidence):
-        cause, advice = f"{depth} (with it, {cause})", "correct epsilon before anything else"
+        cause, advice = f"{depth} (a consequence: {cause})", "correct epsilon before anything else"
     timestep, units = engine.method.timestep, engine.system.units.name
     seen: tuple[Any, ...] = (evidence.closest, pushed, force, fastest, speed * abs(timestep), timestep, units)
     at = failure.fault, failure.step, engine.step, failure.start.step

@@ -49,7 +49,7 @@ HOT_SPOT = 6.0  # times the root mean square speed; in 10⁹ atoms of a thermal 
 FAST = 0.3
 NEAR_LIMIT = 0.5  # of the longest stable step: collisions are that much stiffer than the state itself
 ADVICE_SECONDS = 10.0  # at most, for the search of the stiffest mode
-CHECK_STEP = "see advise_timestep, and check the unit of the time step"
+CHECK_STEP = "take the time step that advise_timestep recommends, and check its unit"
 HALVE = "halve the timestep until the energy is conserved"
 
 
@@ -202,7 +202,7 @@ def longer_than_a_bond(evidence: Evidence) -> Verdict | None:
     if bond is None or evidence.timestep <= (limit := evidence.limit / sqrt(bond.square)):
         return None
     is_longer = f"timestep {shown(evidence.timestep)} is longer than the bond of atoms {bond.i} and {bond.j} allows"
-    return Verdict(f"{is_longer}: {method} is stable up to {shown(limit)} for it", CHECK_STEP)
+    return Verdict(f"{is_longer}: for this bond {method} is stable up to {shown(limit)}", CHECK_STEP)
 
 
 def longer_than_collisions(evidence: Evidence) -> Verdict | None:
@@ -216,7 +216,7 @@ def longer_than_collisions(evidence: Evidence) -> Verdict | None:
         return None
     is_long = f"timestep {shown(evidence.timestep)} is long for Lennard-Jones atoms as light as these"
     recommended = shown(step / evidence.stiffness.collisions())
-    return Verdict(f"{is_long}: in a liquid {method.name} conserves the energy well up to {recommended}", CHECK_STEP)
+    return Verdict(f"{is_long}: in a liquid {method.name} conserves the energy with up to {recommended}", CHECK_STEP)
 
 
 def short_step(evidence: Evidence) -> Verdict | None:
@@ -226,7 +226,7 @@ def short_step(evidence: Evidence) -> Verdict | None:
         return None
     is_short = f"timestep {shown(evidence.timestep)} is far shorter than these atoms need"
     unit = f"check the unit of the time step{', such as 5 * md.units.fs' * (evidence.units == ASE)}"
-    return Verdict(f"{is_short}: {shown(usual)} would be 20 steps in a period of the fastest motion", unit)
+    return Verdict(f"{is_short}: with {shown(usual)} the fastest motion has 20 steps per period", unit)
 
 
 def no_pair_in_reach(evidence: Evidence) -> Verdict | None:
@@ -238,9 +238,9 @@ def no_pair_in_reach(evidence: Evidence) -> Verdict | None:
     if evidence.closest is None or evidence.closest.distance <= max(cutoffs):
         return None
     first, second, distance = evidence.closest[:3]
-    apart = f"the closest, {first} and {second}, are {distance:.3g} {unit} apart"
+    apart = f"the closest atoms, {first} and {second}, are {distance:.3g} {unit} apart"
     cause = f"no two atoms are within the cutoff, {max(cutoffs):g} {unit}: {apart}"
-    return Verdict(cause, f"are the lengths of the potential in {unit}?")
+    return Verdict(cause, f"check that the lengths of the potential are in {unit}")
 
 
 def slow_barostat(evidence: Evidence) -> Verdict | None:
@@ -270,8 +270,8 @@ def moving_center(evidence: Evidence) -> Verdict | None:
     if not speed * system.masses.sum() > MOVING * absolute_momentum(system.velocities, system.masses):
         return None
     moves = f"the center of mass moves at {speed / units.to_picosecond:.3g} {units.length}/{units.shown_time}"
-    cause = f"{moves}: temperature, pressure, diffusion and viscosity are relative to it"
-    return Verdict(cause, "sim.velocities -= sim.drift stops it")
+    cause = f"{moves}: temperature, pressure, diffusion and viscosity leave this motion out"
+    return Verdict(cause, "stop it with sim.velocities -= sim.drift")
 
 
 def not_numbers(evidence: Evidence) -> Verdict | None:
@@ -285,7 +285,7 @@ def not_numbers(evidence: Evidence) -> Verdict | None:
             bad = np.flatnonzero(~(np.abs(array) <= LARGEST).all(axis=1))
             if bad.size:
                 which = f"(atom {bad[0]}{' ...' if bad.size > 1 else ''})"
-                return Verdict(f"{name} of {bad.size} atoms are not finite, or beyond {LARGEST:g} {which}")
+                return Verdict(f"{name} of {bad.size} atoms are not finite, or larger than {LARGEST:g} {which}")
     return None
 
 
@@ -336,7 +336,7 @@ def overlap_at_start(evidence: Evidence) -> Verdict | None:
         return None
     worst, at = min(over, key=lambda one: one.distance), f"step {step}" if step else "the start"
     cause = f"{worst.atoms} overlap at {at}, {worst.apart(evidence.units.length)}"
-    return Verdict(cause, "minimize moves atoms apart; or start from another state with less energy", worst)
+    return Verdict(cause, "move the atoms apart with minimize, or start from a state with less energy", worst)
 
 
 def one_place(evidence: Evidence) -> Verdict | None:
@@ -344,8 +344,8 @@ def one_place(evidence: Evidence) -> Verdict | None:
     pair = evidence.closest
     if pair is None or pair.distance > 0.0 or np.isfinite(evidence.engine.forces[list(pair[:2])]).all():
         return None
-    which = f"atoms {pair.first} and {pair.second} are at the same place"
-    return Verdict(f"{which}, where the force between them is not defined", "minimize moves them apart; or remove one")
+    cause = f"atoms {pair.first} and {pair.second} are at the same place, where the force between them is not defined"
+    return Verdict(cause, "move them apart with minimize, or remove one of them")
 
 
 def barostat(evidence: Evidence) -> Verdict | None:
@@ -355,7 +355,7 @@ def barostat(evidence: Evidence) -> Verdict | None:
         return None
     at, unit = f"at pressure {bath.pressure:.3g} {evidence.units.pressure}", evidence.units.volume
     if volume > EVAPORATED * before:
-        cause = f"the cell has grown from {before:.4g} to {volume:.4g} {unit} {at}, where no dense state exists"
+        cause = f"the cell has grown from {before:.4g} to {volume:.4g} {unit} {at}: the atoms have evaporated"
         return Verdict(cause, "take a higher pressure, or a lower temperature")
     if not evidence.failure.is_of_barostat:
         return None
@@ -380,7 +380,7 @@ def unstable_bond(evidence: Evidence) -> Verdict | None:
     x, stiffest = max(bonds, key=lambda bond: bond[0], default=(0.0, None))
     if stiffest is None or x <= evidence.limit:
         return None
-    beyond = f"Δt·ω = {x:.3g} (stable to {evidence.limit:.3g})"
+    beyond = f"Δt·ω = {x:.3g} (stable up to {evidence.limit:.3g})"
     cause = f"timestep {evidence.shown(evidence.timestep)} too large for the bond of {stiffest.atoms}: {beyond}"
     return Verdict(cause, f"{evidence.recommended}; or hold the bond rigid", stiffest)
 
@@ -390,7 +390,7 @@ def bottomless_law(evidence: Evidence) -> Verdict | None:
     pair, units = evidence.strongest, evidence.units
     if pair is None or not pair.sinks:
         return None
-    fall = f"u = {pair.energy:.3g} {units.energy} there, and less at shorter distances: they fall into each other"
+    fall = f"u = {pair.energy:.3g} {units.energy}, and less at shorter distances: the atoms fall into each other"
     cause = f"the law of {pair.law} attracts {pair.atoms}, {pair.apart(units.length)}; {fall}"
     return Verdict(cause, "give the law a repulsive core; a shorter timestep does not help", pair)
 
@@ -426,7 +426,7 @@ def too_hot(evidence: Evidence) -> Verdict | None:
         passes += f", {speed / others:.2g} times as fast as the others" if others > 0.0 else ", the only one in motion"
     else:
         return None
-    cause = f"too hot, timestep {evidence.shown(dt)} too large: {passes}"
+    cause = f"atoms too hot, or timestep {evidence.shown(dt)} too large: {passes}"
     advice = "start at a lower temperature, or reduce the timestep in proportion to the speed"
     return Verdict(cause, advice, evidence.strongest)
 
@@ -447,8 +447,8 @@ def unstable_mode(evidence: Evidence) -> Verdict | None:
     advice, dt, shown = evidence.advice if evidence.strongest is None else None, evidence.timestep, evidence.shown
     if advice is None or not advice.frequency or dt <= NEAR_LIMIT * advice.limit:
         return None
-    where = f"{advice.method} is stable up to {shown(advice.limit)} on the stiffest mode of the last good state"
-    closer = "; where atoms come closer, only shorter steps are stable" if dt <= advice.limit else ""
+    where = f"{advice.method} is stable up to {shown(advice.limit)} for the stiffest mode of the last good state"
+    closer = "; if atoms come closer, only shorter steps are stable" if dt <= advice.limit else ""
     return Verdict(f"timestep {shown(dt)} too large: {where}{closer}", evidence.recommended)
 
 
@@ -456,8 +456,8 @@ def unknown_forces(evidence: Evidence) -> Verdict | None:
     """No pair with a known law pushes the atoms."""
     if evidence.strongest is not None:
         return None
-    cause = "atoms fly apart although no pair with a known law pushes them: the forces come from elsewhere"
-    return Verdict(cause, "examine the forces in the last good state")
+    cause = "atoms fly apart although no pair with a known law pushes them: the forces come from another potential"
+    return Verdict(cause, "examine the forces of each potential in the last good state")
 
 
 def long_step(evidence: Evidence) -> Verdict | None:

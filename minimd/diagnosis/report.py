@@ -302,7 +302,7 @@ class Report(Displayed):
         if self.momentum_change is not None:
             change = f"change {self.momentum_change:.1e} of the sum of |mv|: {KEPT[self.momentum_is_conserved]}"
             moving = change if self.momentum_change else "exactly constant"
-            rows.append(("momentum", "rounding alone: the atoms are at rest" if self.is_at_rest else moving))
+            rows.append(("momentum", "no motion but rounding: the atoms are at rest" if self.is_at_rest else moving))
         if self.angular_momentum_change is not None and not self.is_at_rest:
             said = f"sum of m|r||v|: {KEPT[self.angular_momentum_is_conserved]}"
             rows.append(("ang. momentum", f"change {self.angular_momentum_change:.1e} of the {said}"))
@@ -326,7 +326,7 @@ class Report(Displayed):
         if self.is_at_rest:
             momentum = "the atoms are at rest: set_temperature gives them velocities."
         elif self.momentum_change is None:
-            momentum = "momentum is not a constant here."
+            momentum = "the total momentum is not a constant of this run."
         elif self.momentum_is_conserved:
             momentum = f"momentum is {'conserved to rounding' if self.momentum_change else 'exactly constant'}."
         return f"{self._energy_verdict}; {momentum}"
@@ -346,7 +346,7 @@ class Report(Displayed):
         (first, last), swollen, causes = self.temperatures, "", [self.too_long_a_step] * bool(self.too_long_a_step)
         if self.is_settling:
             went = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}"
-            causes.append(f"{went}, which changes the error of the energy; equilibrate first")
+            causes.append(f"{went}, and with it the error of the energy; equilibrate first")
         if self.swells:
             swollen = f" (the volume changed by {100.0 * (self.volumes[1] / self.volumes[0] - 1.0):+.2g} %)"
         if self.is_far_from_pressure:

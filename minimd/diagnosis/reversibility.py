@@ -20,7 +20,7 @@ AMPLIFIED = 1e3  # rounding errors by which the turning point is displaced, so t
 # times what one rounding grows to, times the square root of the steps: up to this, a distance is due to rounding
 ENOUGH = 3.0
 CHAOS = 0.01  # of the way that atoms went: beyond it, rounding has grown too much to tell
-VERDICTS = {True: "reversible to rounding", None: "too chaotic to tell, take fewer steps", False: "NOT REVERSIBLE"}
+VERDICTS = {True: "reversible to rounding", None: "too chaotic to tell; probe fewer steps", False: "NOT REVERSIBLE"}
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,7 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
         bath = f"{engine.method.name} is a thermostat" if engine.method.is_thermostat else "there is a barostat"
         raise ValueError(f"{bath}: its noise cannot be undone, so no run with it is reversible")
     if engine.interactions.depend_on_time:
-        goes_on = "time goes on while atoms return; probe the scene without these forces"
-        raise ValueError(f"a run with forces that depend on time has no way back: {goes_on}")
+        raise ValueError("a run with forces that depend on time has no way back: probe a run without these forces")
     before = engine.snapshot()
     with guard.uncounted():
         guard.check_start()

@@ -49,11 +49,11 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
 def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[Line]:
     """All lines that apply to an engine as it stands."""
     lines = [*cutoff_lines(engine.system, engine.interactions.potentials)]
-    stride, length = longest(engine.velocities)[1] * abs(engine.method.timestep), engine.system.units.length
+    stride, unit = longest(engine.velocities)[1] * abs(engine.method.timestep), engine.system.units.length
     for skin, widest in zip(engine.interactions.skins, engine.interactions.widest_skins, strict=True):
         steps = 0.5 * skin / stride if stride > 0.0 else np.inf
-        words = f"skin/2 {0.5 * skin:.3g} {length}, fastest atom {stride:.2g} {length} a step: lasts {steps:.3g} steps"
-        cure = "a wider skin" if skin < ROOM * widest else "the cell has no room for a wider skin: a shorter cutoff"
+        words = f"skin/2 {0.5 * skin:.3g} {unit}, fastest atom {stride:.2g} {unit} a step: list lasts {steps:.3g} steps"
+        cure = "a wider skin" if skin < ROOM * widest else "a shorter cutoff (the cell has no room for a wider skin)"
         often = f", but at nearly every step; {cure} or a shorter time step is cheaper" if steps < FEW_STEPS else ""
         lines.append(Line("list margin", words, f"rebuilt in time{often}", not often))
     if engine.constraint_set.bonds is not None:
@@ -80,9 +80,9 @@ def cutoff_lines(system: System, potentials: Sequence[Any]) -> Iterator[Line]:
         energy_jumps, force_jumps = (any(jump[k] > CONTINUOUS * jump[k + 2] for jump in jumps) for k in (0, 1))
         verdict = "energy and force are continuous"
         if energy_jumps:
-            verdict = "THE ENERGY JUMPS, so that it is not conserved; shift or smooth it"
+            verdict = "THE ENERGY JUMPS, so that it is not conserved; shift or smooth the potential"
         elif force_jumps:
-            verdict = "the energy is continuous, the force jumps; smooth it for methods of order above 2"
+            verdict = "the energy is continuous, the force jumps; smooth the force for methods of order above 2"
         where = "" if at == there or energy == 0.0 else f" at {at:g} {units.length}"
         pull = f"force {force:.1e} {units.energy}/{units.length} at {there:g} {units.length}"
         yield Line("cutoff jump", f"energy {energy:.1e} {units.energy}{where}, {pull}", verdict, not energy_jumps)
@@ -107,7 +107,7 @@ def pressure_lines(
     first, last, units = float(record.volume[0]), float(record.volume[-1]), record.units
     if last > EVAPORATED * first:
         grown = f"from {first:.4g} to {last:.4g} {units.volume}"
-        verdict = "EVAPORATED: a gas at this pressure and temperature; raise the pressure if it should be dense"
+        verdict = "EVAPORATED: at this pressure and temperature the atoms are a gas; for a liquid raise the pressure"
         yield Line("volume", grown, verdict, False)
         return
     words, spread = f"{record.volume.mean():.6g} {units.volume} on average", f"{record.volume.std():.2g}"

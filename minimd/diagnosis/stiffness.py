@@ -122,10 +122,10 @@ class Stiffness:
             strange = epsilon * ((epsilon > DEEPEST) | ((epsilon > DEEP) & (sigma > WIDE)))
             if (worst := float(strange.max())) > 0.0:
                 fits = [one for one in READINGS if SHALLOW <= worst * one[1] <= LIKELY]
-                would_be = "in {} it would be {:.3g} eV, epsilon={:.6g} {}"
+                would_be = "if epsilon is in {}, it is {:.3g} eV: give epsilon={:.6g} {}"
                 told = [would_be.format(unit, worst * size, worst, x) for unit, size, x in fits]
                 usual = "noble gases 0.001 to 0.02 eV, metals up to 1 eV"
-                cause = f"epsilon = {worst:.6g} eV is far deeper than the well of any such atom ({usual})"
+                cause = f"epsilon = {worst:.6g} eV is far deeper than any Lennard-Jones well of atoms ({usual})"
                 return cause, "; ".join(told) or "check its unit"
         return None
 

@@ -89,9 +89,8 @@ class StepAdvice(Displayed):
             if self.collision < self.harmonic:
                 heat = f"{self.temperature:.3g} {units.temperature}" if self.temperature else "rest"
                 hotter = f"or at the temperature of the velocities if that is higher (now: {heat})"
-                alone = f"the stiffest mode alone would allow {shown(self.harmonic)}"
                 rows[-1] = "decided by", f"{by_heat} in a liquid at k_B T up to {COLDEST:.2g} ε, {hotter}"
-                rows.append(("", f"{alone}, for vibrations around this state only"))
+                rows.append(("", f"the stiffest mode of this state alone would allow {shown(self.harmonic)}"))
         return rows if self.timestep is None else [*rows, ("given", f"{shown(self.timestep)}{of_limit}")]
 
 

@@ -547,7 +547,7 @@ def _check_center(is_held: bool, stays: bool, method: Splitting) -> None:
     """Raise ValueError for atoms with FixCom whose center of mass would move."""
     if stays or not is_held:
         return
-    cause = "a force from outside or a fixed atom moves the center of mass: remove one of them"
+    cause = "a force from outside or a fixed atom moves the center of mass: remove FixCom, or what moves it"
     if not method.conserves_momentum:
         cure = "take StochasticVelocityRescaling or minimd.ase.Langevin, or remove FixCom"
         cause = f"{method.name} moves the center of mass: {cure}"

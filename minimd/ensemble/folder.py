@@ -241,7 +241,7 @@ class EnsembleFolder:
         except FileNotFoundError:
             return None
         except (ValueError, KeyError, TypeError, RecursionError) as error:
-            words = f"({type(error).__name__}: {error}); choose another folder, or remove it"
+            words = f"({type(error).__name__}: {error}); choose another folder, or remove the file"
             raise ValueError(f"{file} is not a description of an ensemble {words}") from None
 
     def _lines(self, file: Path) -> Iterator[Row]:
@@ -255,7 +255,7 @@ class EnsembleFolder:
                 complete = [line for line in some if line.endswith(b"\n")]
                 for row in _rows_in(complete):
                     if not _is_sound(row):
-                        words = f"it has the line {shown(row)}; choose another folder, or remove it"
+                        words = f"it has the line {shown(row)}; choose another folder, or remove the file"
                         raise ValueError(f"{file} is not a journal of members: {words}")
                     yield row
                 whole += sum(map(len, complete))

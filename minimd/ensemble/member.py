@@ -141,7 +141,7 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
         raise ValueError("an ensemble must have at least one member; parameters is empty")
     for name in rows[0]:
         if not isinstance(name, str) or not name or name in OWN_COLUMNS or name.endswith(OWN_ENDINGS):
-            taken = f"{listed(OWN_COLUMNS)}, and must not end in {' or '.join(OWN_ENDINGS)}"
+            taken = f"{listed(OWN_COLUMNS)}, nor end in {' or '.join(OWN_ENDINGS)}"
             raise ValueError(
                 f"the name of a parameter must be a text, not one of {taken}: these are columns of the table; it is "
                 f"{shown(name)}"

@@ -37,7 +37,7 @@ SECONDS_OF_A_BATCH, MOST_IN_A_BATCH, RECENT = 1.0, 100, 64
 TOLD = 3  # failures that a warning names
 BELOW = "put the call below: if __name__ == '__main__':"
 OUTSIDE = f"If the script calls md.ensemble outside of functions, {BELOW}"
-ANOTHER = "Make the same call again to go on, with a new executor: some give up when one of their processes dies"
+ANOTHER = "Make the same call again to go on, with a new executor: the old one may have given up because a process died"
 # seconds between requests to stop, repeated because a member that is between two runs does not notice one
 BETWEEN_REQUESTS = 0.02
 
@@ -218,7 +218,7 @@ def _rows_of(batch: list[Job], future: Future) -> list[Row]:
         rows: list[Row] = future.result()
         return rows
     except (WorkerNeverBegan, BrokenExecutor, CancelledError, pickle.PicklingError) as error:
-        given_up = "its executor gave it up, as dask does if its scheduler is gone"
+        given_up = "the executor gave up, as dask does if it has lost its scheduler"
         told = given_up if isinstance(error, CancelledError) else sentence(error)
         advice = OUTSIDE if isinstance(error, WorkerNeverBegan | pickle.PicklingError) else ANOTHER
         words = f"{batch[0][0]} could not be run, and neither can the others: {told}. {advice}"

@@ -83,7 +83,7 @@ class Claim:
                 os.link(self.place, self.path)  # unlike a rename, it fails if the name is taken
                 self.place.unlink()
         except FileExistsError:
-            raise FileExistsError(errno.EEXIST, "another run has made it meanwhile; choose another name") from None
+            raise FileExistsError(errno.EEXIST, "another run has taken this name; choose another name") from None
         except OSError:  # a file system without links
             if self._replaced >= 0 or self.path.exists():
                 raise

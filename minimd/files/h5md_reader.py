@@ -93,7 +93,7 @@ def admitted(h5: h5py.File, path: str | Path) -> h5py.File:
         with damage_told(path):
             problem = _strange_thing(h5)
         if problem:
-            remedy = "minimd writes no such thing, do not use this file"
+            remedy = "minimd writes no such thing; do not use this file"
             raise OSError(f"file {str(path)!r} is refused: {problem}; {remedy}")
     except BaseException:
         h5.close()
@@ -117,7 +117,7 @@ def _strange_thing(h5: h5py.File) -> str:
             item = h5o.open(group, key)
             is_group, is_second = isinstance(item, h5g.GroupID), (address := h5o.get_info(item).addr) in seen
             if is_group and (is_second or name.count("/") >= DEEPEST):
-                return f"{name!r} is a group with a second name, or in more than {DEEPEST} others"
+                return f"{name!r} is a group that has a second name, or lies inside more than {DEEPEST} others"
             if is_second:
                 continue
             seen.add(address)
@@ -125,7 +125,7 @@ def _strange_thing(h5: h5py.File) -> str:
             words, n_bytes = _strange_in(item, name)
             room -= n_bytes
             if words or room < 0:
-                too_large = f"with what precedes it would be larger than the file, by {-room} bytes"
+                too_large = f"and all before it claim {-room} bytes more than the file has"
                 return f"{name!r} {words or too_large}"
     return ""
 

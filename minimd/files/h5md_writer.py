@@ -121,7 +121,7 @@ class H5MDWriter:
         if words := _obstacle(contents, self._engine, self._store_forces):
             raise ValueError(f"trajectory {file!r} {words}")
         if other := layout.other_method(contents.method, contents.parameters, contents.precision, self._engine):
-            goes_on = f"the run in {file!r} is continued with another method, bath or precision: {other}"
+            goes_on = f"the run in {file!r} is continued with another method, barostat or precision: {other}"
             warnings.warn(f"{goes_on}; frames before and after belong to different runs", stacklevel=outside_minimd())
         restart = digest.read_restart(h5)
         digest.restore_observers(h5, file, restart, self._observers)
@@ -236,7 +236,7 @@ class H5MDWriter:
             self._give_up()
             failed = f"trajectory {self.claim.name!r} could not {what}"
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-            raise OSError(f"{failed}: {reason}; the {self._n_frames} frames before it are valid") from error
+            raise OSError(f"{failed}: {reason}; the {self._n_frames} earlier frames are valid") from error
 
     def _give_up(self) -> None:
         self._h5.close()

@@ -100,8 +100,8 @@ def system_from_file(
     for name, n_types in found.n_types.items():
         groups = {"bonds": "pairs", "angles": "triples"}.get(name, "quadruples")
         one = f"{'an' if name[0] in 'ai' else 'a'} {name[:-1]} potential"
-        words = f"the {name} of {str(path)!r} are of {n_types} types, which {one} does not distinguish"
-        warnings.warn(f"{words}; give it {groups}, or arrays of parameters", stacklevel=outside_minimd())
+        words = f"the {name} of {str(path)!r} are of {n_types} types, which {one} does not distinguish; give it"
+        warnings.warn(f"{words} {groups} of one type, or arrays of parameters", stacklevel=outside_minimd())
     return changed(system, **found.groups, charges=system.charges if system.charges.any() else found.charges)
 
 
@@ -216,7 +216,7 @@ def _read_as(path: Path, what: str, form: str | None) -> Iterator[None]:
         yield
     except Exception as error:
         if form is None and isinstance(error, StopIteration | UnknownFileTypeError):
-            reason = "its suffix and content do not show its format; give it as format, such as 'lammps-data'"
+            reason = "its suffix and content do not show its format; pass it, such as format='lammps-data'"
         elif isinstance(error, KeyError) and path.suffix.lower() in XYZ and error.args[0] not in atomic_numbers:
             reason = (
                 f"{error.args[0]!r} is not a chemical symbol, which ASE expects in this format; name the atoms X, and "

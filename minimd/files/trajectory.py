@@ -162,7 +162,7 @@ def _cut_others_back(writer: Any) -> None:
             words = ""
         except (OSError, ValueError, struct.error) as error:
             reason = getattr(error, "strerror", None) or error
-            words = f"may hold frames after the restart and is left as it is: {reason}"
+            words = f"is left as it is, and may hold frames later than the state from which the run goes on: {reason}"
         told += [f"trajectory {str(path)!r} {words}"] if words else []
     for sentence in told:
         warnings.warn(sentence, stacklevel=outside_minimd())
@@ -175,20 +175,20 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
     Raises OSError, ValueError if one of the two files is not the one that the run has written.
     """
     if path.suffix.lower() not in set(FORMATS) - {".h5md"}:
-        raise ValueError("it is no trajectory")
+        raise ValueError("its suffix is not that of a trajectory")
     with open(locked(path), "r+b") as file:
         there = file.fileno()
         found = os.fstat(there).st_size
         is_ours = _has_inode(h5md, own) and _has_inode(there, inode) and found >= size
         now = read_at(there, *_last_bytes(size)) if is_ours else b""  # a strange mark may have any size
         if not is_ours or any(was not in (0, byte) for was, byte in zip(last, now, strict=False)):
-            raise ValueError("it, or the file with the restart, is a copy or was changed")
+            raise ValueError("this trajectory, or the .h5md file, is a copy or was changed")
         file.write(first[:size])
         file.truncate(size)
         if not size:  # it had no frame, and therefore no name
             path.unlink()
-            return f"of {found} bytes was removed: it had no frame at the restart"
-    return f"was cut from {found} to {size} bytes, as it was at the restart" if found > size else ""
+            return f"of {found} bytes was removed: it had no frame at the step from which the run goes on"
+    return f"was cut to {size} bytes, its size at the step from which the run goes on" if found > size else ""
 
 
 def _has_inode(descriptor: int, inode: int) -> bool:

@@ -77,7 +77,7 @@ class Contact:
     def cure(self) -> str:
         """What to do about a law without a finite number."""
         if self.longest is not None and self.distance >= self.longest:
-            return "begin with shorter bonds or give a larger longest; if it happened during a run, reduce the timestep"
+            return "begin with shorter bonds or give a larger longest; if a run broke the bond, reduce the timestep"
         return "correct the law at that distance, or keep atoms away from it"
 
     def stiffness(self, timestep: float) -> str:
@@ -96,7 +96,7 @@ def why_not_finite(system: System, potentials: Sequence[Any]) -> str:
             found = contacts(system, [potential], np.ones(len(system)), bad[:2])
             named = (f"{one.without_number(system.units.length)}; {one.cure}" for one in found if not one.is_finite)
             return next(named, f"{shown(potential)} gives no finite number for atom {bad[0]}")
-    return "every potential by itself is finite here"
+    return "each potential alone is finite, but not their sum"
 
 
 # two atoms, their distance, the factor on the law, and its numbers

@@ -200,7 +200,7 @@ class Forces:
         self._plan(self._bound)
         for term in self.terms:
             if not term.fits_grid:
-                kinds = "laws u(r) of pairs and bonds, angles, dihedrals, and fields that stay the same"
+                kinds = "laws u(r) of pairs and bonds, angles, dihedrals, and fields that are constant in time"
                 why = f"{type(term).__name__} cannot round its forces"
                 raise ValueError(f"precision='fixed-point' is for {kinds}; {why}: take precision='double'")
 

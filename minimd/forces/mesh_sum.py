@@ -220,7 +220,7 @@ def charge_sum(
     best = min(times, key=times.__getitem__, default=None)
     if best is not None and prod(shape_for(system, best)) > MOST_POINTS:
         needs = (
-            f"needs a mesh of {' x '.join(map(str, shape_for(system, best)))} points, at most {MOST_POINTS} are allowed"
+            f"needs a mesh of {' x '.join(map(str, shape_for(system, best)))} points; at most {MOST_POINTS} are allowed"
         )
         raise ValueError(f"cutoff of Coulomb must be larger; {split.cutoff:.3g} {needs}")
     if method == "mesh" and (best is None or is_fixed):

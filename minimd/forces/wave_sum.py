@@ -363,7 +363,7 @@ class WaveSum(ChargeSum):
         reciprocal = 2.0 * pi * system.cell.inverse
         ends = np.floor(largest * np.linalg.norm(lattice, axis=1) / (2.0 * pi))
         if (n := float(np.prod(ends + 1.0))) > MOST_CELLS:
-            needs = f"needs some {2.0 * n:.1g} waves in this cell, at most {2 * MOST_CELLS} are allowed"
+            needs = f"needs some {2.0 * n:.1g} waves in this cell, but at most {2 * MOST_CELLS} are allowed"
             raise ValueError(f"cutoff of Coulomb must be larger; {self._split.cutoff:.3g} {needs}")
         most = ends.astype(np.int64)
         cells = np.stack(np.meshgrid(*(np.arange(n + 1) for n in most), indexing="ij"), axis=-1).reshape(-1, 3)

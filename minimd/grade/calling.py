@@ -297,7 +297,7 @@ class StudentForce(Called):
             try:
                 wrong.append(self._misfit(self.answer(trial), np.shape(trial), "pair" in kinds))
             except Exception as error:  # whatever a student's function raises
-                wrong.append(f"{np.shape(trial)} raised {type(error).__name__}: {error}")
+                wrong.append(f"{np.shape(trial)}, and raised {type(error).__name__}: {error}")
             if not wrong[-1]:
                 return
         call, told = f"{self.name}({', '.join(self.names)})", f"{self.names[0]} of shape {wrong[len(kinds) - 1]}"
@@ -310,9 +310,9 @@ class StudentForce(Called):
         shapes = [np.shape(part) for part in (answer[:2] if has_parts else [answer])]
         if answer is None or shape not in shapes or not {*shapes} <= {shape, ()} or len(shapes) <= has_parts:
             returned = "None" if answer is None else f"shape {', '.join(map(str, shapes))}"
-            return f"{shape} returned {returned}; forces must have the shape of the positions"
+            return f"{shape}, and returned {returned}; forces must have the shape of the positions"
         if self.kind == "law" and may_be_pair and self._is_vector():
-            return "() is no law of the distance"
+            return "(), but is a function of the vector r_ij"
         self.has_energy = len(shapes) > 1 and () in shapes
         self.energy_first = (shapes[0] != shape if shape else self._energy_is_first()) if has_parts else None
         return ""

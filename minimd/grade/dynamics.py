@@ -32,7 +32,7 @@ AGAIN, NEARLY = 3, 0.65  # times the runs if a law nearly fails; of its limit
 EVERY, OF_PATHS = 5, 20  # steps between two frames; in a comparison of paths
 LEAST_ORDER, SAME, KEPT = 1.7, 1e-7, 1e-6  # of the error of the energy; of paths, of momentum, relative
 USED = {"NVE": ("ring",), "NVT": ("ring", "coarse ring"), "NPT": ("gas",)}
-COLLAPSE = "; is the pressure positive, the kinetic part 2K/3V in it, and has the virial its sign?"
+COLLAPSE = "; check that the pressure is positive, contains 2K/3V, and has the virial with the right sign"
 
 
 class Claims(NamedTuple):
@@ -78,7 +78,7 @@ class Motion:
         n = len(atoms)
         dynamics.run(OF_PATHS)
         if len(atoms) != n:
-            raise ValueError(f"{n} atoms have become {len(atoms)}")
+            raise ValueError(f"the dynamics changed the number of atoms from {n} to {len(atoms)}")
         self.heat = np.sqrt(claims.kt * atoms.get_masses().sum())  # a momentum
         self.change = float(np.abs(atoms.get_momenta().sum(axis=0)).max() / self.heat)
         self.is_still = self.change < KEPT  # whether a scene at rest stays at rest
@@ -95,13 +95,13 @@ class Motion:
     def again(self) -> Measured:
         """Whether numbers can be had again."""
         same = np.array_equal(self.path(OF_PATHS), self.path(OF_PATHS))
-        return Measured(0.0, 0.0, "the same") if same else Measured(0.0, np.nan, "other numbers: is rng used?")
+        return Measured(0.0, 0.0, "the same") if same else Measured(0.0, np.nan, "other numbers: take noise from rng")
 
     def restart(self) -> Measured:
         """Whether all that a step needs is in the atoms."""
         once, parted = self.path(OF_PATHS), self.path(OF_PATHS // 2, OF_PATHS // 2)
         off = float(np.abs(once - parted).max() / np.ptp(once))
-        kept = ": not all that a step needs is in the atoms, or random numbers are new" * (off >= SAME)
+        kept = ": a step needs more than the atoms hold, or random numbers differ" * (off >= SAME)
         return Measured(off, 0.0 if off < SAME else np.nan, kept)
 
     def center(self) -> tuple[float, float]:
@@ -149,11 +149,11 @@ class Motion:
         if not np.isfinite(order):
             return Measured(0.0, 1.0, "the energy grows without bound")
         if not order > LEAST_ORDER and not abs(self.drift()[1]) < 1.0:
-            said = "with a drift, a force at other positions than those reached, or friction"
+            said = "look for friction, or for a force at other positions than the new ones"
         elif order > 0.5:
-            said = "are positions and velocities those of one time, and the force that at the new positions?"
+            said = "do positions and velocities belong to one time, and the force to the new positions?"
         else:
-            said = "the force is not minus the gradient of the energy (is it capped?), or x and p do not have one mass"
+            said = "the force is not minus the gradient of the energy (is the force capped?), or x and p use two masses"
         return Measured(order, 0.0 if order > LEAST_ORDER else 1.0, said)
 
     def softness(self) -> float:
@@ -176,16 +176,16 @@ class Motion:
 ORDER = "the error of the energy goes as Δt^{0:.1f}, that of a method of second order as Δt²: {2}"
 LAWS = (  # of paths
     Law("repeatable", Motion.again, 0.5, "the same seed gives {2}"),
-    Law("restart", Motion.restart, 0.5, "a new object that goes on differs by {0:.1e}{2}"),
-    Law("total momentum", lambda s: s.change, KEPT, "changes by {0:.1e} of a thermal one",
+    Law("restart", Motion.restart, 0.5, "a run that a new object continues differs by {0:.1e}{2}"),
+    Law("total momentum", lambda s: s.change, KEPT, "changes by {0:.1e} of a thermal momentum",
         "the total momentum changes, though nothing acts from outside", "NVE"),
     Law("center of mass", Motion.center, 1e-4, "moves by {0:.6g} P t/M", "the center of mass moves by {0:.6g} times "
-        "its velocity and the time: do positions move with all of the time step that was asked for?", "NVE"),
+        "its velocity times the time: do positions move for the whole time step?", "NVE"),
     Law("order of the energy's error", Motion.order, 0.5, "Δt^{0:.2f}", ORDER, "NVE"),
-    Law("energy is kept", Motion.drift, 1.0, "in {3} steps {0:+.1g} ± {2:.1g} of its spread",
-        "the energy drifts: in {3} steps {0:+.1g} ± {2:.1g} of its spread", "NVE"),
+    Law("energy is kept", Motion.drift, 1.0, "drift in {3} steps {0:+.1g} ± {2:.1g} of its spread",
+        "the energy drifts by {0:+.1g} ± {2:.1g} of its spread in {3} steps", "NVE"),
     Law("reversible", Motion.reversal, SAME, "100 steps and back: {0:.1e}",
-        "a path does not lead back: with turned momenta 100 steps end {0:.1e} beside the start", "NVE"),
+        "100 steps with reversed momenta do not lead back: the end is {0:.1e} from the start", "NVE"),
     Law("rigid bonds", Motion.softness, SOFT, ensembles.BONDS, ensembles.BONDS_FAULT, "NVE rigid"),
     Law("order of the conserved energy's error", Motion.order, 0.5, "Δt^{0:.2f}", ORDER, "conserved"),
 )
@@ -217,8 +217,8 @@ def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
     if means:
         what = "temperature or mean volume" if claims.pressure else "temperature"
         coarsest = max(means, key=lambda one: one.limit)
-        seen = f"a {what} wrong by {100.0 * coarsest.limit:.0f} % would be seen in any scene, less in others than in"
-        remarks += [f"{seen} {coarsest.name.partition(':')[0]!r}; more runs= or steps= show smaller errors"]
+        seen = f"{coarsest.name.partition(':')[0]!r}, finds a {what} that is wrong by {100.0 * coarsest.limit:.0f} %"
+        remarks += [f"the least precise scene, {seen}; more runs= or steps= find smaller errors"]
     if "temperature_K" not in options and "temperature_K" in inspect.signature(dynamics).parameters:
         remarks += [f"judged as {ensemble}{' at 300 K' * (ensemble != 'NVE')}, since no temperature_K is given"]
     told = f"{name}({', '.join(options)}): {ensemble}, {ENSEMBLES[ensemble]}"
@@ -238,7 +238,7 @@ def of_half_a_step(halved: Make, claims: Claims, is_still: bool, heat: float) ->
     answers = of_scene(halved, claims._replace(runs=max(2, claims.runs // 3)), "ring", is_still, RATE)
     found = next((one.value for one in answers if one.name == "ring: temperature"), heat)
     said = f"with half the time step the temperature is {found:.3f}, not {heat:.3f} times what was asked for"
-    return [] if 0.7 < found / heat < 1.4 else [f"{said}: the noise of a step must go as √Δt"]
+    return [] if 0.7 < found / heat < 1.4 else [f"{said}: the noise of a step must be proportional to √Δt"]
 
 
 def claimed(options: dict[str, Any]) -> Claims:

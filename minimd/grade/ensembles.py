@@ -52,7 +52,7 @@ class Seen:
         """How much of the energy, or of the volume, is new at the end of a run."""
         ends = self.all.ends[:, :, int("volume" in self.has)]
         found = float(((ends[:, 1] - ends[:, 0]) ** 2).mean()) / max(2.0 * float(ends.var()), 1e-300)
-        few = ": too little to judge; take a shorter time of the bath, or more steps=" * bool(found < ACTED)
+        few = ": too little to judge; take a shorter relaxation time, or more steps=" * bool(found < ACTED)
         return Measured(min(found, 1.0), 1.0 if found < NEVER else np.nan if few else 0.0, few)
 
 
@@ -64,9 +64,9 @@ def temperature_said(means: Array, seen: Seen) -> str:
     """What a wrong temperature means."""
     free, ratio = seen.n_free, float(means[0])
     table = {
-        0.25: "the noise is half as strong as the friction demands: √(2 γ kT m Δt) for a momentum",
-        0.5: "the noise is too weak by √2, or the friction acts twice for each noise",
-        2.0: "the noise is too strong by √2, or the friction acts for half of the step",
+        0.25: "the noise is half as strong as the friction demands: a momentum needs √(2 γ kT m Δt)",
+        0.5: "the noise is too weak by a factor √2, or the friction acts twice per step",
+        2.0: "the noise is too strong by a factor √2, or the friction acts for half a step only",
         4.0: "the noise is twice as strong as the friction demands",
         (free - 3.0) / free: f"{free - 3} degrees of freedom are counted where {free} move: three are subtracted twice",
     }
@@ -86,8 +86,8 @@ def masses_said(means: Array, seen: Seen) -> str:
     masses = np.unique(seen.masses)
     power = float(np.polyfit(np.log(masses), np.log(np.maximum(means, 1e-9)), 1)[0])
     each = ", ".join(f"{mean:.2f} ({mass:g} amu)" for mean, mass in zip(means, masses, strict=True))
-    noise = f"; it goes as m^{power:.1f}: the noise of a momentum goes with √m, that of a velocity with 1/√m"
-    return f"atoms of different masses have different temperatures, over that of all: {each}" + noise * (
+    noise = f"; the temperature goes as m^{power:.1f}: momenta need noise as √m, velocities as 1/√m"
+    return f"atoms of different masses have different temperatures, relative to the mean: {each}" + noise * (
         abs(power) > 0.3
     )
 
@@ -96,7 +96,7 @@ def volume_said(means: Array, seen: Seen) -> str:
     """What a wrong mean volume means."""
     n, found = seen.scene.n_bodies, float(means[0]) * seen.n_volume
     table = {float(k): f"p(V) goes as V^{k - 1} exp(−PV/kT)" for k in (n - 1, n, n + 1)}
-    table |= {2.0 * k: "it is that of free atoms: is the virial in the pressure?" for k in (n, n + 0.5)}
+    table |= {2.0 * k: "this is the value of free atoms: is the virial in the pressure?" for k in (n, n + 0.5)}
     table |= {3.0 * k: "the kinetic energy counts twice in the pressure" for k in (n, n + 1 / 3)}
     return f"P<V>/kT of {n} molecules is {found:.2f}, not {seen.n_volume}" + nearest(found, table, 0.07)
 
@@ -105,10 +105,10 @@ def pressure_said(means: Array, seen: Seen) -> str:
     """What a wrong balance of the pressures means."""
     found = (float(means[0]) - 1.0) * seen.n_volume + seen.excess
     table = {
-        seen.excess - 1.0: "one power of V too little: N where N + 1 is right",
-        seen.excess + 1.0: "one power of V too much: N + 2 where N + 1 is right",
-        0.0: "the volume is driven until the mean pressure is P: kT/V is missing beside P_int − P (a factor "
-        "1 + 3/N_f of the kinetic energy in Martyna, Tobias, Klein); in a move of ln V, N is for N + 1, N particles",
+        seen.excess - 1.0: "p(V) lacks one power of V: N where N + 1 is right",
+        seen.excess + 1.0: "p(V) has one power of V too many: N + 2 where N + 1 is right",
+        0.0: "the mean pressure is driven to P: add kT/V to P_int − P (in Martyna, Tobias, Klein a factor 1 + 3/N_f "
+        "of the kinetic energy); a Monte Carlo move of ln V needs the power N + 1 of V for N particles, not N",
     }
     near = min(table, key=lambda one: abs(found - one))
     return f"P<V> − <P_int V> is {found:.2f} kT, not {seen.excess} kT" + f": {table[near]}" * (abs(found - near) < 0.3)
@@ -118,7 +118,7 @@ def spread_said(means: Array, seen: Seen) -> str:
     """What a wrong fluctuation of the volume means."""
     why = "the volume is driven toward a pressure, and not drawn from its distribution"
     if means[0] > 1.0:
-        why = "its motion is too hot: do momenta shrink as the volume grows, is its noise √(2 γ W kT)?"
+        why = "the volume moves too fast: do momenta shrink as it grows, and is its noise √(2 γ W kT)?"
     return f"the variance of ln V is {means[0]:.2f} times that of the ensemble: {why}"
 
 
@@ -183,7 +183,7 @@ def row(name: str, words: str, measure: Measure, said: Said, needs: str, spare: 
     words : what is measured.  measure : of a run, a number or one of each group; 1 if the law holds.  said : what other
     numbers (G,) mean.  spare : what is allowed beside the error, since the distribution of the measure is skew.
     """
-    told = f"{words}: {{0:.3f}} ± {{3:.3f}} (finds {{4:.1%}})"
+    told = f"{words}: {{0:.3f}} ± {{3:.3f}} (finds errors of {{4:.1%}})"
     return Law(name, lambda seen: seen.over_runs(measure, said, spare), 1.0, told, "{2}", needs)
 
 
@@ -197,8 +197,8 @@ LAWS = (  # of what a scene has
         "the energy never changes: nothing acts on it", "fixed"),
     Law("the barostat acts", Seen.acted, 0.5, "{0:.0%} of the volume is new at the end of a run{2}",
         "the volume never changes: nothing acts on it", "volume"),
-    row("temperature by mass", "that of atoms of a mass, over that of all", of_masses, masses_said, "masses"),
-    row("temperature by direction", "that along x, y or z, over that of all", of_directions,
+    row("temperature by mass", "that of atoms of one mass over that of all atoms", of_masses, masses_said, "masses"),
+    row("temperature by direction", "that along x, y or z over the mean", of_directions,
         lambda means, _: f"motion along x, y, z has {', '.join(f'{mean:.2f}' for mean in means)} times the mean "
         "temperature: do all three get noise and friction?", "ring"),
     row("temperature", "kinetic energy over its share of kT",

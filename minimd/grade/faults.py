@@ -39,8 +39,8 @@ ODD = {  # causes of terms that do not belong there, by part, power and term; "F
 }
 WEIGHTS = {  # causes of kicks that add up to another weight
     0.5: ": only half of the kick is made; a half kick is missing, or the velocity returned is that at half a step",
-    1.5: ": one half kick is that of a whole step",
-    2.0: ": each half kick is that of a whole step, or a factor ½ is missing",
+    1.5: ": one half kick is as large as a whole kick",
+    2.0: ": each half kick is as large as a whole kick, or a factor ½ is missing",
 }
 TWICE = ": one half kick is multiplied by dt twice (a dv that already contains dt is multiplied by dt)"
 SECOND_ORDER = (  # coefficients of Δt² F/m in x, and of Δt² J v in v, times two; all of order 1
@@ -53,7 +53,7 @@ SECOND_ORDER = (  # coefficients of Δt² F/m in x, and of Δt² J v in v, times
     (2, 1, "dt² F/m in place of ½ dt² F/m in the positions: the factor ½ is missing, or the first kick is a whole one"),
     (0, 1, "positions move with the old velocity: ½ dt² F/m is missing, or the velocity at half a step"),
     (1, 0.5, "the second half kick uses the force at the middle of the drift: compute it at the new positions"),
-    (2, 2, "the new force and the new velocity are used where means with the old ones are needed (implicit Euler)"),
+    (2, 2, "the new force and the new velocity are used where means of old and new are needed (implicit Euler)"),
 )
 # fmt: on
 
@@ -64,10 +64,10 @@ def hidden(step: StudentStep, where: Problem) -> list[str]:
     off = float(np.abs(np.array(step(where, where.x, where.v, 0.1)) - first).max())
     np.random.set_state(state)
     return first_of(
-        (step.n_evaluations == 0 and {*FORCES} & {*step.roles}, "the step does not compute the force, or only in its "
-                                                                "first call, and keeps that result"),
+        (step.n_evaluations == 0 and {*FORCES} & {*step.roles}, "the step never computes the force, or computes it in "
+                                                                "its first call only and keeps that result"),
         (off, f"two steps from the same x and v differ by {off:.1e}: the step draws random numbers, as a thermostat "
-              "does, or remembers earlier calls, such as a force kept outside. What it needs must be an argument"),
+              "does, or remembers earlier calls, such as a force kept outside. Pass all that it needs"),
     )  # fmt: skip
 
 
@@ -78,8 +78,8 @@ def faults_of(
     faults = first_of(
         (is_energy_kept, "the energy is kept to rounding: velocities are rescaled in each step to keep it, which hides "
                          "the error of the step and is neither symplectic nor reversible"),
-        (step.rows_alike, "all rows of the path are alike: the array is changed in place after it was appended. Append "
-                          "a copy, as in xs.append(x.copy())"),
+        (step.rows_alike, "all states of the path are alike: the array is changed in place after it was appended. "
+                          "Append a copy, as in xs.append(x.copy())"),
         (noise > SINGLE, f"the step rounds to {noise:.0e} of the coordinates: it uses float32 somewhere"),
     )  # fmt: skip
     faults, where = faults or explained(step, problems, n_powers) or limited(step, problems[0]), problems[0]
@@ -98,7 +98,7 @@ def limited(step: StudentStep, where: Problem) -> list[str]:
         jump = np.abs(step(where, where.x + far, where.v, 0.02)[0] - far - new)
         if jump.max() > 1e-6:
             return [f"atoms that start {far:g} farther away are moved by {jump[jump > 1e-6].min():.6g} more: positions "
-                    "are wrapped into a box in the step, or it depends on the origin"]  # fmt: skip
+                    "are wrapped into a box in the step, or the step depends on the origin"]  # fmt: skip
     off, most = np.abs(fast - FASTER * where.v).max(), np.abs(fast).max()
     return first_of((off > CHANGED * FASTER, f"velocities above {most:.4g} are cut off: they are limited (clipped)"))
 
@@ -168,9 +168,9 @@ def stranger(part: int, power: int, rest: float, changes: list[Array], known: li
     told = ", ".join(f"{c[0]:.3g}" for c, _ in alone[:3])
     return first_of(
         (part and off.ndim and max(one for _, one in alone) < UNEXPLAINED, f"velocities change by {told}, … "
-         f"v{POWERS[power]} in addition to the kick: they are rescaled, the step contains a thermostat"),
-        (True, f"{PARTS[part]}{place} do not change as Newton's equation says, by {rest:.1%} of a term{POWERS[power]}: "
-               "set, limited, wrapped, rescaled, the mean motion is removed, or another force or mass acts"),
+         f"v{POWERS[power]} in addition to the kick: they are rescaled, as by a thermostat"),
+        (True, f"{PARTS[part]}{place} do not change as Newton's equation says (off by {rest:.1%} of a "
+               f"term{POWERS[power]}): they are set, limited, wrapped or rescaled, or another force or mass acts"),
     )[0]  # fmt: skip
 
 
@@ -192,7 +192,7 @@ def wrong_terms(part: int, power: int, found: dict[tuple[int, int], dict[str, fl
     later, why = found.get((part, power + 1), {}), WEIGHTS.get(round(total, 5), "") if what == "kick" else ""
     why = TWICE if why and is_near(total, 0.5) and is_near(later.get("F/m", 0.0), 0.5) else why
     return faults if not what or is_near(total, right) else faults + first_of(
-        (is_near(total, 0.0), f"the {what} is missing: {PARTS[part]} lack dt {term}{', it has dt²' * (term in later)}"),
+        (is_near(total, 0.0), f"the {what} is missing: {PARTS[part]} lack dt {term}{'; it has dt²' * (term in later)}"),
         (total < 0.0, f"the {what} has the wrong sign: {PARTS[part]} change by {coefficient(total)} dt {term}"),
         (True, f"the {what} is multiplied by {coefficient(total)}: {PARTS[part]} change by {total:.7g} dt {term}{why}"),
     )  # fmt: skip

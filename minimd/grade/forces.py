@@ -147,8 +147,8 @@ class Forces:
                 continue
             finally:
                 call.values = given
-        hint = ", a bond without rest length: F = −k (r − r0) r_ij/r" if re.search(REST, plain(" ".join(still))) else ""
-        told = f"{', '.join(still)} is without effect: forces are the same if it is larger{hint}"
+        hint = "; with a rest length F = −k (r − r0) r_ij/r" if re.search(REST, plain(" ".join(still))) else ""
+        told = f"forces do not change when {' or '.join(still)} is increased{hint}"
         return len(still), len(still), told
 
     def like(self, right: Array, other: str) -> tuple[float, float, str]:
@@ -222,8 +222,8 @@ class Forces:
             one, two = self.call(self.place(PROBE))[0]
         sizes = np.linalg.norm([one, two], axis=1)
         return off, off, first_of(
-            (sizes.min() < ROUNDING * sizes.max(), f": only one of the two atoms of a pair gets the force, number "
-             f"{sizes.argmax()}; what is added to one must be subtracted from the other (or floor is used for round)"),
+            (sizes.min() < ROUNDING * sizes.max(), f": only one of the two atoms of a pair gets the force, atom "
+             f"{sizes.argmax()}; subtract from one what is added to the other (or use round, not floor)"),
             (sizes.any() and np.allclose(one, two), ": both atoms of a pair get the same force; the second needs the "
                                                     "other sign"), (True, ""))[0]  # fmt: skip
 
@@ -232,7 +232,7 @@ class Forces:
         steps = np.eye(self.x.size).reshape(-1, *self.x.shape) * DELTA
         slopes = -np.array([difference(lambda x: float(self.call(x)[1]), self.x, e) for e in steps]) / DELTA
         off, c = float(np.abs(self.forces.ravel() - slopes).max()), multiple_of(self.forces.ravel(), slopes, EQUAL)
-        return off, off / (float(np.abs(slopes).max()) or 1.0), f": they are {c:.6g} times it" if np.isfinite(c) else ""
+        return off, off / (float(np.abs(slopes).max()) or 1.0), f": they are {c:.6g} (−∇U)" if np.isfinite(c) else ""
 
     def curl(self) -> float:
         """Whether forces without an energy can be a gradient: ∂F_i/∂x_j = ∂F_j/∂x_i."""
@@ -272,9 +272,9 @@ class Forces:
         single = (np.abs(forces[:, None] - parts).max(axis=2) + np.diag(np.full(n, np.inf))).min(axis=1).max()
         fault = first_of(
             (off < SAME, ""),
-            (single < small, "each atom feels only one other atom: its force is overwritten (=), not added (+=)"),
+            (single < small, "each atom feels only one other atom: forces are overwritten (=), not added (+=)"),
             (np.abs(forces[-1]).max() < 1e-4 * small, f"atom {n - 1}, the last, feels no force: check the bounds"),
-            (np.isfinite(c), f"the forces of {n} atoms are {c:.6g} times the sum of those of pairs: they are divided "
+            (np.isfinite(c), f"the forces of {n} atoms are {c:.6g} times the sum of pair forces: they are divided "
                              "or multiplied by a number of atoms"),
             (True, ""))[0]  # fmt: skip
         return off, off if fault or off < SAME else np.nan, fault
@@ -296,38 +296,38 @@ def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
 LAWS = (  # the most telling first
     Law("finite", lambda s: float(np.count_nonzero(~np.isfinite([*s.forces.flat, *s.values]))), 0.5, "{0:g} are not",
         "forces are not finite: an atom meets itself (i = j, r = 0), or two atoms coincide"),
-    Law("parameters", Forces.without_effect, 0.5, "{0} are without effect", "{2}"),
+    Law("parameters", Forces.without_effect, 0.5, "{0} have no effect", "{2}"),
     Law("central", lambda s: float(np.linalg.norm(np.cross(s.skew, SKEW)) / np.linalg.norm(s.skew)), 1e-9,
         "F × r_ij is {0:.1e} of F r", "the force of the pair does not point along r_ij", "pair"),
     Law("nearest image", Forces.images, 0.5, "atoms across {0} faces are no neighbors", "{2}", "forces pairs cell"),
     Law("rotation", lambda s: s.off(s.x @ s.turn, s.forces @ s.turn), SAME, "turned forces differ by {0:.1e}",
-        "forces do not turn with atoms: a component is missing, or r is no √(x² + y² + z²)", "forces nofield free"),
+        "forces do not turn with atoms: a component is missing, or r is not √(x² + y² + z²)", "forces nofield free"),
     Law("a gradient", Forces.curl, 1e-4, "∂F_i/∂x_j − ∂F_j/∂x_i is {0:.1e} of the largest element", "the forces are "
-        "not the gradient of any energy, ∂F_i/∂x_j and ∂F_j/∂x_i differ: no energy is conserved", "forces noenergy"),
+        "not the gradient of any energy (∂F_i/∂x_j and ∂F_j/∂x_i differ): no energy is conserved", "forces noenergy"),
     Law("sum over pairs", Forces.sum_of_pairs, SAME, "F − Σ of single pairs is {0:.1e} of F", "{2}", "forces pairs"),
     Law("sum of forces", Forces.reaction, ROUNDING, "|Σ F| is {0:.1e} of F", "Σ F is not zero{2}", "forces nofield"),
-    Law("not capped", Forces.cap, 0.5, "the force is its law to r = 0.3", "the force is capped at close distances (r = "
-        "{0:.3f} and below): it is no longer the law, nor −du/dr of its energy", "pairs"),
+    Law("not capped", Forces.cap, 0.5, "the force follows its law down to r = 0.3", "the force is capped at close "
+        "distances (r = {0:.3f} and below), where it no longer follows its law", "pairs"),
     Law("powers of r", Forces.of_powers, 0.5, "F = {3}", "{2}", "pairs"),
     Law("force = −∇U", lambda s: s.like(s.slopes(s.r), "−du/dr of the energy"), 0.5, "F is {0:.6g} times −du/dr", "{2}",
         "pairs energy"),
-    Law("as minimd's", lambda s: s.like(s.known, "minimd's force"), 0.5, "{0:.6g} times it", "{2}", "pairs known"),
+    Law("as minimd's", lambda s: s.like(s.known, "minimd's force"), 0.5, "F is {0:.6g} times it", "{2}", "pairs known"),
     Law("cutoff", Forces.ending, 1e-300, "the largest force beyond it is {0:.2g}", "the cutoff {2:g} is not applied, "
         "or acts on the components, not on the distance: the largest force beyond it is {0:.3g}", "pairs cutoff"),
     Law("force continuous", Forces.end, 0.5, "{2}", "the force ends at r = {0:.6g}, where it should not: is r² "
         "compared with the cutoff, not with its square?", "pairs"),
     Law("energy continuous", Forces.jump, 1e-300, "first jump: {0:+.4g}", "the energy jumps at the cutoff by {0:+.4g} "
-        "(r = {2:.6g}) whenever a pair crosses it; subtract u(r_c) = {3:.4g} from that of every pair", "pairs energy"),
+        "whenever a pair crosses r = {2:.6g}; subtract u(r_c) = {3:.4g} from the energy of a pair", "pairs energy"),
 )
 GENERAL = (  # told if no other law says why; of two translations, one may take a pair across a jump
     Law("all forces = −∇U", Forces.all_slopes, EQUAL, "off by {0:.1e}", "the forces are not −∇U{2}", "forces energy"),
     Law("exchange", lambda s: s.off(s.x[s.order], s.forces[s.order]), ROUNDING, "renumbered forces differ by {0:.1e}",
         "forces depend on the numbering of atoms: pairs are left out, or forces overwritten (=)", "forces"),
     Law("translation", lambda s: min(s.off(s.x + shift[: s.d], s.forces) for shift in SHIFTS), SAME,
-        "shifted forces differ by {0:.1e}", "the forces depend on the place of the atoms", "forces nofield"),
-    Law("periodic", lambda s: s.off(s.x + np.sign(s.x - s.x.mean()) * s.lengths, s.forces), SAME, "in other cells they "
-        "differ by {0:.1e}", f"forces on atoms outside the cell differ: {CURE}", "forces nofield cell"),
-    Law("all atoms as minimd's", Forces.all_beside, ROUNDING, "off by {0:.1e}", "beside minimd's {2}", "forces known"),
+        "shifted forces differ by {0:.1e}", "the forces change if all atoms are shifted", "forces nofield"),
+    Law("periodic", lambda s: s.off(s.x + np.sign(s.x - s.x.mean()) * s.lengths, s.forces), SAME, "in other cells "
+        "forces differ by {0:.1e}", f"forces on atoms outside the cell differ: {CURE}", "forces nofield cell"),
+    Law("all atoms as minimd's", Forces.all_beside, ROUNDING, "off by {0:.1e}", "against minimd {2}", "forces known"),
     Law("external field", lambda s: np.nan, 0.5, "a single atom feels a force", "", "field"),
 )
 # fmt: on

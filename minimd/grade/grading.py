@@ -77,9 +77,7 @@ def grade(
         from minimd.grade.dynamics import grade_dynamics
 
         if any(one is not None for one in (potential, cell, cutoff, positions)):
-            raise TypeError(
-                "dynamics are judged in scenes of minimd: potential, cell, cutoff, positions are for forces"
-            )
+            raise TypeError("dynamics are judged in scenes of minimd: leave out potential, cell, cutoff and positions")
         return grade_dynamics(function, options)
     if options:
         raise TypeError(f"options such as {', '.join(options)} are for dynamics; {shown(function)} takes no atoms")

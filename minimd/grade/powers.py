@@ -59,7 +59,7 @@ def compared(f: Array, g: Array, r: Array, other: str) -> tuple[float, float, st
     faults = [
         *first_of((c < 0.0, "the force has the wrong sign, so atoms that should repel each other attract each other")),
         *first_of((k == 1.0, "the factor 1/r is missing: du/dr is multiplied by r_ij, not by the unit vector"),
-                  (k, f"the force has {abs(k):g} power of r too {'many' if k > 0 else 'few'}: a factor 1/r too many?")),
+                  (k, f"the force goes as r^{k:g} times {other}: check the factors 1/r")),
         *first_of((is_near(abs(c), 1.0), ""), (is_near(abs(c), 2.0), f"the force is twice {other}{TWICE}"),
                   (is_near(abs(c), 0.5), f"the force is half of {other}{HALF}"),
                   (True, f"the force is {coefficient(abs(c))} times {other}")),

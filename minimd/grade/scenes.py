@@ -280,16 +280,16 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
     for k in range(steps // every):
         dynamics.run(every)
         if not SMALLEST < (volume := atoms.get_volume()) / start < 1.0 / SMALLEST:
-            raise FloatingPointError(f"a volume of {start:.3g} Å³ is {volume:.3g} Å³ after {(k + 1) * every} steps")
+            raise FloatingPointError(f"the volume went from {start:.3g} to {volume:.3g} Å³ in {(k + 1) * every} steps")
         if 2 * k >= steps // every:
             forces = atoms.get_forces(apply_constraint=False)
             u = atoms.get_potential_energy() if scene.wanted else 0.0
             seen.append((atoms.positions.copy(), atoms.get_momenta(), forces, atoms.get_volume(), u))
     ends.append(ends_of(atoms))
     if np.ptp(edges := atoms.cell.lengths()) > 1e-6 * edges[0] or np.ptp(atoms.cell.angles()) > 1e-4:
-        raise FloatingPointError("the shape of the cell changes; a gas resists no shear: only the volume may change")
+        raise FloatingPointError("the shape of the cell changes; a gas resists no shear: let only its volume change")
     if not np.isfinite(ends).all():
-        raise FloatingPointError(f"energy, volume: {ends[1][0]:.3g} eV, {atoms.get_volume():.3g} Å³")
+        raise FloatingPointError(f"not finite: energy {ends[1][0]:.3g} eV or volume {atoms.get_volume():.3g} Å³")
     x, p, f, volumes, u = (np.array(one) for one in zip(*seen, strict=True))
     return Frames(atoms.get_masses(), kt, x, p, f, volumes, u, np.array(ends))
 

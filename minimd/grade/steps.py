@@ -132,33 +132,33 @@ class Measured:
         return n, 0.0 if n == 1 else np.nan, more
 
 
-PHASE_SPACE = ("the step shrinks or stretches phase space, or is not a product of kicks and drifts (see symplectic and "
-               "volume), as Runge-Kutta methods and thermostats: its energy drifts")  # fmt: skip
+PHASE_SPACE = ("the step, like Runge-Kutta methods and thermostats, shrinks or stretches phase space, or is not a "
+               "product of kicks and drifts (see the laws symplectic and volume): the energy drifts")  # fmt: skip
 LAWS = (
-    Law("order", Measured.order, ORDER_OFF, "{2}", "the first terms are right, but the measured order is {0:.2f}"),
+    Law("order", Measured.order, ORDER_OFF, "{2}", "the terms up to dt² are right, but the measured order is {0:.2f}"),
     Law("symplectic", lambda s: s.form, SYMPLECTIC, "at dt = 0.1 JᵀΩJ − Ω is {0:.1e}", PHASE_SPACE),
-    Law("volume", lambda s: (np.linalg.det(s.jacobian) - 1.0) / s.fuzz, 1e-8, "there det J − 1 = {0:.1e}", PHASE_SPACE),
-    Law("reversible", Measured.reversal, 1e-11, f"{BACK} steps and as many back miss the start by {{0:.1e}}; the way: "
-        "{2:.2g}", "the step is not symmetric: kicks and drifts do not read the same forwards and backwards"),
+    Law("volume", lambda s: (np.linalg.det(s.jacobian) - 1.0) / s.fuzz, 1e-8, "det J − 1 is {0:.1e}", PHASE_SPACE),
+    Law("reversible", Measured.reversal, 1e-11, f"{BACK} steps and as many back miss the start by {{0:.1e}} on a way "
+        "of {2:.2g}", "the step is not symmetric: kicks and drifts do not read the same forwards and backwards"),
     Law("momentum", lambda s: s.momentum(lambda x, p: p), 1e-11, f"changes by {{0:.1e}} of Σ|mv| in {SOME} steps",
         "the total momentum changes: the forces of a step are not all computed at the same positions", "atoms"),
     Law("angular momentum", lambda s: s.momentum(lambda x, p: x[:, :, None] * p[:, None] - x[:, None] * p[:, :, None]),
         1e-11, f"changes by {{0:.1e}} of Σ|r × mv| in {SOME} steps", "the total angular momentum changes", "vectors"),
     Law("energy", Measured.energy, 1.0, "{2}", "the energy drifts"),
-    Law("oscillator", Measured.oscillator, 1.0, "{2}", "an oscillator is not kept for any time step"),
+    Law("oscillator", Measured.oscillator, 1.0, "{2}", "the energy of an oscillator is kept at no time step"),
     Law("cost", Measured.cost, 0.5, "{0} force evaluations per step{2}", "", "force"),
 )  # fmt: skip
 REMARKS = (
     (lambda step: step.swapped, "the step returns v before x; the usual order is x, v"),
     (lambda step: step.in_place, "the step changes the arrays that it is given; copy them if you need the old ones"),
     (lambda step: step.masses == "(N, 1)", "masses must have shape (N, 1) in this step, not (N,)"),
-    (lambda step: step.takes("half"), "velocities are at half steps: half a kick was made before and after"),
-    (lambda step: step.takes("old"), "a recursion of two positions; velocities are (x₁ − x₀)/dt + ½ dt F/m"),
+    (lambda step: step.takes("half"), "velocities are at half steps: the test adds half a kick before and after"),
+    (lambda step: step.takes("old"), "a recursion of two positions; the test takes v = (x₁ − x₀)/dt + ½ dt F/m"),
     (lambda step: step.takes("before"), "a step that takes the force of the previous step is not a map of x and v, and "
                                         "is not judged as one"),
 )  # fmt: skip
 NO_MAP = {"reversible", "symplectic", "volume", "angular momentum", "energy", "oscillator"}  # open if it is none
-RUNGE_KUTTA = "a Runge-Kutta method: it is not symplectic, its energy drifts at any order"
+RUNGE_KUTTA = "a Runge-Kutta method: it is not symplectic, and its energy drifts at any order"
 
 
 def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:

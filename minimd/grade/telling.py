@@ -31,7 +31,7 @@ def draw(one: Grade, file: Path) -> None:
     from matplotlib.figure import Figure
 
     if not (rows := [row for row in one.findings if np.isfinite(row.limit)][::-1]):
-        raise ValueError(f"a picture needs laws with a limit, of NVT or NPT; {one.function} has none")
+        raise ValueError(f"a picture shows laws with a limit, as NVT and NPT have them; {one.function} has none")
     figure = Figure(figsize=(7.0, 1.2 + 0.32 * len(rows)), layout="constrained")
     axes = figure.subplots()
     for k, row in enumerate(rows):
@@ -51,7 +51,7 @@ def named(place: str) -> Callable[..., Any]:
         return (run_path(module) if module.endswith(".py") else vars(import_module(module)))[name]
     except (ImportError, OSError, KeyError, SyntaxError, TypeError, ValueError) as error:
         wanted = "module:class, as ase.md.langevin:Langevin, or file.py:class"
-        said = f"there is no {name!r} in it" if isinstance(error, KeyError) else error
+        said = f"{module} has no {name!r}" if isinstance(error, KeyError) else error
         raise ValueError(f"dynamics must be {wanted}; got {place!r}: {said}") from error
 
 

@@ -104,7 +104,7 @@ class HandOver(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        most = f"potential energies differ by at most {self.energy_difference:.1e} of Σ|e_i| or N k_B T"
+        most = f"energies of both programs differ by at most {self.energy_difference:.1e} of Σ|e_i| or N k_B T"
         return [("LAMMPS", f"{self.version}, on {_named(self.processes)}"), ("verified", f"{self.verification}"),
                 ("frames", f"{len(self.record)}; {most}"),
                 ("time", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in self.seconds.items())),
@@ -119,10 +119,10 @@ def not_carried_over(simulation: Simulation) -> list[str]:
     rows = {  # sentence: whether it applies
         "exact restart: bits depend on the number of processes, and on where LAMMPS ended; minimd goes on from "
         "positions and velocities only": True,
-        f"noise: its bath is LAMMPS' {script.BATHS.get(type(method))}, with random numbers that depend on the number "
-        "of processes": method.is_thermostat,
-        "order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, and its errors "
-        "of order Δt² differ": isinstance(method, LangevinBAOAB),
+        f"noise: the thermostat is LAMMPS' {script.BATHS.get(type(method))}, with random numbers that depend on the "
+        "number of processes": method.is_thermostat,
+        "order of the thermostat: fix langevin adds friction and noise to the forces of velocity Verlet, and has "
+        "other errors of order Δt² than BAOAB": isinstance(method, LangevinBAOAB),
         "sum over waves: by pppm, with Gaussians and a mesh, to the accuracy asked for": engine.system.cell.is_periodic
         and any(isinstance(one, Coulomb) for one in engine.interactions.potentials),
         f"{', '.join(extra)}: computed by minimd for each frame, not by LAMMPS": len(extra) > 0,
@@ -389,9 +389,9 @@ def _judge(job: Job, failure: str, log: Log, allowed: float, record: Record, dif
     if n_missing and not words:
         words = f"LAMMPS has made all steps, but {n_missing} frames are not on the disk; is the disk full?"
     elif not (words or difference <= allowed):
-        words = (f"potential energies of a frame differ by {difference:.1e} of Σ|e_i| or N k_B T, allowed is "
-                 f"{allowed:g}; its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the "
-                 "time step")  # fmt: skip
+        words = (f"potential energies of LAMMPS and minimd differ by {difference:.1e} of Σ|e_i| or N k_B T in a frame, "
+                 f"allowed is {allowed:g}; lists of LAMMPS may have missed pairs ({log.dangerous_builds} dangerous "
+                 "builds): reduce the time step")  # fmt: skip
     if words and job.keeps_frames:
         kept = f"{len(record)} frames up to step {job.engine.step} are kept in {job.folder / TRAJECTORY}"
         words = f"{kept}; {words}" if job.stop_requested else f"{words}; {kept}"  # the name of the signal follows

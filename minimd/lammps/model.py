@@ -114,7 +114,7 @@ class AtomTypes(NamedTuple):
         rows, of_atom = np.unique(keys, axis=0, return_inverse=True)
         if len(rows) > MOST_TYPES:
             raise ValueError("LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs "
-                             f"{len(rows)}, allowed are {MOST_TYPES}")  # fmt: skip
+                             f"{len(rows)}, but at most {MOST_TYPES} are allowed")  # fmt: skip
         species, masses, is_fixed = rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
         return cls(of_atom.reshape(-1), species, masses, is_fixed)
 
@@ -271,7 +271,7 @@ class Model:
         if len(known) and not among(known, bonds).all():
             pair = known[np.argmin(among(known, bonds))].tolist()
             raise ValueError("LAMMPS counts bonded_scale also along rigid lengths and bonds given as pairs; minimd "
-                             f"does not, and atoms {pair} have no bond in the system: add it there")  # fmt: skip
+                             f"does not, and atoms {pair} have no bond in the system: add this bond to it")  # fmt: skip
         missing = bonds[~among(bonds, known)] if len(known) else bonds
         self.bonds.add(missing, np.zeros((len(missing), 1)), lambda _: ("harmonic", "0 1"))
 

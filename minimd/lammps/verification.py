@@ -60,7 +60,7 @@ class Verification:
             by = (
                 f"energies of atoms by {self.energies:.1e}, forces by {self.forces:.1e} (atom {self.atom}), virials by "
             )
-            by += f"{self.virials:.1e} of the largest, allowed is {tolerance:g}"
+            by += f"{self.virials:.1e} of the largest; at most {tolerance:g} is allowed"
             raise HandOverError(
                 f"LAMMPS and minimd differ at step 0: {by}; the run was not started{on_a_cutoff(engine)}"
             )

@@ -91,7 +91,7 @@ class Frames:
             self.conserves_momentum = simulation.conserves_momentum
         if len(system) != len(self.system):
             ours = f"Frames keeps frames of one simulation, of {len(self.system)} atoms"
-            raise ValueError(f"{ours}; this one has {len(system)}")
+            raise ValueError(f"{ours}; this simulation has {len(system)}")
         if self._rows and self._rows[-1]["step"] == frame.step:
             return
         row = {"step": frame.step, "time": frame.time * units.to_picosecond, **frame.observables}

@@ -281,7 +281,7 @@ class Descent:
             timestep, mixing, downhill, refused = timestep * SLOWER, MIXING, 0, refused + 1
             self._positions[:], self._velocities[:] = before, 0.0
             if refused > REFUSALS:
-                kinds = (ConstraintError, "keeps the constraints"), (NonFiniteError, "has a finite energy")
+                kinds = (ConstraintError, "keeps the constraints"), (NonFiniteError, "leads to a finite energy")
                 kind, wanted = kinds[has_moved]
                 length = f"{timestep**2 * self.largest_force:.2g} {self._system.units.length}"
                 raise kind(f"the minimization found no step that {wanted}, down to one of {length}")

@@ -157,7 +157,7 @@ def raise_not_finite(positions: NDArray[np.float64]) -> None:
     """Raise NonFiniteError if positions (N, 3) are not all finite."""
     n_bad, first = count_not_finite(positions)
     if n_bad:
-        raise NonFiniteError(f"positions of {n_bad} atoms are not finite, the first is atom {first}")
+        raise NonFiniteError(f"positions of {n_bad} atoms are not finite; the first of them is atom {first}")
 
 
 def partners(pairs: NDArray[np.int64], n_atoms: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

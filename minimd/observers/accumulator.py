@@ -299,7 +299,7 @@ class Accumulator(ABC, Displayed):
             self.scene = scene
             self._laid_out(scene)
         elif self.scene != scene:
-            other = "another system, or one with another time step or bath; make a new observer for this run"
+            other = "another system, or another time step, thermostat or barostat; make a new observer for this run"
             raise ValueError(f"{self!r} has observed {other}")
 
     def observe(self, engine: Engine) -> None:
@@ -447,7 +447,7 @@ class Attached:
             step = self._engine.step
             for one in self.accumulators:
                 if n_later := one.break_off(step):
-                    seen = f"the result of {one!r} includes {n_later} states after it"
+                    seen = f"the result of {one!r} includes {n_later} later states"
                     failed = f"the run has failed after step {step}, and {seen}; use another observer to run again"
                     warnings.warn(failed, stacklevel=outside_minimd())
             raise

@@ -117,7 +117,7 @@ class StructureFactor(Accumulator):
         peak, cell = peak_of(engine.system, "S(q)"), engine.system.cell
         q_max = self.q_max or FAR * peak
         if (n := self.n_bins * self.n_waves) > MOST_WAVES:
-            raise ValueError(f"n_bins n_waves must be at most {MOST_WAVES}; {self.n_bins} · {self.n_waves} = {n}")
+            raise ValueError(f"n_bins · n_waves must be at most {MOST_WAVES}; {self.n_bins} · {self.n_waves} = {n}")
         waves = waves_near((np.arange(self.n_bins) + 0.5) * q_max / self.n_bins, cell, self.n_waves)
         shells = (np.linalg.norm(vectors_of(waves, cell), axis=1) / q_max * self.n_bins).astype(np.int64)
         if not (inside := shells < self.n_bins).any():

@@ -136,7 +136,7 @@ class Coulomb(Declared):
             raise ValueError(f"Coulomb needs charges; those of the system are all zero: give them as {hint}")
         pbc, is_sum = system.cell.pbc, self.method in SUMS
         if is_sum and pbc.any() and not pbc.all():
-            hint = 'make all of it periodic, with empty space around, or take method="shifted-force"'
+            hint = 'make the cell periodic in all three, with empty space, or take method="shifted-force"'
             raise ValueError(f"Coulomb needs a cell that is periodic in all directions or in none; pbc = {pbc}: {hint}")
         cutoff, is_split = self.cutoff or inf, is_sum and pbc.all()
         if cutoff == inf and (pbc.any() or not is_sum):

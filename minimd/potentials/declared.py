@@ -135,7 +135,7 @@ class Declared(OwnPotential):
         Raises ValueError for an array of another length."""
         for name, array in self.numbers().items():
             if array.shape not in ((), (n,)):
-                wanted = f"one number or {n}, one for each of the {things}"
+                wanted = f"one number, or {n} numbers, one for each of the {things}"
                 raise ValueError(f"{name} must be {wanted}; its shape is {array.shape}")
         return tuple(np.array(np.broadcast_to(one, n)) for one in self.numbers().values())  # of one type, for kernels
 

@@ -186,7 +186,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         if a == b:
             return own[a]
         if self.mixing is None:
-            raise ValueError(f"{lacking} the pair {a!r}, {b!r}; give them in pairs, or a mixing rule")
+            raise ValueError(f"{lacking} the pair {a!r}, {b!r}; give pairs={{...}}, or a mixing rule")
         rule = MIXING[self.mixing] if isinstance(self.mixing, str) else self.mixing
         mixed, reverse = (self._checked_numbers(rule(own[x], own[y]), (x, y)) for x, y in ((a, b), (b, a)))
         is_same = all(map(partial(isclose, rel_tol=MIXED), mixed, reverse))
@@ -207,7 +207,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         by_pair = {pair: self._checked_numbers(numbers, pair) for pair, numbers in both_orders.items()}
         if len({len(numbers) for numbers in (*by_label.values(), *by_pair.values())}) > 1:
             told = shown(by_label | by_pair)
-            raise ValueError(f"all species and pairs must have the same number of parameters; they are {told}")
+            raise ValueError(f"all species and pairs must have the same number of parameters; these are {told}")
         return by_label, by_pair
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:

@@ -313,8 +313,8 @@ def is_calculator(calculator: Any) -> bool:
 
 def calculators_said(calculator: Any) -> str:
     """The warning, given once, for steps with a calculator that is not minimd's."""
-    name, why = type(calculator).__name__, "minimd makes the steps with its forces, only as fast as"
-    return f"the calculator is {name}, not minimd.ase.Calculator: {why} {name} computes them"
+    name, why = type(calculator).__name__, "minimd makes the steps, but only as fast as"
+    return f"the calculator is {name}, not minimd.ase.Calculator: {why} {name} computes the forces"
 
 
 class ForcesFromCalculator(OwnPotential):

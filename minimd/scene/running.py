@@ -132,7 +132,7 @@ def resume_run(
         if given is None:  # a script went on with a method other than that of the scene
             simulation.method = contents.integrator()
             tell(f"NOTE           the last steps were made with {simulation.method!r}, not with the method of the")
-            tell("               scene in the file; the run goes on with it")
+            tell("               scene in the file; the run goes on with the method of these steps")
         else:
             simulation.engine.moved()
     if given is None and (changed := other_potentials(contents.potentials, simulation.potentials)):

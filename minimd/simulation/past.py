@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 SAME_PACE = 1e-6  # relative: times in a file are rounded
 TELLS = 100  # of a progress bar
-BEFORE = "; the steps before were made with another method, bath or state"
+BEFORE = "; earlier steps were made with another method, barostat or state"
 
 
 class Past(Displayed):
@@ -71,7 +71,7 @@ class Past(Displayed):
         paces, last = np.diff(record.time) / np.diff(record.step), self.contents.timestep
         if (others := paces[~np.isclose(paces, last, rtol=SAME_PACE, atol=0.0)]).size:
             several = f"the run in {str(file)!r} has several time steps, {others[0]:g} and {last:g}"
-            raise ValueError(f"{several}: the file keeps only the last, others cannot be made again")
+            raise ValueError(f"{several}: the file keeps only the last one; steps of others cannot be made again")
         known = np.unique(np.append(record.step, max(end, record.step[-1])))
         self.steps = known[known >= min(self.contents.since, known[-1])]
         self._n_bytes = self.file.stat().st_size

@@ -267,7 +267,7 @@ class Simulation(Closed, Displayed):
                     engine.moved()
             if self.record is not None and ("conserved_energy" in self.record) != engine.has_bath:
                 later = f"{engine.method.name} can only take over in a new run"
-                raise ValueError(f"a bath cannot be switched on or off within a run; {later}")
+                raise ValueError(f"a thermostat cannot be switched on or off within a run; {later}")
             if not engine.is_as_left:
                 self.guard.forget()
                 engine.begin()

@@ -149,7 +149,7 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
             told = f"it holds {type(constraint).__name__}: remove it, or use ASE's dynamics"
             raise ValueError(f"atoms.constraints may hold {UNDERSTOOD}; {told}")
     if fixed and fixes_center(atoms):
-        why_not = "with fixed atoms the center of mass does not stay by itself; remove one"
+        why_not = "with fixed atoms the center of mass does not stay by itself; remove FixCom or FixAtoms"
         raise ValueError(f"atoms.constraints holds FixCom and FixAtoms: {why_not}")
     answer: list[Constraint] = [FixedAtoms(np.unique(fixed))] if fixed else []
     if lengths:

@@ -226,9 +226,9 @@ def images_of_length(positions: Array, cell: Cell, pairs: NDArray[np.int64], len
         reach = np.where(cell.pbc, (lengths[k] + np.linalg.norm(nearest)) // cell.heights + 1, 0)
         n_images = np.prod(2.0 * reach + 1.0)
         if n_images > MOST_IMAGES:
-            given = f"the length {lengths[k]:g} of constraint {k} reaches over {n_images:.1e} images of the cell"
+            given = f"lengths[{k}] = {lengths[k]:g} reaches over {n_images:.1e} images of the cell"
             height = f"which is only {cell.heights[cell.pbc].min():.3g} high"
-            raise ValueError(f"{given}, {height}; at most {MOST_IMAGES} are possible: reduce the length")
+            raise ValueError(f"{given}, {height}; at most {MOST_IMAGES} images are possible: reduce the length")
         steps = np.meshgrid(*(np.arange(-n, n + 1) for n in reach), indexing="ij")
         others = np.stack(steps, axis=-1).reshape(-1, 3) @ cell.lattice
         translations[k] += others[np.argmin(np.abs(np.linalg.norm(nearest + others, axis=1) - lengths[k]))]

@@ -76,7 +76,7 @@ def checked_sizes(name: str, values: Any, n: int, each: str) -> NDArray[np.float
     Raises ValueError as checked_array, for another shape, and as checked_number."""
     array = checked_numbers(name, values, f"one number, or one for each {each}")
     if array.shape not in ((), (n,)):
-        raise ValueError(f"{name} must be one number or {n}, one for each {each}; their shape is {array.shape}")
+        raise ValueError(f"{name} must be one number, or {n} numbers, one for each {each}; its shape is {array.shape}")
     array = np.broadcast_to(array, (n,)).copy()
     check_rows(name, "positive and finite", np.isfinite(array) & (array > 0.0), array)
     check_rows(name, f"between {SMALLEST:g} and {LARGEST:g}", (array >= SMALLEST) & (array <= LARGEST), array)
@@ -130,7 +130,7 @@ def _find_kinds(values: Any, found: set[str]) -> None:
     array = np.empty(0) if is_list and len(values) > MOST_NUMBERS else np.asanyarray(values)
     kind = array.dtype.kind.replace("u", "i")
     if (size := max(array.size, len(values) if is_list else 0)) > MOST_NUMBERS:
-        raise ValueError(f"there are {size} values, at most {MOST_NUMBERS} are allowed")
+        raise ValueError(f"there are {size} values; at most {MOST_NUMBERS} are allowed")
     if np.ma.is_masked(array):
         raise ValueError("some are masked; fill them or leave them out")
     if array.dtype == object and array.ndim:

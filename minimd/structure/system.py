@@ -77,7 +77,7 @@ class System(Displayed):
             raise ValueError(f"masses are missing: give one number or one per atom; {units.name} units have no default")
         if isinstance(cell, Cell) and pbc is not None:
             whereas = "give pbc to System only together with lattice vectors"
-            raise ValueError(f"pbc is part of a Cell: Cell.of(vectors, pbc); {whereas}")
+            raise ValueError(f"pbc is part of the Cell given: Cell.of(vectors, pbc); {whereas}")
         self.units, self.constraints, self.positions = units, tuple(constraints), _vectors("positions", positions)
         n_atoms = len(self.positions)
         self.masses = checked_sizes("masses", 1.0 if masses is None else masses, n_atoms, "atom")
@@ -282,7 +282,7 @@ def check_resolution(system: System, length: float, name: str) -> None:
     if EPS * farthest > RESOLVED * length:
         error, most = f"{EPS * farthest:.1g}, more than a millionth of {name}, {length:.3g}", RESOLVED * length / EPS
         given = f"the largest is {farthest:.1e}, where rounding moves atoms by {error}"
-        raise ValueError(f"positions must be below {most:.1e} here; {given}: shift them towards the origin")
+        raise ValueError(f"positions must be below {most:.1e} in this scene; {given}: shift them towards the origin")
 
 
 def local_density(positions: NDArray[np.float64], cell: Cell, width: float) -> float:

@@ -291,4 +291,4 @@ def test_doctor_notices_wrong_forces_bits_that_depend_on_threads_and_drifts(monk
             patch.setattr(doctor.md, name, one)
             fine, sentence = test()
         assert not fine, sentence
-        assert name != "Simulation" or "those on 2 " in sentence
+        assert name != "Simulation" or "2 threads" in sentence

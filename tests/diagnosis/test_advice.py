@@ -156,7 +156,7 @@ def test_a_crystal_that_will_melt_is_given_the_step_of_collisions():
     sim.set_temperature(1.44, seed=1)
     hot = md.advise_timestep(sim.system, law)
     assert hot.recommended == pytest.approx(0.00507, rel=0.01)  # ω 5.8 times that of a pair
-    with pytest.warns(UserWarning, match=f"up to {md.units.LJ.shown(hot.recommended)}; see advise_timestep"):
+    with pytest.warns(UserWarning, match=f"up to {md.units.LJ.shown(hot.recommended)}; .*advise_timestep"):
         sim.run(1)
 
 
@@ -201,14 +201,14 @@ RIGID, BATH = md.DistanceConstraints([[1, 0]]), md.LangevinBAOAB(0.004, 1.0, 1.0
 HINTS = {  # scene, and what is said
     "a sound scene": (LIQUID, LJ, None), "a step that is short enough": (LIQUID, LJ, 0.018, None),
     "lengths in another unit": (SPARSE, LJ, "no two atoms are within the cutoff, 1.8 σ: .*3.82 σ apart"),
-    "a long step": (LIQUID, LJ, 0.022, "well up to .*; see advise_timestep"),
+    "a long step": (LIQUID, LJ, 0.022, "up to .*; .*advise_timestep"),
     "a step in seconds": (*argon_crystal(), 5e-15, r"such as 5 \* md.units.fs"),
     "a step far too short": (*argon_crystal(), 0.02 * md.units.fs, "timestep 0.02 fs is far shorter"),
     "one that is short": (*argon_crystal(), 0.2 * md.units.fs, None),
     "a step far too short for a bond": (*STIFF, 2e-4, "timestep 0.0002 τ is far shorter"),
     "one short for it": (*STIFF, 3e-4, None),
     "a center that moves": (FLOWING, LJ, "center of mass.*0.5 σ/τ"),
-    "a depth in K": (*with_depth(120.0), r"^epsilon = 120 eV .* 0.0103 eV, epsilon=120 \* md.units.ASE.k_B"),
+    "a depth in K": (*with_depth(120.0), r"^epsilon = 120 eV .* 0.0103 eV.* epsilon=120 \* md.units.ASE.k_B"),
     "the right depth": (*with_depth(0.0103), None),
     "one that is thermal": (FLOWING, LJ, BATH, None),
     "a start off its lengths": (*STIFF, 0.01, md.DistanceConstraints([[0, 1]], 0.9), "was projected"),

@@ -216,7 +216,7 @@ def test_full_disk_is_told_once_and_spoils_nothing(tmp_path, monkeypatch, way):
     monkeypatch.undo()
     writer.close()
     assert 5 < sim.step < 2000
-    assert f"{sim.step} frames before it are valid" in str(failure.value)
+    assert f"{sim.step} earlier frames" in str(failure.value)
     assert (read_file(path).record.step.tolist(), len(opened(path).trajectory)) == ([*range(sim.step)], sim.step)
     assert path.stat().st_size <= most
 

@@ -109,7 +109,7 @@ def test_a_trajectory_that_is_not_of_the_run_is_left_alone_and_told(tmp_path, ch
     old.write_bytes(held[0])
     OF_ANOTHER_RUN[change](path, old)
     content = path.read_bytes()
-    with pytest.warns(UserWarning, match=r"a\.xtc' may hold frames after the restart"):
+    with pytest.warns(UserWarning, match=r"a\.xtc' .*may hold frames"):
         resumed(old).run(4, every=2, trajectory=old, append=True)
     assert path.read_bytes() == content
 

@@ -31,8 +31,8 @@ test_bad_baths_are_answered = answered(
     (lambda: md.LangevinBAOAB(0.01, 1.0, 1.0, 2**128), ValueError, "seed", "340"),
     (lambda: md.StochasticVelocityRescaling(0.01, 1.0, 0.0, 1), ValueError, "relaxation_time", "0.0"),
     (lambda: md.LangevinBAOAB.on(md.integrators.SecondOrder(lambda q: -q)), TypeError, "langevin-baoab"),
-    (lambda: compose(md.LangevinBAOAB), TypeError, "has a bath"),
-    (lambda: adjoint(md.StochasticVelocityRescaling), TypeError, "has a bath"),
+    (lambda: compose(md.LangevinBAOAB), TypeError, "langevin-baoab"),
+    (lambda: adjoint(md.StochasticVelocityRescaling), TypeError, "velocity-rescaling"),
 )
 
 

@@ -123,8 +123,8 @@ GROUPS = [  # function, error, argument, and several of (what the function is ca
 MISFITS = [  # invariants
     (mi.Invariants(energy, value=[1.0, 2.0]), V, "g has 1, value has 2"),
     (mi.Invariants(energy, lambda q, v: v), V, "jacobian must have 1 × 4 numbers, ∂g/∂y; got 2"),
-    (mi.Invariants(lambda y: y), V, "got 4 of 4"),
-    (mi.Invariants(lambda y: []), V, "got 0 of 4"),
+    (mi.Invariants(lambda y: y), V, "got 4 ", "of 4"),
+    (mi.Invariants(lambda y: []), V, "got 0 ", "of 4"),
     (mi.Invariants(lambda y: np.nan * y[0]), V, "finite at the start"),
     (mi.Invariants(lambda q, v: energy(q, v) * np.array([1.0, 2.0]), value=[-0.4, -0.8]), C,
         "invariant 1 is not independent"),

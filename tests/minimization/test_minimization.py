@@ -176,7 +176,7 @@ def test_lengths_that_are_off_are_put_right(max_steps):
 @pytest.mark.parametrize("n_atoms", [2, 3, 13])
 def test_atoms_on_one_spot_part_in_the_same_way_each_time(n_atoms):
     system = md.System(np.full((n_atoms, 3), 0.3))
-    assert_answered(lambda: run_of(system, LJ), md.NonFiniteError, "minimize moves")
+    assert_answered(lambda: run_of(system, LJ), md.NonFiniteError, "minimize")
     found, again = md.minimize(system, LJ), md.minimize(system, LJ)
     assert found.converged
     assert np.array_equal(found.system.positions, again.system.positions)
@@ -234,7 +234,7 @@ test_what_cannot_be_minimized_is_named = answered(
     (lambda: md.minimize(CLOSE, LJ, md.FixedAtoms([0, 1])), md.NonFiniteError, "atoms 0 and 1", "constraints hold"),
     (lambda: md.minimize(bonded_pair(1.0), ENDLESS), md.NonFiniteError, "finite"),
     *((lambda more=more: md.minimize(BROKEN, LJ, **more), ValueError, *map(str, *more.items())) for more in CUT_SHORT),
-    (lambda: run_of(icosahedron(1e-3), CUT), md.NonFiniteError, "minimize moves atoms apart"),
+    (lambda: run_of(icosahedron(1e-3), CUT), md.NonFiniteError, "minimize"),
 )
 
 

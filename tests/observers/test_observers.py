@@ -287,7 +287,7 @@ def test_fluctuations_at_constant_pressure_are_those_of_the_record():
         assert [result.heat_capacity_p, result.compressibility, result.expansion] == pytest.approx(expected, rel=1e-9)
     sim.method = md.StochasticVelocityRescaling(0.004, thermal, 0.2, 3)  # of the same temperature
     sim.run(5, observers=[looking], progress=False)
-    assert_answered(lambda: simulation().run(5, observers=[looking], progress=False), ValueError, "bath")
+    assert_answered(lambda: simulation().run(5, observers=[looking], progress=False), ValueError, "Fluctuations")
 
 
 @pytest.mark.parametrize("times", [50, *(pytest.param(n, marks=pytest.mark.slow) for n in (100, 400))])

@@ -141,7 +141,7 @@ class Hessenberg(DifferentialAlgebraic):
         """The parts of a start, with zeros for algebraic variables that are not given; sizes are remembered."""
         names, is_guess_needed = self.names, self.functions[-1][1] == len(self.names)  # as g depends on it
         if not isinstance(start, tuple) or not len(names) - (not is_guess_needed) <= len(start) <= len(names):
-            last = f"{names[-1]} {'a guess, for g depends on it' if is_guess_needed else 'may be left out'}"
+            last = f"{names[-1]} {'as a guess, because g depends on it' if is_guess_needed else 'may be left out'}"
             raise ValueError(f"the start must be a tuple of {', '.join(names)} ({last}); got {shown(start)}")
         parts = [np.array(part, dtype=float).reshape(-1) for part in start]
         if len(parts) < len(names):

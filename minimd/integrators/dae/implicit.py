@@ -97,7 +97,7 @@ class Implicit(DifferentialAlgebraic):
         self.index = pencil_index(of_slope, -of_state, RANK)
         if self.index > HIGHEST_INDEX:
             found = f"that of F_y′ y′ + F_y y at the start is {self.index}"
-            raise ValueError(f"the index must be at most {HIGHEST_INDEX}; {found}. Differentiate constraints")
+            raise ValueError(f"the index must be at most {HIGHEST_INDEX}; {found}; differentiate constraints")
         if self.index > 1:
             unit = unit_of_time(np.append(y, size), slope)
             y, slope = self._solved(t, y, [slope, *np.zeros((self.index - 1, y.size))], mobility, unit, size)

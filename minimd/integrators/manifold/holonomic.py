@@ -132,6 +132,6 @@ def tangent(problem: Holonomic, q: Array, v: Array) -> Array:
         for _ in range(2):
             v = v - directions @ np.linalg.solve(matrix, gradient @ v)
     except np.linalg.LinAlgError:
-        why = "the gradients of the constraints depend on each other here, their forces are not determined"
+        why = "the gradients of the constraints depend on each other here, so that constraint forces are not determined"
         raise ConvergenceError(why) from None
     return np.asarray(v)

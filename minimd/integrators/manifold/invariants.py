@@ -77,7 +77,7 @@ class Manifold:
             sizes = f"g has {answer.size}, value has {self.value.size}"
             raise ValueError(f"value must have one number per invariant; {sizes}")
         if not 0 < answer.size < y.size:
-            sizes = f"{answer.size} of {y.size}"
+            sizes = f"{answer.size} invariants of {y.size} unknowns"
             raise ValueError(f"there must be fewer invariants than unknowns, and at least one; got {sizes}")
         if not (np.isfinite(answer).all() and np.isfinite(self.value).all()):
             values = f"g = {_shown(answer)}, value = {_shown(self.value)}"
@@ -102,7 +102,7 @@ class Manifold:
         sines = np.abs(np.diagonal(r)) / np.maximum(np.linalg.norm(gradients, axis=0), np.finfo(float).tiny)
         if not np.all(sines > PARALLEL):
             k = int(np.argmin(sines > PARALLEL))
-            why = f"its gradient {_shown(gradients[:, k])} vanishes, or lies in the span of those before it"
+            why = f"its gradient {_shown(gradients[:, k])} vanishes, or lies in the span of earlier gradients"
             needed = "the Jacobian of invariants must have full rank"
             raise ConvergenceError(f"invariant {k} is not independent: {why}; {needed}")
         return q, r

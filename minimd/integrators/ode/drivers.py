@@ -443,7 +443,7 @@ def _reversible(path: Path, method: Method, t_end: float, control: DensityContro
         rho = path.densities[t] = rho + 0.5 * change
         yield t, y
     if t != t_end:
-        stopped = f"stopped at t = {t:g} after {n} steps, where ρ = {rho:.1e}"
+        stopped = f"stopped at t = {t:g} after {n} steps, where their density ρ is {rho:.1e}"
         path.stopped = f"{stopped}; raise max_steps or the timestep"
 
 

@@ -192,7 +192,7 @@ class DifferentialAlgebraic(Problem):
 
     def __init__(self, solver: Newton) -> None:
         if not isinstance(solver, Newton) or isinstance(solver, FixedPoint):
-            why = "differential-algebraic equations need Newton's method, they are no fixed-point equations"
+            why = "differential-algebraic equations need Newton's method, because they are no fixed-point equations"
             raise TypeError(f"{why}; got solver = {solver!r}")
         self.solver = solver
 

@@ -148,7 +148,7 @@ def adjoint(method: type[Splitting]) -> type[Splitting]:
 
 def _refuse_bath(part: Part) -> None:
     if isinstance(part, type) and part.is_thermostat:
-        raise TypeError(f"{part.name} has a bath: its steps can be neither inverted nor divided into fractions")
+        raise TypeError(f"{part.name} is a thermostat: its steps can be neither inverted nor divided into fractions")
 
 
 def _method(name: str, substeps: Substeps, source: str) -> type[Splitting]:

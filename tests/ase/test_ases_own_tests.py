@@ -28,8 +28,7 @@ KEPT = f"not ({NOT_OURS}) or NVT or nvt or default"
 def test_ases_own_tests_pass_with_our_classes(calculator, tmp_path):
     plugins = ["-p", "no:cacheprovider", "-p", "ases_tests_with_minimd", "-W", "ignore:the calculator is"]
     command = [sys.executable, "-m", "pytest", "-q", *plugins, "-W", "ignore:timestep 1e-05 fs"]
-    command += ["-m", "slow or not slow", "-k", KEPT]
-    command += ["--pyargs", *(f"ase.test.{module}" for module in MODULES)]
+    command += ["-m", "slow or not slow", "-k", KEPT, "--pyargs", *(f"ase.test.{module}" for module in MODULES)]
     environment = os.environ | {"PYTHONPATH": PATHS, "MINIMD_CALCULATOR": calculator, "OMP_NUM_THREADS": "1"}
     told = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment).stdout
     found = re.search(r"^(\d+) passed(?!.*failed)", told.splitlines()[-1])

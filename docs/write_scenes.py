@@ -223,7 +223,7 @@ NOTES = {
         "One table for each species X, below its `[[potential]]`. A shorter form is the key `species = { X = { "
         "epsilon_eV = 0.01, sigma_A = 3.4 } }`."
     ),
-    "potential.pairs": "One table for each pair of species, below its `[[potential]]`.",
+    "potential.pairs": "Write one such table for each pair of species, below the `[[potential]]` to which it belongs.",
     "potential, tabulated": "Give either `file` or `pairs`.",
     "potential, coulomb": "The charges are those of `[structure]`: from its `file`, or from its key `charges`.",
     "tables": (

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from minimd.console.display import Displayed
+from minimd.console.words import printable
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.diagnosis.report import Line, Report, conservation_report
 from minimd.diagnosis.run_report import pressure_lines
@@ -75,6 +76,8 @@ class FileCheck(Displayed):
         """The judgement in one line."""
         if not self.passed and self.report.energy_is_conserved is None and all(one.passed for one in self.comparisons):
             return f"NOT PASSED: {self.report.verdict}"
+        if not all(one.passed for one in self.comparisons):
+            return "FAILED: see the lines that end with FAILED; the verdict above does not count"
         return "passed" if self.passed else "FAILED"
 
     def __str__(self) -> str:
@@ -107,7 +110,9 @@ def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
     frames = f"{contents.n_frames} frame{'s' * (contents.n_frames > 1)}, steps {record.step[0]} to {record.step[-1]}"
     heading = (
         f"file           {Path(made.trajectory.filename)}: {contents.title}\n"
-        f"read           by MDAnalysis {VERSION}: {frames}, {contents.method}, {system.units.name} units"
+        f"read           by MDAnalysis {VERSION}: {frames}, {contents.method} with steps of "
+        f"{system.units.shown(contents.timestep)}, {system.units.name} units\n"
+        f"potentials     {printable('; '.join(contents.potentials))}"
     )
     return FileCheck(heading, comparisons(made, record, found, damaged), report, liquid(made))
 

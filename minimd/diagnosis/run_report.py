@@ -48,7 +48,7 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
 
 def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[Line]:
     """All lines that apply to an engine as it stands."""
-    lines = [*cutoff_lines(engine.system, engine.interactions.potentials)]
+    lines = [*cutoff_lines(engine.system, engine.interactions.potentials, engine.has_bath)]
     stride, unit = longest(engine.velocities)[1] * abs(engine.method.timestep), engine.system.units.length
     for skin, widest in zip(engine.interactions.skins, engine.interactions.widest_skins, strict=True):
         steps = 0.5 * skin / stride if stride > 0.0 else np.inf
@@ -66,7 +66,7 @@ def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[L
     return lines
 
 
-def cutoff_lines(system: System, potentials: Sequence[Any]) -> Iterator[Line]:
+def cutoff_lines(system: System, potentials: Sequence[Any], has_bath: bool = False) -> Iterator[Line]:
     """The jumps of energy and force at the cutoff of each pair potential, the worst of all pairs of species."""
     units = system.units
     for potential in potentials:
@@ -79,7 +79,9 @@ def cutoff_lines(system: System, potentials: Sequence[Any]) -> Iterator[Line]:
         (energy, at), (force, there) = (max((j[k], r) for j, r in zip(jumps, cutoffs, strict=True)) for k in (0, 1))
         energy_jumps, force_jumps = (any(jump[k] > CONTINUOUS * jump[k + 2] for jump in jumps) for k in (0, 1))
         verdict = "energy and force are continuous"
-        if energy_jumps:
+        if energy_jumps and has_bath:
+            verdict = "the energy jumps; the bath compensates for this"
+        elif energy_jumps:
             verdict = "THE ENERGY JUMPS, so that it is not conserved; shift or smooth the potential"
         elif force_jumps:
             verdict = "the energy is continuous, the force jumps; smooth the force for methods of order above 2"

@@ -170,7 +170,7 @@ def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[An
     for the messages.  Raises ValueError if there is no scene, or as stored."""
     if scene:
         return stored(Document, scene, file).potentials()
-    remedy = "pass the potentials of the script: md.Past(file, [...]), md.replay(file, [...]); or give a --scene"
+    remedy = "pass the potentials of the script, as in md.Simulation.resume(file, [...]); or give a --scene"
     raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; "
                      f"{remedy}")  # fmt: skip
 

@@ -294,7 +294,7 @@ def sign(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> None:
 def check_description(h5: h5py.File) -> None:
     """Raise ValueError unless the description is the one that was signed."""
     if h5["minimd"].attrs.get(DIGEST) != _digest_of_description(h5):
-        raise ValueError("the checksum of its description of the scene is wrong")
+        raise ValueError("the checksum of the stored description of the run does not match")
 
 
 def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> int:

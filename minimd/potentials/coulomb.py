@@ -123,7 +123,7 @@ class Coulomb(Declared):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not MOST_ACCURATE <= self.accuracy <= LEAST_ACCURATE:
-            limits = f"between {MOST_ACCURATE:g}, which rounding allows, and {LEAST_ACCURATE:g}"
+            limits = f"between {MOST_ACCURATE:g} and {LEAST_ACCURATE:g} (rounding prevents smaller errors)"
             raise ValueError(f"accuracy must be {limits}; accuracy = {shown(self.accuracy)}")
         if self.dielectric < 1.0:
             least = "1 (vacuum) or more, inf for a conductor"

@@ -116,7 +116,7 @@ def joined_in(atoms: Any) -> Joined:
             for entry in () if text in NONE else text.split(","):
                 match = FORMS[name].fullmatch(entry.strip())
                 if match is None or max(others := [int(each) for each in match.groups()[:-1]]) >= len(atoms):
-                    known = f"with numbers of atoms from 0 to {len(atoms) - 1}"
+                    known = f"with indices of atoms from 0 to {len(atoms) - 1}"
                     given = f"the array {name!r} of these atoms has {text!r} for atom {i}"
                     form = "ase.io.read writes it for format='lammps-data'"
                     raise ValueError(f"{given}; it must be written as {form}, {known}: {INSTEAD}")

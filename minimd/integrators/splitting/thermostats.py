@@ -80,7 +80,9 @@ class Thermostat(Splitting):
     @classmethod
     def on(cls, problem: Problem) -> Step:
         """Raises TypeError: a bath needs masses and a unit of temperature, which small problems do not have."""
-        raise TypeError(f"{cls.name} runs in a Simulation, where atoms have masses and a temperature has a unit")
+        raise TypeError(
+            f"{cls.name} cannot solve a bare problem, which has no unit of temperature; use it in a Simulation"
+        )
 
     def contact(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
         """See Splitting; a derived class that has another thermalize is asked for that."""

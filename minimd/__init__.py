@@ -79,13 +79,17 @@ __all__ = [
     "view", "water",
 ]  # fmt: skip
 
+OF_MDANALYSIS = "universe", "radial_distribution", "diffusion_coefficient", "mean_square_displacement", "Turn"
+
 
 def __getattr__(name: str) -> ModuleType:
     """A package of minimd, such as the bridge to LAMMPS, imported when it is first used."""
     if name.isidentifier() and not name.startswith("_") and find_spec(f"minimd.{name}"):
         return import_module(f"minimd.{name}")
-    known = () if name.startswith("_") else ("integrators", "observers", "lattice", "units", "mdanalysis")
-    places = [one for one in known if hasattr(globals().get(one) or import_module(f"minimd.{one}"), name)]
+    rooms = {"integrators": integrators, "observers": observers, "lattice": lattice, "units": units}
+    has = (place for place, room in rooms.items() if hasattr(room, name))
+    places = [place for place in has if not isinstance(getattr(rooms[place], name), ModuleType)]
+    places += ["mdanalysis"] * (name in OF_MDANALYSIS)
     hint = f"; it is minimd.{places[0]}.{name}" if places else near(name, __all__)
     raise AttributeError(f"module 'minimd' has no attribute {name!r}{hint}")
 

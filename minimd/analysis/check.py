@@ -112,7 +112,7 @@ def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
         f"file           {Path(made.trajectory.filename)}: {contents.title}\n"
         f"read           by MDAnalysis {VERSION}: {frames}, {contents.method} with steps of "
         f"{system.units.shown(contents.timestep)}, {system.units.name} units\n"
-        f"potentials     {printable('; '.join(contents.potentials))}"
+        f"potentials     {printable('; '.join(contents.potentials) or 'none')}"
     )
     return FileCheck(heading, comparisons(made, record, found, damaged), report, liquid(made))
 

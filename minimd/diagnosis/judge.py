@@ -17,6 +17,7 @@ from minimd.engine.engine import Engine, Snapshot
 from minimd.forces.contacts import Contact, contacts
 from minimd.integrators.splitting.order_conditions import accurate_step, stability_limit
 from minimd.neighbors.queries import ClosestPair, closest_pair
+from minimd.potentials.bonded import HarmonicBond
 from minimd.potentials.pair import Nonbonded
 from minimd.structure.bond_graph import among
 from minimd.structure.checks import LARGEST
@@ -216,11 +217,15 @@ def longer_than_collisions(evidence: Evidence) -> Verdict | None:
         return None
     is_long = f"timestep {shown(evidence.timestep)} is long for Lennard-Jones atoms as light as these"
     recommended = shown(step / evidence.stiffness.collisions())
-    return Verdict(f"{is_long}: in a liquid {method.name} conserves the energy with up to {recommended}", CHECK_STEP)
+    return Verdict(
+        f"{is_long}: in a liquid {method.name} conserves the energy with steps up to {recommended}", CHECK_STEP
+    )
 
 
 def short_step(evidence: Evidence) -> Verdict | None:
     """A time step far shorter than the harmonic bonds and the collisions of Lennard-Jones atoms need."""
+    if not all(isinstance(one, Nonbonded | HarmonicBond) for one in evidence.engine.interactions.potentials):
+        return None  # others may be stiffer
     usual, shown = evidence.usual_step(), evidence.shown
     if not MEANT * usual < evidence.timestep < TOO_SHORT * usual:
         return None
@@ -400,7 +405,8 @@ def law_on_a_constraint(evidence: Evidence) -> Verdict | None:
     pair, bonds = evidence.strongest, evidence.engine.constraint_set.bonds
     if pair is None or pair.is_bond or bonds is None:
         return None
-    if not among(np.array([[pair.first, pair.second]]), bonds.pairs).any():
+    is_held = among(np.array([[pair.first, pair.second]]), bonds.pairs).any()
+    if not is_held or not (is_overlap(pair) or is_thrown(pair, evidence)):
         return None
     cause = f"{pair.law} acts between {pair.atoms}, although a constraint holds their distance"
     advice = "give bonds=... to the system and bonded_scale=(0, 1, 1) to the potential, or exclusions"

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 SHOWN_FAILURES = 3
 # observables listed as text; if none of them exists, all are listed
 TOLD = "temperature", "potential_energy", "pressure"
+LEFT_OUT = "kinetic_energy", "total_energy", "conserved_energy"  # of the lines for each set of parameters
 MOST_LINES = 100
 MOST_TOLD = 10  # members that are listed as running, and as begun
 DRAWN = ("pressure", "potential_energy")
@@ -233,7 +234,7 @@ def told_averages(table: EnsembleTable) -> Iterator[str]:
     """A line of names, then the averages over members with the same parameters, a line for each of the first hundred
     sets."""
     rows = table.averaged()
-    own = [name for name in table.observables if not name.startswith(tuple(SERIES))]
+    own = [name for name in table.observables if name not in (*TOLD, *LEFT_OUT) and "momentum" not in name]
     names = [name for name in TOLD if name in table.observables] + own or list(table.observables)
     units = {name: f" [{table.unit(name)}]" if table.unit(name) else "" for name in names}
     lines = [[*table.parameters, "members", *(f"{name.replace('_', ' ')}{units[name]}" for name in names)]]

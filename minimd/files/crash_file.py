@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from itertools import chain, count
 from pathlib import Path
+from shlex import quote
 from typing import Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
@@ -73,7 +74,11 @@ def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iter
             try:
                 write_crash_report(file, guard, error.crash_report)
                 error.file = file
-                again = f"minimd replay {file}" if guard.engine.notes["scene"] else "minimd.replay(file, potentials)"
+                again = (
+                    f"minimd replay {quote(str(file))}"
+                    if guard.engine.notes["scene"]
+                    else "minimd.replay(file, potentials)"
+                )
                 look = f"to see the last steps again: {again}; in the browser: minimd view {file}"
                 hint = f"Crash report in {file}; {look}"
             except Exception as reason:  # of any kind: the error of the run itself must be raised

@@ -231,13 +231,11 @@ def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
 def observers_of(h5: h5py.File, restart: Restart) -> dict[str, Accumulator]:
     """The observers in an open file, by name, in their state at the restart;
     new ones where the convention of the state is another. A warning tells those of a kind that is not known here."""
-    states, found = restart.states(), {}
+    states, found, unknown = restart.states(), {}, list[str]()
     for name, group in h5.get(OBSERVERS, {}).items():
         arguments: dict[str, Any] = json.loads(group.attrs["arguments"])
         if (kind := str(group.attrs["kind"])) not in KINDS:
-            known = f"to read it, register its class: minimd.observers.KINDS[{kind!r}] = ..."
-            left_out = f"observer {shown(name)} is left out, because its kind {shown(kind)} is not known; {known}"
-            warnings.warn(left_out, stacklevel=outside_minimd())
+            unknown.append(f"{shown(name)} of the kind {shown(kind)}")
             continue
         try:
             found[name] = KINDS[kind](**arguments)
@@ -245,6 +243,10 @@ def observers_of(h5: h5py.File, restart: Restart) -> dict[str, Accumulator]:
                 found[name].restore(state)
         except MemoryError:
             raise ValueError(f"observer {name} asks for more memory than there is, by {shown(arguments)}") from None
+    if unknown:
+        known = "to read them, register their classes: minimd.observers.KINDS[kind] = ..."
+        warnings.warn(f"observers of unknown kinds are left out: {', '.join(unknown[:5])}; {known}",
+                      stacklevel=outside_minimd())  # fmt: skip
     return found
 
 

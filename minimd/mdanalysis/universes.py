@@ -416,8 +416,8 @@ def diffusion_coefficient(
 
     run : an argument of universe, or a universe.
     window : [ps, or τ]; from a tenth to half of the duration if not given.
-    viscosity : η [energy time/length³], for the correction of Yeh and Hummer for the size of a cubic cell;
-        see observers.motion.
+    viscosity : η [energy time/length³], or the result of md.observers.Viscosity, whose error then counts, for the
+        correction of Yeh and Hummer for the size of a cubic cell; see observers.motion.
 
     Raises
     ------

@@ -22,7 +22,7 @@ from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
 from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, Plateau, TimeCorrelation
 from minimd.observers.viscosity import ViscosityResult
 from minimd.structure.cell import Cell
-from minimd.structure.checks import checked_count
+from minimd.structure.checks import checked_count, checked_number
 from minimd.structure.observables import center
 from minimd.structure.statistics import spread, with_error
 from minimd.structure.units import UnitSystem
@@ -70,8 +70,8 @@ def finite_size_correction(thermal_energy: float, viscosity: float, edge: float)
 def with_its_error(viscosity: float | ViscosityResult) -> tuple[float, float]:
     """A viscosity and its standard error, 0 if it is a number."""
     if isinstance(viscosity, ViscosityResult):
-        return viscosity.viscosity, viscosity.viscosity_error
-    return float(viscosity), 0.0
+        return checked_number("viscosity", viscosity.viscosity, "positive and finite"), viscosity.viscosity_error
+    return checked_number("viscosity", viscosity, "positive and finite"), 0.0
 
 
 def diffusion_words(coefficient: float, error: float, units: UnitSystem) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import namedtuple
 from dataclasses import dataclass, field
-from math import ceil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -89,7 +88,7 @@ class RadialDistribution(Accumulator):
     reach: float = field(init=False, default=0.0)  # r_max
 
     def __getstate__(self) -> dict[str, Any]:
-        """For pickle and copy: a copy makes a list of its own."""
+        """For pickle and deepcopy: a copy makes a list of its own."""
         return {**vars(self), "_made": None}
 
     def _begin(self, engine: Engine) -> None:
@@ -114,13 +113,14 @@ class RadialDistribution(Accumulator):
         self.sums.total[FRAMES] += 1.0
         self.sums.total[HEAD:] += float(engine.system.volume or 0.0) * counts[:, : self.n_bins].ravel()
 
-    def _counts(self, system: System, pool: ThreadPool) -> NDArray[np.int64]:
+    def _counts(self, system: System, pool: ThreadPool) -> Array:
         """(P, columns) numbers of pairs, from a list of clusters; a cell too small for one is repeated."""
         positions, species, cell = system.positions, system.species_index, system.cell
-        if (n := ceil(self.reach / cell.heights.min())) > 1:
-            steps = np.stack(np.meshgrid(*[np.arange(n)] * 3), axis=-1).reshape(-1, 1, 3)
-            positions, species = (steps @ cell.lattice + positions).reshape(-1, 3), np.tile(species, n**3)
-            cell = Cell.of(n * cell.lattice)
+        n = np.ceil(self.reach / cell.heights).astype(np.int64)
+        if n.max() > 1:
+            steps = np.stack(np.meshgrid(*map(np.arange, n)), axis=-1).reshape(-1, 1, 3)
+            positions, species = (steps @ cell.lattice + positions).reshape(-1, 3), np.tile(species, n.prod())
+            cell = Cell.of(n[:, None] * cell.lattice)
         if self._made is None or self._made[0] != len(positions):
             made = ClusterList(len(positions), self.reach, 0.0, NO_PAIRS, False, pool)
             self._made = len(positions), made, DirectCalls()
@@ -133,7 +133,7 @@ class RadialDistribution(Accumulator):
         counting = Counting(found.arrays, of_slots, self._kinds, self.n_bins / self.reach, beyond, places, counts)
         count_all = operation(calls, count_pairs, counting, len(counts))
         Program(lambda: [count_all], lambda: 0, pool).run()
-        return counts.sum(axis=0) // n**3
+        return counts.sum(axis=0) / n.prod()
 
     def result(self) -> RadialDistributionResult:
         """g(r) so far, with standard errors.  Raises ValueError before the first look."""

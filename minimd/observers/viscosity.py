@@ -131,8 +131,8 @@ class ViscosityResult(Result):
         words = with_error(self.viscosity * factor, self.viscosity_error * factor)
         rows = [("viscosity", f"η = {words} {unit}; {self.plateau.said(units)}")]
         if self.duration < (enough := ENOUGH * self.plateau.window[0]):
-            short = f"the run is SHORT, {units.shown(self.duration)}: its error bar is reliable"
-            rows.append(("", f"{short} from about {units.shown(enough)} on"))
+            short = f"the run is SHORT, {units.shown(self.duration)}"
+            rows.append(("", f"{short}: a reliable error bar takes at least about {units.shown(enough)}"))
         return rows
 
     def draw(self, panel: Axes) -> None:

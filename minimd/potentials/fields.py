@@ -32,6 +32,7 @@ NOWHERE = np.zeros((0, 3))
 TRIED = 5  # atoms at which a user's law is tried
 BESIDE = 3e-3 * np.array([1.0, -0.7, 0.4])  # an atom at a minimum: there all numbers are rounding
 TIMES = (0.0, 0.37, 1.9, 29.0, 410.0)  # at which it is tried
+SOON = 1.9  # up to here it must be defined
 TIMED = 5  # numbers that it returns if its u depends on time
 RETURNED = "u, three forces, and ∂u/∂t if it depends on t"
 WALL_LAWS: dict[str, Any] = {"9-3": LennardJones93Law(), "12-6": LennardJonesLaw()}
@@ -246,8 +247,8 @@ class Field(OnAtoms):
     law(x, y, z, t, *parameters) of the position of an atom, which is never wrapped [length], and the time [time]
     returns u [energy] and the force, three numbers [energy/length]; and, if u depends on t, ∂u/∂t [energy/time] as a
     fifth number, from which the work is counted. It is plain Python, or compiled by numba.njit. bind raises TypeError
-    for a law that does not return such numbers, ValueError for a force that is not −∇u, or a u that changes with time
-    where ∂u/∂t is not returned.
+    for a law that does not return such numbers, ValueError for a force that at most places is not −∇u, or
+    a u that changes with time where ∂u/∂t is not returned.
     """
 
     law: Callable = declared(kind.own_law, "law(x, y, z, t, *parameters)")
@@ -262,7 +263,14 @@ class Field(OnAtoms):
         tried = [
             _Tried(law, system.positions[acting[k]] + BESIDE, tuple(one[k].item() for one in columns)) for k in some
         ]
-        compared = [found for one in tried for time in TIMES for found in one.compared(time)]
+        compared: list[tuple[int, str]] = []
+        for one in tried:
+            for time in TIMES:
+                try:
+                    compared += one.compared(time)
+                except TypeError:
+                    if time <= SOON:
+                        raise  # at later times a law may have ended
         for k, sentence in compared:
             verdicts = [bool(told) for other, told in compared if other == k]
             if sentence and 2 * sum(verdicts) > len(verdicts):

@@ -134,8 +134,8 @@ TYPED = ("observables/pressure/value", "particles/trajectory/velocity/value", "m
 ANGULAR, ADDED = "observables/angular_momentum/ti", "observables/conserved_energy/value"
 DAMAGES = {  # what is damaged, and what is said; an item may have several names
     **{f"{name} as {k}": (partial(retyped, name=name, kind=k), "is damaged") for name in TYPED for k in (">f8", "<i8")},
-    "a name": (lambda h5: h5.move(f"{ANGULAR}me", f"{ANGULAR}ne"), "description of the scene"),
-    "a new series": (lambda h5: h5.update({ADDED: np.zeros(len(h5["minimd/time"]))}), "description of the scene"),
+    "a name": (lambda h5: h5.move(f"{ANGULAR}me", f"{ANGULAR}ne"), "stored description"),
+    "a new series": (lambda h5: h5.update({ADDED: np.zeros(len(h5["minimd/time"]))}), "stored description"),
     "a size": (lambda h5: h5["minimd/time"].resize(10**14, axis=0), "bytes more"),
 }
 

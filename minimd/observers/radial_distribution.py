@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import DirectCalls, called_kernel
 from minimd.compiled.program import GO_ON, Program, operation
-from minimd.compiled.simd import load, store
+from minimd.compiled.simd import lane, load
 from minimd.compiled.simd.vector import count
 from minimd.compiled.threads import ThreadPool
 from minimd.console.display import Rows
@@ -38,20 +38,20 @@ SPACINGS = 4.0  # in r_max if not given: four shells of neighbors
 R_MAX = "largest distance; if not given, the smaller of 4 (V/N)^(1/3) and half the smallest height of the initial cell"
 
 
-class Counting(ByAddress, namedtuple("Counting", "arrays species kinds per_width beyond places counts")):
+class Counting(ByAddress, namedtuple("Counting", "arrays species kinds per_width beyond counts")):
     """arrays : ClusterArrays of a list whose cutoff is r_max.  species : (slots,) int, of the atoms in clusters.
     kinds : (S, S) int, the number of each pair of species.  per_width : 1/Δr [1/length].
     beyond : (n,) columns, one for each lane, of pairs farther away: a single one would wait for itself at each of them.
-    places : (K, n) scratch of each domain.  counts : (K, P, columns) int, its numbers of pairs by kind and bin."""
+    counts : (K, P, columns) int, its numbers of pairs by kind and bin."""
 
 
 @called_kernel
 def count_pairs(counting, domain):
     """counts[domain, p, k] += number of pairs of kind p, with all images, with k Δr ≤ r < (k + 1) Δr, of the atoms of
     a domain with those of their rows."""
-    arrays, species, kinds, per_width, beyond, _, _ = counting
+    arrays, species, kinds, per_width, beyond, _ = counting
     clusters, ghosts, rows, memory = arrays.clusters, arrays.ghosts, arrays.rows, arrays.memory
-    lanes, counts, places = clusters.lanes, counting.counts[domain], counting.places[domain]
+    lanes, counts = clusters.lanes, counting.counts[domain]
     first, n_lanes, columns = arrays.domains.first[domain], count(lanes), load(beyond, 0, lanes)
     coordinates = memory.coordinates[first * DIMENSIONS * n_lanes :]
     for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
@@ -61,10 +61,10 @@ def count_pairs(counting, domain):
         for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stops[LAYERS - 1, slot])):
             now = rows.entries[entry]
             _, _, _, r2 = separations(coordinates, memory.far, now, at, lanes)
-            store(places, 0, min(np.sqrt(r2) * per_width, columns))
+            places = min(np.sqrt(r2) * per_width, columns)
             other = np.uintp(ghosts.owner[first + np.intp(now & GHOST_BITS)]) * np.uintp(n_lanes)
-            for lane in range(np.uintp(n_lanes)):
-                counts[np.uintp(kinds_of_pairs[np.uintp(species[other + lane])]), np.uintp(places[lane])] += 1
+            for k in range(np.uintp(n_lanes)):
+                counts[np.uintp(kinds_of_pairs[np.uintp(species[other + k])]), np.uintp(lane(places, k))] += 1
     return GO_ON
 
 
@@ -128,9 +128,9 @@ class RadialDistribution(Accumulator):
         found.update(positions, cell)
         lanes = np.arange(found.lanes.size)
         counts = np.zeros((found.n_domains, len(self._pairs), self.n_bins + lanes.size), dtype=np.int64)
-        beyond, places = self.n_bins + lanes.astype(np.float64), np.zeros((len(counts), lanes.size))
+        beyond = self.n_bins + lanes.astype(np.float64)
         of_slots = species[found.clusters.atom[: found.n_clusters * lanes.size]]
-        counting = Counting(found.arrays, of_slots, self._kinds, self.n_bins / self.reach, beyond, places, counts)
+        counting = Counting(found.arrays, of_slots, self._kinds, self.n_bins / self.reach, beyond, counts)
         count_all = operation(calls, count_pairs, counting, len(counts))
         Program(lambda: [count_all], lambda: 0, pool).run()
         return counts.sum(axis=0) / n.prod()

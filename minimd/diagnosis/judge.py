@@ -30,7 +30,7 @@ from minimd.structure.vectors import Array
 # before
 QUICK = 0.1  # of the relaxation time of a barostat, between two strains: fluctuations are then wrong by up to a tenth
 CRUSHING = 0.5  # eV/Å³: 80 GPa, far more than a Lennard-Jones solid is good for
-USUAL = 0.3  # times 1/ω of the fastest motion: 20 steps in its period
+USUAL = (8.0 * OSCILLATION) ** 0.5  # Δt·ω of 20 steps a period: velocity Verlet's energy oscillates by (Δt·ω)²/8
 TOO_SHORT = 0.001  # of the usual step
 MEANT = 1e-30  # likewise: a step below this is no error of the unit, somebody wants atoms that stand still
 MOVING = 1e-6  # of Σ|mv|: a smaller total momentum is rounding, of files with six digits or in single precision

@@ -104,7 +104,7 @@ def looks_ahead(vector):
 class Work(ByAddress, namedtuple("Work", "laws sums")):
     """What the loop does.
 
-    laws : tuple of (law type, SameForAll, ByLane or ChargesByLane).  sums : Sums or ForceSums.
+    laws : tuple of (law type, SameForAll, ByLane or ChargesByLane).  sums : Sums, TotalSums or ForceSums.
     """
 
 

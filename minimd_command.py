@@ -6,7 +6,7 @@ The codes are those of shells: 130 after Ctrl-C, 143 after SIGTERM, 129 after SI
 This file is beside the package, because Python loads a package, and with it NumPy and Numba, before any of its modules.
 A KeyboardInterrupt is not enough: while a compiled module is loaded or a kernel is compiled, it may become another
 error, a traceback or nothing. Only a run has something to save; it replaces the handler by its own,
-see minimd.console.signals.
+see minimd.core.console.signals.
 """
 
 import _signal  # loaded at once, unlike the module signal
@@ -37,7 +37,7 @@ def main() -> None:
         if isinstance(stream, TextIOWrapper):  # else the shell has closed it
             stream.reconfigure(errors="backslashreplace")  # not every code page of Windows has σ and −
     from minimd.commands.main import main as run_command
-    from minimd.console.signals import DEFAULT_HANDLERS
+    from minimd.core.console.signals import DEFAULT_HANDLERS
 
     DEFAULT_HANDLERS.append(end_at_once)
     try:

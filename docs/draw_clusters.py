@@ -8,10 +8,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 import minimd as md
-from minimd.compiled.threads import thread_pool
-from minimd.neighbors import domains
-from minimd.neighbors.cluster_list import ClusterList
-from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
+from minimd.core.compiled.threads import thread_pool
+from minimd.core.neighbors import domains
+from minimd.core.neighbors.cluster_list import ClusterList
+from minimd.core.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 
 CUTOFF, SKIN = 2.5, 0.3
 THICKNESS = 8.0**0.5  # at one atom per square, columns are as wide as eight atoms are high

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 import minimd as md
-from minimd.diagnosis.report import drift_of_walk
-from minimd.structure.statistics import mean_and_error
+from minimd.core.diagnosis.report import drift_of_walk
+from minimd.core.structure.statistics import mean_and_error
 
 N_RUNS, LENGTHS = 40, (100, 400)  # τ
 EDGE, DENSITY, TEMPERATURE, TIMESTEP = 3, 0.8, 0.85, 0.005  # 108 atoms

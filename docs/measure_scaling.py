@@ -140,8 +140,7 @@ def one_table(n: int) -> None:
     """Print what the table of n members takes, as JSON."""
     from minimd.ensemble.folder import Asked, EnsembleFolder
     from minimd.ensemble.member import checked_parameters
-    from minimd.ensemble.table import status
-    from minimd.ensemble.table import table_of as table_in
+    from minimd.ensemble.table import status, table_of as table_in
 
     told: Numbers = {}
 
@@ -228,7 +227,7 @@ def main(arguments: list[str]) -> None:
     if arguments[:1] in (["--hand-over"], ["--table"]):
         {"--hand-over": one_hand_over, "--table": one_table}[arguments[0]](*map(int, arguments[1:]))
         return
-    from minimd_bench.outcome import machine
+    from minimd.bench.outcome import machine
 
     facts = Path("/proc/cpuinfo").read_text()
     kind = ("Zen 5, " if re.search(r"cpu family\s*: 26", facts) else "") + ("AVX-512" if "avx512f" in facts else "AVX2")

@@ -1,4 +1,4 @@
-"""Writes docs/scenes.md: every key of a scene file, with its unit and its default, from minimd/document/sections.py.
+"""Writes docs/scenes.md: every key of a scene file, with its unit and its default, from minimd/scene/sections.py.
 
     python docs/write_scenes.py
 
@@ -15,13 +15,13 @@ from pathlib import Path
 from annotated_types import Ge, Gt, MaxLen
 from pydantic_core import PydanticUndefined
 
-from minimd.document.section import KEY_UNITS, Dimension, Section
-from minimd.document.sections import METHODS, PLOT_SUFFIXES, SceneSections
-from minimd.integrators.splitting.barostats import COUPLINGS
+from minimd.core.integrators.barostats import COUPLINGS
+from minimd.core.potentials.pair import MIXING
+from minimd.core.potentials.truncation import TRUNCATIONS
+from minimd.core.structure.lattice import BASES
 from minimd.observers import KINDS
-from minimd.potentials.pair import MIXING
-from minimd.potentials.truncation import TRUNCATIONS
-from minimd.structure.lattice import BASES
+from minimd.scene.section import KEY_UNITS, Dimension, Section
+from minimd.scene.sections import METHODS, PLOT_SUFFIXES, SceneSections
 
 PAGE = Path(__file__).parent / "scenes.md"
 UNITS = {

@@ -5,11 +5,11 @@ from collections import namedtuple
 import numpy as np
 
 import minimd as md
-from minimd.compiled.by_address import ByAddress
-from minimd.compiled.kernels import DirectCalls, called_kernel
-from minimd.compiled.program import GO_ON, n_chunks_of, operation
-from minimd.integrators.splitting.substeps import Drift, Kick, Thermalize
-from minimd.integrators.splitting.thermostats import kinetic_energy_at, settled
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.kernels import DirectCalls, called_kernel
+from minimd.core.compiled.program import GO_ON, n_chunks_of, operation
+from minimd.core.integrators.substeps import Drift, Kick, Thermalize
+from minimd.core.integrators.thermostats import kinetic_energy_at, settled
 
 CALLS = {False: DirectCalls(), True: DirectCalls()}  # without and with a grid, which have data of different types
 

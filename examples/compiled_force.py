@@ -5,11 +5,11 @@ from collections import namedtuple
 import numpy as np
 
 import minimd as md
-from minimd.compiled.by_address import ByAddress
-from minimd.compiled.fixed_point import force_along, in_steps
-from minimd.compiled.kernels import DirectCalls, called_kernel
-from minimd.compiled.program import GO_ON, n_chunks_of, operation
-from minimd.potentials.term import PER_ATOM, TOTALS, OwnTerm
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.fixed_point import force_along, in_steps
+from minimd.core.compiled.kernels import DirectCalls, called_kernel
+from minimd.core.compiled.program import GO_ON, n_chunks_of, operation
+from minimd.core.potentials.term import PER_ATOM, TOTALS, OwnTerm
 
 
 class Data(ByAddress, namedtuple("Data", "positions atoms force forces energies detail totals steps")):

@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import minimd as md
-from minimd.constraints import ConstraintSolver
+from minimd.core.constraints import ConstraintSolver
 
 n_beads, timestep = 200, 0.05
 n_steps = 4000  # one revolution: n_beads / timestep

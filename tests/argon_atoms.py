@@ -13,7 +13,7 @@ from ase.io.formats import define_external_io_format, ioformats
 
 import minimd as md
 from minimd.ase import Calculator
-from minimd.structure.observables import maxwell_boltzmann
+from minimd.core.structure.observables import maxwell_boltzmann
 
 REPOSITORY = Path(__file__).parents[1]
 SIGMA, EPSILON, CUTOFF = 3.405, 0.0103, 8.0

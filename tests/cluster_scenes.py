@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 from references import liquid
 
 import minimd as md
-from minimd.compiled.program import Program
-from minimd.compiled.threads import thread_pool
-from minimd.forces.cluster_term import ClusterTerm
-from minimd.forces.options import Options
-from minimd.forces.pair_laws import PairLaws
-from minimd.forces.pair_list_term import PairListTerm
-from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Target
-from minimd.structure.cell import Cell, Images
+from minimd.core.compiled.program import Program
+from minimd.core.compiled.threads import thread_pool
+from minimd.core.forces.cluster_term import ClusterTerm
+from minimd.core.forces.options import Options
+from minimd.core.forces.pair_laws import PairLaws
+from minimd.core.forces.pair_list_term import PairListTerm
+from minimd.core.potentials.term import FORCES, PER_ATOM, TOTALS, Target
+from minimd.core.structure.cell import Cell, Images
 
 CUTOFF, SKIN = 2.0, 0.3
 JUST_HIGH_ENOUGH = (CUTOFF + SKIN) * (1.0 + 1e-9)
@@ -91,7 +91,7 @@ def rod(n_copies=5, width=3, pbc=True):
 @contextmanager
 def atoms_per_domain(n):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("minimd.neighbors.domains.ATOMS_PER_DOMAIN", n)
+        patch.setattr("minimd.core.neighbors.domains.ATOMS_PER_DOMAIN", n)
         yield
 
 

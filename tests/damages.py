@@ -18,7 +18,7 @@ import numpy as np
 from references import melt_scene
 
 from minimd.commands import main as cli
-from minimd.files.claim import MAGIC
+from minimd.core.files.claim import MAGIC
 
 BATH = 'method = "langevin-baoab"\nrelaxation_time = 1.0\n'
 SCENES = {

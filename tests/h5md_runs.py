@@ -10,7 +10,7 @@ import MDAnalysis
 import numpy as np
 
 import minimd as md
-from minimd.files.h5md_reader import read_file, verify_frames
+from minimd.core.files.h5md_reader import read_file, verify_frames
 
 PER_PICOSECOND = 98.22694788464064  # of the time unit of ASE, as its documentation has it
 N_ATOMS = 27
@@ -100,8 +100,8 @@ def limited(n_bytes):
 
 def bring_to_disk_every(seconds, monkeypatch):
     """Frames do not wait longer than this for the disk; with zero each is brought there when it comes."""
-    monkeypatch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", seconds)
-    monkeypatch.setattr("minimd.files.h5md_writer.MOST_OFTEN", 0.0)
+    monkeypatch.setattr("minimd.core.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", seconds)
+    monkeypatch.setattr("minimd.core.files.h5md_writer.MOST_OFTEN", 0.0)
 
 
 def fill_the_disk(monkeypatch, after):

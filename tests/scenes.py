@@ -10,8 +10,8 @@ import numpy as np
 import references
 
 import minimd as md
-from minimd.structure.lattice import crystal
-from minimd.structure.system import changed
+from minimd.core.structure.lattice import crystal
+from minimd.core.structure.system import changed
 
 LJ = md.LennardJones(1.0, 1.0, 1.8, "force-shifted")  # one species; cell, open or smaller than the cutoff
 OPEN = md.LennardJones(1.0, 1.0)  # no cutoff

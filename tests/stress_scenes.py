@@ -7,8 +7,8 @@ import numpy as np
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.forces.options import Options
-from minimd.potentials.term import TOTALS
+from minimd.core.forces.options import Options
+from minimd.core.potentials.term import TOTALS
 
 SMOOTH = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
 OPEN = md.LennardJones(1.0, 1.0)

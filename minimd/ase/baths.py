@@ -11,13 +11,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from minimd.console.words import shown
-from minimd.integrators.splitting.splitting import Splitting
-from minimd.integrators.splitting.state import State, Surroundings
-from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize
-from minimd.integrators.splitting.thermostats import LangevinBAOAB, StochasticVelocityRescaling, Thermostat, bath_of
-from minimd.structure.checks import checked_number
-from minimd.structure.observables import kinetic_energy, momentum
+from minimd.core.console.words import shown
+from minimd.core.integrators.splitting import Splitting
+from minimd.core.integrators.state import State, Surroundings
+from minimd.core.integrators.substeps import Drift, Kick, Substeps, Thermalize
+from minimd.core.integrators.thermostats import LangevinBAOAB, StochasticVelocityRescaling, Thermostat, bath_of
+from minimd.core.structure.checks import checked_number
+from minimd.core.structure.observables import kinetic_energy, momentum
 
 __all__ = ["AndersenBath", "BerendsenBath", "BussiBath", "Chain", "LangevinBath", "NoseHooverBath"]
 

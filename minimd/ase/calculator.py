@@ -7,18 +7,17 @@ from typing import Any
 
 import numpy as np
 from ase import Atoms
-from ase.calculators.calculator import Calculator as ASECalculator
-from ase.calculators.calculator import all_changes
+from ase.calculators.calculator import Calculator as ASECalculator, all_changes
 from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import ArrayLike
 
-from minimd.forces.contacts import why_not_finite
-from minimd.forces.forces import Forces, Potential
-from minimd.forces.options import Options, Precision
-from minimd.potentials.term import PER_ATOM, TOTALS
-from minimd.structure.ase_atoms import cell_of, same_labels, same_scene, system_arguments, volume_of
-from minimd.structure.errors import NonFiniteError
-from minimd.structure.system import System
+from minimd.core.forces.contacts import why_not_finite
+from minimd.core.forces.forces import Forces, Potential
+from minimd.core.forces.options import Options, Precision
+from minimd.core.potentials.term import PER_ATOM, TOTALS
+from minimd.core.structure.ase_atoms import cell_of, same_labels, same_scene, system_arguments, volume_of
+from minimd.core.structure.errors import NonFiniteError
+from minimd.core.structure.system import System
 
 
 class Calculator(ASECalculator):

@@ -12,16 +12,16 @@ from ase.md.md import MolecularDynamics
 from numpy.typing import NDArray
 
 from minimd.ase.calculator import Calculator
-from minimd.console.quiet import outside_minimd
-from minimd.console.signals import stop_on_signals
-from minimd.diagnosis.run_guard import RunGuard
-from minimd.engine.engine import Engine
-from minimd.integrators.splitting.rows import VelocityVerlet as Method
-from minimd.integrators.splitting.splitting import Splitting
-from minimd.potentials.term import CalculatorTerm, calculators_said
-from minimd.structure.ase_atoms import fixes_center, same_scene
-from minimd.structure.system import System
-from minimd.structure.units import ASE
+from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.signals import stop_on_signals
+from minimd.core.diagnosis.run_guard import RunGuard
+from minimd.core.engine.engine import Engine
+from minimd.core.integrators.rows import VelocityVerlet as Method
+from minimd.core.integrators.splitting import Splitting
+from minimd.core.potentials.term import CalculatorTerm, calculators_said
+from minimd.core.structure.ase_atoms import fixes_center, same_scene
+from minimd.core.structure.system import System
+from minimd.core.structure.units import ASE
 
 
 class MinimdSteps(MolecularDynamics):

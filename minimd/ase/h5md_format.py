@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 from ase import Atoms
 
-from minimd.files.h5md_reader import frames_of, read_file
-from minimd.files.structure_file import atoms_of_frame
-from minimd.structure.ase_atoms import atoms_from_system
+from minimd.core.files.h5md_reader import frames_of, read_file
+from minimd.core.files.structure_file import atoms_of_frame
+from minimd.core.structure.ase_atoms import atoms_from_system
 
 
 def read_minimd_h5md(filename: str, index: int | slice = -1) -> Iterator[Atoms]:
@@ -22,7 +22,7 @@ def read_minimd_h5md(filename: str, index: int | slice = -1) -> Iterator[Atoms]:
 
     index : of the frames, as for ase.io.read.
 
-    Raises FileNotFoundError, OSError, ValueError as minimd.files.h5md_reader.read_file.
+    Raises FileNotFoundError, OSError, ValueError as minimd.core.files.h5md_reader.read_file.
     """
     contents = read_file(filename)
     template, numbers = atoms_from_system(contents.system), range(contents.n_frames)

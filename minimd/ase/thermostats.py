@@ -15,10 +15,10 @@ from ase.md.md import MolecularDynamics
 
 from minimd.ase.baths import AndersenBath, BerendsenBath, BussiBath, Chain, LangevinBath, NoseHooverBath
 from minimd.ase.dynamics import MinimdSteps
-from minimd.console.words import shown
-from minimd.integrators.splitting.rows import VelocityVerlet
-from minimd.integrators.splitting.splitting import Splitting
-from minimd.structure.ase_atoms import fixes_center
+from minimd.core.console.words import shown
+from minimd.core.integrators.rows import VelocityVerlet
+from minimd.core.integrators.splitting import Splitting
+from minimd.core.structure.ase_atoms import fixes_center
 
 
 class Noisy(MolecularDynamics):

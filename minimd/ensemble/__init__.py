@@ -1,8 +1,6 @@
 """Many runs: the members of an ensemble are run by any executor, each with its own file;
 a table holds their averages."""
 
-from minimd.ensemble.member import Member
-from minimd.ensemble.running import ensemble
-from minimd.ensemble.table import EnsembleTable
+from minimd.core.console.lazy import lazily
 
-__all__ = ["EnsembleTable", "Member", "ensemble"]
+__getattr__, __dir__, __all__ = lazily(__name__, __file__)

@@ -30,12 +30,12 @@ from pathlib import Path
 from time import sleep, time
 from typing import Any, NamedTuple
 
-from minimd.console import __version__
-from minimd.console.whole_file import is_locked, locked, regular, write_whole
-from minimd.console.words import shown
+from minimd.core.console import __version__
+from minimd.core.console.whole_file import is_locked, locked, regular, write_whole
+from minimd.core.console.words import shown
+from minimd.core.files.crash_file import crash_file_place
+from minimd.core.structure.checks import COUNTS, checked_count
 from minimd.ensemble.member import DONE, FAILED, NOTE, STOPPED, Row, Value, checked_parameters, file_of
-from minimd.files.crash_file import crash_file_place
-from minimd.structure.checks import COUNTS, checked_count
 
 DESCRIPTION, SHARED = "ensemble.json", "ensemble.lock"
 JOURNAL = re.compile(r"members(?:\.(\d{1,9})-(\d{1,9}))?\.jsonl")

@@ -21,15 +21,15 @@ from typing import Any
 
 import numpy as np
 
-from minimd.compiled.machine import threads_by_default
-from minimd.console.whole_file import is_locked, new_file, regular
-from minimd.console.words import listed, shown
-from minimd.engine.record import Record
-from minimd.files.crash_file import crash_file_place
-from minimd.simulation.simulation import Simulation
-from minimd.structure.checks import checked_count
-from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
-from minimd.structure.statistics import mean_and_error
+from minimd.core.compiled.machine import threads_by_default
+from minimd.core.console.whole_file import is_locked, new_file, regular
+from minimd.core.console.words import listed, shown
+from minimd.core.engine.record import Record
+from minimd.core.files.crash_file import crash_file_place
+from minimd.core.simulation.simulation import Simulation
+from minimd.core.structure.checks import checked_count
+from minimd.core.structure.errors import ConstraintError, NonFiniteError, sentence
+from minimd.core.structure.statistics import mean_and_error
 
 Value = bool | int | float | str
 Row = dict[str, Any]
@@ -84,7 +84,7 @@ class Member:
 
         every : steps between observations.  Raises as Simulation.run; FileExistsError if it is called twice.
         """
-        from minimd.files.h5md_reader import read_file, verify_frames
+        from minimd.core.files.h5md_reader import read_file, verify_frames
 
         every, stopped, contents = checked_count("every", every), self.file.with_suffix(STOPPED), None
         with suppress(OSError, ValueError):  # there is none, or it is damaged: the member begins anew, to the same bits
@@ -104,7 +104,7 @@ class Member:
 def steps_in_file(simulation: Simulation, member: Member, first: int | None, every: int) -> Record:
     """Make the steps of a member, or the remaining ones if its run has begun at the step `first`, and write them to its
     file; returns the record of all frames.  Raises as Simulation.run."""
-    from minimd.files.h5md_reader import read_file
+    from minimd.core.files.h5md_reader import read_file
 
     if first is None:
         return simulation.run(member.steps, every=every, trajectory=member.file, progress=False)
@@ -252,7 +252,7 @@ def work_through(plan: Plan, jobs: list[Job], _number: int) -> list[Row]:
 
 
 def _made(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> Row:
-    from minimd.files.h5md_reader import read_file
+    from minimd.core.files.h5md_reader import read_file
 
     simulation, first, n_steps = plan.build(member), None, member.steps
     if not isinstance(simulation, Simulation):

@@ -17,18 +17,24 @@ from time import sleep
 from typing import Any
 from uuid import uuid4
 
-from minimd.compiled.machine import available_cores
-from minimd.console.progress import progress_of
-from minimd.console.quiet import outside_minimd
-from minimd.console.signals import Terminated, endings_are_told, raising_on_signals, stop_runs_of_threads, tell_ending
-from minimd.console.words import shown
+from minimd.core.compiled.machine import available_cores
+from minimd.core.console.progress import progress_of
+from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.signals import (
+    Terminated,
+    endings_are_told,
+    raising_on_signals,
+    stop_runs_of_threads,
+    tell_ending,
+)
+from minimd.core.console.words import shown
+from minimd.core.simulation.simulation import Simulation
+from minimd.core.structure.checks import checked_count, checked_flag
+from minimd.core.structure.errors import Interrupted, sentence
 from minimd.ensemble.folder import ENTROPIES, Asked, EnsembleFolder, name_of
 from minimd.ensemble.member import DONE, FAILED, Job, Member, Plan, Row, checked_parameters, work_through
 from minimd.ensemble.table import EnsembleTable, written_table
 from minimd.ensemble.workers import SpawnedProcesses, ThisProcess, WorkerNeverBegan, WorkerStopped
-from minimd.simulation.simulation import Simulation
-from minimd.structure.checks import checked_count, checked_flag
-from minimd.structure.errors import Interrupted, sentence
 
 MOST_WAITING = 4096  # batches submitted at a time to an executor that the caller brings
 # members are submitted in batches that take about so long, with at most so many members; their times are those of the

@@ -12,16 +12,16 @@ from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from minimd.console.whole_file import regular, write_whole
+from minimd.core.console.whole_file import regular, write_whole
+from minimd.core.files.crash_file import crash_file_place
+from minimd.core.simulation.simulation import Simulation
+from minimd.core.structure.checks import checked_count
 from minimd.ensemble.folder import EnsembleFolder, alone
 from minimd.ensemble.member import Member, Value
 from minimd.ensemble.running import checked_members, ensemble
 from minimd.ensemble.table import EnsembleTable
-from minimd.files.crash_file import crash_file_place
 from minimd.scene.running import equilibrate, minimize
 from minimd.scene.scene import Scene, load_scene, parse_scene
-from minimd.simulation.simulation import Simulation
-from minimd.structure.checks import checked_count
 
 SEED = "dynamics.seed"
 OF_THE_SCAN = {  # keys that must be the same for all members, and what to do instead of setting them

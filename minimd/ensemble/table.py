@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.console.display import Displayed, Rows
-from minimd.console.whole_file import write_whole
-from minimd.console.words import listed, near
-from minimd.engine.record import SERIES
+from minimd.core.console.display import Displayed, Rows
+from minimd.core.console.whole_file import write_picture, write_whole
+from minimd.core.console.words import listed, near
+from minimd.core.engine.record import SERIES
+from minimd.core.structure.errors import sentence
+from minimd.core.structure.statistics import with_error
+from minimd.core.structure.units import SYSTEMS, UnitSystem
 from minimd.ensemble.folder import DESCRIPTION, Asked, EnsembleFolder, alone
 from minimd.ensemble.member import BEGUN, DONE, FAILED, MISSING, NOTE, STATES, file_of, read_note
-from minimd.structure.errors import sentence
-from minimd.structure.statistics import with_error
-from minimd.structure.units import SYSTEMS, UnitSystem
 
 if TYPE_CHECKING:
     import pandas
@@ -221,7 +221,7 @@ def status(folder: Path) -> tuple[EnsembleTable, list[str]]:
 
 def _progress(file: str, steps: int) -> str:
     """The progress of a member in words. A file that is being written cannot be read."""
-    from minimd.files.h5md_reader import read_file
+    from minimd.core.files.h5md_reader import read_file
 
     try:
         contents = read_file(file)
@@ -267,7 +267,7 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
 
     Raises ValueError if no member is done, or none has such a quantity.
     """
-    from minimd.engine.record_picture import Picture
+    from minimd.core.engine.record_picture import Picture
 
     name, rows = drawn_quantity(table, quantity), table.averaged()
     several = [one for one in table.parameters if len(set(rows[one].tolist())) > 1]
@@ -297,7 +297,6 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
 def save_picture(table: EnsembleTable, quantity: str | None = None, out: Path | None = None) -> Path:
     """Save the figure to out, or to a file in the folder named after the quantity.  Raises ValueError as
     picture_of_scan, OSError."""
-    from minimd.analysis.plot import save
 
     place = out or table.folder / f"{drawn_quantity(table, quantity)}.png"
-    return save(picture_of_scan(table, quantity), place)
+    return write_picture(picture_of_scan(table, quantity), place)

@@ -15,9 +15,9 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any, cast
 
-from minimd.compiled.machine import available_cores
-from minimd.console.signals import endings_are_told
-from minimd.files.claim import end_with
+from minimd.core.compiled.machine import available_cores
+from minimd.core.console.signals import endings_are_told
+from minimd.core.files.claim import end_with
 
 EXECUTORS = ("processes", "threads", "dask", "mpi")
 READY = b"ready"

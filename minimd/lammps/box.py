@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from minimd.structure.system import System
-from minimd.structure.vectors import Array, handedness, upright
+from minimd.core.structure.system import System
+from minimd.core.structure.vectors import Array, handedness, upright
 
 IMAGES = 1024  # LAMMPS counts images with ten bits
 

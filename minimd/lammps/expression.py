@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 
-from minimd.compiled.snapshot import globals_read, unread
-from minimd.potentials.law import evaluate_law, reads_table
+from minimd.core.compiled.snapshot import globals_read, unread
+from minimd.core.potentials.law import evaluate_law, reads_table
 
 MOST_DECISIONS = 8  # conditions that a call of a law may evaluate one after the other
 SAME = "sqrt exp log sin cos tan asin acos atan sinh cosh tanh erf erfc floor ceil abs"  # names in both
@@ -150,7 +150,7 @@ class Rewritten:
         self._copies: dict[int, Callable] = {}
 
     def law(self, law: tuple, r2: Any, parameters: tuple[Any, ...]) -> Any:
-        """Do what evaluate_law does, see minimd.potentials.law."""
+        """Do what evaluate_law does, see minimd.core.potentials.law."""
         formula = self._value(type(law).python)  # type: ignore[attr-defined]
         return formula(r2, law[0], parameters) if law else formula(r2, *parameters)
 

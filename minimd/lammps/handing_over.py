@@ -17,24 +17,24 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.console.display import Displayed, Rows
-from minimd.console.progress import progress_of
-from minimd.console.signals import stop_on_signals
-from minimd.engine.engine import Engine
-from minimd.engine.observation import check_extras, observe
-from minimd.engine.record import Record
-from minimd.files.trajectory import open_trajectories
-from minimd.integrators import LangevinBAOAB
+from minimd.core.console.display import Displayed, Rows
+from minimd.core.console.progress import progress_of
+from minimd.core.console.signals import stop_on_signals
+from minimd.core.engine.engine import Engine
+from minimd.core.engine.observation import check_extras, observe
+from minimd.core.engine.record import Record
+from minimd.core.files.trajectory import open_trajectories
+from minimd.core.integrators.thermostats import LangevinBAOAB
+from minimd.core.potentials.coulomb import Coulomb
+from minimd.core.potentials.term import bound
+from minimd.core.simulation.simulation import Simulation
+from minimd.core.structure.checks import checked_count, checked_flag
+from minimd.core.structure.errors import HandOverError, sentence
 from minimd.lammps import script
 from minimd.lammps.box import IMAGES, Box
 from minimd.lammps.model import Model
 from minimd.lammps.program import INSTALL, OUTPUT, Log, Program, find_program, run
 from minimd.lammps.verification import LEAST, Verification, compare, in_both
-from minimd.potentials import Coulomb
-from minimd.potentials.term import bound
-from minimd.simulation.simulation import Simulation
-from minimd.structure.checks import checked_count, checked_flag
-from minimd.structure.errors import HandOverError, sentence
 
 MAGIC = b"DUMPCUSTOM"
 

@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from minimd.console.words import shown
-from minimd.engine.engine import Engine
-from minimd.forces.evaluation import evaluate
+from minimd.core.console.words import shown
+from minimd.core.engine.engine import Engine
+from minimd.core.forces.evaluation import evaluate
+from minimd.core.potentials.bonded import Bonded
+from minimd.core.potentials.coulomb import Coulomb
+from minimd.core.potentials.laws import LennardJonesLaw
+from minimd.core.potentials.pair import UNSCALED, Nonbonded
+from minimd.core.potentials.truncation import ForceShifted, Shifted
+from minimd.core.structure.bond_graph import Indices, among
+from minimd.core.structure.cell import Array, nearest_vectors
+from minimd.core.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.lammps.box import Box
 from minimd.lammps.expression import energy_expression
 from minimd.lammps.verification import TOLERANCE
-from minimd.potentials import Coulomb
-from minimd.potentials.bonded import Bonded
-from minimd.potentials.laws import LennardJonesLaw
-from minimd.potentials.pair import UNSCALED, Nonbonded
-from minimd.potentials.truncation import ForceShifted, Shifted
-from minimd.structure.bond_graph import Indices, among
-from minimd.structure.cell import Array, nearest_vectors
-from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 
 EQUAL = 1e-12  # largest relative difference of sides of a triangle that count as equal
 FLAT = 1e-6  # a triangle is a line if 1 − third side / sum of the two others is below this

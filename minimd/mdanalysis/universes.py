@@ -25,19 +25,19 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from minimd.console.display import Displayed, Rows
-from minimd.console.quiet import outside_minimd, quiet
-from minimd.files.h5md_reader import H5MDContents, admitted, damage_told, read_file
-from minimd.files.h5md_schema import has_edges
-from minimd.files.turned_cell import ROTATION, Turn, cell_dimensions, turn_of
+from minimd.core.console.display import Displayed, Rows
+from minimd.core.console.quiet import outside_minimd, quiet
+from minimd.core.files.h5md_reader import H5MDContents, admitted, damage_told, read_file
+from minimd.core.files.h5md_schema import has_edges
+from minimd.core.files.turned_cell import ROTATION, Turn, cell_dimensions, turn_of
+from minimd.core.simulation.simulation import Simulation
+from minimd.core.structure.constraints import DistanceConstraints
+from minimd.core.structure.observables import Array, center
+from minimd.core.structure.statistics import FEW, with_error
+from minimd.core.structure.system import System
+from minimd.core.structure.units import ASE
 from minimd.observers.motion import finite_size_correction, is_cubic, per_ps_in_words, with_its_error
 from minimd.observers.viscosity import ViscosityResult
-from minimd.simulation.simulation import Simulation
-from minimd.structure.constraints import DistanceConstraints
-from minimd.structure.observables import Array, center
-from minimd.structure.statistics import FEW, with_error
-from minimd.structure.system import System
-from minimd.structure.units import ASE
 
 __all__ = ["Diffusion", "Frames", "RadialDistribution", "RunUniverse", "Turn", "diffusion_coefficient",
            "mean_square_displacement", "radial_distribution", "universe"]  # fmt: skip
@@ -179,7 +179,7 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
 
     Raises
     ------
-    FileNotFoundError, OSError, ValueError : as minimd.files.h5md_reader.read_file.  ValueError : for Frames that are
+    FileNotFoundError, OSError, ValueError : as read_file.  ValueError : for Frames that are
         empty.
     """
     if isinstance(run, str | Path):

@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 import json
-import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from inspect import cleandoc
-from time import perf_counter
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import compile_clock
-from minimd.console.display import Displayed, Rows, call_of
-from minimd.console.quiet import outside_minimd
-from minimd.console.words import shown
-from minimd.engine.engine import Engine
+from minimd.core.console.display import Displayed, Rows, call_of
+from minimd.core.engine.engine import Engine
+from minimd.core.structure.statistics import MOST_BLOCKS, replicas, spread
+from minimd.core.structure.units import SYSTEMS, UnitSystem
 from minimd.observers.arguments import Argument, argument, label, steps
-from minimd.observers.stream import Stream
-from minimd.structure.errors import ConstraintError, NonFiniteError
-from minimd.structure.statistics import MOST_BLOCKS, replicas, spread
-from minimd.structure.units import SYSTEMS, UnitSystem
 
 if TYPE_CHECKING:
     import pandas
@@ -207,7 +199,7 @@ class Result(Displayed):
 
     def plot(self) -> Figure:
         """A figure, which a notebook shows; .savefig(path) writes it to a file."""
-        from minimd.engine.record_picture import Picture  # matplotlib is slow to load
+        from minimd.core.engine.record_picture import Picture  # matplotlib is slow to load
 
         figure = Picture(figsize=(6.0, 4.0), dpi=150, layout="constrained")
         panel = figure.subplots()
@@ -385,78 +377,3 @@ class Accumulator(ABC, Displayed):
         self.last_step = words["last_step"]
         for part in self._parts():
             part.restore(state)
-
-
-WithSteps = Accumulator | Stream  # observers with steps of their own
-
-
-class Attached:
-    """The observers of a run on one engine, each with its own steps.
-
-    observers : as passed to a run.  functions : the plain functions among them.  accumulators : those with results.
-
-    Raises TypeError for anything but a list of observers, ValueError if two have the same name.
-    """
-
-    def __init__(self, observers: Any, engine: Engine) -> None:
-        if not isinstance(observers, list | tuple) or not all(_is_observer(one) for one in observers):
-            kinds = "a list of functions of a simulation, and of observers such as md.observers.RadialDistribution()"
-            raise TypeError(f"observers must be {kinds}; observers = {shown(observers)}")
-        self.accumulators: Sequence[Accumulator] = [one for one in observers if isinstance(one, Accumulator)]
-        self.functions: Sequence[Callable] = [one for one in observers if not isinstance(one, WithSteps)]
-        self._with_steps: Sequence[WithSteps] = [one for one in observers if isinstance(one, WithSteps)]
-        names = [one.name for one in self.accumulators]
-        if twice := {name for name in names if names.count(name) > 1}:
-            several = f"{min(twice)!r} is the name of several: pass another name= to one of them"
-            raise ValueError(f"observers must have different names; {several}")
-        self._engine = engine
-        if not engine.is_as_left:  # the state was changed since the last run
-            for one in self.accumulators:
-                one.interrupt()
-
-    def begin(self) -> None:
-        """Look at the first state.  Raises ValueError if something cannot be observed."""
-        for one in self._with_steps:
-            one.prepare(self._engine)
-        self.look()
-
-    def steps_to_next(self) -> int | float:
-        """The number of steps to the next look of any of them; infinite without observers."""
-        return min((one.every - self._engine.step % one.every for one in self._with_steps), default=float("inf"))
-
-    def need_energy(self, step: int) -> bool:
-        """Whether an observer that looks at this step needs energy and virial."""
-        return any(one.needs_energy and step % one.every == 0 for one in self._with_steps)
-
-    def look(self) -> float:
-        """Let the observers that are due look at the present state; return the seconds that this took, without
-        compilation."""
-        began = perf_counter() - compile_clock.seconds
-        for one in self._with_steps:
-            if self._engine.step % one.every == 0:
-                one.observe(self._engine)
-        return perf_counter() - compile_clock.seconds - began if self._with_steps else 0.0
-
-    @contextmanager
-    def broken_off(self) -> Iterator[None]:
-        """Context of a run: if it fails, a warning names the observers that have looked after its last good step.
-        At the end streams are closed."""
-        try:
-            yield
-        except (NonFiniteError, ConstraintError):
-            step = self._engine.step
-            for one in self.accumulators:
-                if n_later := one.break_off(step):
-                    seen = f"the result of {one!r} includes {n_later} later states"
-                    failed = f"the run has failed after step {step}, and {seen}; use another observer to run again"
-                    warnings.warn(failed, stacklevel=outside_minimd())
-            raise
-        finally:
-            for looking in self._with_steps:
-                looking.end(self._engine)
-
-
-def _is_observer(one: Any) -> bool:
-    """Whether an object can observe a run; a class of observers cannot, but its objects can."""
-    is_class = isinstance(one, type) and issubclass(one, WithSteps)
-    return isinstance(one, WithSteps) or (callable(one) and not is_class)

@@ -7,8 +7,8 @@ from dataclasses import field
 from functools import partial
 from typing import Any, NamedTuple
 
-from minimd.console.words import shown
-from minimd.structure.checks import checked_choice, checked_count, checked_number
+from minimd.core.console.words import shown
+from minimd.core.structure.checks import checked_choice, checked_count, checked_number
 
 AXES = "abc"
 

@@ -20,7 +20,7 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import kernel, scalar, type_of
+from minimd.core.compiled.kernels import kernel, scalar, type_of
 
 Array = NDArray[np.float64]
 RATIO = 2  # of the spacings of two levels

@@ -9,12 +9,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.console.display import Rows
-from minimd.engine.engine import Engine
-from minimd.engine.observation import Look
+from minimd.core.console.display import Rows
+from minimd.core.engine.engine import Engine
+from minimd.core.engine.observation import Look
+from minimd.core.structure.statistics import standard_error, with_error
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result
 from minimd.observers.arguments import label, steps
-from minimd.structure.statistics import standard_error, with_error
 
 Array = NDArray[np.float64]
 N_SERIES = 3  # K, U, V

@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.console.display import Rows
-from minimd.engine.cell_rescaling import Molecules
-from minimd.engine.engine import Engine
-from minimd.engine.observation import Look
+from minimd.core.console.display import Rows
+from minimd.core.engine.cell_rescaling import Molecules
+from minimd.core.engine.engine import Engine
+from minimd.core.engine.observation import Look
+from minimd.core.structure.cell import Cell
+from minimd.core.structure.checks import checked_count, checked_number
+from minimd.core.structure.observables import center
+from minimd.core.structure.statistics import spread, with_error
+from minimd.core.structure.units import UnitSystem
 from minimd.observers.accumulator import ObservedRun, Result, Series, State
 from minimd.observers.arguments import argument, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
 from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, Plateau, TimeCorrelation
 from minimd.observers.viscosity import ViscosityResult
-from minimd.structure.cell import Cell
-from minimd.structure.checks import checked_count, checked_number
-from minimd.structure.observables import center
-from minimd.structure.statistics import spread, with_error
-from minimd.structure.units import UnitSystem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.console.display import Rows
-from minimd.engine.engine import Engine
+from minimd.core.console.display import Rows
+from minimd.core.engine.engine import Engine
+from minimd.core.structure.checks import checked_count
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import AXES, argument, axis_name, interval, label, steps
-from minimd.structure.checks import checked_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

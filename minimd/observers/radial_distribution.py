@@ -9,24 +9,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.compiled.by_address import ByAddress
-from minimd.compiled.kernels import DirectCalls, called_kernel
-from minimd.compiled.program import GO_ON, Program, operation
-from minimd.compiled.simd import lane, load
-from minimd.compiled.simd.vector import count
-from minimd.compiled.threads import ThreadPool
-from minimd.console.display import Rows
-from minimd.engine.engine import Engine
-from minimd.forces.cluster_loop import separations
-from minimd.neighbors.cluster_list import ClusterList
-from minimd.neighbors.cluster_search import GHOST_BITS, LAYERS
-from minimd.neighbors.clusters import DIMENSIONS
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.kernels import DirectCalls, called_kernel
+from minimd.core.compiled.program import GO_ON, Program, operation
+from minimd.core.compiled.simd import lane, load
+from minimd.core.compiled.simd.vector import count
+from minimd.core.compiled.threads import ThreadPool
+from minimd.core.console.display import Rows
+from minimd.core.engine.engine import Engine
+from minimd.core.forces.cluster_loop import separations
+from minimd.core.neighbors.cluster_list import ClusterList
+from minimd.core.neighbors.cluster_search import GHOST_BITS, LAYERS
+from minimd.core.neighbors.clusters import DIMENSIONS
+from minimd.core.structure.cell import Cell
+from minimd.core.structure.checks import checked_count
+from minimd.core.structure.statistics import with_error
+from minimd.core.structure.system import System
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import argument, label, positive, steps
-from minimd.structure.cell import Cell
-from minimd.structure.checks import checked_count
-from minimd.structure.statistics import with_error
-from minimd.structure.system import System
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

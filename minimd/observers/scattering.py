@@ -13,17 +13,17 @@ from math import e, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import kernel
-from minimd.console.display import Rows
-from minimd.engine.engine import Engine
+from minimd.core.compiled.kernels import kernel
+from minimd.core.console.display import Rows
+from minimd.core.engine.engine import Engine
+from minimd.core.structure.cell import Cell
+from minimd.core.structure.checks import checked_count
+from minimd.core.structure.statistics import with_error
+from minimd.core.structure.system import System
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import argument, label, positive, steps
 from minimd.observers.correlator import Product
 from minimd.observers.motion import MOST_ATOMS, MeanSquareDisplacement
-from minimd.structure.cell import Cell
-from minimd.structure.checks import checked_count
-from minimd.structure.statistics import with_error
-from minimd.structure.system import System
 
 Array = NDArray[np.float64]
 PEAK = 1.15 * 2.0 * pi  # q (V/N)^(1/3) of the main peak of a simple liquid

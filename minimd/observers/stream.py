@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.console.display import call_of
-from minimd.console.quiet import outside_minimd
-from minimd.console.words import shown
-from minimd.engine.engine import Engine
-from minimd.engine.observation import Look
-from minimd.structure.checks import checked_count, checked_flag
+from minimd.core.console.display import call_of
+from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.words import shown
+from minimd.core.engine.engine import Engine
+from minimd.core.engine.observation import Look
+from minimd.core.structure.checks import checked_count, checked_flag
 
 # types of messages
 DISCONNECT, ENERGIES, COORDINATES, GO, HANDSHAKE, KILL, PUSH, PAUSE, RATE = range(9)

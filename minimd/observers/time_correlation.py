@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.engine.observation import Look
+from minimd.core.engine.observation import Look
+from minimd.core.structure.cell import Cell
+from minimd.core.structure.observables import temperature
+from minimd.core.structure.statistics import spread
+from minimd.core.structure.units import UnitSystem
 from minimd.observers.accumulator import Accumulator, BlockedSums
 from minimd.observers.correlator import MultipleTau
-from minimd.structure.cell import Cell
-from minimd.structure.observables import temperature
-from minimd.structure.statistics import spread
-from minimd.structure.units import UnitSystem
 
 Array = NDArray[np.float64]
 SLOWER = 1.5  # S: ratio of the slowest correlation time to the mean time of the integral; Wolff's value

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.console.display import Rows
-from minimd.engine.engine import Engine
-from minimd.engine.observation import Look, check_has_volume
+from minimd.core.console.display import Rows
+from minimd.core.engine.engine import Engine
+from minimd.core.engine.observation import Look, check_has_volume
+from minimd.core.structure.statistics import with_error
+from minimd.core.structure.units import BAR, PICOSECOND
 from minimd.observers.accumulator import ObservedRun, Result, Series
 from minimd.observers.arguments import argument, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product
 from minimd.observers.time_correlation import HEAD, LEVELS, TEMPERATURE, VOLUME, Plateau, TimeCorrelation
-from minimd.structure.statistics import with_error
-from minimd.structure.units import BAR, PICOSECOND
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

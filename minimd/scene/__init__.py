@@ -1,6 +1,5 @@
-"""Scene files: a simulation described in TOML, with units in its keys; an example is examples/argon.toml."""
+"""Whole scenes: files in TOML with units in their keys, as examples/argon.toml; water."""
 
-from minimd.scene.running import resume_run, run_scene
-from minimd.scene.scene import Scene, load_scene, parse_scene
+from minimd.core.console.lazy import lazily
 
-__all__ = ["Scene", "load_scene", "parse_scene", "resume_run", "run_scene"]
+__getattr__, __dir__, __all__ = lazily(__name__, __file__)

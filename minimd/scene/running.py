@@ -8,20 +8,20 @@ from pathlib import Path
 from time import time
 from typing import Any
 
-from minimd.console.display import NAME_WIDTH
-from minimd.console.signals import Terminated
-from minimd.diagnosis.report import conservation_report
-from minimd.document.document import h5md_files, stored
-from minimd.document.sections import PLOT_SUFFIXES
-from minimd.files.crash_file import crash_file_place
-from minimd.files.h5md_reader import read_file, verify_frames
-from minimd.files.h5md_schema import other_potentials
-from minimd.files.trajectory import FORMATS, checked_output
+from minimd.core.console.display import NAME_WIDTH
+from minimd.core.console.signals import Terminated
+from minimd.core.diagnosis.report import conservation_report
+from minimd.core.files.crash_file import crash_file_place
+from minimd.core.files.h5md_reader import read_file, verify_frames
+from minimd.core.files.h5md_schema import other_potentials
+from minimd.core.files.trajectory import FORMATS, checked_output
+from minimd.core.simulation.simulation import Simulation
+from minimd.core.structure.errors import ConstraintError, NonFiniteError, sentence
 from minimd.lammps import HandOver, check_hand_over, hand_over
 from minimd.observers import Accumulator
+from minimd.scene.document import h5md_files, stored
 from minimd.scene.scene import Scene
-from minimd.simulation.simulation import Simulation
-from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
+from minimd.scene.sections import PLOT_SUFFIXES
 
 Tell = Callable[[str], None]
 OF_THE_START = ("structure.", "water.seed", "minimization.", "equilibration.")
@@ -72,7 +72,7 @@ def run_scene(
     if picture is not None and picture.exists() and not overwrite:
         tell(f"not drawn      {picture} exists and is kept; draw the picture with: minimd plot")
     elif picture is not None:
-        from minimd.analysis.plot import plot_file
+        from minimd.view.plot import plot_file
 
         tell(f"drawing        {picture} ...")
         with kept(scene, files, n_steps):

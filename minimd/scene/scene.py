@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from minimd.document.document import Document, blamed_on, parsed
-from minimd.simulation.simulation import Simulation
-from minimd.structure.system import System
+from minimd.core.simulation.simulation import Simulation
+from minimd.core.structure.system import System
+from minimd.scene.document import Document, blamed_on, parsed
 
 
 class Scene(Document):

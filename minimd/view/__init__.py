@@ -1,5 +1,5 @@
-"""A run as a page in the browser: its report, its pictures, and its atoms in motion."""
+"""What is made of the file of a run: its page with atoms in motion, its pictures, its check."""
 
-from minimd.view.viewing import View, view
+from minimd.core.console.lazy import lazily
 
-__all__ = ["View", "view"]
+__getattr__, __dir__, __all__ = lazily(__name__, __file__)

@@ -25,20 +25,21 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from minimd.analysis.check import checked
-from minimd.analysis.plot import drawn, rendered
-from minimd.console import __version__
-from minimd.console.display import Rows
-from minimd.files.crash_file import read_crash_report
-from minimd.files.h5md_reader import H5MDContents, read_file
-from minimd.files.turned_cell import as_in_run
-from minimd.forces.forces import Potential
+from minimd.core.console import __version__
+from minimd.core.console.display import Rows
+from minimd.core.console.whole_file import rendered
+from minimd.core.files.crash_file import read_crash_report
+from minimd.core.files.h5md_reader import H5MDContents, read_file
+from minimd.core.files.turned_cell import as_in_run
+from minimd.core.forces.forces import Potential
+from minimd.core.structure.constraints import DistanceConstraints
+from minimd.core.structure.observables import Array
+from minimd.core.structure.system import System
+from minimd.core.structure.units import ASE
 from minimd.mdanalysis.universes import RunUniverse, universe_of
-from minimd.replay import replay
-from minimd.structure.constraints import DistanceConstraints
-from minimd.structure.observables import Array
-from minimd.structure.system import System
-from minimd.structure.units import ASE
+from minimd.past.replay import replay
+from minimd.view.check import checked
+from minimd.view.plot import drawn
 
 LEVELS = 2**16
 BYTES = 5_000_000  # of all positions, at most: 4000 atoms in 200 frames are 4.8 MB

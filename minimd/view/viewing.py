@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from minimd.console.whole_file import write_whole
-from minimd.engine.record import Record
-from minimd.forces.forces import Potential
-from minimd.structure.checks import checked_count
+from minimd.core.console.whole_file import write_whole
+from minimd.core.engine.record import Record
+from minimd.core.forces.forces import Potential
+from minimd.core.structure.checks import checked_count
 
 FRAMES = 200  # largest number of frames if not given
 HEIGHT = 720  # of the page in a notebook [pixels]
@@ -66,8 +66,8 @@ def view(
     if place is None:
         needs = "a page needs the frames of the run, but the run wrote no .h5md file"
         raise ValueError(f"{needs}; run with trajectory='run.h5md'")
-    from minimd.files.crash_file import is_crash_file  # these load h5py, MDAnalysis and matplotlib
-    from minimd.files.h5md_reader import verify_frames
+    from minimd.core.files.crash_file import is_crash_file  # these load h5py, MDAnalysis and matplotlib
+    from minimd.core.files.h5md_reader import verify_frames
     from minimd.view.page import failure_story, page, run_story
 
     path = Path(place)

@@ -7,9 +7,9 @@ from charged_scenes import ions, run_of
 from h5md_runs import N_ATOMS, PER_PICOSECOND, simulation
 
 import minimd as md
-from minimd.analysis.check import check_file
-from minimd.analysis.plot import plot_file
-from minimd.engine import record_picture
+from minimd.core.engine import record_picture
+from minimd.view.check import check_file
+from minimd.view.plot import plot_file
 
 LJ, ASE = md.units.LJ, md.units.ASE
 SLAB, OPEN = (pytest.param(ASE, cell, marks=pytest.mark.slow) for cell in ("slab", "open"))

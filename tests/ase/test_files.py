@@ -13,7 +13,7 @@ from wrong_calls import assert_answered
 
 import minimd as md
 import minimd.ase
-from minimd.structure.system import changed
+from minimd.core.structure.system import changed
 
 TEXT, EXACT = 0.51e-8, 1e-14  # of files with eight decimals; of numbers in binary
 FILES = {"a.traj": EXACT, "b.TRAJ": EXACT, "a.xyz": TEXT, "a.extxyz": TEXT, "a.h5md": EXACT}

@@ -8,11 +8,10 @@ import pytest
 from wrong_calls import assert_answered
 
 import minimd as md
+from minimd.bench import command as bench, engines, ingredients, peers, scaling, scenes, turns, work_precision
+from minimd.bench.outcome import as_json, markdown, write
+from minimd.bench.peers import EngineSpeed, PeersOptions, run_peers
 from minimd.commands import main as cli
-from minimd_bench import command as bench
-from minimd_bench import engines, ingredients, peers, scaling, scenes, turns, work_precision
-from minimd_bench.outcome import as_json, markdown, write
-from minimd_bench.peers import EngineSpeed, PeersOptions, run_peers
 
 N_ATOMS = 256  # four cells along each edge
 PEER_SECONDS, ASE_SECONDS = 0.015, 0.35  # a step of a fake peer on one thread; more than 5 s in all the steps of a turn

@@ -17,14 +17,13 @@ from scene_texts import SMOOTH
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.commands import doctor
-from minimd.commands import main as cli
-from minimd.compiled import kernels as compiling
-from minimd.compiled.code_cache import CodeFiles
-from minimd.files.h5md_digest import sign
-from minimd.files.h5md_reader import read_file
-from minimd.files.h5md_writer import H5MDWriter
-from minimd.integrators.splitting.substeps import Thermalize
+from minimd.commands import doctor, main as cli
+from minimd.core.compiled import kernels as compiling
+from minimd.core.compiled.code_cache import CodeFiles
+from minimd.core.files.h5md_digest import sign
+from minimd.core.files.h5md_reader import read_file
+from minimd.core.files.h5md_writer import H5MDWriter
+from minimd.core.integrators.substeps import Thermalize
 from minimd.scene import load_scene
 
 SCENE = f'title = "A small melt"\n{SMOOTH}'

@@ -8,9 +8,9 @@ from h5md_runs import fill_the_disk
 from references import melt_scene
 
 import minimd as md
+from minimd.bench import command as bench
 from minimd.commands import main as cli
-from minimd.files.h5md_reader import read_file
-from minimd_bench import command as bench
+from minimd.core.files.h5md_reader import read_file
 
 SCENE = melt_scene(3, 20, "[output]\nevery = 5\n")
 LATTICE = 'lattice = "fcc"\nrepeat = [3, 3, 3]\ndensity = 0.8442'

@@ -7,9 +7,9 @@ from collections import namedtuple
 import numpy as np
 import pytest
 
-from minimd.compiled.by_address import ByAddress
-from minimd.compiled.kernels import kernel
-from minimd.compiled.normal_numbers import new_stream, normal, start_stream, three_normals
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.kernels import kernel
+from minimd.core.compiled.normal_numbers import new_stream, normal, start_stream, three_normals
 
 COPIES = [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one)), lambda one: one._replace(whole=7)]
 

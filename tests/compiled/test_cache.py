@@ -12,18 +12,18 @@ import numba
 import pytest
 
 import minimd
-from minimd.compiled import kernels
-from minimd.compiled.code_cache import CodeFiles
+from minimd.core.compiled import kernels
+from minimd.core.compiled.code_cache import CodeFiles
 
 POSIX = pytest.mark.skipif(not hasattr(os, "getuid"), reason="POSIX permissions, locks and links")
 OF_A_LOOP = """
 import minimd as md
 md.evaluate(md.System([[0, 0, 0], [1.1, 0, 0]]), md.LennardJones(1.0, 1.0))
-from minimd.potentials.pair_loop import add_pair_forces as loop
+from minimd.core.potentials.pair_loop import add_pair_forces as loop
 print(sum(loop.stats.cache_hits.values()), sum(loop.stats.cache_misses.values()))
 """
 TWICE = """
-from minimd.compiled.kernels import kernel
+from minimd.core.compiled.kernels import kernel
 def twice(x): return x + x
 compiled = kernel(twice)
 print(compiled(2), type(compiled._cache).__name__)
@@ -32,14 +32,14 @@ Pair = namedtuple("Pair", "r s")
 IMPORTS = ["compiled.kernels import (\n    cache_folder,\n    scalar,\n)", "numbers import HALF"]
 IMPORTS += ["shapes import (\n    Pair,\n)", "structure import units"]
 SOURCES = {
-    "compiled/kernels.py": "b = 1\n", "law.py": "".join(f"from minimd.{one}\n" for one in IMPORTS),
-    "numbers.py": "from minimd.thirds import THIRD\nHALF = 1.5 * THIRD\n", "thirds.py": "THIRD = 1 / 3\n",
+    "compiled/kernels.py": "b = 1\n", "law.py": "".join(f"from minimd.core.{one}\n" for one in IMPORTS),
+    "numbers.py": "from minimd.core.thirds import THIRD\nHALF = 1.5 * THIRD\n", "thirds.py": "THIRD = 1 / 3\n",
     "shapes.py": "Pair = None\n", "structure/__init__.py": "", "structure/units.py": "MASS = 1.0\n",
-    "choices.py": "from numba.extending import overload\n", "grade.py": "from minimd.law import law\n",
+    "choices.py": "from numba.extending import overload\n", "grade.py": "from minimd.core.law import law\n",
 }  # fmt: skip
 DAMAGED = """
 import glob, os, sys
-from minimd.compiled.kernels import kernel
+from minimd.core.compiled.kernels import kernel
 def thrice(x): return 3.0 * x
 def called():
     again = kernel(thrice)
@@ -161,7 +161,7 @@ def test_a_process_killed_between_two_files_leaves_no_code_of_another_signature(
 @pytest.mark.parametrize("name", SOURCES)
 def test_edited_sources_of_kernels_and_no_others_get_another_cache(name, tmp_path, monkeypatch):
     """A kernel, its constants, those from which these are computed, its types, overloads."""
-    package = tmp_path / "minimd"
+    package = tmp_path / "minimd" / "core"
     for file, text in SOURCES.items():
         (package / file).parent.mkdir(parents=True, exist_ok=True)
         (package / file).write_text(text)

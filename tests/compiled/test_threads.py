@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from processes import ended
 
-from minimd.compiled import threads
-from minimd.compiled.by_address import ByAddress
-from minimd.compiled.kernels import DirectCalls, called_kernel
-from minimd.compiled.program import GO_ON, JUMP, Program, in_python, operation
+from minimd.core.compiled import threads
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.kernels import DirectCalls, called_kernel
+from minimd.core.compiled.program import GO_ON, JUMP, Program, in_python, operation
 
 N_PHASES, STOPPED = 4, 7
 CALLS = DirectCalls()

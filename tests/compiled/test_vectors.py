@@ -14,17 +14,17 @@ from references import liquid
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.compiled.kernels import kernel, scalar
-from minimd.compiled.machine import restrict_features
-from minimd.compiled.simd import bits_from_mask, broadcast, fma, lane, load, select, store, total, with_lane
-from minimd.compiled.simd.vector import Lanes4, Lanes8, count, register_bits
-from minimd.compiled.threads import OTHERWISE, Worker, no_counts, run_operations
-from minimd.forces.cluster_loop import add_cluster_forces
-from minimd.forces.cluster_term import ClusterTerm
-from minimd.forces.options import Options
-from minimd.forces.pair_list_term import PairListTerm
-from minimd.neighbors import cluster_list
-from minimd.potentials.term import FORCES
+from minimd.core.compiled.kernels import kernel, scalar
+from minimd.core.compiled.machine import restrict_features
+from minimd.core.compiled.simd import bits_from_mask, broadcast, fma, lane, load, select, store, total, with_lane
+from minimd.core.compiled.simd.vector import Lanes4, Lanes8, count, register_bits
+from minimd.core.compiled.threads import OTHERWISE, Worker, no_counts, run_operations
+from minimd.core.forces.cluster_loop import add_cluster_forces
+from minimd.core.forces.cluster_term import ClusterTerm
+from minimd.core.forces.options import Options
+from minimd.core.forces.pair_list_term import PairListTerm
+from minimd.core.neighbors import cluster_list
+from minimd.core.potentials.term import FORCES
 
 TYPES = [np.float64, np.float32, np.int32]
 FLOATS = TYPES[:2]
@@ -183,7 +183,7 @@ def test_vectors_of_any_width_give_the_same_physics(monkeypatch, kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("chosen", ["sse", "avx2", "avx512"])
 def test_older_vectors_can_be_chosen_by_their_names(chosen):
-    code = "from minimd.compiled.simd.vector import register_bits, lanes_for; print(register_bits(), lanes_for().size)"
+    code = "from minimd.core.compiled.simd import vector as v; print(v.register_bits(), v.lanes_for().size)"
     bits, n_lanes = map(int, ended("-c", code, MINIMD_VECTORS=chosen).stdout.split())
     assert bits == min({"sse": 128, "avx2": 256, "avx512": 512}[chosen], register_bits())
     assert n_lanes == (8 if bits == 512 else 4)

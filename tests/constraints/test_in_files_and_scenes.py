@@ -14,11 +14,11 @@ from scenes import BONDED
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.analysis.check import check_file
 from minimd.ase import ForcesFromCalculator
-from minimd.files.h5md_reader import read_file
-from minimd.files.h5md_writer import H5MDWriter
+from minimd.core.files.h5md_reader import read_file
+from minimd.core.files.h5md_writer import H5MDWriter
 from minimd.scene import load_scene, parse_scene, resume_run, run_scene
+from minimd.view.check import check_file
 
 OTHERS = [  # lengths, fixed atoms, and what is said of the difference
     ({}, [0, 1, 5], "atom 5 is fixed in the simulation"),

@@ -7,9 +7,9 @@ from scenes import BONDED, LJ
 from wrong_calls import answered
 
 import minimd as md
-from minimd.constraints.solver import ConstraintSolver
+from minimd.core.constraints.solver import ConstraintSolver
+from minimd.core.structure.statistics import mean_and_error
 from minimd.integrators import SPLITTINGS, Bath, State, Surroundings
-from minimd.structure.statistics import mean_and_error
 
 SPARSE = md.LennardJones(1e-30, 0.01, 0.5, "force-shifted")
 # rigid molecules in a Langevin bath. B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 20160138 (2016)

@@ -5,14 +5,13 @@ from itertools import product
 import numba
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from rigid_scenes import SCENES, water
 from scipy.optimize import fsolve
 
 import minimd as md
-from minimd.constraints import ConstraintSolver, DistanceConstraints
-from minimd.diagnosis.report import drift as linear_drift
+from minimd.core.constraints import ConstraintSolver, DistanceConstraints
+from minimd.core.diagnosis.report import drift as linear_drift
 
 EPS = np.finfo(float).eps
 SMALL = ["diatomics", "water", "ring", "rod"]

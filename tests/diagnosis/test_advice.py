@@ -14,9 +14,9 @@ from step_scenes import MINIMA, at_minimum, diatomic, fcc, longest_stable_step
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.compiled.kernels import compile_clock
+from minimd.core.compiled.kernels import compile_clock
+from minimd.core.integrators.substeps import repeated
 from minimd.integrators import SPLITTINGS, THERMOSTATS, SecondOrder, energy_oscillation, run_steps, stability_limit
-from minimd.integrators.splitting.substeps import repeated
 
 OTHERS = md.integrators.PEFRL, md.integrators.Ruth3, md.integrators.KahanLi6, md.PositionVerlet
 QUICK = "diatomic", "chain", "ring", "rigid dumbbells", "squeezed, one layer fixed"

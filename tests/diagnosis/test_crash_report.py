@@ -20,12 +20,12 @@ from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.ase import Calculator, ForcesFromCalculator, VelocityVerlet
-from minimd.diagnosis.crash_report import examine
-from minimd.diagnosis.run_guard import BLOCK
-from minimd.files.crash_file import read_crash_report
-from minimd.files.h5md_digest import sign
-from minimd.files.h5md_reader import read_file
-from minimd.forces.contacts import contacts
+from minimd.core.diagnosis.crash_report import examine
+from minimd.core.diagnosis.run_guard import BLOCK
+from minimd.core.files.crash_file import read_crash_report
+from minimd.core.files.h5md_digest import sign
+from minimd.core.files.h5md_reader import read_file
+from minimd.core.forces.contacts import contacts
 
 BIG_STEP = 0.024  # at which a liquid lives for some hundred steps
 BATH = 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[equilibration]\nsteps = 2000\nrescale_every = 10\n'
@@ -128,7 +128,7 @@ def test_file_holds_the_last_good_state_and_loses_nothing(tmp_path, monkeypatch)
         seen.append(engine.interactions.energies.copy())
         return examine(engine, failure)
 
-    monkeypatch.setattr("minimd.diagnosis.run_guard.examine", noted)
+    monkeypatch.setattr("minimd.core.diagnosis.run_guard.examine", noted)
     error = failing(simulation, every=20, trajectory=tmp_path / "a.h5md")
     assert seen[0] == pytest.approx(md.evaluate(simulation.system, LJ).energies, rel=1e-9)  # rounding
     assert error.file == tmp_path / "a.crash.h5md"

@@ -14,14 +14,14 @@ from scenes import LJ, SCENES
 from wrong_calls import answered
 
 import minimd as md
-from minimd.analysis.check import check_file
 from minimd.commands import main as cli
-from minimd.diagnosis.report import Drift, conservation_report, drift, drift_of_walk
-from minimd.diagnosis.run_report import cutoff_lines
-from minimd.engine.record import SERIES, Record
-from minimd.files.h5md_reader import read_file
+from minimd.core.diagnosis.report import Drift, conservation_report, drift, drift_of_walk
+from minimd.core.diagnosis.run_report import cutoff_lines
+from minimd.core.engine.record import SERIES, Record
+from minimd.core.files.h5md_reader import read_file
 from minimd.integrators import SPLITTINGS
 from minimd.mdanalysis import universe
+from minimd.view.check import check_file
 
 VERLET = md.VelocityVerlet(0.002)
 N_SERIES = 400

@@ -18,14 +18,14 @@ from references import DATA
 
 import minimd as md
 from minimd.ase import system_from_file
-from minimd.engine.observation import OBSERVABLES
-from minimd.engine.record import SERIES
-from minimd.files.crash_file import read_crash_report
-from minimd.files.h5md_reader import read_file
-from minimd.files.structure_file import SUFFIXES
-from minimd.files.trajectory import FORMATS
-from minimd.forces.pair_laws import CLUSTERS_FROM
-from minimd.neighbors.domains import ATOMS_PER_DOMAIN
+from minimd.core.engine.observation import OBSERVABLES
+from minimd.core.engine.record import SERIES
+from minimd.core.files.crash_file import read_crash_report
+from minimd.core.files.h5md_reader import read_file
+from minimd.core.files.structure_file import SUFFIXES
+from minimd.core.files.trajectory import FORMATS
+from minimd.core.forces.pair_laws import CLUSTERS_FROM
+from minimd.core.neighbors.domains import ATOMS_PER_DOMAIN
 from minimd.scene import load_scene
 
 REPOSITORY = Path(__file__).parents[2]
@@ -155,7 +155,9 @@ def test_every_public_name_is_in_the_reference():
 
 
 def test_pages_quote_the_loop_and_numbers_of_atoms_as_they_stand_and_readme_and_examples_are_short():
-    lines = {line.strip() for line in text_of(REPOSITORY / "minimd" / "forces" / "cluster_loop.py").splitlines()}
+    lines = {
+        line.strip() for line in text_of(REPOSITORY / "minimd" / "core" / "forces" / "cluster_loop.py").splitlines()
+    }
     lists, fast, readme = text_of(DOCS / "lists.md"), text_of(DOCS / "fast-forces.md"), text_of(README)
     assert [line for line in blocks(DOCS / "fast-forces.md")[0].splitlines() if line not in lines] == []
     assert f"Scenes with fewer than {2 * ATOMS_PER_DOMAIN} atoms" in lists

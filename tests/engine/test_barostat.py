@@ -12,16 +12,16 @@ from step_scenes import bead_melt
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.analysis.check import check_file
-from minimd.diagnosis.report import conservation_report
-from minimd.diagnosis.run_report import pressure_lines
-from minimd.engine.cell_rescaling import rescaling_of
-from minimd.integrators.splitting.barostats import ThermodynamicState
+from minimd.core.diagnosis.report import conservation_report
+from minimd.core.diagnosis.run_report import pressure_lines
+from minimd.core.engine.cell_rescaling import rescaling_of
+from minimd.core.integrators.barostats import ThermodynamicState
+from minimd.core.structure.statistics import mean_and_error, with_error
+from minimd.core.structure.units import GRAM_PER_CM3
 from minimd.mdanalysis import universe as universe_of
 from minimd.observers.fluctuations import FEWEST
 from minimd.scene import load_scene, run_scene
-from minimd.structure.statistics import mean_and_error, with_error
-from minimd.structure.units import GRAM_PER_CM3
+from minimd.view.check import check_file
 
 slow = pytest.mark.slow
 BATH, BUSSI = md.LangevinBAOAB(0.003, 0.8, 1.0, 2), md.StochasticVelocityRescaling(0.003, 0.8, 0.1, 2)

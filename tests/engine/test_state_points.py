@@ -5,7 +5,7 @@ import pytest
 from references import load
 
 import minimd as md
-from minimd.structure.statistics import mean_and_error
+from minimd.core.structure.statistics import mean_and_error
 
 pytestmark = pytest.mark.slow
 ROWS, TIMESTEP, EVERY = load("nist_lj/state_points.json")["mc_rows"], 0.004, 10

@@ -16,10 +16,10 @@ import pytest
 from processes import ended
 
 import minimd as md
+from minimd.core.forces.options import Options
+from minimd.core.structure.errors import Interrupted
 from minimd.ensemble.running import EnsembleError
 from minimd.ensemble.workers import STARTS, SpawnedProcesses, ThisProcess, Worker
-from minimd.forces.options import Options
-from minimd.structure.errors import Interrupted
 
 ONE = {"parameters": {"temperature": [0.5]}, "steps": 5}
 

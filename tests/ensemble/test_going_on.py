@@ -20,17 +20,17 @@ from h5md_runs import bring_to_disk_every, fill_the_disk
 from members import FILES, STEPS, assert_same, run
 
 import minimd as md
+from minimd.core.files.h5md_reader import read_file
+from minimd.core.structure.errors import Interrupted
 from minimd.ensemble.folder import EnsembleFolder
 from minimd.ensemble.running import EnsembleError
-from minimd.files.h5md_reader import read_file
-from minimd.structure.errors import Interrupted
 
 PLAIN, BY_HAND = None, members.in_own_file
 
 
 def killed(go, _folder, patch, at):
     """At this change of a file."""
-    patch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.0)
+    patch.setattr("minimd.core.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.0)
     assert killed_at(at, go) == KILLED
 
 

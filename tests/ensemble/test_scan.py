@@ -15,10 +15,10 @@ import pytest
 from references import melt_scene
 
 from minimd.commands import main as cli
+from minimd.core.files.h5md_reader import read_file
 from minimd.ensemble.folder import EnsembleFolder
 from minimd.ensemble.scan import changed_text, parsed_setting
 from minimd.ensemble.workers import named_executor
-from minimd.files.h5md_reader import read_file
 from minimd.scene import parse_scene
 
 DYNAMICS = 'method = "langevin-baoab"\nrelaxation_time = 1.0\n[output]\nevery = 5\n'

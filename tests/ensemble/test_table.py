@@ -10,12 +10,12 @@ import pytest
 from members import STEPS, TEMPERATURES, run
 
 import minimd as md
-from minimd.console.whole_file import locked
+from minimd.core.console.whole_file import locked
+from minimd.core.files.h5md_reader import read_file
+from minimd.core.structure.statistics import mean_and_error, with_error
 from minimd.ensemble import member as notes
 from minimd.ensemble.folder import EnsembleFolder
 from minimd.ensemble.table import status, table_of
-from minimd.files.h5md_reader import read_file
-from minimd.structure.statistics import mean_and_error, with_error
 
 
 def test_the_table_holds_parameters_means_with_their_errors_and_files(done):

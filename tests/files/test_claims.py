@@ -15,12 +15,11 @@ from matplotlib.figure import Figure
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.analysis.plot import save
-from minimd.console.whole_file import write_whole
-from minimd.files.claim import Claim
-from minimd.files.h5md_reader import read_file
-from minimd.files.h5md_writer import H5MDWriter
-from minimd.files.trajectory import open_trajectories
+from minimd.core.console.whole_file import write_picture, write_whole
+from minimd.core.files.claim import Claim
+from minimd.core.files.h5md_reader import read_file
+from minimd.core.files.h5md_writer import H5MDWriter
+from minimd.core.files.trajectory import open_trajectories
 from minimd.view.viewing import View
 
 FORMATS = ["a.h5md", "a.xtc", "a.dcd", "a.trr", "a.ncdf", "a.traj", "a.xyz"]
@@ -122,7 +121,7 @@ def blow_up(path):
 
 SMALL_FILES = {  # what writes them, given their name
     "a page": View("<html>", Path("a.h5md"), "").save,
-    "a picture": lambda path: save(Figure(), path.with_suffix(".png")),
+    "a picture": lambda path: write_picture(Figure(), path.with_suffix(".png")),
     "a table in place of another": lambda path: simulation().run(5, every=5).to_csv(path, overwrite=True),
     "a description": lambda path: write_whole(path, "{}"), "a crash report": blow_up,
 }  # fmt: skip
@@ -247,7 +246,7 @@ def test_too_little_memory_is_no_damage_and_a_file_without_a_frame_leaves_nothin
     H5MDWriter(Claim(tmp_path / "empty.h5md"), simulation().engine, False).close()
     assert list(tmp_path.iterdir()) == []
     simulation().run(10, every=5, trajectory=tmp_path / "a.h5md")
-    monkeypatch.setattr("minimd.files.h5md_digest.unflattened", lambda *_: np.empty(10**15))
+    monkeypatch.setattr("minimd.core.files.h5md_digest.unflattened", lambda *_: np.empty(10**15))
     with pytest.raises(MemoryError):
         read_file(tmp_path / "a.h5md")
 
@@ -260,8 +259,10 @@ def test_refused_or_failed_output_leaves_nothing_of_the_others(tmp_path, monkeyp
     with pytest.raises(FileExistsError, match=r"b\.xyz' exists"):
         simulation().run(5, trajectory=[tmp_path / "a.h5md", tmp_path / "b.xyz"])
     closed = []
-    monkeypatch.setattr("minimd.files.turned_cell.MDAnalysisWriter.close", lambda of: closed.append(of.claim.release()))
-    monkeypatch.setattr("minimd.files.h5md_writer.H5MDWriter.__init__", fails)
+    monkeypatch.setattr(
+        "minimd.core.files.turned_cell.MDAnalysisWriter.close", lambda of: closed.append(of.claim.release())
+    )
+    monkeypatch.setattr("minimd.core.files.h5md_writer.H5MDWriter.__init__", fails)
     with pytest.raises(OSError, match="no more files"):
         simulation().run(5, trajectory=[tmp_path / "a.h5md", tmp_path / "c.xtc"])
     assert (closed, [path.name for path in tmp_path.iterdir()]) == ([None], ["b.xyz"])

@@ -22,11 +22,11 @@ from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.commands import main as cli
-from minimd.files import h5md_reader
-from minimd.files.h5md_digest import sign
-from minimd.files.h5md_reader import damage, frames_of, looked_at, read_file, verify_frames
-from minimd.files.h5md_writer import H5MDWriter
-from minimd.files.structure_file import system_from_file
+from minimd.core.files import h5md_reader
+from minimd.core.files.h5md_digest import sign
+from minimd.core.files.h5md_reader import damage, frames_of, looked_at, read_file, verify_frames
+from minimd.core.files.h5md_writer import H5MDWriter
+from minimd.core.files.structure_file import system_from_file
 from minimd.mdanalysis import universe
 from minimd.mdanalysis.universes import RunReader
 

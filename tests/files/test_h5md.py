@@ -10,10 +10,10 @@ from charged_scenes import LAWS, ions, run_of
 from h5md_runs import CELLS, PER_PICOSECOND, lengths_and_angles, opened, resumed, simulation
 
 import minimd as md
-from minimd.engine.record import SERIES
-from minimd.files.h5md_reader import read_file
-from minimd.files.h5md_schema import chunk_rows
-from minimd.files.h5md_writer import H5MDWriter
+from minimd.core.engine.record import SERIES
+from minimd.core.files.h5md_reader import read_file
+from minimd.core.files.h5md_schema import chunk_rows
+from minimd.core.files.h5md_writer import H5MDWriter
 
 KJ_PER_MOL = 96.48533288249877  # of eV, as ASE's documentation has it
 LJ, ASE = md.units.LJ, md.units.ASE

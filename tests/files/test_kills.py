@@ -18,12 +18,11 @@ from recorder.runs import KINDS, RESUMES, survey
 from scenes import BONDED, LJ, SCENES, Scene
 
 import minimd as md
-from minimd.files import claim
-from minimd.files import h5md_writer as h5md
-from minimd.files.h5md_reader import read_file
-from minimd.integrators.methods import METHODS
-from minimd.integrators.splitting.splitting import Splitting
-from minimd.structure.system import changed
+from minimd.core.files import claim, h5md_writer as h5md
+from minimd.core.files.h5md_reader import read_file
+from minimd.core.integrators.splitting import Splitting
+from minimd.core.structure.system import changed
+from minimd.textbook.methods import METHODS
 
 NAMES = sorted(name for name, of in METHODS.items() if issubclass(of, Splitting))
 
@@ -141,7 +140,7 @@ def test_a_step_is_counted_before_a_restart_is_written(tmp_path, monkeypatch):
         if len(looks) == 3:
             raise KeyboardInterrupt
 
-    with mock.patch("minimd.diagnosis.run_guard.fault_of", interrupted), pytest.raises(KeyboardInterrupt):
+    with mock.patch("minimd.core.diagnosis.run_guard.fault_of", interrupted), pytest.raises(KeyboardInterrupt):
         simulation().run(30, every=5, trajectory=path)
     whole = simulation()
     whole.run(read_file(path).step, every=5)
@@ -189,7 +188,7 @@ def test_an_interrupt_inside_a_write_leaves_whole_frames_only(n_before, tmp_path
     for _ in range(n_before):
         writer.write(sim.frame())
         sim.run(5)
-    with mock.patch("minimd.files.h5md_writer.put", interrupted), pytest.raises(KeyboardInterrupt):
+    with mock.patch("minimd.core.files.h5md_writer.put", interrupted), pytest.raises(KeyboardInterrupt):
         writer.write(sim.frame())
     assert path.exists() == bool(n_before)
     if n_before:
@@ -245,8 +244,8 @@ def killed_in_a_commit(tmp_path_factory):
         raise KeyboardInterrupt
 
     simulation().run(10, every=5, trajectory=path)
-    at_once = mock.patch("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.0)
-    with at_once, mock.patch("minimd.files.claim._apply", half), pytest.raises(KeyboardInterrupt):
+    at_once = mock.patch("minimd.core.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.0)
+    with at_once, mock.patch("minimd.core.files.claim._apply", half), pytest.raises(KeyboardInterrupt):
         resumed(path).run(10, every=5, trajectory=path, append=True)
     return path.read_bytes()
 

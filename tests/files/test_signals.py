@@ -16,8 +16,8 @@ from h5md_runs import assert_same_file, at_step, simulation
 from scene_texts import SMOOTH
 
 from minimd.commands import main as cli
-from minimd.console.signals import SIGNALS, Terminated, endings_are_told, stop_on_signals
-from minimd.files.h5md_reader import read_file
+from minimd.core.console.signals import SIGNALS, Terminated, endings_are_told, stop_on_signals
+from minimd.core.files.h5md_reader import read_file
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 REPOSITORY = Path(__file__).parents[2]

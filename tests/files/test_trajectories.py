@@ -13,8 +13,8 @@ import pytest
 from h5md_runs import PER_PICOSECOND, at_step, bring_to_disk_every, frames_in, opened, resumed, simulation
 
 import minimd as md
-from minimd.files import turned_cell
-from minimd.files.h5md_reader import read_file
+from minimd.core.files import turned_cell
+from minimd.core.files.h5md_reader import read_file
 
 FORMATS = {"xtc": 0.5e-3, "dcd": 0.0, "trr": 0.0, "ncdf": 0.0}  # error of a position beyond float32 [Å]
 ALL = [*FORMATS, "extxyz", "traj"]

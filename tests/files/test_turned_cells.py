@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.analysis.check import check_file
-from minimd.files.turned_cell import ROTATION, Turn, finds_all_images
+from minimd.core.files.turned_cell import ROTATION, Turn, finds_all_images
+from minimd.core.structure.cell import Cell
 from minimd.mdanalysis import Frames, universe
-from minimd.structure.cell import Cell
+from minimd.view.check import check_file
 from minimd.view.page import motion_of
 
 TRICLINIC = np.array([[5.0, 0.0, 0.0], [1.5, 4.5, 0.0], [-1.0, 1.2, 4.0]])

@@ -12,10 +12,10 @@ from wrong_calls import answered, assert_answered
 
 import minimd as md
 import minimd.ase
-from minimd.forces.pair_laws import PairLaws
-from minimd.integrators.methods import SPLITTINGS
-from minimd.potentials.term import OwnTerm
-from minimd.structure.cell import nearest_vectors
+from minimd.core.forces.pair_laws import PairLaws
+from minimd.core.integrators.table import SPLITTINGS
+from minimd.core.potentials.term import OwnTerm
+from minimd.core.structure.cell import nearest_vectors
 
 TORSIONS = [md.PeriodicDihedral(1.0, 3, 0.4, np.arange(0, 104, 8)[:, None] + np.arange(4))]
 FIELDS = [md.Gravity(0.5), md.Wall([0.0, 0.0, -3.0], [0.0, 0.0, 1.0])]

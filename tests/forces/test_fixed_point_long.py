@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 from fixed_point_scenes import bits, mixture, simulated, total_momentum
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 import minimd as md
-from minimd.compiled.simd.vector import Lanes4, Lanes8
-from minimd.neighbors import cluster_list
-from minimd_bench.scenes import melt
+from minimd.bench.scenes import melt
+from minimd.core.compiled.simd.vector import Lanes4, Lanes8
+from minimd.core.neighbors import cluster_list
 
 pytestmark = pytest.mark.slow
 LJ = md.LennardJones(1.0, 1.0, cutoff=2.5)

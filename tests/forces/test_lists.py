@@ -4,19 +4,18 @@ import cluster_scenes as cs
 import numpy as np
 import pytest
 from ase.build import bulk
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from references import brute_force_pairs, liquid
 from scenes import BONDED, LJ
 from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.ase import Calculator, VelocityVerlet
-from minimd.forces.cluster_term import ClusterTerm
-from minimd.forces.options import Options
-from minimd.forces.pair_laws import skin_for
-from minimd.forces.pair_list_term import PairListTerm
-from minimd.potentials.term import PER_ATOM
+from minimd.core.forces.cluster_term import ClusterTerm
+from minimd.core.forces.options import Options
+from minimd.core.forces.pair_laws import skin_for
+from minimd.core.forces.pair_list_term import PairListTerm
+from minimd.core.potentials.term import PER_ATOM
 
 TABLE = [pytest.param(name, marks=() if name == "many" else pytest.mark.slow) for name in cs.LAWS]
 

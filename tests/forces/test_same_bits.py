@@ -9,7 +9,7 @@ from references import melt
 from scenes import LJ, SCENES, TWO_KINDS
 
 import minimd as md
-from minimd.neighbors.cluster_list import ClusterList
+from minimd.core.neighbors.cluster_list import ClusterList
 
 SERIES = ("potential_energy", "total_energy", "temperature", "pressure", "momentum", "angular_momentum")
 BONDED = [*MANY, md.HarmonicBond(50.0, 1.1)]

@@ -9,12 +9,12 @@ from ase.md.langevinbaoab import LangevinBAOAB
 from ase.md.nose_hoover_chain import NoseHooverChainNVT
 from ase.md.verlet import VelocityVerlet
 from ase.units import fs
+from minimd.grade import laws_of
 from wrong_calls import answered
 
 import minimd as md
 from minimd.commands.main import main
-from minimd.grade import laws_of
-from minimd.grade.telling import named
+from minimd.judge.telling import named
 
 NVT, NPT = {"temperature_K": 300.0, "runs": 16, "steps": 200}, {"pressure": 0.002}
 RIGID = {"constraints": True}

@@ -18,15 +18,16 @@ REPOSITORY = Path(__file__).parents[2]
 PACKAGE = REPOSITORY / "minimd"
 INSTALLED = Path(minimd.__file__).parent  # or the same folder
 PAGE = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
-BEGIN_WITH = dict(re.findall(r"^\| `(\w+)` \| .* \| `([\w/.]+)` \|$", PAGE, re.M))
-TOP = {"minimd", "minimd_bench"}
-FLOORS = [name if name in TOP else f"minimd.{name}" for name in BEGIN_WITH]
-STRANGERS = {"minimd.integrators", "minimd.potentials"}  # never import each other
+BEGIN_WITH = dict(re.findall(r"^\| `([\w/]+)` \| .* \| `([\w/.]+)` \|$", PAGE, re.M))
+TOP = {"minimd"}
+FLOORS = [name if name in TOP else f"minimd.{name.replace('/', '.')}" for name in BEGIN_WITH]
+CORE = {f"core/{place.parent.name}" for place in (PACKAGE / "core").glob("*/__init__.py")}
+STRANGERS = {"minimd.core.integrators", "minimd.core.potentials"}  # never import each other
 BRIDGES = {  # folders and modules that may import ase or MDAnalysis when they are imported
-    *("ase", "mdanalysis", "structure/ase_atoms.py", "structure/mdanalysis_atoms.py"),
-    *("files/structure_file.py", "files/turned_cell.py", "grade/dynamics.py", "grade/scenes.py"),
+    *("ase", "mdanalysis", "core/structure/ase_atoms.py", "core/structure/mdanalysis_atoms.py"),
+    *("core/files/structure_file.py", "core/files/turned_cell.py", "judge/dynamics.py", "judge/scenes.py"),
 }
-FOREIGN = {"minimd_bench.engines"}  # reaches for private names of OpenMM and LAMMPS
+FOREIGN = {"minimd.bench.engines"}  # reaches for private names of OpenMM and LAMMPS
 HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "openmm", "minimd.lammps"}
 FILES = re.compile(r"A step of a liquid is these (\d+) files, ([\d ]+) lines in all:\n\n```\n(.*?)```", re.S)
 MODULES = {path.relative_to(REPOSITORY): path for name in TOP for path in (REPOSITORY / name).rglob("*.py")}
@@ -54,9 +55,12 @@ def floor_of(module):
 
 
 def test_every_package_is_a_floor():
-    assert set(BEGIN_WITH) == {place.parent.name for place in PACKAGE.glob("*/__init__.py")} | TOP | {"replay"}
+    assert (
+        set(BEGIN_WITH)
+        == {place.parent.name for place in PACKAGE.glob("*/__init__.py") if place.parent.name != "core"} | TOP | CORE
+    )
     for name, file in BEGIN_WITH.items():
-        folder = REPOSITORY / name if name in TOP else PACKAGE / ("" if name == "replay" else name)
+        folder = REPOSITORY / name if name in TOP else PACKAGE / name
         assert (folder / file).exists()
 
 

@@ -9,10 +9,10 @@ from scipy import stats
 from wrong_calls import answered
 
 import minimd as md
-from minimd.analysis.check import check_file
-from minimd.files.h5md_writer import H5MDWriter
+from minimd.core.files.h5md_writer import H5MDWriter
+from minimd.core.integrators.substeps import Thermalize
 from minimd.integrators import THERMOSTATS, Bath, Drift, Kick, State, Surroundings, adjoint, compose
-from minimd.integrators.splitting.substeps import Thermalize
+from minimd.view.check import check_file
 
 LANGEVIN = md.LangevinBAOAB(0.01, temperature=1.3, friction=2.0, seed=5)
 BUSSI = md.StochasticVelocityRescaling(0.01, temperature=1.3, relaxation_time=0.5, seed=5)

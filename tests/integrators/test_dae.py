@@ -17,8 +17,8 @@ from wrong_calls import assert_answered
 import minimd as md
 import minimd.integrators as mi
 from minimd.integrators import RadauIIA3, StepControl, run_adaptive, run_steps
-from minimd.integrators.ode.functions import accurate_differences, error_of_differences, time_derivative
-from minimd.integrators.ode.runge_kutta import StageStep
+from minimd.textbook.ode.functions import accurate_differences, error_of_differences, time_derivative
+from minimd.textbook.ode.runge_kutta import StageStep
 
 slow = pytest.mark.slow
 RADAU_ORDERS = {mi.ImplicitEuler: [(1, 1), (1, 1), (1, 1, 1)], mi.RadauIIA2: [(3, 3), (3, 2), (3, 2, 1)]}

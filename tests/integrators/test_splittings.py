@@ -11,9 +11,9 @@ from small_problems import DRIVEN, HENON_HEILES, KEPLER, SPLITTINGS, TWISTED_STA
 
 import minimd as md
 import minimd.integrators as mi
+from minimd.core.integrators.order_conditions import lyndon_words, nystrom_residuals, separable_residuals
+from minimd.core.integrators.substeps import is_palindrome
 from minimd.integrators import SE1, SE2, Drift, Kick, PositionVerlet, VelocityVerlet, compose
-from minimd.integrators.splitting.order_conditions import lyndon_words, nystrom_residuals, separable_residuals
-from minimd.integrators.splitting.substeps import is_palindrome
 
 PAPERS = {
     1: "symplectic-euler-1 symplectic-euler-2", 2: "velocity-verlet position-verlet leapfrog", 3: "ruth-3",

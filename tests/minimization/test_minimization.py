@@ -10,11 +10,11 @@ from rigid_scenes import SCENES
 from wrong_calls import answered, assert_answered
 
 import minimd as md
-from minimd.minimization.minimization import steer
-from minimd.potentials.term import FORCES
+from minimd.core.minimization.minimization import steer
+from minimd.core.potentials.term import FORCES
+from minimd.core.structure.cell import nearest_vectors
+from minimd.core.structure.errors import Interrupted
 from minimd.scene import parse_scene, run_scene
-from minimd.structure.cell import nearest_vectors
-from minimd.structure.errors import Interrupted
 
 slow = pytest.mark.slow
 LJ = md.LennardJones(1.0, 1.0)

@@ -8,13 +8,13 @@ import pytest
 from references import liquid
 
 import minimd as md
-from minimd.compiled.simd.vector import lanes_for
-from minimd.compiled.threads import MOST_CHUNKS, thread_pool
-from minimd.neighbors.cluster_list import ClusterList
-from minimd.neighbors.clusters import columns_fit, make_columns, region_of
-from minimd.neighbors.domains import BLOCKS
-from minimd.potentials.term import PER_ATOM, TOTALS
-from minimd.structure.system import local_density
+from minimd.core.compiled.simd.vector import lanes_for
+from minimd.core.compiled.threads import MOST_CHUNKS, thread_pool
+from minimd.core.neighbors.cluster_list import ClusterList
+from minimd.core.neighbors.clusters import columns_fit, make_columns, region_of
+from minimd.core.neighbors.domains import BLOCKS
+from minimd.core.potentials.term import PER_ATOM, TOTALS
+from minimd.core.structure.system import local_density
 
 
 @pytest.mark.slow  # compiles a law for both lists

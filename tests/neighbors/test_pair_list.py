@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from references import brute_force_pairs
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.neighbors.pair_list import PairList
-from minimd.neighbors.queries import closest_pair
+from minimd.core.neighbors.pair_list import PairList
+from minimd.core.neighbors.queries import closest_pair
 
 NO_PAIRS = np.zeros((0, 2), dtype=np.int64)
 FLAT = 0.02  # determinant of the unit vectors below which a brute force would need too many images

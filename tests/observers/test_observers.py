@@ -13,14 +13,14 @@ from scenes import LJ, argon, chain
 from wrong_calls import answered, assert_answered
 
 import minimd as md
-from minimd.analysis.check import check_file
-from minimd.analysis.plot import plot_file
-from minimd.files.h5md_digest import observers_of, read_restart
+from minimd.core.files.h5md_digest import observers_of, read_restart
+from minimd.core.structure.checks import checked_count
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import argument, label, positive, steps
 from minimd.observers.fluctuations import FEWEST, correlation_times
 from minimd.scene import parse_scene, resume_run, run_scene
-from minimd.structure.checks import checked_count
+from minimd.view.check import check_file
+from minimd.view.plot import plot_file
 
 DISPLACEMENT, VELOCITY = "mean-square-displacement", "velocity-autocorrelation"
 NONE = md.LennardJones(1e-12, 1e-3, 0.1, "force-shifted")  # next to no forces

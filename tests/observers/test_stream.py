@@ -13,7 +13,7 @@ from h5md_runs import N_ATOMS, simulation
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.console.signals import stop_runs_of_threads
+from minimd.core.console.signals import stop_runs_of_threads
 from minimd.mdanalysis import universe
 
 ASE, KJ_PER_MOL = md.units.ASE, 96.48533  # of an eV

@@ -7,12 +7,12 @@ from references import liquid
 from scenes import LJ
 
 import minimd as md
-from minimd.analysis.check import check_file
-from minimd.diagnosis.stiffness import velocity_temperature
+from minimd.core.diagnosis.stiffness import velocity_temperature
+from minimd.core.structure.statistics import replicas
 from minimd.mdanalysis import diffusion_coefficient
 from minimd.observers.correlator import MultipleTau, Product
 from minimd.observers.time_correlation import plateau, running_integral
-from minimd.structure.statistics import replicas
+from minimd.view.check import check_file
 
 VISCOSITY, DIFFUSION, N_PUBLISHED = 3.258, 0.0325, 1372  # K. Meier et al., J. Chem. Phys. 121, 3671 and 9526 (2004)
 DENSITY, TEMPERATURE = 0.8442, 0.722

@@ -11,12 +11,12 @@ from scipy.special import erfc
 from wrong_calls import answered
 
 import minimd as md
-from minimd.forces.options import Options
-from minimd.forces.pair_laws import PairLaws
-from minimd.potentials.coulomb import ChargedLaw
-from minimd.potentials.prolates import error_of, prolate, split_for
-from minimd.potentials.term import PER_ATOM, TOTALS
-from minimd.structure.units import ASE, BOLTZMANN_EV_PER_K, COULOMB
+from minimd.core.forces.options import Options
+from minimd.core.forces.pair_laws import PairLaws
+from minimd.core.potentials.coulomb import ChargedLaw
+from minimd.core.potentials.prolates import error_of, prolate, split_for
+from minimd.core.potentials.term import PER_ATOM, TOTALS
+from minimd.core.structure.units import ASE, BOLTZMANN_EV_PER_K, COULOMB
 
 SHEAR = ((1, 0, 0), (1, 1, 0), (0, -1, 1))
 TRICLINIC = ((1.0, 0.0, 0.0), (0.4, 1.1, 0.0), (-0.3, 0.2, 1.0))

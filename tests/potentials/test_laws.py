@@ -9,7 +9,7 @@ import pytest
 from references import brute_force_pairs
 
 import minimd as md
-from minimd.potentials.term import PER_ATOM, TOTALS
+from minimd.core.potentials.term import PER_ATOM, TOTALS
 
 CUTOFF = 2.3
 

@@ -5,7 +5,7 @@ import pytest
 from references import load
 
 import minimd as md
-from minimd.potentials.truncation import SWITCHES
+from minimd.core.potentials.truncation import SWITCHES
 
 CASES = [(f"nist_lj/config{c}.json", k) for c in (1, 4) for k in range(3)]
 SCHEMES = {"truncated_plus_LRC": "truncated", "linear_force_shift": "force-shifted"}

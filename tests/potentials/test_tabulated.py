@@ -7,8 +7,8 @@ import pytest
 from references import liquid
 
 import minimd as md
-from minimd.diagnosis.run_report import cutoff_lines
-from minimd.potentials.law import evaluate_law
+from minimd.core.diagnosis.run_report import cutoff_lines
+from minimd.core.potentials.law import evaluate_law
 
 CUTOFF = 2.5
 LJ = md.LennardJones(1.0, 1.0, CUTOFF)

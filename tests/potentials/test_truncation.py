@@ -6,9 +6,9 @@ from references import liquid
 from scipy.special import betainc
 
 import minimd as md
+from minimd.core.potentials.law import evaluate_law, law_at, user_law
+from minimd.core.potentials.truncation import TRUNCATIONS
 from minimd.integrators import BlanesMoan4, KahanLi6, KahanLi8, Ruth3, VelocityVerlet
-from minimd.potentials.law import evaluate_law, law_at, user_law
-from minimd.potentials.truncation import TRUNCATIONS
 
 CUTOFF, START = 2.5, 2.0
 LJ = md.LennardJones(1.0, 1.0, CUTOFF, "truncated")

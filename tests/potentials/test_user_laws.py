@@ -14,11 +14,11 @@ from references import liquid
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.compiled.snapshot import Snapshot
-from minimd.potentials.bonded import Bond
-from minimd.potentials.declared import NOT_NEGATIVE, POSITIVE, declared, each, groups
-from minimd.potentials.law import evaluate_law, is_recognized, is_user_law, user_law
-from minimd.potentials.truncation import Shifted
+from minimd.core.compiled.snapshot import Snapshot
+from minimd.core.potentials.bonded import Bond
+from minimd.core.potentials.declared import NOT_NEGATIVE, POSITIVE, declared, each, groups
+from minimd.core.potentials.law import evaluate_law, is_recognized, is_user_law, user_law
+from minimd.core.potentials.truncation import Shifted
 
 LAW = """
 from collections import namedtuple
@@ -123,7 +123,7 @@ with event.install_recorder("numba:compile") as recorder:
 def test_another_process_compiles_a_changed_law_again_and_takes_one_that_is_sent():
     """What changed is the law, its default, a global, an array, a closure cell, or a function of one that it calls."""
     sent = pickle.dumps(user_law(names_of(LAW)["law"]))
-    received = f"import pickle\nfrom minimd.potentials.law import evaluate_law\nlaw = pickle.loads({sent!r})"
+    received = f"import pickle\nfrom minimd.core.potentials.law import evaluate_law\nlaw = pickle.loads({sent!r})"
     unchanged, *changed, u, f = answer(f"{EVALUATE}\n{received}\nprint(*evaluate_law(law, 1.0, (1.0,)))")
     assert changed == pytest.approx([expected for *_, expected in CHANGES.values()], rel=1e-14)  # rounding
     assert [unchanged, u, f] == pytest.approx([UNCHANGED, UNCHANGED, 2.0 * UNCHANGED], rel=1e-14)

@@ -35,12 +35,12 @@ from h5md_runs import frames_in
 from references import melt_scene
 
 from minimd.commands import main as cli
-from minimd.diagnosis.run_guard import RunGuard
-from minimd.files import h5md_schema, h5md_writer, trajectory
-from minimd.files.claim import repair
-from minimd.files.crash_file import read_crash_report
-from minimd.files.h5md_reader import read_file
-from minimd.simulation import simulation
+from minimd.core.diagnosis.run_guard import RunGuard
+from minimd.core.files import h5md_schema, h5md_writer, trajectory
+from minimd.core.files.claim import repair
+from minimd.core.files.crash_file import read_crash_report
+from minimd.core.files.h5md_reader import read_file
+from minimd.core.simulation import simulation
 
 HEAD = struct.Struct("<iiiiqqqq")  # what, process, parent, descriptor, offset, value, bytes of the path, of the data
 OPEN, WRITE, TRUNCATE, FSYNC, RENAME, LINK, UNLINK, MKDIR, CLOSE, DUP = range(1, 11)

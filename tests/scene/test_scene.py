@@ -12,11 +12,11 @@ from references import melt_scene, scene_text
 from scene_texts import ARGON, MIXTURE, REDUCED, SALT, TABULATED, WATER, R, U, scene_of, write_tables
 
 import minimd as md
-from minimd.document.section import KEY_UNITS, Section, sections_below
-from minimd.files.h5md_reader import read_file
+from minimd.core.files.h5md_reader import read_file
 from minimd.integrators import THERMOSTATS, LangevinBAOAB
 from minimd.scene import load_scene, resume_run, run_scene
 from minimd.scene.running import differences
+from minimd.scene.section import KEY_UNITS, Section, sections_below
 
 DOCS = Path(__file__).parents[2] / "docs"
 # SI values, independent of minimd.units (CODATA 2018; minimd has ASE's of 2014, equal to 1e-6)

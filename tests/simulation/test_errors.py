@@ -10,8 +10,8 @@ from scene_texts import REDUCED, everything_of
 from wrong_calls import answer_of, answered, assert_answered, assert_right
 
 import minimd as md
-from minimd.console.words import shown
-from minimd.files.h5md_reader import read_file
+from minimd.core.console.words import shown
+from minimd.core.files.h5md_reader import read_file
 
 THREE = np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0], [0.0, 1.2, 0.0]])
 NAN, MANY = float("nan"), 10**12

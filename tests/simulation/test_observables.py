@@ -7,9 +7,9 @@ from scenes import LJ, SCENES
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.engine.observation import OBSERVABLES, Observable, register
-from minimd.engine.record import SERIES
-from minimd.files.h5md_reader import damage, read_file
+from minimd.core.engine.observation import OBSERVABLES, Observable, register
+from minimd.core.engine.record import SERIES
+from minimd.core.files.h5md_reader import damage, read_file
 
 
 def test_the_present_state_is_measured_whatever_has_changed(argon):
@@ -115,7 +115,7 @@ def test_an_observable_of_ones_own_is_in_record_and_file_and_stays_there(tmp_pat
     before, file, sim = tmp_path / "before.h5md", tmp_path / "a.h5md", argon.simulation()
     sim.run(2, every=1, trajectory=before)
     with monkeypatch.context() as patch:
-        patch.setattr("minimd.engine.observation.OBSERVABLES", dict(OBSERVABLES))
+        patch.setattr("minimd.core.engine.observation.OBSERVABLES", dict(OBSERVABLES))
         register(Observable("doubled_energy", "energy", lambda look: 2.0 * look.total_energy))
         assert_answered(lambda: sim.run(2, every=1, trajectory=before, append=True), ValueError, "'doubled_energy'")
         record = sim.run(6, every=3, trajectory=file)

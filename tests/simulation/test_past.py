@@ -8,7 +8,7 @@ from fixed_point_scenes import LAW, bits, plain
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.analysis.check import check_file
+from minimd.view.check import check_file
 
 BATHS = [of(0.004, 0.9, 1.0, seed=3) for of in (md.LangevinBAOAB, md.StochasticVelocityRescaling)]
 

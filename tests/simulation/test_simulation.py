@@ -11,7 +11,7 @@ from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.commands import main as cli
-from minimd.diagnosis.report import conservation_report
+from minimd.core.diagnosis.report import conservation_report
 from minimd.mdanalysis import diffusion_coefficient, radial_distribution
 
 SMOOTH = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")

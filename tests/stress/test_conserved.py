@@ -11,7 +11,7 @@ import stress_scenes as stress
 from stress_scenes import OPEN, SMOOTH, STIFF, is_finite, made, oscillation, pair_at, ran, solid
 
 import minimd as md
-from minimd.structure.checks import LARGEST, SMALLEST
+from minimd.core.structure.checks import LARGEST, SMALLEST
 
 pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
 WALL = md.PairPotential(lambda r2: (r2**-24, 48.0 * r2**-25), (), 1.5, "force-shifted")  # r⁻⁴⁸, as steep as any

@@ -8,7 +8,7 @@ from h5md_runs import frames_in
 from stress_scenes import LAST_GOOD, SMOOTH, SPRING, assert_stops, is_finite, made, oscillation, pair_at, ran, solid
 
 import minimd as md
-from minimd.files.h5md_reader import read_file
+from minimd.core.files.h5md_reader import read_file
 from minimd.mdanalysis import universe
 
 TWO_KINDS = {"species": ["A", "B"] * 128}

@@ -4,13 +4,12 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 from wrong_calls import answered
 
 import minimd as md
-from minimd.structure.bond_graph import pairs_by_bonds_apart
-from minimd.structure.cell import Cell, minimum_image_translations
+from minimd.core.structure.bond_graph import pairs_by_bonds_apart
+from minimd.core.structure.cell import Cell, minimum_image_translations
 
 NEIGHBORS = {"sc": (6, 1), "bcc": (8, 0.75**0.5), "fcc": (12, 0.5**0.5), "diamond": (4, 3**0.5 / 4)}
 SIDE = [[20.0, 0.0, 0.0], [0.0, 20.0, 0.0], [20.0, 20.0, 0.0]]

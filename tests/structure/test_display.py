@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import minimd as md
-from minimd.console.display import Displayed
-from minimd.console.quiet import quiet
-from minimd.forces.options import Precision
-from minimd.potentials.coulomb import METHODS, MethodName
-from minimd.potentials.pair import MIXING, MixingName
-from minimd.potentials.truncation import TRUNCATIONS, TruncationName
+from minimd.core.console.display import Displayed
+from minimd.core.console.quiet import quiet
+from minimd.core.forces.options import Precision
+from minimd.core.potentials.coulomb import METHODS, MethodName
+from minimd.core.potentials.pair import MIXING, MixingName
+from minimd.core.potentials.truncation import TRUNCATIONS, TruncationName
 
 SPECIES = {"A": (1.0, 1.0), "B": (0.5, 0.88)}
 CUTOFFS = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from references import processes
 
-from minimd.structure import statistics
+from minimd.core.structure import statistics
 
 LOW, HIGH = 0.85, 1.3  # of an error bar beside what it should be; found in a short run, it itself scatters
 SLOW = [(0.0, 1), (0.5, 12), (0.5, 25), (0.5, 100), (0.8, 25), (0.95, 12), (0.95, 25), (0.95, 100)]

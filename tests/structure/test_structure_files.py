@@ -14,10 +14,10 @@ from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.ase import ForcesFromCalculator, system_from_file
-from minimd.files.h5md_reader import read_file
+from minimd.core.files.h5md_reader import read_file
+from minimd.core.structure.system import changed
 from minimd.mdanalysis import universe
 from minimd.scene import load_scene, parse_scene, run_scene
-from minimd.structure.system import changed
 
 N_CHAINS, LENGTH = 4, 5
 EMPTY = MDAnalysis.Universe.empty(3, trajectory=True)  # of no masses: they are one in reduced units

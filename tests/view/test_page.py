@@ -23,8 +23,8 @@ from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.commands import main as cli
+from minimd.core.structure.cell import nearest_vectors
 from minimd.mdanalysis.universes import universe_of
-from minimd.structure.cell import nearest_vectors
 from minimd.view import View
 from minimd.view.page import ATOMS, bonds_among, chosen_atoms, chosen_frames, motion_of, page, run_story
 

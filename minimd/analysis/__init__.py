@@ -1,1 +1,0 @@
-"""Analysis of the file of a run: the check through MDAnalysis, and pictures."""

@@ -1,0 +1,102 @@
+"""`minimd bench`: its benchmarks and their options. A benchmark is imported only when it runs."""
+
+import argparse
+from functools import partial
+from typing import TYPE_CHECKING
+
+from minimd.commands.table import Argument, Command, at_least_one, flag, written_to
+
+if TYPE_CHECKING:
+    from minimd.bench.outcome import Outcome
+
+REPEATS, REPEATS_QUICK = 7, 3
+OF_LAMMPS = "lammps, lammps-checked, lammps-tuned, lammps-shake, lammps-plain, lammps-omp"
+PEER_NAMES = f"{OF_LAMMPS}, gromacs, openmm, openmm-pme, ase, asap3"
+FLUIDS = "melt, cutoff-4, wca, kob-andersen, gas, droplet, slab, npt"
+SCENE_NAMES = f"{FLUIDS}, chains, chain, decane, dumbbells, triangles, water, water-fine"
+QUICK = flag("--quick", "take only a few minutes: fewer sizes, methods and rounds")
+
+
+def benchmark(name: str, text: str, *arguments: Argument, description: str = "") -> Command:
+    """One benchmark, with the options that all benchmarks have."""
+    rounds = f"rounds; every engine runs once in each (default: {REPEATS}, quick {REPEATS_QUICK})"
+    files = f"bench_{name.replace('-', '_')}.md, .json and .png"
+    shared = (QUICK, Argument("--repeats", rounds, at_least_one, "R"),
+              written_to("FOLDER", f"write {files} into this folder; older files are replaced"))  # fmt: skip
+    told = description or f"{text[0].upper()}{text[1:]}."
+    run = partial(bench, name)
+    return Command(name, text, told, (*shared, *arguments), run, epilog="Let no other program run meanwhile.")
+
+
+def bench(name: str, arguments: argparse.Namespace) -> None:
+    """Run a benchmark, print its outcome, and write it with --out.  Raises as the benchmark."""
+    from minimd.bench.outcome import markdown, write
+
+    if arguments.out:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+    outcome = _outcome(name, arguments, arguments.repeats or (REPEATS_QUICK if arguments.quick else REPEATS))
+    print(markdown(outcome))
+    if arguments.out:
+        write(outcome, arguments.out)
+
+
+def _outcome(name: str, given: argparse.Namespace, repeats: int) -> "Outcome":
+    if name == "peers":
+        from minimd.bench.engines import PEERS
+        from minimd.bench.peers import BESIDE_SCENES, PeersOptions, run_peers
+        from minimd.bench.scenes import SCENES
+
+        cells = given.cells or ((5, 10) if given.quick else (5, 10, 20, 40))
+        options = PeersOptions((given.scene,), cells, given.threads, given.peers, repeats)
+        if given.scenes is not None:
+            scenes, cells = tuple(dict.fromkeys(given.scenes or SCENES)), given.cells or (10,)
+            peers = given.peers or tuple(name for name in BESIDE_SCENES if {*scenes} & {*PEERS[name].scenes})
+            options = options._replace(scenes=scenes, cells=cells, threads=given.threads or (1,), peers=peers)
+        return run_peers(options)
+    if name == "work-precision":
+        from minimd.bench.work_precision import run_work_precision
+
+        return run_work_precision(given.scenes, given.quick, repeats)
+    if name == "scene":
+        from minimd.bench.ingredients import run_ingredients
+
+        return run_ingredients(given.cells, repeats)
+    from minimd.bench.scaling import run_scaling
+
+    return run_scaling(given.threads, given.quick, repeats)
+
+
+def counts(text: str) -> tuple[int, ...]:
+    """Whole numbers, at least 1, separated by commas; repeated ones count once."""
+    return tuple(dict.fromkeys(at_least_one(word) for word in words(text)))
+
+
+def words(text: str) -> tuple[str, ...]:
+    """Words separated by commas; repeated ones count once."""
+    return tuple(dict.fromkeys(word.strip() for word in text.split(",")))
+
+
+PEERS_TEXT = """Time whole runs of minimd and of other installed engines, in turns, after a check that all compute the
+same energies."""
+PRECISE = "argon, argon-smooth, chains, dumbbells, kepler (default: all)"
+SEVERAL = """several scenes (default: all) beside LAMMPS with its list checked, water beside OpenMM too, in one table
+(default of --cells: 10, of --threads: 1)"""
+THREADS = "numbers of threads, for engines that can use several (default: 1 and all cores)"
+INGREDIENTS = "the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing"
+ABOUT = "measure the speed of minimd: compared with other engines, and run time against error"
+COMMAND = Command("bench", ABOUT, f"{ABOUT[0].upper()}{ABOUT[1:]}.", below=(
+    benchmark("peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3",
+        Argument("--scene", f"{SCENE_NAMES} (default: melt)", more={"default": "melt"}),
+        Argument("--scenes", SEVERAL, None, "NAME", {"nargs": "*"}),
+        Argument("--cells", "sizes: 4 N³ atoms, or about as many; water: 3 N³ (default: 5,10,20,40)", counts, "N,..."),
+        Argument("--threads", THREADS, counts, "T,...", {"default": ()}),
+        Argument("--peers", f"{PEER_NAMES}, or none (default: all that are installed)", words, "NAME,...",
+                 {"default": ()}),
+        description=PEERS_TEXT),
+    benchmark("work-precision", "run time against error: every method and time step",
+        Argument("scenes", PRECISE, None, "SCENE", {"nargs": "*"})),
+    benchmark("scene", INGREDIENTS,
+        Argument("--cells", "size: 4 N³ atoms (default: 10)", at_least_one, "N", {"default": 10})),
+    benchmark("scaling", "time and memory against the number of atoms and threads",
+        Argument("--threads", "default: 1 and all cores", counts, "T,...", {"default": ()})),
+))  # fmt: skip

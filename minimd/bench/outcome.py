@@ -1,0 +1,190 @@
+"""The outcome of a benchmark: a table to read, JSON for programs, a picture.
+
+A picture can be read at the width of a page: few curves, with their names at their ends, in letters as large as those
+of the text.
+"""
+
+import json
+import platform
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from math import floor, log10
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+import minimd as md
+from minimd.core.compiled.machine import MISSING, available_cores, processor_name, version
+from minimd.core.console.whole_file import write_picture, write_whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DIGITS = 3  # of a median, because rounds differ by a percent or more
+ALIGN = {str: ":---", float: "---:"}
+DPI = 150
+WIDTH = 7.5  # inches, the width of a page
+MARKERS = "os^vD<"
+MOST_CURVES = len(MARKERS)  # in a panel
+BETWEEN_NAMES = 0.22  # inches, from one name to the next
+
+Ratios = NDArray[np.float64] | None
+
+
+class Outcome(Protocol):
+    """The outcome of one benchmark.  name : in its files.  packages : whose versions matter, besides minimd, numba and
+    numpy."""
+
+    name: ClassVar[str]
+
+    @property
+    def packages(self) -> Sequence[str]: ...  # noqa: D102
+
+    def lines(self) -> list[str]:
+        """The results as lines of Markdown."""
+
+    def content(self) -> dict[str, Any]:
+        """Everything that was measured, in every round."""
+
+    def figure(self) -> "Figure":
+        """A figure of the results."""
+
+
+def markdown(outcome: Outcome) -> str:
+    """The tables, below a description of machine and versions."""
+    words = ", ".join(f"{name} {number}" for name, number in versions(outcome.packages).items())
+    head = [f"# minimd bench {outcome.name}", "", f"{machine()['text']}.  ", f"{words}.", ""]
+    return "\n".join([*head, *outcome.lines()])
+
+
+def as_json(outcome: Outcome) -> str:
+    """All results as JSON, with machine and versions."""
+    content = {"machine": machine(), "versions": versions(outcome.packages)} | outcome.content()
+    return json.dumps(content, indent=2, ensure_ascii=False)
+
+
+def write(outcome: Outcome, folder: Path) -> None:
+    """Write bench_NAME.md, .json and .png into a folder; files of these names are replaced."""
+
+    stem = folder / f"bench_{outcome.name.replace('-', '_')}"
+    write_whole(stem.with_suffix(".md"), markdown(outcome) + "\n")
+    write_whole(stem.with_suffix(".json"), as_json(outcome) + "\n")
+    figure = outcome.figure()
+    figure.set_dpi(DPI)
+    write_picture(figure, stem.with_suffix(".png"))
+
+
+def versions(packages: Sequence[str]) -> dict[str, str]:
+    """Versions of minimd, numba, numpy, and of the packages and programs that took part, as they say themselves."""
+    found = {"minimd": md.__version__}
+    for name in ("numba", "numpy", *packages):
+        found[name] = version(name)
+        if found[name] == MISSING and shutil.which(name) is not None:
+            told = subprocess.run([name, "--version"], capture_output=True, text=True, check=False).stdout
+            said = re.search(r"version:?[ \t]+(\d\S*)", told, re.IGNORECASE)
+            found[name] = said[1] if said else "of unknown version"
+    return found
+
+
+def machine() -> dict[str, str | int]:
+    """The machine: processor, cores that this process may use, platform, Python; and all in one line."""
+    facts: dict[str, str | int] = {"processor": processor_name(), "cores": available_cores()}
+    facts |= {"platform": platform.platform(), "python": platform.python_version()}
+    text = "{processor} ({kind}), {cores} cores for this process; {platform}; Python {python}"
+    return {"text": text.format(kind=platform.machine(), **facts)} | facts
+
+
+def table(titles: Mapping[str, type], cells: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a Markdown table. titles : column → str or float, for left or right."""
+    lines = [list(titles), [ALIGN[kind] for kind in titles.values()], *cells]
+    return [f"| {' | '.join(line)} |" for line in lines]
+
+
+def threads_text(n: int) -> str:
+    """ "1 thread", "2 threads"."""
+    return f"{n} thread{'s' if n > 1 else ''}"
+
+
+def tell(line: str) -> None:
+    """Print a line about the progress to standard error, because the outcome goes to standard output."""
+    print(line, file=sys.stderr, flush=True)
+
+
+def spread(values: Ratios) -> str:
+    """The median (least to most) as text; empty without values, and 1 if a row is divided by itself."""
+    if values is None:
+        return ""
+    if np.all(values == 1.0):
+        return "1"
+    digits = max(0, DIGITS - 1 - floor(log10(np.median(values))))
+    return f"**{np.median(values):.{digits}f}** ({values.min():.{digits}f} to {values.max():.{digits}f})"
+
+
+def summary(values: Ratios) -> dict[str, Any] | None:
+    """Median and the values of all rounds, for programs."""
+    return None if values is None else {"median": float(np.median(values)), "turns": values.tolist()}
+
+
+class End(NamedTuple):
+    """The last point of a curve, and its color."""
+
+    x: float
+    y: float
+    color: str
+
+
+def new_figure(height: float, width: float = WIDTH) -> "Figure":
+    """An empty figure without a window.  width, height : inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def bars(ratios: Mapping[str, NDArray[np.float64]], label: str) -> "Figure":
+    """Bars for the medians of ratios, with the ranges of their rounds, and a line at 1.  label : of the axis."""
+    figure = new_figure(max(2.0, 0.3 * len(ratios)))
+    axes, rounds = figure.subplots(), np.array(list(ratios.values()))
+    middle = np.median(rounds, axis=1)
+    ends = np.abs(np.array([rounds.min(axis=1), rounds.max(axis=1)]) - middle)
+    axes.barh(list(ratios), middle, xerr=ends, color="tab:blue", ecolor="gray")
+    axes.axvline(1.0, color="black", lw=0.8)
+    axes.invert_yaxis()
+    axes.set(xlabel=label, title="median and range of all rounds")
+    return figure
+
+
+def draw(panel: "Axes", curves: Mapping[str, tuple[Sequence[float], NDArray[np.float64], bool]]) -> dict[str, End]:
+    """Draw medians of all rounds and their ranges, six curves at most; returns the ends of the curves.
+    curves : by name: x (P,), y (P, R), and whether it is minimd's."""
+    ends = {}
+    for k, (name, (x, y, is_own)) in enumerate(curves.items()):
+        middle, color = np.median(y, axis=1), f"C{k}"
+        line, width = ("-", 2.5) if is_own else ("--", 1.5)
+        panel.plot(x, middle, marker=MARKERS[k % MOST_CURVES], ls=line, lw=width, color=color)
+        panel.fill_between(x, y.min(axis=1), y.max(axis=1), alpha=0.15, color=color)
+        ends[name] = End(x[-1], float(middle[-1]), color)
+    return ends
+
+
+def name_curves(panel: "Axes", ends: Mapping[str, End]) -> None:
+    """Write the name of each curve to the right of the panel, in its color, at the height of its end or as near as
+    other names allow; a thin line connects each name with the end of its curve.
+    All curves must have been drawn, also those of panels that share an axis."""
+    to_panel = panel.transData + panel.transAxes.inverted()
+    panel.get_ylim()  # fixes limits that matplotlib chooses
+    gap = BETWEEN_NAMES / (0.8 * panel.bbox.height / panel.figure.dpi)
+    places = {name: to_panel.transform((end.x, end.y)) for name, end in ends.items()}
+    height = -1.0
+    # If ends have about the same height, the one farthest to the right comes first, so that no line crosses a curve.
+    for name in sorted(ends, key=lambda name: (round(places[name][1] / gap), -round(places[name][0], 2),
+                                               places[name][1])):  # fmt: skip
+        height, color = max(places[name][1], height + gap), ends[name].color
+        line = {"arrowstyle": "-", "lw": 0.6, "color": color, "alpha": 0.6}
+        style: dict[str, Any] = {"textcoords": "axes fraction", "va": "center", "color": color, "arrowprops": line}
+        panel.annotate(name, ends[name][:2], (1.02, height), annotation_clip=False, **style)

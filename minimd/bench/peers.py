@@ -1,0 +1,251 @@
+"""`minimd bench peers`: the same scene in minimd and in other installed engines, or many scenes beside LAMMPS."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.bench import outcome
+from minimd.bench.engines import PEERS, Engine, Load, Minimd
+from minimd.bench.outcome import spread, summary, table, tell, threads_text
+from minimd.bench.scaling import bytes_per_atom
+from minimd.bench.scenes import EXACT, MELT, SCENES, WATER_CUTOFFS, BenchScene, equilibrated
+from minimd.bench.turns import check_agreement, in_turns, thread_numbers
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+NO_PEERS = ("none",)
+BESIDE_SCENES = ("lammps-checked", "lammps-tuned", "lammps-shake", "openmm-pme")  # whose lists miss no pair
+LADDER = 2.0 ** np.arange(5.0, -4.5, -0.5)  # accuracies that are tried, of the error that is allowed
+# in smaller scenes the memory of atoms is not measured: that of Python and of the kernels hides it
+FROM_ATOMS = 256_000
+
+
+class EngineSpeed(NamedTuple):
+    """The speed of one engine with one scene.
+    speeds : (R,) atom-steps per second in each turn.  bytes_per_atom : None if not measured."""
+
+    engine: str
+    threads: int
+    precision: str
+    scene: str
+    n_atoms: int
+    speeds: NDArray[np.float64]
+    bytes_per_atom: float | None = None
+
+    @property
+    def is_minimd(self) -> bool:
+        """False for a peer."""
+        return self.engine.startswith("minimd")
+
+
+def ratios(rows: Sequence[EngineSpeed], row: EngineSpeed) -> tuple[outcome.Ratios, outcome.Ratios]:
+    """For a peer, the speed of minimd on as many threads divided by its own; for minimd, its speed divided by that on
+    one thread; each in each turn, None for the other kind of row, or if there is no such row of minimd."""
+    threads = 1 if row.is_minimd else row.threads
+    own = next((one.speeds for one in rows if one.is_minimd and one.threads == threads), None)
+    if own is None:
+        return None, None
+    return (None, row.speeds / own) if row.is_minimd else (own / row.speeds, None)
+
+
+class PeersOptions(NamedTuple):
+    """Options of run_peers.
+    threads : if empty, one thread and all cores.  peers : names in PEERS; if empty, all that are installed; "none" for
+        no peer."""
+
+    scenes: tuple[str, ...] = (MELT,)
+    cells: tuple[int, ...] = (5, 10, 20)
+    threads: tuple[int, ...] = ()
+    peers: tuple[str, ...] = ()
+    repeats: int = 7
+
+
+@dataclass(frozen=True)
+class Peers:
+    """The rows of each scene and size.  texts : descriptions of the scenes, by name.  packages : of the peers that took
+    part."""
+
+    texts: Mapping[str, str]
+    repeats: int
+    packages: Sequence[str]
+    sizes: Sequence[Sequence[EngineSpeed]]
+    name: ClassVar[str] = "peers"
+
+    def lines(self) -> list[str]:
+        """See Outcome."""
+        lines = ["Speeds in 10⁶ atom-steps per second of whole runs, with lists and without compilation: median of "
+                 f"{self.repeats} rounds (least to most).",
+                 "In each round all engines run once, in one process; ratios are computed within a round."]  # fmt: skip
+        if len(self.texts) > 1:
+            titles = {"scene": str, "atoms": float, "minimd": float, "fastest peer, one thread": str}
+            cells = []
+            for own, peer in self.fastest():
+                speeds = [spread(own.speeds / 1e6), peer.engine, spread(peer.speeds / 1e6)]
+                cells.append([own.scene, str(own.n_atoms), *speeds, spread(own.speeds / peer.speeds)])
+            lines += ["", *table(titles | {"its speed": float, "minimd is faster by": float}, cells)]
+        for rows in self.sizes:
+            lines += ["", f"## {rows[0].scene}, {rows[0].n_atoms} atoms", "", f"{self.texts[rows[0].scene]}.", ""]
+            lines += _table(rows)
+        return lines
+
+    def fastest(self) -> list[tuple[EngineSpeed, EngineSpeed]]:
+        """For each scene and size, on one thread: the row of minimd, double, and that of the fastest peer,
+        or minimd's again without peers."""
+        peers = [[row for row in rows if not row.is_minimd and row.threads == 1] or [rows[0]] for rows in self.sizes]
+        best = [max(rows, key=lambda row: float(np.median(row.speeds))) for rows in peers]
+        return list(zip([rows[0] for rows in self.sizes], best, strict=True))
+
+    def content(self) -> dict[str, Any]:
+        """See Outcome."""
+        sizes = [
+            {"scene": rows[0].scene, "n_atoms": rows[0].n_atoms, "rows": [_content(rows, row) for row in rows]}
+            for rows in self.sizes
+        ]
+        return {"texts": dict(self.texts), "repeats": self.repeats, "sizes": sizes}
+
+    def figure(self) -> "Figure":
+        """Speed against the number of atoms, with a panel for each number of threads; at most the six fastest engines
+        are drawn. For several scenes, how much faster minimd is than the fastest peer."""
+        if len(self.texts) > 1:
+            faster = {f"{own.scene}, {own.n_atoms}": own.speeds / peer.speeds for own, peer in self.fastest()}
+            return outcome.bars(faster, "speed of minimd, double, one thread, divided by that of the fastest peer")
+        rows = [row for rows in self.sizes for row in rows]
+        all_threads = sorted({row.threads for row in rows})
+        figure = outcome.new_figure(3.8 * len(all_threads))
+        panels = figure.subplots(len(all_threads), sharex=True, sharey=True, squeeze=False)[:, 0]
+        ends = []
+        for panel, threads in zip(panels, all_threads, strict=True):
+            curves = {one.engine: [row for row in rows if row[:2] == one[:2]] for one in rows if one.threads == threads}
+            fastest = sorted(curves.items(), key=lambda curve: -np.median(curve[1][-1].speeds))[: outcome.MOST_CURVES]
+            drawn = {}
+            for name, points in fastest:
+                speeds = np.array([point.speeds for point in points]) / 1e6
+                drawn[name] = [point.n_atoms for point in points], speeds, points[0].is_minimd
+            ends.append(outcome.draw(panel, drawn))
+            title = f"{self.sizes[0][0].scene}, {threads_text(threads)}"
+            panel.set(xscale="log", yscale="log", ylabel="10⁶ atom-steps / s", title=title)
+            panel.yaxis.set_major_formatter("{x:g}")
+            panel.yaxis.set_minor_formatter("{x:g}")
+        for panel, named in zip(panels, ends, strict=True):
+            outcome.name_curves(panel, named)
+        panels[-1].set_xlabel("atoms")
+        return figure
+
+
+def _table(rows: Sequence[EngineSpeed]) -> list[str]:
+    titles: dict[str, type] = {"engine": str, "threads": float, "precision": str, "speed": float}
+    titles |= {"minimd, same threads, is faster by": float, "ratio to minimd, 1 thread": float}
+    cells = []
+    for row in rows:
+        name = f"**{row.engine}**" if row.is_minimd else row.engine
+        memory = "" if row.bytes_per_atom is None else f"{row.bytes_per_atom:.0f}"
+        numbers = spread(row.speeds / 1e6), *map(spread, ratios(rows, row))
+        cells.append([name, str(row.threads), row.precision, *numbers, memory])
+    if any(row.bytes_per_atom is not None for row in rows):
+        return table(titles | {"bytes per atom": float}, cells)
+    return table(titles, [line[:-1] for line in cells])
+
+
+def _content(rows: Sequence[EngineSpeed], row: EngineSpeed) -> dict[str, Any]:
+    kept = ("engine", "threads", "precision", "n_atoms", "bytes_per_atom")
+    names = ("atom_steps_per_second", "minimd_is_faster_by", "beside_minimd_one_thread")
+    measured = zip(names, map(summary, (row.speeds, *ratios(rows, row))), strict=True)
+    return {name: getattr(row, name) for name in kept} | dict(measured)
+
+
+def run_peers(options: PeersOptions) -> Peers:
+    """Measure one scene and one size after the other; progress is printed to standard error.
+    Raises ValueError for options that do not fit, or if a peer does not start.  HandOverError as check_agreement."""
+    threads, texts = _checked(options), {name: SCENES[name](min(options.cells)).text for name in options.scenes}
+    able = [name for name, peer in PEERS.items() if {*options.scenes} & {*peer.scenes}]
+    able = [] if options.peers == NO_PEERS else able
+    missing = {peer.package: peer for name in able if not (peer := PEERS[name]).is_installed}
+    for package, peer in {} if options.peers else missing.items():
+        tell(f"no comparison with {package}: not installed; {peer.installer.format(package)} installs it")
+    peers = [name for name in (options.peers or able) if able and PEERS[name].package not in missing]
+    sizes = [_beside(scene, n, options, threads, peers) for scene in options.scenes for n in options.cells]
+    return Peers(texts, options.repeats, tuple(dict.fromkeys(PEERS[name].package for name in peers)), sizes)
+
+
+def _checked(options: PeersOptions) -> tuple[int, ...]:
+    """The numbers of threads.  Raises ValueError unless the options fit together, and fit this machine."""
+    for name, value, allowed in (
+            ("scene", options.scenes, SCENES),
+            ("peers", options.peers, (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS)):  # fmt: skip
+        if unknown := [word for word in value if word not in allowed]:
+            raise ValueError(f"--{name} must be one of {', '.join(allowed)}; it is {unknown[0]!r}")
+    threads, smallest = thread_numbers(options.threads), min(options.cells)
+    for name in options.scenes:
+        scene = SCENES[name](smallest)
+        if scene.edges.min() < 2.0 * scene.law.cutoff:
+            told = f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {name!r}"
+            raise ValueError(f"{told}; give a larger number")
+    for name in () if options.peers == NO_PEERS else options.peers:
+        peer = PEERS[name]
+        if not {*options.scenes} & {*peer.scenes}:
+            wrong = f"cannot run the scene {options.scenes[0]!r}; it runs {', '.join(peer.scenes)}"
+            raise ValueError(f"--peers {name} {wrong}")
+        if not peer.is_installed:
+            raise ValueError(f"{peer.package} is not installed; {peer.installer.format(peer.package)} installs it")
+    return threads
+
+
+def _beside(name: str, n: int, options: PeersOptions, threads: Sequence[int],
+            peers: Sequence[str]) -> list[EngineSpeed]:  # fmt: skip
+    scene = SCENES[name](n)
+    if name != MELT:  # the melt is equilibrated while the engines warm up
+        scene = equilibrated(scene)
+    n_atoms, counts = len(scene.system), {"one": (1,), "each": threads, "most": (max(threads),)}
+    asked: list[tuple[Load, int]] = [(Minimd, count) for count in dict.fromkeys((1, *threads))]
+    for peer in peers:
+        if name in PEERS[peer].scenes and (peer in options.peers or n_atoms <= PEERS[peer].most_atoms):
+            asked += [(partial(_load, peer), count) for count in counts[PEERS[peer].threads]]
+    groups = _accurate(asked, scene) if scene.error else [dict(enumerate(load(scene, count) for load, count in asked))]
+    for group in groups:
+        check_agreement([*group.values()], scene)
+    tell(f"{name}: the energies agree")
+    tried, best = [one for group in groups for one in group.items()], dict[int, EngineSpeed]()
+    speeds = n_atoms * in_turns([engine for _, engine in tried], options.repeats, n_atoms)
+    for (k, engine), speed in zip(tried, speeds, strict=True):
+        if k not in best or np.median(speed) > np.median(best[k].speeds):
+            best[k] = EngineSpeed(engine.name, engine.threads, engine.precision, scene.name, n_atoms, speed)
+    for k, row in best.items():
+        if row.is_minimd and 4 * n**3 >= FROM_ATOMS:
+            tell(f"{n_atoms} atoms: memory of minimd, {threads_text(row.threads)}")
+            best[k] = row._replace(bytes_per_atom=bytes_per_atom(name, n, row.threads))
+    return [best[k] for k in sorted(best)]
+
+
+def _accurate(asked: Sequence[tuple[Load, int]], scene: BenchScene) -> list[dict[int, Engine]]:
+    """For each cutoff that the cell has room for, the engines that are asked for, by their places: each with the least
+    accuracy whose measured error is allowed, without those that do not reach it."""
+    groups = []
+    for cutoff in [one for one in WATER_CUTOFFS if 2.0 * one <= scene.edges.min()] or [scene.law.cutoff]:
+        exact = scene.cut(cutoff, EXACT)
+        forces, of_charges = (Minimd(exact._replace(potentials=exact.potentials[k:])).forces for k in (0, 1))
+        groups.append(dict[int, Engine]())
+        for k, (load, count) in enumerate(asked):
+            for accuracy in scene.error * LADDER:
+                engine = load(scene.cut(cutoff, accuracy), count)
+                error = np.linalg.norm(forces - engine.forces) / np.linalg.norm(of_charges)
+                engine.name += f", r_c {cutoff:g} Å, error {error:.1e}"
+                if error <= scene.error:
+                    groups[-1][k] = engine
+                    break
+            tell(f"{scene.name}: {engine.name}{'' if k in groups[-1] else ': left out, as no accuracy is high enough'}")
+    return groups
+
+
+def _load(name: str, scene: BenchScene, threads: int) -> Engine:
+    """A peer that has loaded the scene.  Raises ValueError for any failure of the peer."""
+    try:
+        return PEERS[name].load(scene, threads)
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(f"{name} is installed but does not start: {reason}; to leave it out, name the others with "
+                         "--peers") from error  # fmt: skip

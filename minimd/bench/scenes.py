@@ -1,0 +1,325 @@
+"""The scenes of the benchmark: fluids, droplet and slab, chains, rigid molecules, in reduced units; water, in Å and eV.
+
+Each is a function of a number n in SCENES: it has 4 n³ atoms, or nearly as many. All but water are rows of PLANS.
+"""
+
+import warnings
+from collections.abc import Callable
+from functools import partial
+from itertools import combinations_with_replacement
+from math import cbrt, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+import minimd as md
+from minimd.core.console.quiet import quiet
+from minimd.core.forces.forces import Potential
+from minimd.core.potentials.pair import Nonbonded
+from minimd.core.potentials.truncation import TruncationName
+from minimd.core.structure.lattice import constant_from_density, crystal
+from minimd.core.structure.observables import maxwell_boltzmann
+
+MELT = "melt"
+SEED = 87287
+TIMESTEP = 0.005  # τ
+CUTOFF = 2.5  # σ of the pair
+SHIFT = 4.0 * (CUTOFF**-12 - CUTOFF**-6)  # u(r_c) [ε] of Lennard-Jones, which a shifted potential subtracts
+WCA_CUTOFF = 2.0 ** (1.0 / 6.0)  # σ, the minimum of Lennard-Jones
+SKIN_LAMMPS = 0.3  # σ, as in LAMMPS' benchmark
+SCATTER = 5.0  # k_B T per √atom: twice the standard deviation between total energies of two independent liquids
+EQUILIBRATION = 500  # steps: 2.5 τ, in which a crystal at these temperatures melts
+
+MELT_DENSITY, MELT_TEMPERATURE = 0.8442, 1.44  # of LAMMPS' benchmark
+LIQUID_DENSITY, LIQUID_TEMPERATURE = 0.8, 0.75  # of droplet and slab
+WIDER = 4.0  # the cell of droplet and slab, in diameters of the droplet and thicknesses of the slab
+BEADS = 100  # in a chain
+BOND_CONSTANT, BOND_LENGTH = 400.0, 1.0
+FRICTION, CHAIN_TIMESTEP = 0.1, 0.012  # 1/τ, τ, of LAMMPS' benchmark
+DUMBBELL_LENGTH = 0.6
+TRIANGLE_ANGLE = np.radians(75.0)  # between its sides of 1 σ
+
+# Units of decane are 46 K, 3.95 Å and the mass of CH2.
+DECANE_DENSITY = 0.19  # molecules per σ³: 0.73 g/cm³
+CARBONS, METHYL_MASS, DECANE_BOND, DECANE_ANGLE = 10, 15.035 / 14.027, 1.54 / 3.95, np.radians(114.0)
+
+# largest errors of the forces of charges, of their rms, by scene; cutoffs [Å] that each engine tries
+WATER, WATER_CUTOFFS = {"water": 2.5e-4, "water-fine": 1e-5}, (8.0, 9.0, 10.0, 12.0)
+EXACT = 1e-9  # accuracy of the sum with which errors are found
+
+
+class BenchScene(NamedTuple):
+    """A system with its potentials, and how its steps are made.
+    text : a description in one line.  constraints : lengths held fixed.  method : with its time step and bath.
+    error : the largest of the forces of charges, of their rms; 0 without charges.  accuracy : asked for with charges.
+    """
+
+    name: str
+    text: str
+    system: md.System
+    potentials: tuple[Potential, ...]
+    temperature: float
+    constraints: tuple[md.DistanceConstraints, ...] = ()
+    method: md.integrators.Splitting = md.VelocityVerlet(TIMESTEP)
+    barostat: md.StochasticCellRescaling | None = None
+    error: float = 0.0
+    accuracy: float = 1e-3
+
+    @property
+    def edges(self) -> NDArray[np.float64]:
+        """(3,) of the cell, which is rectangular [σ]."""
+        return np.diag(self.system.cell.vectors)
+
+    @property
+    def law(self) -> Nonbonded:
+        """The potential of its pairs."""
+        return next(one for one in self.potentials if isinstance(one, Nonbonded))
+
+    @property
+    def scatter(self) -> float:
+        """How far apart energies of engines may be after few steps because random numbers differ [k_B T per atom]."""
+        return SCATTER / sqrt(len(self.system)) if self.method.is_thermostat else 0.0
+
+    def cut(self, cutoff: float, accuracy: float) -> "BenchScene":
+        """Water with both laws cut at a distance [Å], and charges summed to an accuracy."""
+        own: Any = self.law.parameters
+        oxygens = md.LennardJones(own, None, cutoff, "truncated", bonded_scale=self.law.bonded_scale)
+        return self._replace(potentials=(oxygens, md.Coulomb(cutoff, accuracy)), accuracy=accuracy)
+
+
+class Plan(NamedTuple):
+    """A scene before it has atoms.  build : makes them from n, without velocities.  rigid : lengths held fixed."""
+
+    text: str
+    build: Callable[[int], md.System]
+    potentials: tuple[Potential, ...]
+    temperature: float = MELT_TEMPERATURE
+    method: md.integrators.Splitting = md.VelocityVerlet(TIMESTEP)
+    barostat: md.StochasticCellRescaling | None = None
+    rigid: Callable[[md.System], md.DistanceConstraints] | None = None
+
+
+def _atoms(positions: NDArray[np.float64], cell: NDArray[np.float64] | float, **more: Any) -> md.System:
+    return md.System(positions, cell=cell, **{"species": ["A"] * len(positions)} | more)
+
+
+def _lattice(n: int, density: float, kind: str = "fcc") -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return crystal(kind, [n] * 3, constant_from_density(kind, density))
+
+
+def _fluid(density: float, n: int) -> md.System:
+    """4 n³ atoms on the fcc lattice."""
+    return _atoms(*_lattice(n, density))
+
+
+def _droplet(n: int) -> md.System:
+    """The 4 n³ atoms of a crystal that are nearest to its center, in the middle of a large cubic cell."""
+    positions, edges = _lattice(2 * n, LIQUID_DENSITY)
+    distances = np.linalg.norm(positions - 0.5 * edges, axis=1)
+    inside = np.sort(np.argsort(distances, kind="stable")[: 4 * n**3])
+    cell = np.full(3, WIDER * 2.0 * float(distances[inside].max()))
+    return _atoms(positions[inside] - 0.5 * edges + 0.5 * cell, cell)
+
+
+def _slab(n: int) -> md.System:
+    """4 n³ atoms on the fcc lattice, below and above them vacuum."""
+    positions, edges = _lattice(n, LIQUID_DENSITY)
+    cell = edges * (1.0, 1.0, WIDER)
+    return _atoms(positions - 0.5 * edges + 0.5 * cell, cell)
+
+
+def _mixture(n: int) -> md.System:
+    """4 n³ atoms on the fcc lattice, of two species distributed at random, a fifth of them B."""
+    positions, edges = _lattice(n, 1.2)
+    species = np.full(len(positions), "A")
+    species[np.random.default_rng(SEED).permutation(len(positions))[: round(0.2 * len(positions))]] = "B"
+    return _atoms(positions, edges, species=species)
+
+
+def _beads(density: float, n: int) -> md.System:
+    """Nearly 4 n³ beads in chains of 100, along a path that winds through a simple cubic lattice."""
+    width = round(cbrt(4 * n**3))  # lattice sites along an edge
+    n_beads = width**3 // BEADS * BEADS
+    if n_beads == 0:
+        raise ValueError(f"a scene of chains needs at least {BEADS} sites, for one chain of {BEADS} beads; it has "
+                         f"{width**3}")  # fmt: skip
+    edge, first = cbrt(n_beads / density), np.arange(n_beads - 1)
+    first = first[(first + 1) % BEADS != 0]
+    # a winding path: each site is the nearest neighbor of the one before
+    z, y, x = np.unravel_index(np.arange(width**3), (width,) * 3)
+    y, row = np.where(z % 2 == 0, y, width - 1 - y), np.arange(width**3) // width
+    path = np.column_stack([np.where(row % 2 == 0, x, width - 1 - x), y, z]).astype(np.float64)
+    return _atoms(path[:n_beads] * (edge / width), edge, bonds=np.column_stack([first, first + 1]))
+
+
+def _decane(n: int) -> md.System:
+    """About 4 n³ united atoms in all-trans molecules side by side."""
+    rise, amplitude = DECANE_BOND * np.sin(0.5 * DECANE_ANGLE), DECANE_BOND * np.cos(0.5 * DECANE_ANGLE)
+    height = CARBONS * rise + 0.6  # σ, of a layer of molecules
+    layers = max(2, round(cbrt(4 * n**3 / CARBONS / DECANE_DENSITY) / height))
+    rows, apart = round(sqrt(4 * n**3 / CARBONS / layers)), 1.0 / sqrt(DECANE_DENSITY * height)
+    corners = np.stack(np.meshgrid(*map(np.arange, (rows, rows, layers)), indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    carbon = np.arange(CARBONS)
+    molecule = np.column_stack([amplitude * (carbon % 2), 0.0 * carbon, rise * carbon])
+    positions = (corners * (apart, apart, height) + molecule).reshape(-1, 3)
+    atoms = np.arange(len(positions)).reshape(-1, CARBONS)
+    groups = {
+        name: np.stack([atoms[:, k : CARBONS - size + 1 + k] for k in range(size)], axis=-1).reshape(-1, size)
+        for name, size in {"bonds": 2, "angles": 3, "dihedrals": 4}.items()
+    }
+    is_end = np.tile(np.isin(carbon, (0, CARBONS - 1)), len(atoms))
+    groups |= {"masses": np.where(is_end, METHYL_MASS, 1.0), "species": np.where(is_end, "CH3", "CH2")}
+    return _atoms(positions, np.array([rows * apart, rows * apart, layers * height]), **groups)
+
+
+def _dumbbells(n: int) -> md.System:
+    """2 n³ dumbbells of two atoms at a fixed distance, their centers on the bcc lattice, in random directions."""
+    centers, edges = _lattice(n, 0.4, "bcc")
+    arms = np.random.default_rng(SEED).normal(size=centers.shape)
+    arms *= 0.5 * DUMBBELL_LENGTH / np.linalg.norm(arms, axis=1)[:, None]
+    positions = np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3)
+    return _atoms(positions, edges, bonds=np.arange(len(positions)).reshape(-1, 2))
+
+
+def _triangles(n: int) -> md.System:
+    """About 4 n³ / 3 triangles, all turned alike, on the fcc lattice; bonds are the two equal sides."""
+    centers, edges = _lattice(round(cbrt(n**3 / 3)), 0.3187)  # molecules per σ³: 1.08 g/cm³
+    side, along = np.sin(0.5 * TRIANGLE_ANGLE) * np.eye(3)[1], np.cos(0.5 * TRIANGLE_ANGLE) * np.sqrt([0.5, 0.0, 0.5])
+    positions = (centers[:, None] + np.stack([np.zeros(3), along + side, along - side])).reshape(-1, 3)
+    tips = np.arange(0, len(positions), 3)[:, None, None]
+    return _atoms(positions, edges, bonds=(tips + np.array([[0, 1], [0, 2]])).reshape(-1, 2))
+
+
+def _rigid_triangles(system: md.System) -> md.DistanceConstraints:
+    third = system.bonds[:, 1].reshape(-1, 2)
+    lengths = np.repeat([1.0, 2.0 * np.sin(0.5 * TRIANGLE_ANGLE)], [len(system.bonds), len(third)])
+    return md.DistanceConstraints(np.concatenate([system.bonds, third]), lengths)
+
+
+def _lj(cutoff: float = CUTOFF, truncation: TruncationName = "shifted", scale=(1.0, 1.0, 1.0)):
+    """The law of most scenes, with factors for pairs one, two and three bonds apart."""
+    return md.LennardJones(1.0, 1.0, cutoff, truncation, bonded_scale=scale)
+
+
+AT_MELT = "fcc at ρ* 0.8442, T* 1.44, r_c {} σ, {}, Δt* 0.005, NVE"
+UNBONDED = (0.0, 1.0, 1.0)
+THERMOSTAT, BAROSTAT = md.StochasticVelocityRescaling, md.StochasticCellRescaling
+KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, pairs={("A", "B"): (1.5, 0.8)}, cutoff={
+    ("A", "A"): CUTOFF, ("A", "B"): CUTOFF * 0.8, ("B", "B"): CUTOFF * 0.88})  # fmt: skip
+DECANE = (
+    md.LennardJones({"CH3": (98 / 46, 3.75 / 3.95), "CH2": (1.0, 1.0)}, cutoff=CUTOFF, bonded_scale=(0.0, 0.0, 0.0)),
+    md.HarmonicBond(9e4, DECANE_BOND),  # TraPPE itself holds its bonds fixed
+    md.HarmonicAngle(62500 / 46, DECANE_ANGLE),
+    md.OPLSDihedral(2 * 355.03 / 46, -2 * 68.19 / 46, 2 * 791.32 / 46),
+)
+PLANS = {
+    # LAMMPS' benchmark
+    MELT: Plan(
+        f"Lennard-Jones melt: {AT_MELT.format(2.5, 'truncated')}",
+        partial(_fluid, MELT_DENSITY), (_lj(CUTOFF, "truncated"),)),
+    "cutoff-4": Plan(f"Long cutoff: {AT_MELT.format(4, 'shifted')}", partial(_fluid, MELT_DENSITY), (_lj(4.0),)),
+    "wca": Plan(f"WCA fluid: {AT_MELT.format(1.12, 'shifted')}", partial(_fluid, MELT_DENSITY), (_lj(WCA_CUTOFF),)),
+    # W. Kob, H. C. Andersen, Phys. Rev. E 51, 4626 (1995)
+    "kob-andersen": Plan(
+        "Kob-Andersen mixture: 80 % A and 20 % B, ρ* 1.2, T* 1.0, r_c 2.5 σ of each pair, shifted, Δt* 0.005, NVE",
+        _mixture, (KOB_ANDERSEN,), 1.0),
+    "gas": Plan("Gas: fcc at ρ* 0.01, T* 1.44, r_c 2.5 σ, shifted, Δt* 0.005, NVE", partial(_fluid, 0.01), (_lj(),)),
+    "droplet": Plan(
+        "Droplet in vacuum: T* 0.75, in a cell of 4 times its diameter, r_c 2.5 σ, shifted, Δt* 0.005, NVE",
+        _droplet, (_lj(),), LIQUID_TEMPERATURE),
+    "slab": Plan(
+        "Slab between vacuum: T* 0.75, in a cell of 4 times its thickness, r_c 2.5 σ, shifted, Δt* 0.005, NVE",
+        _slab, (_lj(),), LIQUID_TEMPERATURE),
+    # pressure and compressibility are about those of the melt itself
+    "npt": Plan(
+        "Lennard-Jones melt at constant pressure: T* 1.44, P* 5, r_c 2.5 σ, truncated, Δt* 0.005, NPT",
+        partial(_fluid, MELT_DENSITY), (_lj(CUTOFF, "truncated"),),
+        method=THERMOSTAT(TIMESTEP, MELT_TEMPERATURE, 0.5, SEED), barostat=BAROSTAT(5.0, 0.03, 5.0, SEED)),
+    # after the bead-spring model of K. Kremer, G. S. Grest, J. Chem. Phys. 92, 5057 (1990)
+    "chains": Plan(
+        "Chains of 100 beads: harmonic bonds (k* 400, length 1 σ), bonded neighbors excluded, ρ* 0.85, T* 1.0, r_c "
+        "2.5 σ, shifted, Δt* 0.005, NVE",
+        partial(_beads, 0.85), (_lj(scale=UNBONDED), md.HarmonicBond(BOND_CONSTANT, BOND_LENGTH)), 1.0),
+    # that model itself
+    "chain": Plan(
+        "LAMMPS' benchmark chain: 100 beads, FENE bonds (k* 30, R 1.5 σ), WCA, bonded neighbors excluded, ρ* 0.8442, "
+        "T* 1.0, friction 0.1/τ, Δt* 0.012, Langevin",
+        partial(_beads, MELT_DENSITY), (_lj(WCA_CUTOFF, scale=UNBONDED), md.FENEBond(30.0, 1.5)), 1.0,
+        md.LangevinBAOAB(CHAIN_TIMESTEP, 1.0, FRICTION, SEED)),
+    # TraPPE, at 300 K and with a time step of 1 fs: M. G. Martin, J. I. Siepmann, J. Phys. Chem. B 102, 2569 (1998)
+    "decane": Plan(
+        "Decane of united atoms: TraPPE with harmonic bonds (k* 90 000), angles and torsions, 0.19 molecules per σ³, "
+        "T* 6.5, r_c 2.5 σ, shifted, Δt* 0.0004, NVE",
+        _decane, DECANE, 6.5, md.VelocityVerlet(0.0004)),
+    "dumbbells": Plan(
+        "Rigid dumbbells: two atoms 0.6 σ apart, 0.4 molecules per σ³, T* 1.5, r_c 2.5 σ, truncated, Δt* 0.005, NVE",
+        _dumbbells, (_lj(CUTOFF, "truncated", UNBONDED),), 1.5,
+        rigid=lambda system: md.DistanceConstraints(system.bonds, DUMBBELL_LENGTH)),
+    # ortho-terphenyl: L. J. Lewis, G. Wahnström, Phys. Rev. E 50, 3865 (1994)
+    "triangles": Plan(
+        "Rigid triangles, as water without charges: three alike sites, sides of 1 σ at 75°, 0.3187 molecules per σ³, "
+        "T* 1.0, r_c 2.5 σ, shifted, friction 0.1/τ, Δt* 0.005, Langevin",
+        _triangles, (_lj(scale=(0.0, 0.0, 1.0)),), 1.0,
+        md.LangevinBAOAB(TIMESTEP, 1.0, FRICTION, SEED), rigid=_rigid_triangles),
+}  # fmt: skip
+
+
+def _planned(name: str, n: int) -> BenchScene:
+    """The scene of a plan, with velocities drawn at its temperature."""
+    plan = PLANS[name]
+    system = plan.build(n)
+    system.velocities[:] = maxwell_boltzmann(system.masses, plan.temperature, system.units.k_B, SEED)
+    rigid = () if plan.rigid is None else (plan.rigid(system),)
+    return BenchScene(name, plan.text, system, plan.potentials, plan.temperature, rigid, plan.method, plan.barostat)
+
+
+def _water(name: str, n: int) -> BenchScene:
+    """n³ molecules on the simple cubic lattice, turned at random."""
+    with quiet():  # a shorter cutoff in a small box is meant
+        system, potentials, rigid = md.water("SPC/E", n**3)
+    text = (f"Rigid SPC/E water: 298 K, measured errors of the forces of charges of at most {WATER[name]:g} of "
+            "their rms, both laws cut at the one of 8, 9, 10 and 12 Å with which an engine is fastest, Δt 2 fs, "
+            "NVE")  # fmt: skip
+    step = md.VelocityVerlet(2.0 * md.units.fs)
+    scene = BenchScene(name, text, system, tuple(potentials), 298.0, (rigid,), step, error=WATER[name])
+    return scene.cut(scene.law.cutoff, scene.error)
+
+
+SCENES: dict[str, Callable[[int], BenchScene]] = {name: partial(_planned, name) for name in PLANS}
+SCENES |= {name: partial(_water, name) for name in WATER}
+melt = SCENES[MELT]
+
+
+def equilibrated(scene: BenchScene) -> BenchScene:
+    """The scene after a short run at its temperature and volume."""
+    method = md.VelocityVerlet(scene.method.timestep)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # on a lattice no pair may be in range, and rigid bonds have random velocities
+        simulation = md.Simulation(scene.system, scene.potentials, method, scene.constraints)
+        simulation.equilibrate(EQUILIBRATION, scene.temperature, progress=False)
+    return scene._replace(system=simulation.system)
+
+
+def wrapped(positions: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Positions (N, 3) in the cell, less than its edges (3,) also after rounding."""
+    inside = positions % edges
+    return np.where(inside < edges, inside, 0.0)
+
+
+def pairs_in_range(scene: BenchScene, positions: NDArray[np.float64]) -> int:
+    """Number of pairs of atoms within their cutoff on which the pair potential acts: without bonded pairs if it
+    excludes them. Pairs two and three bonds apart are counted.
+    positions : (N, 3) [σ], of the atoms of the scene at any time. The cell must be wider than twice the cutoff,
+        or open."""
+    box = scene.edges if scene.system.cell.is_periodic else None
+    places = positions if box is None else wrapped(positions, box)
+    names = scene.system.species_names
+    trees = [cKDTree(places[scene.system.species == name], boxsize=box) for name in names]
+    cutoffs = np.sqrt(np.broadcast_to(scene.law.table(names)[:, :, 0], (len(names),) * 2))
+    count = 0
+    for a, b in combinations_with_replacement(range(len(names)), 2):
+        both_ways = trees[a].count_neighbors(trees[b], cutoffs[a, b])
+        count += (both_ways - trees[a].n) // 2 if a == b else both_ways
+    return int(count) - (scene.law.bonded_scale[0] == 0.0) * len(scene.system.bonds)

@@ -1,0 +1,288 @@
+"""`minimd bench work-precision`: run time against error, for every method, time step and precision,
+and for peers that can run the scene.
+
+Errors of a run, all relative:
+
+    oscillation   standard deviation of the total energy about its line of regression / (k_B T √n_dof)
+    drift         |slope of that line| · duration / (k_B T √n_dof)
+    distance      of the positions from a converged path after a short time, root mean square / σ
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import minimd as md
+from minimd.bench import engines
+from minimd.bench.outcome import MOST_CURVES, draw, name_curves, new_figure, table, tell
+from minimd.bench.scenes import CUTOFF, MELT, SCENES, BenchScene, equilibrated
+from minimd.bench.turns import timed
+from minimd.core.integrators.splitting import Splitting
+from minimd.core.integrators.table import SPLITTINGS
+from minimd.core.structure.errors import ConvergenceError
+from minimd.textbook.methods import IMPLICIT
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DURATION, OBSERVATIONS = 4.0, 20  # τ of a run, and number of times at which its energy is read
+SHORT = 0.2  # τ, time at which the distance is measured: before chaos has amplified rounding
+COSTS, COSTS_QUICK = (100, 141, 200, 283, 400, 566, 800, 1600, 3200), (100, 200, 400, 800)  # forces per τ
+REFERENCE, REFERENCE_COST = "kahan-li-8", 34_000
+QUICK_METHODS = ("velocity-verlet", "symplectic-euler-1", "candy-rozmus-4", "pefrl", "blanes-moan-rkn-4", "kahan-li-8")
+PEER_NAMES = ("lammps", "lammps-checked", "openmm")
+CELLS, CELLS_QUICK = 10, 6  # 4000 atoms; 864
+TARGETS = 10.0 ** np.arange(-1, -9, -1)
+ERRORS = ("oscillation", "drift", "distance")
+ECCENTRICITY, PERIODS = 0.6, 20
+Q0 = np.array([1.0 - ECCENTRICITY, 0.0])
+V0 = np.array([0.0, np.sqrt((1.0 + ECCENTRICITY) / (1.0 - ECCENTRICITY))])
+END = 2.0 * np.pi * PERIODS
+
+
+class Point(NamedTuple):
+    """One run.  who : engine and precision.  order : of its method.  forces : evaluations per unit of time.
+    Errors that are unknown are NaN, those of a run that failed infinite."""
+
+    who: str
+    method: str
+    order: int
+    timestep: float
+    forces: float
+    seconds: float = np.inf
+    oscillation: float = np.inf
+    drift: float = np.inf
+    distance: float = np.inf
+
+
+class Case(NamedTuple):
+    """All runs of one scene."""
+
+    name: str
+    text: str
+    unit: str  # of time
+    points: Sequence[Point]
+    duration: str = f"{DURATION:g} τ"
+
+    def front(self, error: str) -> list[Point]:
+        """Runs for which no other run is better both in time and in the error, the fastest first."""
+        points = sorted(self.points, key=lambda p: p.seconds)
+        best = np.minimum.accumulate([np.inf, *(np.nan_to_num(getattr(p, error), nan=np.inf) for p in points)])
+        return [point for point, least in zip(points, best, strict=False) if getattr(point, error) < least]
+
+    def advice(self, error: str) -> list[str]:
+        """For each power of ten, the fastest run whose error is at most that."""
+        lines = []
+        for target in TARGETS:
+            able = [point for point in self.points if getattr(point, error) <= target]
+            for p in sorted(able, key=lambda p: p.seconds)[:1]:
+                step = f"{p.method}, Δt = {p.timestep:.3g} {self.unit}, {p.who}"
+                lines.append(f"for {error} {target:.0e} use {step}: {p.seconds:.3g} s")
+        return lines
+
+    def beside(self, error: str = "oscillation") -> list[str]:
+        """The time of each peer divided by that of the fastest run of minimd with the same error or a smaller one."""
+        ours, ratios = [p for p in self.points if p.who.startswith("minimd")], dict[str, list[float]]()
+        for peer in self.points:
+            most = getattr(peer, error)
+            able = [p.seconds for p in ours if getattr(p, error) <= most]
+            if able and np.isfinite(most) and not peer.who.startswith("minimd"):
+                ratios.setdefault(peer.who, []).append(peer.seconds / min(able))
+        equal = f"times the time of minimd at equal {error}"
+        return [
+            f"{who}: {np.median(each):.2f} {equal} ({min(each):.2f} to {max(each):.2f})" for who, each in ratios.items()
+        ]
+
+    def draw(self, panel: Any, error: str = "oscillation") -> None:
+        """Draw six curves at most: velocity Verlet, peers, and the other methods with most points on the front."""
+        curves: dict[tuple[str, str], list[Point]] = {}
+        for point in self.points:
+            if 0.0 < getattr(point, error) < np.inf:
+                curves.setdefault((point.who, point.method), []).append(point)
+        on_front = [(p.who, p.method) for p in self.front(error)]
+        others = [one for one in curves if one[1] != md.VelocityVerlet.name]
+        best = sorted(others, key=lambda one: (-on_front.count(one), min(p.oscillation for p in curves[one])))
+        shown = {}
+        for who, method in [*(one for one in curves if one not in others), *best][:MOST_CURVES]:
+            points, is_own = curves[who, method], who.startswith("minimd")
+            errors = np.array([[getattr(p, error)] for p in points])
+            shown[method if is_own else who] = [p.seconds for p in points], errors, is_own
+        panel.set(xscale="log", yscale="log", xlabel="seconds", ylabel=f"{error} of the energy")
+        panel.set_title(f"{self.name}: time of a run of {self.duration}")
+        ends = draw(panel, shown)
+        panel.xaxis.set_minor_formatter("")  # minor labels would overlap
+        panel.grid(alpha=0.3)
+        name_curves(panel, ends)
+
+
+@dataclass(frozen=True)
+class WorkPrecision:
+    """The cases that ran."""
+
+    cases: Sequence[Case]
+    packages: Sequence[str]
+    name: ClassVar[str] = "work-precision"
+
+    def lines(self) -> list[str]:
+        """See Outcome."""
+        lines: list[str] = []
+        titles: dict[str, type] = {"engine": str, "method": str}
+        titles |= dict.fromkeys(("Δt", "forces per time", "seconds", *ERRORS), float)
+        for case in self.cases:
+            lines += [f"## {case.name}", "", f"{case.text}.", ""]
+            for said in (*map(case.advice, ERRORS), case.beside()):
+                lines += [*(f"- {line}" for line in said), ""]
+            cells = [
+                [p.who, p.method, f"{p.timestep:.3g}", f"{p.forces:.0f}", f"{p.seconds:.3g}", *map(_number, p[-3:])]
+                for p in case.points
+            ]
+            lines += [*table(titles, cells), ""]
+        return lines
+
+    def content(self) -> dict[str, Any]:
+        """See Outcome.  JSON has no numbers that are not finite: they are None."""
+        return {"cases": [{"name": c.name, "text": c.text, "points": list(map(_finite, c.points))} for c in self.cases]}
+
+    def figure(self) -> "Figure":
+        """For each case, the oscillation of the energy against seconds."""
+        figure = new_figure(4.0 * len(self.cases))
+        for panel, case in zip(figure.subplots(len(self.cases), squeeze=False)[:, 0], self.cases, strict=True):
+            case.draw(panel)
+        return figure
+
+
+def _number(value: float) -> str:
+    return f"{value:.2e}" if np.isfinite(value) else ("failed" if np.isinf(value) else "")
+
+
+def _finite(point: Point) -> dict[str, Any]:
+    """The fields of a point, with None for numbers that JSON does not have."""
+    return {key: None if isinstance(value, float) and not np.isfinite(value) else value
+            for key, value in point._asdict().items()}  # fmt: skip
+
+
+def run_work_precision(names: Sequence[str], quick: bool, repeats: int) -> WorkPrecision:
+    """Measure some cases, or all; each run is repeated, and the shortest time counts.
+    Raises ValueError for an unknown name."""
+    if unknown := [name for name in names if name not in CASES]:
+        raise ValueError(f"a scene must be one of {', '.join(CASES)}; it is {unknown[0]!r}")
+    cases = [CASES[name](name, quick, repeats) for name in names or (QUICK_CASES if quick else CASES)]
+    return WorkPrecision(cases, [p for p in ("lammps", "openmm") if engines.PEERS[p].is_installed])
+
+
+def _dynamics(name: str, quick: bool, repeats: int) -> Case:
+    """All methods and time steps on one scene, and the peers with velocity Verlet; argon is the melt, with the
+    truncation of the peers or with a smooth potential."""
+    scene = equilibrated(SCENES[name if name in SCENES else MELT](CELLS_QUICK if quick else CELLS))
+    truncation, words = ARGONS.get(name, (None, ""))
+    if truncation is not None:
+        scene = scene._replace(potentials=(md.LennardJones(1.0, 1.0, CUTOFF, truncation),))
+    costs, methods = (COSTS_QUICK, QUICK_METHODS) if quick else (COSTS, tuple(SPLITTINGS))
+    names = () if name == "argon-smooth" else PEER_NAMES  # no peer has this potential
+    peers = [engines.PEERS[one] for one in names if engines.PEERS[one].is_installed]
+    runs = [(SPLITTINGS[one], None) for one in methods] + [(md.VelocityVerlet, peer) for peer in peers]
+    reference, points = _path(scene, SPLITTINGS[REFERENCE], REFERENCE_COST), []
+    for method, peer in runs:
+        for cost in costs:
+            steps = OBSERVATIONS * max(1, round(cost * DURATION / method.stages / OBSERVATIONS))
+            timestep = DURATION / steps
+            tell(f"{name}: {peer.package if peer else method.name}, Δt = {timestep:.3g}")
+            own = scene._replace(method=method(timestep))
+            if peer is None:
+                distance = float(np.sqrt(np.mean((_path(scene, method, cost) - reference) ** 2)))
+                make = partial(engines.Minimd, own, 1, steps // OBSERVATIONS)
+                points.append(measured(own, steps, make, repeats, distance))
+            else:
+                points.append(measured(own, steps, partial(peer.load, own, 1), repeats, np.nan))
+    text = f"{scene.text}{'; ' if words else ''}{words}; {len(scene.system)} atoms, one thread, {DURATION:g} τ"
+    return Case(name, text, "τ", points)
+
+
+def _path(scene: BenchScene, method: type[Splitting], cost: float) -> NDArray[np.float64]:
+    """Positions (N, 3) after a short time; NaN if the run fails."""
+    steps = max(1, round(cost * SHORT / method.stages))
+    engine = engines.Minimd(scene._replace(method=method(SHORT / steps)))
+    try:
+        engine.run(steps)
+    except ArithmeticError:
+        return np.full_like(engine.positions, np.nan)
+    return engine.positions
+
+
+def measured(scene: BenchScene, steps: int, make: Callable[[], engines.Engine], repeats: int, distance: float) -> Point:
+    """Measure one run of a new engine; if it fails, its errors are infinite.  The observations count in the time of
+    minimd, which makes them in its run, and not in that of a peer."""
+    method = scene.method
+    point = Point("", method.name, method.order, DURATION / steps, steps * method.stages / DURATION)
+    seconds = np.inf
+    for _ in range(repeats):
+        engine = make()
+        point = point._replace(who=engine.name)
+        try:
+            engine.run(steps // OBSERVATIONS)  # compiles, and warms up
+            if isinstance(engine, engines.Minimd):
+                record, taken = timed(engine.run, steps)
+                energies = record.total_energy
+            else:
+                seen, taken = [engine.total_energy()], 0.0
+                for _ in range(OBSERVATIONS):
+                    taken += timed(engine.run, steps // OBSERVATIONS)[1]
+                    seen.append(engine.total_energy())
+                energies = np.array(seen)
+        except (ArithmeticError, RuntimeError):
+            return point
+        seconds = min(seconds, taken)
+    n_dof = 3 * len(scene.system) - 3 - sum(len(rigid.pairs) for rigid in scene.constraints)
+    errors = about_line(np.linspace(0.0, 1.0, OBSERVATIONS + 1), energies / (scene.temperature * np.sqrt(n_dof)))
+    return point._replace(seconds=seconds, **errors, distance=distance)
+
+
+def about_line(time: NDArray[np.float64], energies: NDArray[np.float64]) -> dict[str, Any]:
+    """Oscillation, the standard deviation about the line of regression, and drift, its |slope|;
+    infinite if the run failed.  Both (T,)."""
+    if not np.isfinite(energies).all():
+        return {"oscillation": np.inf, "drift": np.inf}
+    slope, start = np.polyfit(time, energies, 1)
+    return {"oscillation": float((energies - start - slope * time).std()), "drift": float(abs(slope))}
+
+
+def attraction(q):
+    """−q/|q|³."""
+    return -q / (q[0] * q[0] + q[1] * q[1]) ** 1.5
+
+
+def _kepler(_name: str, quick: bool, repeats: int) -> Case:
+    """Kepler's ellipse, by every explicit splitting and every symmetric implicit method."""
+    from numba import njit
+
+    problem, points = md.integrators.SecondOrder(njit(attraction)), []
+    for method in (*SPLITTINGS.values(), *(method for method in IMPLICIT.values() if method.is_symmetric)):
+        for cost in COSTS_QUICK if quick else COSTS:
+            # a tenth of the forces: orbits are slow
+            n = PERIODS * max(1, round(cost / method.stages * END / PERIODS / 10))
+            every, point = max(1, n // (20 * PERIODS)), Point("minimd", method.name, method.order, END / n, cost)
+            run = partial(md.integrators.run_steps, problem, method(END / n), (Q0, V0), every=every)
+            try:
+                runs = [timed(run, n) for _ in range(repeats)]
+            except (ConvergenceError, ArithmeticError):
+                points.append(point)
+                continue
+            path, seconds = runs[-1][0], min(taken for _, taken in runs)
+            energy = 0.5 * (path.v**2).sum(axis=1) - 1.0 / np.linalg.norm(path.q, axis=1)
+            errors = about_line(path.t / END, energy) | {"distance": float(np.linalg.norm(path.q[-1] - Q0))}
+            points.append(point._replace(forces=path.nfev / END, seconds=seconds, **errors))
+    text = f"Kepler's ellipse, eccentricity {ECCENTRICITY}, {PERIODS} periods; "
+    text += "units a (half axis) and v (velocity in a circle)"
+    return Case("kepler", text, "a/v", points, f"{PERIODS} periods")
+
+
+# how argon is cut
+ARGONS: dict[str, tuple[Any, str]] = {
+    "argon": ("shifted", "cut at 2.5 σ and shifted, as in the peers"),
+    "argon-smooth": ("smooth", "cut at 2.5 σ by a switch with seven derivatives")}  # fmt: skip
+QUICK_CASES = ("argon", "chains", "kepler")
+CASES = dict.fromkeys((*ARGONS, "chains", "dumbbells"), _dynamics) | {"kepler": _kepler}

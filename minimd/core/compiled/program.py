@@ -1,0 +1,99 @@
+"""A program: operations in a row, some of them made by Python, the others by compiled code on all threads."""
+
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.kernels import DirectCalls
+from minimd.core.compiled.threads import AT, GO_ON, JUMP, MOST_CHUNKS, MOST_OPERATIONS, ThreadPool
+
+__all__ = ["GO_ON", "JUMP"]
+
+# answers of operations: see threads.run_operations; NEEDS_ROOM: memory; BREATHE: Python looks whether to go on
+NEEDS_ROOM, BREATHE, NOT_FINITE, OUT_OF_RANGE, CANNOT_KEEP = 2, 3, 4, 5, 6
+IN_A_CHUNK = 512  # atoms, or terms, of which each takes as long: some microseconds, more than a barrier
+
+
+class Operation(NamedTuple):
+    """An operation of a program.
+    code : address of a kernel (data, chunk) → answer, see operation; 0 where Python is wanted.  data : its data.
+    n_chunks : that it is cut into.
+    then, otherwise : the operations to go on with if it answers GO_ON or JUMP, counted from this one.
+    python : what Python does at an operation of its own, called without arguments; or, called with an answer above 0,
+        about that answer.
+    again : the operation to go on with after the latter, counted from this one.
+    is_kept : whether its maker keeps the data, as long as the version of the program stays the same; else it does."""
+
+    code: int
+    data: ByAddress | None
+    n_chunks: int
+    then: int = 1
+    otherwise: int = 1
+    python: Callable[..., Any] | None = None
+    again: int = 0
+    is_kept: bool = False
+
+
+def operation(calls: DirectCalls, kernel: Callable, data: ByAddress, n_chunks: int = 1, **more: Any) -> Operation:
+    """An operation of compiled code.  calls : of a caller who always gives this kernel data of one type."""
+    return Operation(calls.address(kernel, data, 0), data, n_chunks, **more)
+
+
+def in_python(function: Callable[[], Any]) -> Operation:
+    """An operation of Python."""
+    return Operation(0, None, 0, python=function)
+
+
+def n_chunks_of(n: int) -> int:
+    """How many chunks n atoms, or terms, are cut into."""
+    return max(1, min(n // IN_A_CHUNK, MOST_CHUNKS))
+
+
+class Program:
+    """Operations that are made anew when the memory of their data was replaced.
+    make : returns them: always as many, in the same order.  version : of that memory.  pool : the threads."""
+
+    def __init__(self, make: Callable[[], Iterable[Operation]], version: Callable[[], Any], pool: ThreadPool) -> None:
+        self._make, self._version, self._pool = make, version, pool
+        self._made_for: Any = None
+        self._course = np.zeros(1, dtype=np.int64)
+
+    @property
+    def is_outdated(self) -> bool:
+        """Whether operations must be made anew."""
+        return self._version() != self._made_for
+
+    def prepare(self) -> None:
+        """Make operations anew if they are outdated, and compile what is not compiled yet."""
+        if not self.is_outdated:
+            return
+        made = list(self._make())
+        if len(made) >= MOST_OPERATIONS:
+            raise ValueError(f"a program has up to {MOST_OPERATIONS - 1} operations; this one has {len(made)}")
+        rows = [
+            (one.code, 0 if one.data is None else one.data.address, one.n_chunks, k + one.then, k + one.otherwise)
+            for k, one in enumerate(made)
+        ]
+        self._rows = np.array(rows, dtype=np.int64).reshape(-1, 5)
+        self.operations = [one._replace(data=None) if one.is_kept else one for one in made]
+        self._made_for = self._version()
+
+    def run(self, first: int = 0) -> None:
+        """Make all operations, from the first on; raises what Python's part of them raises."""
+        self.prepare()
+        course = self._course
+        course[AT] = first
+        while course[AT] < len(self.operations):
+            answer = self._pool.run(self._rows, course)
+            if answer:
+                one = self.operations[course[AT]]
+                if one.python is None:
+                    raise RuntimeError(f"operation {course[AT]} returned the unknown status {answer}")
+                if one.code:
+                    one.python(answer)
+                else:
+                    one.python()
+                course[AT] += one.again if one.code else one.then
+                self.prepare()

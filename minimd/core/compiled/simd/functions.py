@@ -1,0 +1,128 @@
+"""Elementary functions of vectors, to about two units in the last place: Taylor series, where they converge fast.
+
+    sin, cos      x = k π/2 + r,  |r| ≤ π/4        series of sin r and cos r, exchanged and negated by k mod 4
+    arctan        q = tan(θ + arctan q′)           θ = 0, π/8 or π/4:  |q′| ≤ tan π/16
+    exp           x = k ln 2 + r,  |r| ≤ ½ ln 2    eˣ = 2ᵏ eʳ
+    log           x = 2ᵏ m,  ½ < m² ≤ 2            ln x = k ln 2 + 2 artanh s,  s = (m − 1)/(m + 1)
+
+π/2 and ln 2 are sums of two numbers, the products with k are rounded once (W. J. Cody, W. Waite, Software Manual for
+the Elementary Functions (1980)): r has all its digits for |x| up to some 10⁹. Numbers below 2.2 · 10⁻³⁰⁸ count as zero.
+"""
+
+import math
+
+import numpy as np
+from numba.extending import overload
+
+from minimd.core.compiled.kernels import scalar
+from minimd.core.compiled.simd.arithmetic import bind_one, fma, select
+from minimd.core.compiled.simd.vector import MAGIC, Vector, as_floats, bits_of, broadcast, float_of
+
+HALF_PI, REST_OF_PI = 0.5 * math.pi, 6.123233995736766e-17  # their sum is π/2
+LN_2, REST_OF_LN_2 = math.log(2.0), 2.3190468138462996e-17  # their sum is ln 2
+SINE = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(1, 9))
+COSINE = tuple((-1.0) ** k / math.factorial(2 * k) for k in range(9))
+ARCTANGENT = tuple((-1.0) ** k / (2 * k + 1) for k in range(1, 11))
+EXPONENTIAL = tuple(1.0 / math.factorial(k) for k in range(2, 15))
+LOGARITHM = tuple(2.0 / (2 * k + 1) for k in range(1, 12))
+EIGHTH, MIDDLE = math.tan(math.pi / 8.0), (math.tan(math.pi / 16.0), math.tan(3.0 * math.pi / 16.0))
+LEAST, MOST = float(np.finfo(np.float64).tiny), float(np.finfo(np.float64).max)
+# float64: the exponent follows on 52 bits of the mantissa, and is that of a number from 1 to 2 if it is 1023
+MANTISSA, ONE, BIAS = (1 << 52) - 1, 1023 << 52, 1023
+
+
+def polynomial(t, c):
+    """Σ c[k] tᵏ of a number or a vector; unrolled by the compiler."""
+    total = 0.0
+    for one in c[::-1]:
+        total = total * t + one
+    return total
+
+
+@overload(polynomial)
+def _polynomial(t, c):
+    if len(c) == 2:
+        return lambda t, c: fma(t, c[1], c[0])
+    if len(c) > 5:  # four at once: the compiler, which calls itself, must not go too deep
+        return lambda t, c: fma(t, fma(t, fma(t, fma(t, polynomial(t, c[4:]), c[3]), c[2]), c[1]), c[0])
+    return lambda t, c: fma(t, polynomial(t, c[1:]), c[0])
+
+
+@scalar
+def _sine(x, shift):
+    """sin(x + shift π/2)."""
+    k = np.floor(x * (1.0 / HALF_PI) + 0.5)
+    r = fma(k, -REST_OF_PI, fma(k, -HALF_PI, x))
+    k, z = k + shift, r * r
+    half, quarter = 0.5 * k, 0.25 * k
+    one = select(half == np.floor(half), fma(r * z, polynomial(z, SINE), r), polynomial(z, COSINE))
+    return select(quarter - np.floor(quarter) < 0.5, one, -one)
+
+
+@scalar
+def sine(x):
+    """sin x."""
+    return _sine(x, 0.0)
+
+
+@scalar
+def cosine(x):
+    """cos x."""
+    return _sine(x, 1.0)
+
+
+@scalar
+def arctangent(y, x):
+    """The angle of (x, y), both finite, to the x axis, from −π to π; 0 for (0, 0)."""
+    is_steep = abs(y) > abs(x)
+    rise, run = select(is_steep, abs(x), abs(y)), select(is_steep, abs(y), abs(x))
+    is_wide, is_middle = rise > MIDDLE[1] * run, rise > MIDDLE[0] * run
+    slope = select(is_wide, broadcast(1.0, x), select(is_middle, broadcast(EIGHTH, x), 0.0))
+    start = select(is_wide, broadcast(0.5 * HALF_PI, x), select(is_middle, broadcast(0.25 * HALF_PI, x), 0.0))
+    q = fma(run, -slope, rise) / fma(rise, slope, run)
+    q = select(run == 0.0, rise, q)
+    angle = start + fma(q * (q * q), polynomial(q * q, ARCTANGENT), q)
+    angle = select(is_steep, HALF_PI - angle, angle)
+    angle = select(x < 0.0, math.pi - angle, angle)
+    return select(y < 0.0, -angle, angle)
+
+
+@scalar
+def exponential(x):
+    """eˣ."""
+    k = np.floor(x * (1.0 / LN_2) + 0.5)
+    r = fma(k, -REST_OF_LN_2, fma(k, -LN_2, x))
+    half = np.floor(0.5 * k)  # 2ᵏ may be out of range where eˣ is not
+    one = 1.0 + fma(r * r, polynomial(r, EXPONENTIAL), r)
+    one = one * _power_of_two(half) * _power_of_two(k - half)
+    return select(x > math.log(MOST), math.inf, select(x < math.log(LEAST), 0.0, one))
+
+
+@scalar
+def _power_of_two(k):
+    return float_of((bits_of(k + MAGIC) + BIAS) << 52)
+
+
+@scalar
+def logarithm(x):
+    """ln x; −∞ for 0, no number for x < 0."""
+    bits = bits_of(x)
+    k, m = as_floats((bits >> 52) - BIAS), float_of((bits & MANTISSA) | ONE)
+    is_large = m > math.sqrt(2.0)
+    k, m = select(is_large, k + 1.0, k), select(is_large, 0.5 * m, m)
+    s = (m - 1.0) / (m + 1.0)
+    z = s * s
+    log = fma(k, LN_2, 2.0 * s + fma(s * z, polynomial(z, LOGARITHM), k * REST_OF_LN_2))
+    return select(x >= LEAST, select(x <= MOST, log, x), select(x >= 0.0, broadcast(-math.inf, x), math.nan))
+
+
+_OPERATIONS = {"sin": sine, "cos": cosine, "exp": exponential, "log": logarithm}
+for _name, _operation in _OPERATIONS.items():
+    for _module in (math, np):
+        bind_one(getattr(_module, _name), _operation)
+
+
+@overload(math.atan2)
+@overload(np.arctan2)
+def _arctangent(y, x):
+    return (lambda y, x: arctangent(y, x)) if isinstance(y, Vector) and y == x else None

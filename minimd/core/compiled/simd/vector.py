@@ -1,0 +1,280 @@
+"""The vector type; vectors from numbers and memory, and back; the number of lanes that suits the processor.
+
+Memory is in blocks, where all x of some atoms stand together, then all y, all z; or in rows of tables.
+"""
+
+import functools
+import re
+from collections import namedtuple
+
+import llvmlite.binding as llvm
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.registry import cpu_target
+from numba.extending import intrinsic, models, register_model
+
+from minimd.core.compiled.kernels import by_type, scalar
+
+INT32 = ir.IntType(32)
+MAGIC = 1.5 * 2.0**52  # plus a small whole number, which is then in the lowest bits
+
+
+class Vector(types.Type):
+    """The Numba type of `lanes` numbers of type `element`: float64, float32, an integer, or boolean for a mask."""
+
+    def __init__(self, element: types.Integer | types.Float | types.Boolean, lanes: int) -> None:
+        self.element, self.lanes = element, lanes
+        super().__init__(name=f"Vector({element}, {lanes})")
+        self.is_float = isinstance(element, types.Float)
+
+    @property
+    def mask(self) -> "Vector":
+        """The type of comparisons."""
+        return Vector(types.boolean, self.lanes)
+
+    @property
+    def suffix(self) -> str:
+        """The name of the type in LLVM's functions, v8f64 for instance."""
+        return f"v{self.lanes}{'f' if self.is_float else 'i'}{self.element.bitwidth}"  # type: ignore[union-attr]
+
+
+@register_model(Vector)
+class VectorModel(models.PrimitiveModel):
+    """A Vector is an LLVM vector; the lanes of a mask are single bits."""
+
+    def __init__(self, manager, fe_type):
+        is_mask = fe_type.element == types.boolean
+        element = ir.IntType(1) if is_mask else manager.lookup(fe_type.element).get_value_type()
+        super().__init__(manager, fe_type, ir.VectorType(element, fe_type.lanes))
+
+
+def emitting(emit):
+    """The code generator of an intrinsic that emits what emit(builder, *values) does."""
+    return lambda context, builder, signature, arguments: emit(builder, *arguments)
+
+
+@intrinsic
+def broadcast(_context, number, like):
+    """A number in all lanes, as a vector of the type of like; a vector of that type is returned as it is."""
+    if isinstance(number, Vector) and number != like:
+        return None
+
+    def generate(context, builder, signature, arguments):
+        if isinstance(number, Vector):
+            return arguments[0]
+        one = context.cast(builder, arguments[0], number, like.element)
+        empty = ir.Constant(ir.VectorType(one.type, like.lanes), ir.Undefined)
+        return _some_lanes(builder, builder.insert_element(empty, one, INT32(0)), [0] * like.lanes)
+
+    return like(number, like), generate
+
+
+@intrinsic
+def zeros(_context, lanes):
+    """Zeros in all lanes, float64.  lanes : one of simd.lanes."""
+    kind = Vector(types.float64, n_lanes(lanes))
+    return kind(lanes), lambda context, builder, _, values: context.get_value_type(kind)(None)
+
+
+@intrinsic
+def bits_from_mask(_context, mask):
+    """A mask as an int64 whose bit k is lane k; zero if no lane is set."""
+    bits, int64 = ir.IntType(mask.lanes), ir.IntType(64)
+    return types.int64(mask), emitting(lambda builder, value: builder.zext(builder.bitcast(value, bits), int64))
+
+
+@intrinsic
+def trailing_zeros(_context, bits):
+    """The number of the lowest bit of an uint64 that is set; 64 if none is."""
+    zero_is_defined = ir.Constant(ir.IntType(1), 0)
+    return types.uint64(types.uint64), emitting(lambda builder, value: builder.cttz(value, zero_is_defined))
+
+
+@intrinsic
+def as_floats(_context, whole):
+    """A vector of int64 as one of float64."""
+    kind = Vector(types.float64, whole.lanes)
+    return kind(whole), lambda context, builder, _, values: builder.sitofp(values[0], context.get_value_type(kind))
+
+
+def _with_bits_of(other: types.Number):
+    """An intrinsic for the number, or the vector, of another type of 64 bits that has the same bits."""
+
+    @intrinsic
+    def one(_context, x):
+        kind = Vector(other, x.lanes) if isinstance(x, Vector) else other
+        return kind(x), lambda context, builder, _, values: builder.bitcast(values[0], context.get_value_type(kind))
+
+    return one
+
+
+bits_of, float_of = _with_bits_of(types.int64), _with_bits_of(types.float64)
+
+
+@intrinsic
+def total(_context, vector):
+    """The sum of all lanes: the upper half is added to the lower one until one number is left."""
+
+    def generate(context, builder, signature, arguments):
+        value, lanes = arguments[0], vector.lanes
+        while lanes > 1:
+            lanes //= 2
+            halves = [_some_lanes(builder, value, range(start, start + lanes)) for start in (0, lanes)]
+            value = (builder.fadd if vector.is_float else builder.add)(*halves)
+        return builder.extract_element(value, INT32(0))
+
+    return vector.element(vector), generate
+
+
+@intrinsic
+def lane(_context, vector, k):
+    """The number in lane k."""
+    return vector.element(vector, k), emitting(lambda builder, *values: builder.extract_element(*values))
+
+
+@intrinsic
+def with_lane(_context, vector, k, number):
+    """The vector with another number in lane k."""
+
+    def generate(context, builder, signature, arguments):
+        one = context.cast(builder, arguments[2], number, vector.element)
+        return builder.insert_element(arguments[0], one, arguments[1])
+
+    return vector(vector, k, number), generate
+
+
+@intrinsic(prefer_literal=True)
+def load(_context, array, index, lanes):
+    """Contiguous elements of a one-dimensional array, from index.  lanes : literal, one of simd.lanes, or a vector."""
+    kind = Vector(array.dtype, n_lanes(lanes))
+
+    def generate(context, builder, signature, arguments):
+        value = builder.load(_pointer_to(context, builder, array, arguments, kind))
+        value.align = array.dtype.bitwidth // 8
+        return value
+
+    return kind(array, types.intp, lanes), generate
+
+
+@intrinsic
+def store(_context, array, index, vector):
+    """Write a vector to contiguous elements of a one-dimensional array, from index."""
+
+    def generate(context, builder, signature, arguments):
+        written = builder.store(arguments[2], _pointer_to(context, builder, array, arguments, vector))
+        written.align = array.dtype.bitwidth // 8
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, vector), generate
+
+
+def n_lanes(lanes: types.Type) -> int:
+    """The number of lanes that a Numba type stands for: a vector, one of simd.lanes, or a literal."""
+    if isinstance(lanes, Vector):
+        return lanes.lanes
+    if isinstance(lanes, types.Literal):
+        return lanes.literal_value  # type: ignore[attr-defined]
+    return lanes.instance_class.size  # type: ignore[attr-defined]
+
+
+def _some_lanes(builder, value, numbers):
+    """Some lanes of a vector, as a shorter or longer one."""
+    pattern = ir.Constant(ir.VectorType(INT32, len(numbers)), list(numbers))
+    return builder.shuffle_vector(value, ir.Constant(value.type, ir.Undefined), pattern)
+
+
+def call(builder, name, result, arguments):
+    """Call one of LLVM's functions by name."""
+    kind = ir.FunctionType(result, [argument.type for argument in arguments])
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), arguments)
+
+
+def _pointer_to(context, builder, kind, arguments, vector):
+    """The address of an element, as that of a vector.  arguments : an array of type kind, and an index, as values."""
+    data = context.make_array(kind)(context, builder, arguments[0]).data
+    return builder.bitcast(builder.gep(data, [arguments[1]]), context.get_value_type(vector).as_pointer())
+
+
+@scalar
+def loaded(blocks, start, lanes):
+    """The vectors x, y, z of a block, from index start on."""
+    n = np.uintp(count(lanes))
+    return load(blocks, start, lanes), load(blocks, start + n, lanes), load(blocks, start + n + n, lanes)
+
+
+@scalar
+def stored(blocks, start, xyz):
+    """Write the vectors x, y, z of a block."""
+    (x, y, z), n = xyz, np.uintp(count(xyz[0]))
+    store(blocks, start, x)
+    store(blocks, start + n, y)
+    store(blocks, start + n + n, z)
+
+
+@scalar
+def gathered(table, numbers, start, lanes):
+    """The vectors x, y, z of the rows numbers[start], numbers[start + 1], … of a table (N, 3)."""
+    x = y = z = zeros(lanes)
+    for k in range(count(lanes)):
+        i = np.uintp(numbers[start + k])
+        x, y, z = with_lane(x, k, table[i, 0]), with_lane(y, k, table[i, 1]), with_lane(z, k, table[i, 2])
+    return x, y, z
+
+
+@by_type
+def loaded_columns(columns, start, lanes):
+    """A vector of each of a tuple of columns, from index start on; unrolled by the compiler."""
+    if len(columns) == 0:
+        return lambda columns, start, lanes: ()
+    return lambda columns, start, lanes: (load(columns[0], start, lanes),) + loaded_columns(columns[1:], start, lanes)
+
+
+BITS = 64  # of a number
+REGISTERS = {"zmm": 512, "ymm": 256}  # names in assembly of registers with more than 128 bits
+PROBE = ("define <8 x double> @sum(<8 x double> %a, <8 x double> %b) "
+         "{\n  %c = fadd <8 x double> %a, %b\n  ret <8 x double> %c\n}")  # fmt: skip
+
+
+class Lanes4(namedtuple("Lanes4", "")):
+    """Vectors of four numbers."""
+
+    size = 4
+
+
+class Lanes8(namedtuple("Lanes8", "")):
+    """Vectors of eight numbers."""
+
+    size = 8
+
+
+class Lanes16(namedtuple("Lanes16", "")):
+    """Vectors of sixteen numbers: of several registers."""
+
+    size = 16
+
+
+Lanes = Lanes4 | Lanes8 | Lanes16
+
+
+@by_type
+def count(lanes):
+    """The number of lanes, of one of Lanes or of a vector, as a constant for the compiler."""
+    number = n_lanes(lanes)
+    return lambda lanes: number
+
+
+@functools.cache
+def register_bits() -> int:
+    """Width of the registers in which Numba's compiler adds vectors, perhaps for another processor than this one."""
+    triple, name, features = cpu_target.target_context.codegen().magic_tuple()
+    machine = llvm.Target.from_triple(triple).create_target_machine(cpu=name, features=features)
+    assembly = machine.emit_assembly(llvm.parse_assembly(PROBE))
+    return next((bits for register, bits in REGISTERS.items() if re.search(rf"%{register}\d", assembly)), 128)
+
+
+@functools.cache
+def lanes_for() -> Lanes:
+    """Lanes for float64: eight if they fit one register, else four, which take 16 registers in the inner loop."""
+    return Lanes8() if register_bits() >= BITS * Lanes8.size else Lanes4()

@@ -1,0 +1,273 @@
+"""Programs of operations, run by threads that share each of them: every thread takes the next chunk until none is left.
+
+An operation is a compiled function of its data and the number of a chunk. It is cut into chunks by the size of the
+scene, never by the number of threads, and no two chunks of it write to the same memory. So the result is the same, to
+the last bit, for any number of threads, and whichever thread did which chunk.
+
+The next operation begins when all chunks are finished, whoever did them: threads wait for chunks, not for threads. The
+calling thread starts at once; the others, which sleep if no program comes for a millisecond, join when they are awake
+(some 10 to 80 µs later), or not at all if the machine is busy: they can make a program faster, never delay it. In each
+operation a thread begins with the same chunks, whose memory is then in its cache, and then helps with the others.
+"""
+
+import functools
+import os
+import threading
+from collections import namedtuple
+from collections.abc import Callable
+from contextlib import suppress
+
+import numpy as np
+from numba import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from minimd.core.compiled.by_address import call_at
+from minimd.core.compiled.kernels import DirectCalls, kernel, scalar, shared_kernel
+
+# shared counters: the open phase, see _word; the program it belongs to; the finished chunks of the open phase; what its
+# operation has answered; and for each chunk the last phase in which it was taken
+OPEN, TASK, FINISHED, ANSWER, CLAIMS = 0, 1, 8, 9, 16
+MOST_CHUNKS = 1024
+BITS = 12  # of the number of an operation, and of its chunks, in the word of a phase
+MOST_OPERATIONS = (1 << BITS) - 1
+MOST_PHASES = 1 << 38  # of one set of counters: the word of a phase has 63 bits
+CODE, DATA, CHUNKS, THEN, OTHERWISE = range(5)  # columns of the table of operations
+AT = 0  # place in a course: the next operation
+GO_ON, JUMP, PYTHON = 0, -1, 1  # answers: go on with the operation THEN, or OTHERWISE; Python is wanted
+PATIENCE = 2000  # reads of a counter before a waiting thread lets others run
+# times that a helper lets others run, about a millisecond, before it sleeps: waking it takes as long as a small program
+LINGERING = 1000
+
+HAS_AFFINITY = hasattr(os, "sched_setaffinity")
+_sched_getcpu = types.ExternalFunction("sched_getcpu", types.int32())
+_let_others_run = types.ExternalFunction("SwitchToThread" if os.name == "nt" else "sched_yield", types.int32())
+
+
+class Worker(namedtuple("Worker", "counters thread n_threads")):
+    """One thread of a pool.  counters : shared.  thread : its number, 0 of the caller.  n_threads : of the pool."""
+
+
+def no_counts() -> NDArray[np.int64]:
+    """Counters at zero."""
+    return np.zeros(CLAIMS + MOST_CHUNKS, dtype=np.int64)
+
+
+class ThreadPool:
+    """The calling thread and n_threads − 1 helpers."""
+
+    def __init__(self, n_threads: int) -> None:
+        self.n_threads = n_threads
+        self._code: Callable | None = None  # of run_operations
+        self._busy, self._counters = threading.Lock(), no_counts()
+        self._task: tuple = ()
+        self._core = -1
+        self._wake = [threading.Lock() for _ in range(n_threads - 1)]
+        named = enumerate(self._wake, start=1)
+        self._helpers = [threading.Thread(target=self._help, args=one, daemon=True) for one in named]
+        for wake, helper in zip(self._wake, self._helpers, strict=True):
+            wake.acquire()
+            helper.start()
+
+    def run(self, operations: NDArray[np.int64], course: NDArray[np.int64]) -> int:
+        """run_operations on this thread, and on the others as soon as they are awake; returns what it returns."""
+        if self._code is None:
+            worker = Worker(self._counters, 0, self.n_threads)
+            self._code = DirectCalls().code(run_operations, worker, 0, operations, course)
+        with self._busy:
+            first = (int(self._counters[OPEN]) >> 2 * BITS) + 1  # the number of the program: that of its first phase
+            if first > MOST_PHASES:
+                self._counters, first = no_counts(), 1
+            worker = Worker(self._counters, 0, self.n_threads)
+            self._task = self._counters, first, self._code, operations, course
+            if self._helpers and HAS_AFFINITY:
+                self._keep_off_callers_core()
+            for wake in self._wake:
+                if wake.locked():
+                    wake.release()
+            try:
+                return int(self._code(worker, first, operations, course))
+            finally:
+                self._task = ()
+
+    def _keep_off_callers_core(self) -> None:
+        """Keep helpers off this core: Linux tends to wake a thread on its waker's, where it would wait for its end."""
+        core = _current_core()
+        if core != self._core:
+            self._core, cores = core, os.sched_getaffinity(0)
+            for helper in self._helpers:
+                if helper.is_alive() and helper.native_id is not None:
+                    with suppress(OSError):  # it may end just now
+                        os.sched_setaffinity(helper.native_id, cores - {core} or cores)
+
+    def _help(self, thread: int, wake: threading.Lock) -> None:
+        while True:
+            wake.acquire()
+            if current := self._task:  # else it is too late
+                counters, task, code, operations, course = current
+                code(Worker(counters, thread, self.n_threads), task, operations, course)
+                del current, code, operations, course
+                _linger(counters, task)
+
+
+def thread_pool(n_threads: int) -> ThreadPool:
+    """A pool with this number of threads.
+    All simulations of a process share its helpers, and wait for each other, unless there is one thread."""
+    return ThreadPool(1) if n_threads == 1 else _shared_pool(n_threads)
+
+
+_shared_pool = functools.cache(ThreadPool)
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_shared_pool.cache_clear)  # a child process has none of its parent's threads
+
+
+@shared_kernel
+def run_operations(worker, task, operations, course):
+    """Run operations, from course[AT] on, until one of them answers with a number above 0, or there is none left.
+
+    Returns that answer, or 0; course[AT] is then the operation that gave it, or the number of all operations.
+    operations : (n, 5) int64; of each its code (an address), its data (an address), the number of its chunks (0 where
+        Python is wanted), and the operations to go on with if it answers GO_ON or JUMP.
+    The chunks of an operation answer GO_ON; those that do not must all give the same answer."""
+    counters = worker.counters
+    if worker.n_threads == 1:
+        return _run_alone(operations, course)
+    if worker.thread == 0:
+        _exchange(counters, TASK, task)
+        _open(counters, task, operations, course, course[AT], GO_ON)
+    word, reads = _read(counters, OPEN), 0
+    while word >> 2 * BITS < task:  # a helper may be faster than the calling thread
+        word, reads = _read(counters, OPEN), _waited(reads)
+    while True:
+        at, n = word >> BITS & MOST_OPERATIONS, word & MOST_OPERATIONS
+        if at == MOST_OPERATIONS or _read(counters, TASK) != task:  # read after the word: which is then of this task
+            return _read(counters, ANSWER)
+        chunk = _take(worker, word, n)
+        while chunk >= 0:
+            answer = call_at(operations[at, CODE], (operations[at, DATA], chunk))
+            if answer != GO_ON:
+                _exchange(counters, ANSWER, answer)
+            if _add(counters, FINISHED, 1) == n - 1:
+                _finish(counters, word, operations, course)
+                break
+            chunk = _take(worker, word, n)
+        before, reads = word, 0
+        while word == before:
+            word, reads = _read(counters, OPEN), _waited(reads)
+
+
+@scalar
+def _run_alone(operations, course):
+    """See run_operations: on one thread."""
+    at, answer = course[AT], GO_ON
+    while answer <= GO_ON and at < operations.shape[0]:
+        answer = PYTHON if operations[at, CHUNKS] == 0 else GO_ON
+        for chunk in range(operations[at, CHUNKS]):
+            given = call_at(operations[at, CODE], (operations[at, DATA], chunk))
+            answer = given if given != GO_ON else answer
+        if answer <= GO_ON:
+            at = operations[at, THEN if answer == GO_ON else OTHERWISE]
+    course[AT] = at
+    return max(answer, GO_ON)
+
+
+@scalar
+def _finish(counters, word, operations, course):
+    """What the thread does that finishes the last chunk of a phase: it opens the next one."""
+    answer, at = _read(counters, ANSWER), word >> BITS & MOST_OPERATIONS
+    if answer <= GO_ON:
+        at = operations[at, THEN if answer == GO_ON else OTHERWISE]
+    _open(counters, (word >> 2 * BITS) + 1, operations, course, at, max(answer, GO_ON))
+
+
+@scalar
+def _open(counters, phase, operations, course, at, answer):
+    """Open a phase: that of an operation, or the end of the program.
+    The word of a phase holds its number, that of its operation and that of its chunks, so that threads read all three
+    at once: a chunk can be taken only as long as the phase is open, since only then some have not been taken in it."""
+    n = 0
+    if at < operations.shape[0] and answer == GO_ON:
+        n = operations[at, CHUNKS]
+        answer = PYTHON if n == 0 else GO_ON
+    if n == 0:
+        course[AT] = at
+        at = MOST_OPERATIONS
+    _exchange(counters, FINISHED, 0)
+    _exchange(counters, ANSWER, answer)
+    _exchange(counters, OPEN, (phase << BITS | at) << BITS | n)
+
+
+@scalar
+def _take(worker, word, n):
+    """The number of a chunk of this phase that no thread has taken yet; −1 if there is none."""
+    first = worker.thread * n // worker.n_threads
+    if _read(worker.counters, OPEN) == word:
+        for k in range(n):
+            chunk = first + k if first + k < n else first + k - n
+            taken = _read(worker.counters, CLAIMS + chunk)
+            if taken < word and _replace(worker.counters, CLAIMS + chunk, taken, word) == taken:
+                return chunk
+    return -1
+
+
+@scalar
+def _waited(reads):
+    """One more read of a counter; others may run after every PATIENCE of them."""
+    if reads > PATIENCE:
+        _let_others_run()
+    return reads + 1
+
+
+def _at(counters, emit: Callable) -> Callable:
+    """The code generator of an intrinsic that changes a counter by emit(builder, address, *numbers)."""
+
+    def generate(context, builder, signature, arguments):
+        data = context.make_array(counters)(context, builder, arguments[0]).data
+        return emit(builder, builder.gep(data, [arguments[1]]), *arguments[2:])
+
+    return generate
+
+
+def _atomic(name: str):
+    """An intrinsic (counters, place, number) that changes a counter in one step and returns what it was."""
+
+    @intrinsic
+    def change(_context, counters, place, number):
+        emit = _at(counters, lambda builder, address, number: builder.atomic_rmw(name, address, number, "seq_cst"))
+        return types.int64(counters, types.intp, types.int64), emit
+
+    return change
+
+
+_add, _exchange = _atomic("add"), _atomic("xchg")
+
+
+@intrinsic
+def _read(_context, counters, place):
+    """The present number of a counter, whichever thread wrote it."""
+    emit = _at(counters, lambda builder, address: builder.load_atomic(address, "seq_cst", 8))
+    return types.int64(counters, types.intp), emit
+
+
+@intrinsic
+def _replace(_context, counters, place, expected, number):
+    """Write a number if the counter still has the expected one; returns what it was."""
+    emit = _at(counters, lambda code, *values: code.extract_value(code.cmpxchg(*values, "seq_cst", "seq_cst"), 0))
+    return types.int64(counters, types.intp, types.int64, types.int64), emit
+
+
+@shared_kernel
+def _linger(counters, task):
+    """Stay awake for a moment after a program: in a run of steps the next one begins soon."""
+    reads = 0
+    while reads < LINGERING * PATIENCE and _read(counters, TASK) == task:
+        reads += 1
+        if reads % PATIENCE == 0:
+            _let_others_run()
+
+
+@kernel
+def _current_core():
+    """The number of the core that runs this."""
+    return _sched_getcpu()

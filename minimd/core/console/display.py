@@ -1,0 +1,77 @@
+"""How objects are displayed: rows of a name and words, aligned in a terminal, as a table in a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from html import escape
+from inspect import signature
+from typing import Any
+
+import numpy as np
+
+from minimd.core.console.words import shown
+
+NAME_WIDTH = 14  # letters of a name, at least; the words begin one further
+LEFT = 'style="text-align: left; vertical-align: top"'
+KEPT_SPACES = 'style="text-align: left; white-space: pre-wrap; font-family: monospace"'
+
+Rows = list[tuple[str, str]]
+
+
+class Displayed:
+    """Base class of objects that a notebook displays; inside another object, such as a list, the repr is shown.
+    A class defines either __str__ or display_rows; here each is defined by the other."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls._repr_pretty_ = Displayed._repr_pretty_  # type: ignore[method-assign] # else IPython takes __repr__
+
+    def display_rows(self) -> Rows:
+        """Names and words; a row without a name continues the one before."""
+        return [(line[:NAME_WIDTH].rstrip(), line[NAME_WIDTH + 1 :]) for line in str(self).splitlines()]
+
+    def __str__(self) -> str:
+        rows = self.display_rows()
+        width = max(NAME_WIDTH, *(len(name) for name, _ in rows))
+        return "\n".join(f"{name:<{width}} {words}" for name, words in rows)
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        """Called by IPython."""
+        printer.text(repr(self) if cycle or len(printer.stack) > 1 else str(self))
+
+    def _repr_html_(self) -> str:
+        """Called by Jupyter."""
+        rows = "".join(
+            f"<tr><th {LEFT}>{escape(name)}</th><td {KEPT_SPACES}>{escape(words)}</td></tr>"
+            for name, words in self.display_rows()
+        )
+        return f"<table><caption {LEFT}>{type(self).__name__}</caption>{rows}</table>"
+
+
+def call_of(one: object, arguments: Mapping[str, Any], always: Iterable[str] = ()) -> str:
+    """The call that recreates an object, without arguments that have their default values,
+    except for those named in always."""
+    defaults = {name: parameter.default for name, parameter in signature(type(one)).parameters.items()}
+
+    def is_default(name: str, value: Any) -> bool:
+        is_plain = name in defaults and not isinstance(value, np.ndarray | Mapping)
+        return is_plain and bool(defaults[name] == value)
+
+    always = set(always)
+    told = [f"{key}={as_text(one)}" for key, one in arguments.items() if key in always or not is_default(key, one)]
+    return f"{type(one).__name__}({', '.join(told)})"
+
+
+def as_text(value: Any) -> str:
+    """A value as Python writes it: floats to 10 digits, arrays shortened, functions by their names."""
+    if isinstance(value, float):
+        return f"{value:.10g}"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(as_text, value))}{',' if len(value) == 1 else ''})"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key!r}: {as_text(entry)}' for key, entry in value.items())}}}"
+    if isinstance(value, np.ndarray):
+        return shown(value.tolist())
+    if isinstance(value, Callable):  # type: ignore[arg-type]
+        return str(getattr(value, "__name__", shown(value)))
+    return repr(value)

@@ -1,0 +1,42 @@
+"""How much of a long computation is done: a bar on a terminal or in a notebook, ten lines elsewhere."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from minimd.core.console.words import shown
+
+TENTHS = 10
+
+
+@contextmanager
+def progress_of(
+    n_steps: int, label: str, show: bool | None = None, unit: str = "step"
+) -> Iterator[Callable[[int], Any]]:
+    """Show on standard error, or in a notebook, how much of n_steps is done; yields a function to be called with the
+    number of steps made.  unit : what is counted, if not steps.  show : True for a bar on a terminal or in a notebook,
+    and ten lines elsewhere; False for nothing; None for a bar where one is possible. ValueError for anything else."""
+    if not (show is None or isinstance(show, bool)):
+        raise ValueError(f"progress must be True or False; progress = {shown(show)}")
+    has_bar, told = (sys.stderr is not None and sys.stderr.isatty()) or in_notebook(), 0
+
+    def tell_tenths(done: int) -> None:
+        nonlocal told
+        if show and done * TENTHS // n_steps > told:
+            told = done * TENTHS // n_steps
+            print(f"{label}: {unit} {done} of {n_steps}", file=sys.stderr, flush=True)
+
+    if show is False or not has_bar:
+        yield tell_tenths
+        return
+    from tqdm.auto import tqdm
+
+    with tqdm(total=n_steps, desc=label, unit=unit, unit_scale=True, file=sys.stderr) as bar:
+        yield lambda done: bar.update(done - bar.n)
+
+
+def in_notebook() -> bool:
+    """Whether this is the process of a notebook, where IPython talks to its user through a kernel."""
+    ipython = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return hasattr(ipython, "kernel")

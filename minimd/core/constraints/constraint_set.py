@@ -1,0 +1,113 @@
+"""The constraints of a simulation (fixed lengths and fixed atoms), and the degrees of freedom that they leave."""
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.words import shown
+from minimd.core.constraints.solver import ConstraintSolver, check_atoms
+from minimd.core.structure.cell import Cell, images_of_length, nearest_images
+from minimd.core.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
+from minimd.core.structure.observables import degrees_of_freedom
+from minimd.core.structure.system import System, check_resolution
+
+TOLD = 1e-8  # relative violation above which one is warned of a projection: files of single precision have more
+
+
+class ConstraintSet:
+    """The constraints of one simulation.
+
+    Attributes
+    ----------
+    inverse_masses : (N,) [1/mass], zero for fixed atoms.  bonds : ConstraintSolver, or None.
+    n_constraints, n_fixed : int.
+    kept : the same constraints, with the lengths that are kept; at most one of each kind.
+    """
+
+    def __init__(self, system: System, constraints: Constraint | Sequence[Constraint], threads: int = 1) -> None:
+        given = list(constraints) if isinstance(constraints, list | tuple) else [constraints]
+        self.inverse_masses = 1.0 / system.masses
+        for constraint in given:
+            if isinstance(constraint, FixedAtoms):
+                constraint.check_size(len(system))
+                self.inverse_masses[constraint.atoms] = 0.0
+            elif not isinstance(constraint, DistanceConstraints):
+                raise TypeError(f"constraints must be DistanceConstraints or FixedAtoms; got {shown(constraint)}")
+        distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
+        if len(distances) > 1:
+            raise ValueError(f"constraints must hold all pairs in one DistanceConstraints; {len(distances)} are given")
+        self._threads, self._cell = threads, system.cell  # the cell for which the images of bonds were found
+        self.n_fixed = int((self.inverse_masses == 0.0).sum())
+        self.kept: tuple[Any, ...] = (FixedAtoms(self.inverse_masses == 0.0),) if self.n_fixed else ()
+        self.bonds, self.n_constraints = None, 0
+        for one in distances:
+            check_atoms(one.pairs, len(system))
+            place, lengths = (system.positions, system.cell, one.pairs), one.lengths
+            images = nearest_images(*place) if lengths is None else images_of_length(*place, lengths)
+            self.bonds = ConstraintSolver(one, system.positions, self.inverse_masses, images, threads)
+            check_resolution(system, float(self.bonds.lengths.min()), "the shortest rigid length")
+            self.n_constraints = self.bonds.n_constraints
+            self.kept += (DistanceConstraints(self.bonds.pairs, self.bonds.lengths, one.tolerance, one.solver),)
+
+    def degrees_of_freedom(self, conserves_momentum: bool) -> int:
+        """Degrees of freedom of the atoms that move, see observables. Raises ValueError if none is left."""
+        n_atoms = len(self.inverse_masses) - self.n_fixed
+        return degrees_of_freedom(n_atoms, self.n_constraints, conserves_momentum and not self.n_fixed)
+
+    def fit(self, system: System) -> None:
+        """Choose images of bonds with the right lengths, after atoms moved by lattice vectors or the cell changed."""
+        if self.bonds is None:
+            return
+        off = self.bonds.violation(system.positions) > self.bonds.tolerance
+        if not system.cell.same_as(self._cell):
+            off[:], self._cell = True, system.cell
+        if not off.any():
+            return
+        offsets = self.bonds.offsets.copy()
+        offsets[off] = images_of_length(system.positions, system.cell, self.bonds.pairs[off], self.bonds.lengths[off])
+        if not np.array_equal(offsets, self.bonds.offsets):
+            iterations = self.bonds.iterations
+            self.bonds = ConstraintSolver(self.kept[-1], system.positions, self.inverse_masses, offsets, self._threads)
+            self.bonds.iterations = iterations
+
+    def follow(self, before: Cell, cell: Cell) -> None:
+        """Change the images of bonds after the cell was strained: they become the same multiples of its new vectors."""
+        if self.bonds is not None:
+            self.bonds.follow(before, cell)
+        self._cell = cell
+
+    def restore(self, system: System, offsets: NDArray[np.float64], tolerance: float) -> None:
+        """Take over images of bonds, (K, 3) [length], and the tolerance of another set with the same constraints."""
+        place = system.positions, self.inverse_masses, offsets
+        self.bonds, self._cell = ConstraintSolver(self.kept[-1], *place, self._threads, tolerance), system.cell
+
+    def with_equal_masses(self, system: System) -> "ConstraintSet":
+        """The same constraints and lengths on atoms of mass 1: projections are then the shortest moves."""
+        light = System(system.positions, masses=1.0, cell=system.cell, units=system.units)
+        return ConstraintSet(light, self.kept, self._threads)
+
+    def project(self, velocities: NDArray[np.float64], positions: NDArray[np.float64]) -> None:
+        """Project velocities in place onto those that the constraints allow.  Both arrays are (N, 3)."""
+        velocities[self.inverse_masses == 0.0] = 0.0
+        if self.bonds is not None:
+            self.bonds.project_velocities(velocities, positions)
+
+    def begin(self, system: System) -> None:
+        """Project positions and velocities that violate a constraint; a warning says by how much."""
+        self.fit(system)
+        system.velocities[self.inverse_masses == 0.0] = 0.0
+        if self.bonds is None:
+            return
+        off = float(self.bonds.violation(system.positions).max())
+        if off > self.bonds.tolerance:
+            self.bonds.project_positions(system.positions)
+        turned = float(self.bonds.velocity_violation(system.positions, system.velocities).max())
+        if turned > self.bonds.tolerance:
+            self.bonds.project_velocities(system.velocities, system.positions)
+        if max(off, turned) > TOLD:
+            by = f"relative errors were {0.5 * off:.1e} in the lengths and {turned:.1e} in the velocities along bonds"
+            warnings.warn(f"the initial state was projected onto the constraints: {by}", stacklevel=outside_minimd())

@@ -1,0 +1,305 @@
+"""Groups of constraints of one shape, each with the solver that suits it, on several threads: no two components share
+an atom.
+
+A solver is a function solver(first, last, *arguments) that treats components first to last − 1. It is named by a
+marker, a NamedTuple class that type_of(solver) ties to it, so that the next process finds the compiled kernel.
+
+Constraints that share an atom are coupled:  A_kl = (r_k · s_l) c_kl  with  c_kk = 1/m_i + 1/m_j, c_kl = ±1/m of the
+shared atom. In reverse Cuthill-McKee order the matrix of a chain is tridiagonal, that of a ring or a sheet has a narrow
+band, and that of a small cage is full. Elimination fills nothing outside the envelope, so one factorization serves them
+all. A. George, J. W. Liu, Computer Solution of Large Sparse Positive Definite Systems (1981), 4.
+"""
+
+from collections import defaultdict, namedtuple
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.kernels import DirectCalls, by_type, filling_kernel
+from minimd.core.compiled.program import CANNOT_KEEP, GO_ON, Operation, operation
+from minimd.core.compiled.simd.vector import lanes_for
+from minimd.core.compiled.threads import MOST_CHUNKS
+from minimd.core.constraints import closed_forms, networks
+from minimd.core.constraints.closed_forms import Atoms, Bonds, Molecules
+from minimd.core.constraints.networks import Memory, dependent_constraint
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+class Components(NamedTuple):
+    """The components of a graph, and the envelope of their matrices.
+    starts : (C + 1,) indices at which the constraints of each component begin.
+    atoms, atom_starts : atoms of the components, one after the other, and where each component begins among them.
+    begins : (K + 1,) where row k of the lower envelope begins in memory.  lowest : (K,) its first column.
+    coupling : c_kl for l = lowest[k] … k, row after row; zero where two constraints share no atom."""
+
+    starts: Ints
+    atoms: Ints
+    atom_starts: Ints
+    begins: Ints
+    lowest: Ints
+    coupling: Floats
+
+
+class Graph(NamedTuple):
+    """Constraints sorted by component and, within one, for a narrow band.
+    order : (K,) number, in the order of the user, of the k-th constraint.  first, second : (K,) its atoms."""
+
+    order: Ints
+    first: Ints
+    second: Ints
+    components: Components
+
+
+class Bodies(NamedTuple):
+    """Bodies of atoms that constraints connect.
+    label : (N,) the body of each atom; an atom without constraints is a body.  last : (B,) the last atom of each body.
+    is_free : (B,) whether none of its atoms is held fixed, so that constraints do not change its momentum."""
+
+    label: Ints
+    last: Ints
+    is_free: NDArray[np.bool_]
+
+
+def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
+    """The bodies formed by (K, 2) pairs of atoms, with (N,) 1/mass, zero for atoms that are held fixed."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = len(inverse_masses)
+    n_bodies, label = connected_components(coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n)), directed=False)
+    last, is_free = np.zeros(n_bodies, dtype=np.int64), np.ones(n_bodies, dtype=bool)
+    last[label] = np.arange(n)
+    is_free[label[inverse_masses == 0.0]] = False
+    return Bodies(label, last, is_free)
+
+
+def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
+    """The graph of (K, 2) pairs of atoms, with (N,) 1/mass, zero for fixed atoms.  ids : (K,) numbers of the pairs."""
+    from scipy.sparse import coo_array  # loaded only if there are constraints
+    from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
+
+    n = len(inverse_masses)
+    apart = n + np.arange(pairs.size).reshape(-1, 2)  # a fixed atom does not couple its constraints
+    bodies = np.where(inverse_masses[pairs] > 0.0, pairs, apart)
+    graph = coo_array((np.ones(len(pairs)), bodies.T), shape=(n + pairs.size,) * 2)
+    component = connected_components(graph, directed=False)[1]
+    k, sides = np.repeat(np.arange(len(pairs)), 2), bodies.reshape(-1)
+    incidence = coo_array((np.tile([-1.0, 1.0], len(pairs)), (k, sides)), shape=(len(pairs), n + pairs.size)).tocsr()
+    coupled = (incidence * np.concatenate([inverse_masses, np.zeros(pairs.size)])) @ incidence.T
+    band_order = reverse_cuthill_mckee(coupled.tocsr(), symmetric_mode=True).astype(np.int64)
+    label = component[bodies[band_order, 0]]
+    order = band_order[np.argsort(label, kind="stable")]
+    label = component[bodies[order, 0]]
+    starts = np.flatnonzero(np.diff(label, prepend=-1, append=label[-1] + 1))
+    matrix = coupled.tocsr()[order][:, order].tocoo()
+    first, second = np.ascontiguousarray(pairs[order, 0]), np.ascontiguousarray(pairs[order, 1])
+    return Graph(ids[order], first, second, _enveloped(pairs[order], inverse_masses, starts, matrix))
+
+
+def _enveloped(pairs: Ints, inverse_masses: Floats, starts: Ints, matrix: Any) -> Components:
+    """The envelope of the lower triangle, and the atoms of each component.  pairs : in the order of the matrix."""
+    k = np.arange(len(pairs))
+    row, column = matrix.coords
+    lowest = k.copy()
+    np.minimum.at(lowest, row, np.minimum(column, row))
+    begins = np.concatenate([[0], np.cumsum(k - lowest + 1)])
+    coupling = np.zeros(begins[-1])
+    below = column <= row
+    coupling[begins[row[below]] + column[below] - lowest[row[below]]] = matrix.data[below]
+    moving = [np.unique(pairs[a:b][inverse_masses[pairs[a:b]] > 0.0]) for a, b in pairwise(starts)]
+    atom_starts = np.concatenate([[0], np.cumsum([atoms.size for atoms in moving])])
+    atoms = np.concatenate(moving) if moving else np.empty(0, dtype=np.int64)
+    return Components(starts, atoms, atom_starts, begins, lowest, coupling)
+
+
+STRAIGHT = 1e-9  # relative: a triangle with a side as long as the others together is a line; files have nine digits
+CONSTRAINTS_IN_A_CHUNK = 500  # least number: about ten microseconds of work, more than the time to wake a thread
+ALIKE = 1e-12  # relative: masses and squared lengths that differ by less are equal
+
+
+class Solving(ByAddress, namedtuple("Solving", "solver positions vectors inverse_masses lanes n answers most "
+                                    "arguments")):  # fmt: skip
+    """A solver on the n components of a group, in as many chunks as there are answers.
+    positions, vectors, inverse_masses, lanes : of Atoms.  arguments : of the solver.
+    answers : (chunks,) output, see vectors.  most : (chunks,) the largest so far."""
+
+
+@filling_kernel
+def solve_chunk(solving, chunk):
+    """The solver on some components.  CANNOT_KEEP if a constraint cannot be kept."""
+    n, n_chunks = solving.n, solving.answers.size
+    atoms = Atoms(solving.positions, solving.vectors, solving.inverse_masses, solving.lanes)
+    first, last = chunk * n // n_chunks, (chunk + 1) * n // n_chunks
+    answer = _solved(solving.solver, first, last, atoms, solving.arguments)
+    solving.answers[chunk], solving.most[chunk] = answer, max(answer, solving.most[chunk])
+    return GO_ON if answer >= 0 else CANNOT_KEEP
+
+
+@by_type
+def _solved(solver, first, last, atoms, arguments):
+    function = solver.instance_class.formula
+    return lambda solver, first, last, atoms, arguments: function(first, last, atoms, *arguments)
+
+
+class Networks:
+    """Components of any shape.  every : the ConstraintSolver.  order : (K,) which of its constraints are here.
+    Other shapes have other solvers: drifter, projector are their markers, known are their arguments after the atoms;
+    n_each is the number of constraints of one molecule, if the solver counts molecules."""
+
+    shape, n_each = "networks", 1
+    drifter: tuple = networks.DriftComponents()
+    projector: tuple = networks.ProjectComponents()
+
+    def __init__(self, every: Any, graph: Graph, positions: Floats) -> None:
+        self.order, self.graph, self.masses = graph.order, graph, every.inverse_masses
+        k, n = graph.order.size, graph.components.coupling.size
+        offsets = np.ascontiguousarray(every.offsets[graph.order])
+        self.bonds = Bonds(graph.first, graph.second, offsets, every.lengths[graph.order] ** 2, every.tolerance)
+        self.n_constraints, self.n_components = k, graph.components.starts.size - 1
+        n_chunks = max(1, min(self.n_components, k // CONSTRAINTS_IN_A_CHUNK, MOST_CHUNKS))
+        self.answers, self.most = np.zeros((2, n_chunks), dtype=np.int64)
+        self._calls: defaultdict[Any, DirectCalls] = defaultdict(DirectCalls)
+        self.memory = Memory(np.empty((k, 3)), np.empty((k, 3)), np.empty(k), np.zeros(k), np.empty(n), np.empty(n))
+        self.multipliers = self.memory.total  # (K,), the last ones
+        self.known = self._known(positions)
+
+    def _known(self, positions: Floats) -> tuple:
+        """The arguments of solvers.  Raises ValueError if a constraint depends on the others."""
+        k = dependent_constraint(positions, self.graph.components, self.bonds, self.memory)
+        if k >= 0:
+            which = f"constraint {self.order[k]} (atoms {self.graph.first[k]}-{self.graph.second[k]})"
+            raise ValueError(f"{which} follows from the other constraints or contradicts them; leave it out")
+        return self.graph.components, self.bonds, self.memory
+
+    def offsets(self) -> list[Floats]:
+        """All arrays (…, 3) of lattice translations that its solvers read."""
+        of_molecules = (array for one in self.known if isinstance(one, Molecules) for array in one.offsets)
+        return [self.bonds.offsets, *of_molecules]
+
+    def drift(self, positions: Floats, velocities: Floats, duration: float) -> Operation:
+        """Drift of the atoms of the group."""
+        return self._solve(self.drifter, positions, velocities, (*self.known, float(duration)))
+
+    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
+        """r_ij · x_ij = targets for the vectors x."""
+        return self._solve(self.projector, positions, vectors, (*self.known, targets, self.multipliers))
+
+    def _solve(self, solver: tuple, positions: Floats, vectors: Floats, arguments: tuple[Any, ...]) -> Operation:
+        atoms, room = (positions, vectors, self.masses, lanes_for()), (self.n_components, self.answers, self.most)
+        calls = self._calls[type(solver), positions.flags.carray, vectors.flags.carray]
+        return operation(calls, solve_chunk, Solving(solver, *atoms, *room, arguments), len(self.answers))
+
+    def failed(self, of_drift: bool) -> int:
+        """After CANNOT_KEEP: the constraint, within the group, that cannot be kept; of a molecule its first one."""
+        return (-1 - int(self.answers[self.answers < 0][0])) * (self.n_each if of_drift else 1)
+
+
+class Pairs(Networks):
+    """Bonds that share no atom."""
+
+    shape, drifter, projector = "bonds of their own", closed_forms.DriftPairs(), closed_forms.ProjectPairs()
+
+    def _known(self, positions: Floats) -> tuple:
+        return super()._known(positions)[1:2]
+
+
+class Sweeps(Networks):
+    """Components of any shape, by SHAKE, and by RATTLE if all targets are zero."""
+
+    shape, drifter = "networks, by sweeps", networks.SweepDrift()
+
+    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
+        """See Networks."""
+        solver = networks.ProjectComponents() if targets.any() else networks.SweepVelocities()
+        return self._solve(solver, positions, vectors, (*self.known, targets, self.multipliers))
+
+
+class Triangles(Networks):
+    """Triangles with two equal sides whose outer atoms have equal masses: water."""
+
+    shape, drifter, projector, n_each = "triangles", closed_forms.DriftTriangles(), closed_forms.ProjectTriangles(), 3
+
+    def _known(self, positions: Floats) -> tuple:
+        super()._known(positions)
+        lengths2 = self.bonds.lengths2
+        base = _equal_sides(self.graph, self.graph.components.starts[:-1], lengths2, self.masses)
+        corners, arms, sides = _corners(self.graph, base, self.bonds.offsets)
+        half, heavy, light = 0.5 * np.sqrt(lengths2[base]), 1.0 / self.masses[corners[0]], 1.0 / self.masses[corners[1]]
+        height, share = np.sqrt(lengths2[sides[0]] - half * half), light / (heavy + 2.0 * light)
+        shapes = 2.0 * share * height, (1.0 - 2.0 * share) * height, half, share
+        return (Molecules(corners, arms, shapes, (*sides, base)),)
+
+
+class LinearTriatomics(Networks):
+    """Three atoms in a line: the distance of the outer ones is kept, and the place of the middle one between them.
+    Their constraints depend on each other, and their solver takes this into account."""
+
+    shape, drifter, projector, n_each = "linear molecules", closed_forms.DriftLinear(), closed_forms.ProjectLinear(), 3
+
+    def _known(self, positions: Floats) -> tuple:
+        self.n_constraints = 4 * self.n_components
+        lengths2, sides = self.bonds.lengths2, self.graph.components.starts[:-1, None] + np.arange(3)
+        ends = sides[np.arange(len(sides)), np.argmax(lengths2[sides], axis=1)]  # the longest side of each
+        # the middle one is the corner opposite the longest side
+        (middle, b, c), arms, (short, _) = _corners(self.graph, ends, self.bonds.offsets)
+        beta = np.sqrt(lengths2[short] / lengths2[ends])
+        shapes, offsets = (1.0 - beta, beta, lengths2[ends]), (-arms[0], arms[1] - arms[0])
+        return (Molecules((b, middle, c), offsets, shapes, ends),)
+
+
+def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
+    """All constraints, sorted by shape.  solver : as for DistanceConstraints.
+    Raises ValueError for a triangle with a side longer than the others together."""
+    graph, masses = graph_of(every.pairs, every.inverse_masses, np.arange(len(every.pairs))), every.inverse_masses
+    kinds = np.full(graph.order.size, Sweeps if solver == "shake" else Networks, dtype=object)
+    starts, sizes = graph.components.starts[:-1], np.diff(graph.components.starts)
+    lengths2 = every.lengths[graph.order] ** 2
+    if solver == "auto":
+        kinds[starts[sizes == 1]] = Pairs
+    starts = starts[sizes == 3]
+    closed = [np.unique(every.pairs[graph.order[start : start + 3]]).size == 3 for start in starts]
+    starts = starts[np.array(closed, dtype=bool)]
+    sides = starts[:, None] + np.arange(3)
+    lengths = np.sqrt(lengths2[sides])
+    excess = 2.0 * lengths.max(axis=1, initial=0.0) - lengths.sum(axis=1)
+    if (excess > STRAIGHT * lengths.sum(axis=1)).any():
+        which = graph.order[sides[np.argmax(excess)]].tolist()
+        why = "which form a triangle, contradict each other: one is longer than the sum of the other two"
+        raise ValueError(f"the lengths of constraints {which}, {why}")
+    moves = ((masses[graph.first[sides]] > 0.0) & (masses[graph.second[sides]] > 0.0)).all(axis=1)
+    kinds[sides[(_equal_sides(graph, starts, lengths2, masses) >= 0) & moves & (solver == "auto")]] = Triangles
+    kinds[sides[excess >= -STRAIGHT * lengths.sum(axis=1)]] = LinearTriatomics
+    members = [(kind, graph.order[kinds == kind]) for kind in dict.fromkeys(kinds)]
+    return [kind(every, graph_of(every.pairs[ids], masses, ids), positions) for kind, ids in members]
+
+
+def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats) -> Ints:
+    """Of each triangle the constraint whose ends have equal masses, equally far from the third atom; −1 if none has."""
+    answer = np.full(len(starts), -1)
+    for k in range(3):
+        base = starts + k
+        others = lengths2[starts[:, None] + np.delete(np.arange(3), k)]
+        masses = inverse_masses[graph.first[base]], inverse_masses[graph.second[base]]
+        same = np.isclose(others[:, 0], others[:, 1], rtol=ALIKE, atol=0.0) & np.isclose(*masses, rtol=ALIKE, atol=0.0)
+        answer[same] = base[same]
+    return answer
+
+
+def _corners(graph: Graph, base: Ints,
+             offsets: Floats) -> tuple[tuple[Ints, ...], tuple[Floats, ...], tuple[Ints, ...]]:  # fmt: skip
+    """Of each triangle: atoms apex, b, c with b-c the base; offsets of b and c from the apex, (T, 3) each; the two
+    other constraints."""
+    starts = graph.components.starts[:-1]
+    sides = starts[:, None] + np.arange(3)
+    first, second = graph.first[sides], graph.second[sides]
+    b, c = graph.first[base], graph.second[base]
+    apex = (first.sum(axis=1) + second.sum(axis=1)) // 2 - b - c
+    is_of = [(first == atom[:, None]) | (second == atom[:, None]) for atom in (apex, b, c)]
+    arms = tuple(np.argmax(is_of[0] & is_of_end, axis=1) + starts for is_of_end in is_of[1:])
+    shifts = tuple(np.where((graph.first[arm] == apex)[:, None], 1.0, -1.0) * offsets[arm] for arm in arms)
+    return (apex, b, c), shifts, arms

@@ -1,0 +1,241 @@
+"""Distance constraints of any shape: Newton's method on all of a component, within an envelope, or sweeps.
+
+    drift        r′ = r + Δt v + M⁻¹ Gᵀ λ,  |r′_ij|² = d²,  v′ = (r′ − r)/Δt        G : rows s_k = r_ij before the drift
+    velocities   v′ = v + M⁻¹ Gᵀ μ,  r_ij · v′_ij = 0                                G : rows r_k = r_ij now
+
+with r_ij = r_j − r_i + offset. J.-P. Ryckaert, G. Ciccotti, H. J. C. Berendsen, J. Comput. Phys. 23, 327 (1977);
+H. C. Andersen, J. Comput. Phys. 52, 24 (1983); V. Kräutler, W. F. van Gunsteren, P. H. Hünenberger, J. Comput. Chem.
+22, 501 (2001).
+
+SHAKE and RATTLE sweep: one constraint after the other, repeatedly, until all are kept to a tolerance.
+
+    λ_k = (d² − |r_k|²) / (2 (1/m_i + 1/m_j) r_k · s_k)          positions, along the bonds s before the drift
+    μ_k = −r_k · v_k / ((1/m_i + 1/m_j) |r_k|²)                  velocities
+"""
+
+from collections import namedtuple
+from math import sqrt
+
+from minimd.core.compiled.kernels import inlined, kernel, type_of
+from minimd.core.compiled.machine import EPS
+from minimd.core.constraints.closed_forms import NOTHING, add_opposite, between, drift_some
+from minimd.core.structure.vectors import dot, separation
+
+MAX_ITERATIONS, MAX_SWEEPS = 50, 10_000
+ROUNDING = 4.0 * EPS  # of |r|² against d²: no iteration makes it smaller
+# of residuals below this, one more iteration makes rounding (it squares them), even where the equations are stiff
+LAST = 1e-9
+DEPENDENT = 1e-10  # relative to its diagonal: a smaller pivot is rounding
+
+
+class Memory(namedtuple("Memory", "r s x total lower upper")):
+    """Scratch: r, s : (K, 3) separations.  x, total : (K,) multipliers.  lower, upper : factors, in the envelope."""
+
+
+@inlined
+def find_separations(positions, bonds, start, end, out):
+    """out[k] = r_ij of constraints start to end − 1."""
+    for k in range(start, end):
+        i, j = bonds.first[k], bonds.second[k]
+        for x in range(3):
+            out[k, x] = positions[j, x] - positions[i, x] + bonds.offsets[k, x]
+
+
+@inlined
+def assemble(components, start, end, r, s, lower, upper):
+    """A_kl = c_kl r_k · s_l within the envelope: row k left of the diagonal to lower, column k down to it to upper."""
+    for k in range(start, end):
+        at = components.begins[k] - components.lowest[k]
+        for l in range(components.lowest[k], k + 1):
+            c = components.coupling[at + l]
+            lower[at + l] = c * dot(r[k], s[l]) if c != 0.0 else 0.0
+            upper[at + l] = c * dot(r[l], s[k]) if c != 0.0 else 0.0
+
+
+@inlined
+def factorize(components, start, end, lower, upper):
+    """A = L U in place, L with ones on its diagonal. Returns the row without a pivot, or −1."""
+    for k in range(start, end):
+        at_k, first_k = components.begins[k] - components.lowest[k], components.lowest[k]
+        for l in range(first_k, k):
+            at_l = components.begins[l] - components.lowest[l]
+            in_column, in_row = upper[at_k + l], lower[at_k + l]
+            for m in range(max(first_k, components.lowest[l]), l):
+                in_column -= lower[at_l + m] * upper[at_k + m]
+                in_row -= lower[at_k + m] * upper[at_l + m]
+            upper[at_k + l], lower[at_k + l] = in_column, in_row / upper[at_l + l]
+        pivot = upper[at_k + k]
+        for m in range(first_k, k):
+            pivot -= lower[at_k + m] * upper[at_k + m]
+        if not abs(pivot) > 0.0:
+            return k
+        upper[at_k + k] = pivot
+    return NOTHING
+
+
+@inlined
+def solve(components, start, end, lower, upper, x):
+    """x ← A⁻¹ x with the factors of A."""
+    for k in range(start, end):
+        at = components.begins[k] - components.lowest[k]
+        for m in range(components.lowest[k], k):
+            x[k] -= lower[at + m] * x[m]
+    for k in range(end - 1, start - 1, -1):
+        at = components.begins[k] - components.lowest[k]
+        x[k] /= upper[at + k]
+        for m in range(components.lowest[k], k):
+            x[m] -= upper[at + m] * x[k]
+
+
+@inlined
+def restore_lengths(atoms, components, bonds, c, memory):
+    """λ of component c by Newton's method, from positions that have drifted: memory.total. Returns the iterations."""
+    start, end = components.starts[c], components.starts[c + 1]
+    r, s, x, total, lower, upper = memory
+    for k in range(start, end):
+        total[k] = 0.0
+    for iteration in range(MAX_ITERATIONS):
+        find_separations(atoms.positions, bonds, start, end, r)
+        worst, where = 0.0, start
+        for k in range(start, end):
+            x[k] = 0.5 * (bonds.lengths2[k] - dot(r[k], r[k]))
+            violation = abs(2.0 * x[k]) / bonds.lengths2[k]
+            if not violation <= worst:
+                worst, where = violation, k
+        if worst <= ROUNDING:
+            return iteration
+        assemble(components, start, end, r, s, lower, upper)
+        singular = factorize(components, start, end, lower, upper)
+        if singular >= 0:
+            return NOTHING - singular
+        solve(components, start, end, lower, upper, x)
+        for k in range(start, end):
+            total[k] += x[k]
+            add_opposite(atoms.positions, atoms.inverse_masses, bonds.first[k], bonds.second[k], x[k], s[k])
+        if worst < LAST:
+            return iteration + 1
+    return NOTHING - where
+
+
+def drift_with(restore_lengths):
+    """The drift of components of any shape, with a solver that restores their lengths, such as restore_lengths."""
+
+    @inlined
+    def drift_components(first, last, atoms, components, bonds, memory, duration):
+        """Drift of components first to last − 1.  Atoms, Components, Bonds, Memory, [time]."""
+        s, total, most = memory.s, memory.total, 0
+        for c in range(first, last):
+            start, end = components.starts[c], components.starts[c + 1]
+            find_separations(atoms.positions, bonds, start, end, s)
+            atoms_of_it = components.atoms[components.atom_starts[c] : components.atom_starts[c + 1]]
+            drift_some(atoms.positions, atoms.vectors, atoms_of_it, duration)
+            n_iterations = restore_lengths(atoms, components, bonds, c, memory)
+            if n_iterations < 0:
+                return n_iterations
+            for k in range(start, end):
+                i, j = bonds.first[k], bonds.second[k]
+                add_opposite(atoms.vectors, atoms.inverse_masses, i, j, total[k] / duration, s[k])
+            most = max(most, n_iterations)
+        return most
+
+    return drift_components
+
+
+@inlined
+def project_components(first, last, atoms, components, bonds, memory, targets, total):
+    """As project_pairs, for components of any shape; projected twice, to remove the rounding of the first projection.
+    total : (K,), the multipliers.  Returns 1, or −1 − the constraint that depends on others."""
+    vectors, inverse_masses, (r, _, x, _, lower, upper) = atoms.vectors, atoms.inverse_masses, memory
+    for c in range(first, last):
+        start, end = components.starts[c], components.starts[c + 1]
+        find_separations(atoms.positions, bonds, start, end, r)
+        assemble(components, start, end, r, r, lower, upper)
+        singular = factorize(components, start, end, lower, upper)
+        if singular >= 0:
+            return NOTHING - singular
+        for correction in range(2):
+            for k in range(start, end):
+                i, j = bonds.first[k], bonds.second[k]
+                x[k] = targets[k]
+                for d in range(3):
+                    x[k] -= r[k, d] * (vectors[j, d] - vectors[i, d])
+            solve(components, start, end, lower, upper, x)
+            for k in range(start, end):
+                total[k] = x[k] + (total[k] if correction else 0.0)
+                add_opposite(vectors, inverse_masses, bonds.first[k], bonds.second[k], x[k], r[k])
+    return 1
+
+
+@kernel
+def dependent_constraint(positions, components, bonds, memory):
+    """A constraint whose pivot vanishes relative to its diagonal: others imply or contradict it; else −1."""
+    r, total, lower, upper = memory.r, memory.total, memory.lower, memory.upper
+    for c in range(components.starts.size - 1):
+        start, end = components.starts[c], components.starts[c + 1]
+        find_separations(positions, bonds, start, end, r)
+        assemble(components, start, end, r, r, lower, upper)
+        for k in range(start, end):
+            total[k] = upper[components.begins[k + 1] - 1]
+        singular = factorize(components, start, end, lower, upper)
+        if singular >= 0:
+            return singular
+        for k in range(start, end):
+            if not upper[components.begins[k + 1] - 1] > DEPENDENT * total[k]:
+                return k
+    return NOTHING
+
+
+@inlined
+def sweep_lengths(atoms, components, bonds, c, memory):
+    """λ of component c by sweeps, from positions that have drifted: memory.total. Returns the number of sweeps."""
+    start, end = components.starts[c], components.starts[c + 1]
+    s, total = memory.s, memory.total
+    for k in range(start, end):
+        total[k] = 0.0
+    sweeps, worst, where = 0, 2.0 * bonds.tolerance, start
+    while not worst <= bonds.tolerance:
+        if sweeps == MAX_SWEEPS:
+            return NOTHING - where
+        sweeps, worst = sweeps + 1, 0.0
+        for k in range(start, end):
+            i, j = bonds.first[k], bonds.second[k]
+            r = separation(atoms.positions, i, j, bonds.offsets[k])
+            gap = bonds.lengths2[k] - dot(r, r)
+            if not abs(gap) <= worst * bonds.lengths2[k]:
+                worst, where = abs(gap) / bonds.lengths2[k], k
+            scale = gap / (2.0 * (atoms.inverse_masses[i] + atoms.inverse_masses[j]) * dot(r, s[k]))
+            total[k] += scale
+            add_opposite(atoms.positions, atoms.inverse_masses, i, j, scale, s[k])
+    return sweeps
+
+
+@inlined
+def sweep_velocities(first, last, atoms, components, bonds, _memory, _targets, _multipliers):
+    """Velocities of components first to last − 1, by sweeps, if all targets are zero.  The tolerance is that of
+    |r · v|/(|r| |v|), v the relative velocity of a bond."""
+    velocities, inverse_masses = atoms.vectors, atoms.inverse_masses
+    most = 0
+    for c in range(first, last):
+        start, end = components.starts[c], components.starts[c + 1]
+        sweeps, worst, where = 0, 2.0 * bonds.tolerance, start
+        while not worst <= bonds.tolerance:
+            if sweeps == MAX_SWEEPS:
+                return NOTHING - where
+            sweeps, worst = sweeps + 1, 0.0
+            for k in range(start, end):
+                i, j = bonds.first[k], bonds.second[k]
+                r = separation(atoms.positions, i, j, bonds.offsets[k])
+                v = between(velocities, i, j)
+                along, r2, v2 = dot(r, v), dot(r, r), dot(v, v)
+                if along != 0.0 and not abs(along) <= worst * sqrt(r2 * v2):
+                    worst, where = abs(along) / sqrt(r2 * v2), k
+                scale = -along / ((inverse_masses[i] + inverse_masses[j]) * r2)
+                add_opposite(velocities, inverse_masses, i, j, scale, r)
+        most = max(most, sweeps)
+    return most
+
+
+DriftComponents = type_of(drift_with(restore_lengths))(namedtuple("DriftComponents", ()))
+ProjectComponents = type_of(project_components)(namedtuple("ProjectComponents", ()))
+SweepDrift = type_of(drift_with(sweep_lengths))(namedtuple("SweepDrift", ()))
+SweepVelocities = type_of(sweep_velocities)(namedtuple("SweepVelocities", ()))

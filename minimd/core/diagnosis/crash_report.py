@@ -1,0 +1,64 @@
+"""The report on a run that has failed: the likely cause, and the last good state."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from minimd.core.diagnosis.judge import AFTER, Evidence, Failure, strange_depth, verdicts
+from minimd.core.engine.engine import Engine
+from minimd.core.forces.contacts import Contact
+from minimd.core.neighbors.queries import ClosestPair
+from minimd.core.structure.observables import longest
+from minimd.core.structure.units import LJ, SYSTEMS
+
+
+@dataclass(frozen=True)
+class CrashReport:
+    """The findings about a failed run. str() puts them into lines.
+    fault : what went wrong.  step : in which step.  last_good_step : of the state described.
+    first_step : from which it can be replayed.  kind : of Rule.  pair, cause, advice : as Verdict.
+    closest : two atoms and their distance [length], or None.
+    pushed, largest_force : the atom on which the largest force acts, and its size [energy/length].
+    fastest, displacement : the fastest atom, and its way in a step [length].  timestep : [time].  units : name."""
+
+    fault: str
+    step: int
+    last_good_step: int
+    first_step: int
+    kind: str
+    pair: Contact | None
+    cause: str
+    advice: str
+    closest: ClosestPair | None
+    pushed: int
+    largest_force: float
+    fastest: int
+    displacement: float
+    timestep: float
+    units: str
+
+    def __str__(self) -> str:
+        pair, units = self.pair, SYSTEMS.get(self.units, LJ)
+        force, length = f"{units.energy}/{units.length}", units.length
+        lines = [f"fault          {self.fault}, at step {self.step}"]
+        lines += [f"cause          {self.cause}", f"what to do     {self.advice}"]
+        if pair is not None:
+            what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms} ({pair.law}), {pair.apart(length)}"
+            lines.append(f"pair           {what}, −u′ {pair.force:.3g} {force}{pair.stiffness(self.timestep)}")
+        closest = self.closest.told(length) if self.closest else "none"
+        largest = f"largest force {self.largest_force:.3g} {force} on atom {self.pushed}"
+        moves = f"atom {self.fastest} moves {self.displacement:.3g} {length} in a step"
+        last = f"last good      step {self.last_good_step}; closest {closest}"
+        return "\n".join([*lines, last, f"               {largest}; {moves}"])
+
+
+def examine(engine: Engine, failure: Failure) -> CrashReport:
+    """Find the likely cause of a failure.  engine : in the last good state, with energies of single atoms."""
+    evidence = Evidence(engine, failure)
+    (pushed, force), (fastest, speed) = longest(engine.forces), longest(engine.velocities)
+    kind, (cause, advice, pair) = next(verdicts(evidence, AFTER))
+    if depth := strange_depth(evidence):
+        cause, advice = f"{depth} (a consequence: {cause})", "correct epsilon before anything else"
+    timestep, units = engine.method.timestep, engine.system.units.name
+    seen: tuple[Any, ...] = (evidence.closest, pushed, force, fastest, speed * abs(timestep), timestep, units)
+    at = failure.fault, failure.step, engine.step, failure.start.step
+    return CrashReport(*at, kind, pair, cause, advice, *seen)

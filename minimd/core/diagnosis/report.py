@@ -1,0 +1,424 @@
+"""The conservation report: what should have stayed constant, and whether it did."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from minimd.core.console.display import NAME_WIDTH, Displayed, Rows
+from minimd.core.engine.record import SERIES, Record
+from minimd.core.structure import statistics
+from minimd.core.structure.observables import Array
+from minimd.core.structure.statistics import FEW, block_means, independent, mean_and_error, with_error
+
+BLOCKS = 40  # averages of the total energy between which the drift is fitted
+BLOCKS_OF_WALK = 20  # the same for a series that wanders like a random walk
+SIGNIFICANT = 3.0  # standard errors, if these are well known: chance exceeds them 3 times in 1000
+MOST_SIGNIFICANT = 6.0  # standard errors, if these are poorly known: no fluctuation looks so straight
+INDEPENDENT = 4.0  # entries: with fewer, a series is too short to judge
+LARGEST_RANGE = 0.5  # of the kinetic energy
+RANGE_OF_ROUNDING = 1e-11  # of the potential energy
+NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
+# of the potential energy: a smaller kinetic energy comes from rounding of the forces, and is of its square
+AT_REST = 1e-20
+QUIET = 0.01  # of the kinetic energy, by which the energy of a short run may vary
+MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
+ANGULAR_MOMENTUM_KEPT = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
+# likewise where momentum is exactly constant: displacements are rounded to some 2⁻⁴⁰ of the scene
+KEPT_ON_A_GRID = 1e-9
+# of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
+SETTLING = 0.1
+SWELLING = 0.05  # of the volume, likewise; of 100 atoms of a liquid it fluctuates by 0.03
+# of |r² − d²|/d²: a rigid length is then off by 5e-9 of itself, far below the thermal motion of any bond
+LENGTHS_KEPT = 1e-8
+
+KEPT = {True: "conserved", False: "NOT CONSERVED"}
+
+
+@dataclass(frozen=True)
+class Line:
+    """The result of one check.
+    name : at most 14 letters.  summary : with figures.  verdict : in words.  is_good : whether it is as it should be.
+    misses_pressure : whether it says that the mean pressure is not that of the barostat."""
+
+    name: str
+    summary: str
+    verdict: str
+    is_good: bool
+    misses_pressure: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.name:<14} {self.summary}: {self.verdict}"
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Slope of a straight line through block averages [per time], and its standard error.
+
+    With fewer than four blocks, the error is infinite and the slope is that between the ends.
+    n_independent : how many independent averages would leave this error.  is_unsure :
+        whether they are too few to rule a drift out."""
+
+    slope: float
+    error: float
+    n_independent: float = np.inf
+    is_unsure: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.slope:+.2e}" + ("" if np.isinf(self.error) else f" ± {self.error:.1e}")
+
+    @property
+    def is_significant(self) -> bool:
+        """True if chance produces such a slope less than 3 times in 1000, or if it is not a number: it is then larger
+        than three standard errors, or up to six (Student's t) if fluctuations last long compared with the run."""
+        most = SIGNIFICANT
+        if not np.isinf(self.n_independent):
+            from scipy.special import ndtr, stdtrit  # takes its time to load
+
+            most = min(MOST_SIGNIFICANT, float(stdtrit(max(1.0, self.n_independent - 2.0), ndtr(SIGNIFICANT))))
+        return not abs(self.slope) <= most * self.error
+
+    @property
+    def is_too_short(self) -> bool:
+        """True if fluctuations last so long, compared with the run, that they cannot be told from a drift."""
+        return self.is_unsure and not self.is_significant
+
+
+def drift(time: Array, series: Array, blocks: int = BLOCKS, beside: Array | None = None) -> Drift:
+    """Least-squares slope of a series, with the standard error that follows from its correlated fluctuations.
+
+        error² = σ² / ((n − 2) Var t),   n = blocks (1 − ρ)/(1 + ρ)
+
+    Averages over blocks scatter by σ about the line, and each resembles the next by ρ, the correlation of neighbors: n
+    of them are independent. A short series makes ρ too small by (2 + 4ρ)/blocks, since the line follows it;
+    this is corrected.
+    time, series : (T,). NaN if one of them is not finite.
+    beside : (T,) another series of the same run, whose n is taken if it is smaller. The energy error depends on
+        the state, whose slow changes show in the kinetic energy, while in the total energy faster ones hide them.
+
+    H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989), on blocks; M. G. Kendall, Biometrika 41, 403 (1954),
+    on the bias of ρ."""
+    blocks = min(blocks, len(series))
+    if not np.isfinite([time, series]).all():
+        return Drift(np.nan, np.nan)
+    if blocks < FEW or np.ptp(time) == 0.0:
+        slope = (series[-1] - series[0]) / np.ptp(time) if np.ptp(time) > 0.0 else 0.0
+        return Drift(float(slope), np.inf)
+    t = block_means(time, blocks)
+    slope, rest = _line(t, block_means(series, blocks))
+    own = least = independent(rest)
+    if beside is not None:
+        least = min(own, independent(_line(t, block_means(beside, blocks))[1]))
+    variance = rest @ rest / blocks
+    one, safe = (Drift(slope, float(np.sqrt(variance / max(1.0, n - 2.0) / t.var())), n) for n in (own, least))
+    return replace(safe, is_unsure=own < INDEPENDENT or one.is_significant)
+
+
+def _line(t: Array, y: Array) -> tuple[float, Array]:
+    """Slope of the line through points, and their distances from it."""
+    slope, at_zero = np.polyfit(t, y, 1)
+    return float(slope), y - slope * t - at_zero
+
+
+def drift_of_walk(time: Array, series: Array, blocks: int = BLOCKS_OF_WALK) -> Drift:
+    """Slope of a series that is the sum of a drift, a random walk and fluctuations,
+    and the standard error of the slope.
+
+    Total energy minus reservoir energy is such a series. A method conserves a shadow Hamiltonian, which differs from
+    the energy, and each contact with the bath changes the difference at random. The slope is that between the means of
+    the first and of the last block. Its error is that of the mean change from block to block,
+    which is known as well as that of half as many independent changes."""
+    blocks = min(blocks, len(series))
+    if blocks <= FEW or np.ptp(time) == 0.0 or not np.isfinite([time, series]).all():
+        return drift(time, series, blocks)
+    t, y = block_means(time, blocks), block_means(series, blocks)
+    steps, rate = np.diff(y), (blocks - 1.0) / np.ptp(t)
+    error = float(statistics.standard_error(steps, statistics.wandering)) * rate
+    return Drift(float(steps.mean() * rate), error, blocks / 2.0)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a run cost: steps, seconds, list builds, force evaluations; and in words its lists,
+    its constraints and the work it did not need.
+    peak_memory : bytes that the process has held at most so far, or None if that is unknown.
+    observing : seconds that observers of minimd.observers took besides those of the steps."""
+
+    n_steps: int
+    seconds: float
+    list_builds: int
+    n_evaluations: int
+    pair_search: str
+    skipped: list[str]
+    constraints: str = ""
+    peak_memory: int | None = None
+    observing: float = 0.0
+
+    def rows(self) -> Rows:
+        """Rows of a report."""
+        speed = f"{self.n_steps / self.seconds:.4g} steps/s" if self.seconds > 0.0 else "no steps"
+        work = f"{self.n_evaluations} force evaluations, {self.pair_search}, built {self.list_builds} times"
+        held = f"{(self.peak_memory or 0) / 1e6:.4g} MB at most so far, of the whole process"
+        share = f"took {100.0 * self.observing / (self.seconds + self.observing or 1.0):.2g} % of the time"
+        rows = [("speed", f"{speed}; {work}"), ("observers", share if self.observing > 0.0 else "")]
+        rows.append(("constraints", self.constraints))
+        rows += [("memory", held if self.peak_memory is not None else ""), ("not needed", ", ".join(self.skipped))]
+        return [row for row in rows if row[1]]
+
+
+@dataclass(frozen=True)
+class Report(Displayed):
+    """What a run conserved, and what it cost. str() gives the report as text.
+
+    Attributes
+    ----------
+    energy_drift : Drift of the total energy per atom [energy/time], minus reservoir energy if has_bath; time in ps,
+        or τ in reduced units.
+    energy_oscillation : standard deviation of the total energy per atom about that line [energy].
+    momentum_change : largest |P(t) − P(0)| / Σ|mv|, or None if P is not a constant.
+    angular_momentum_change : largest |L(t) − L(0)| / Σ m|r − r_cm||v|, or None if L is not a constant.
+    constraint_violation : largest |r² − d²|/d², or None without constraints.
+    mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.
+        temperature_error : standard error of the mean.
+    duration : [ps or τ].  n_frames : number of observations.  n_steps : from the first to the last.  cost : of the run,
+        if known.
+    kinetic_energy : mean per atom [energy]: ½ n_dof k_B T / N, without a motion of the center of mass if n_dof is.
+    energy_range : largest difference of two total energies per atom beyond rounding [energy].
+    shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.
+    temperatures, volumes : means of the first and of the last fifth of the run; volumes of zero if they are unknown.
+    not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if none has.
+    lines : results that need no run: see diagnosis.run_report.
+    too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown.
+    is_at_rest : whether nothing moves except by rounding; changes of momentum then have no scale to be judged by.
+    """
+
+    energy_drift: Drift
+    energy_oscillation: float
+    momentum_change: float | None
+    angular_momentum_change: float | None
+    mean_temperature: float
+    temperature_deviation: float
+    duration: float
+    kinetic_energy: float
+    n_frames: int
+    n_steps: int
+    units: tuple[str, str, str]
+    has_bath: bool = False
+    has_work: bool = False
+    constraint_violation: float | None = None
+    cost: Cost | None = None
+    shadow_drift: Drift | None = None
+    shadow_oscillation: float = 0.0
+    lines: tuple[Line, ...] = ()
+    energy_range: float = 0.0
+    temperatures: tuple[float, float] = (0.0, 0.0)
+    volumes: tuple[float, float] = (0.0, 0.0)
+    not_finite: str = ""
+    temperature_error: float = np.nan
+    is_at_rest: bool = False
+    too_long_a_step: str = ""
+
+    @property
+    def energy_is_conserved(self) -> bool | None:
+        """True if the drift is zero within its error, or below 1e-6 of the kinetic energy in each ps or τ;
+        None if the run is too short to tell.
+
+        An energy that varies by more than half the kinetic energy is not conserved, whatever its drift: one bad step is
+        no drift. Nothing is conserved if an observable is not finite."""
+        if self.not_finite:
+            return False
+        if not self.has_bath and self.energy_range > LARGEST_RANGE * self.kinetic_energy:
+            return False
+        return self._has_no(self.energy_drift)
+
+    @property
+    def shadow_is_conserved(self) -> bool | None:
+        """Whether the shadow energy has no drift, likewise; None if it was not recorded, or in too few frames."""
+        return None if self.shadow_drift is None else self._has_no(self.shadow_drift) and not self.not_finite
+
+    def _has_no(self, slope: Drift) -> bool | None:
+        if self.n_frames < FEW:
+            return None
+        if not np.isfinite([slope.slope, slope.error, self.kinetic_energy]).all():
+            return False
+        if abs(slope.slope) + SIGNIFICANT * slope.error < NEGLIGIBLE_DRIFT * self.kinetic_energy:
+            return True
+        if slope.is_too_short:
+            return None
+        return not slope.is_significant or abs(slope.slope) < NEGLIGIBLE_DRIFT * self.kinetic_energy
+
+    @property
+    def momentum_is_conserved(self) -> bool:
+        """True if rounding, which adds up like a random walk, explains the change, or if it need not be constant."""
+        return self._is_rounding(self.momentum_change, MOMENTUM_KEPT)
+
+    @property
+    def angular_momentum_is_conserved(self) -> bool:
+        """Likewise."""
+        kept = ANGULAR_MOMENTUM_KEPT if self.momentum_change else KEPT_ON_A_GRID
+        return self._is_rounding(self.angular_momentum_change, kept)
+
+    def _is_rounding(self, change: float | None, kept: float) -> bool:
+        most = kept * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        return not self.not_finite and (self.is_at_rest or (change or 0.0) < most)
+
+    @property
+    def is_settling(self) -> bool:
+        """Whether the temperature of the first and of the last fifth of the run differ much, as before equilibrium."""
+        return _differ(self.temperatures, SETTLING)
+
+    @property
+    def is_far_from_pressure(self) -> bool:
+        """Whether a barostat still changes the volume much, or the mean pressure is not the one wanted."""
+        return self.swells or any(line.misses_pressure for line in self.lines)
+
+    @property
+    def swells(self) -> bool:
+        """Whether the volume of the first and of the last fifth of the run differ much."""
+        return _differ(self.volumes, SWELLING)
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether the energy stays within a hundredth of the kinetic energy, in a run too short to tell a drift."""
+        is_open = self.energy_is_conserved is None and self.n_frames >= FEW
+        return is_open and self.energy_range < QUIET * self.kinetic_energy
+
+    def __str__(self) -> str:
+        return "\n".join(f"{name:<{NAME_WIDTH}} {words}" for name, words in self.display_rows())
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        energy, time, heat = self.units
+        per, only, slope, shadow = f"{energy} per atom", self.n_frames == 1, self.energy_drift, self.shadow_drift
+        error = "" if np.isinf(slope.error) else " (standard error)"
+        drifts = "drift unknown: one frame" if only else f"drift {slope} {per} per {time}{error}"
+        minus = " - reservoir" * self.has_bath + " - work" * self.has_work
+        rows = [(f"E{minus}" if minus else "total energy", drifts)]
+        rows.append(("", f"oscillation {self.energy_oscillation:.2e} {per} (standard deviation)"))
+        if shadow is not None:
+            said = {None: "too short to judge", True: "none", False: "IT DRIFTS"}[self.shadow_is_conserved]
+            rows.append(("shadow energy", f"drift {shadow} {per} per {time}: {said}"))
+            rows.append(("", f"oscillation {self.shadow_oscillation:.2e} {per}"))
+        if self.momentum_change is not None:
+            change = f"change {self.momentum_change:.1e} of the sum of |mv|: {KEPT[self.momentum_is_conserved]}"
+            moving = change if self.momentum_change else "exactly constant"
+            rows.append(("momentum", "no motion but rounding: the atoms are at rest" if self.is_at_rest else moving))
+        if self.angular_momentum_change is not None and not self.is_at_rest:
+            said = f"sum of m|r||v|: {KEPT[self.angular_momentum_is_conserved]}"
+            rows.append(("ang. momentum", f"change {self.angular_momentum_change:.1e} of the {said}"))
+        if self.constraint_violation is not None:
+            said = "kept" if self.constraint_violation < LENGTHS_KEPT else "NOT KEPT"
+            rows.append(("lengths", f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}"))
+        rows += [(line.name, f"{line.summary}: {line.verdict}") for line in self.lines]
+        spread = "of one frame" if only else f"on average, standard deviation {self.temperature_deviation:.2g} {heat}"
+        rows.append(("temperature", f"{with_error(self.mean_temperature, self.temperature_error)} {heat} {spread}"))
+        return [*rows, *(self.cost.rows() if self.cost is not None else ()), ("verdict", self.verdict)]
+
+    @property
+    def verdict(self) -> str:
+        """One sentence."""
+        if self.not_finite:
+            return f"NOTHING IS CONSERVED: {self.not_finite}"
+        if self.n_frames < FEW:
+            are = "frames are" if self.n_frames > 1 else "frame is"
+            return f"{self.n_frames} {are} too few to judge the energy; run longer, or with a smaller every"
+        momentum = "THE TOTAL MOMENTUM CHANGES: a force is not pairwise."
+        if self.is_at_rest:
+            momentum = "the atoms are at rest: set_temperature gives them velocities."
+        elif self.momentum_change is None:
+            momentum = "the total momentum is not a constant of this run."
+        elif self.momentum_is_conserved:
+            momentum = f"momentum is {'conserved to rounding' if self.momentum_change else 'exactly constant'}."
+        return f"{self._energy_verdict}; {momentum}"
+
+    @property
+    def _energy_verdict(self) -> str:
+        taken = " and ".join(["reservoir energy"] * self.has_bath + ["work"] * self.has_work)
+        name = f"total energy minus {taken}" if taken else "total energy"
+        if self.energy_is_conserved is None:
+            share = self.energy_range / self.kinetic_energy if self.is_quiet else 0.0
+            within = f"varies by {100.0 * share:.1g} % of the kinetic energy" if self.is_quiet else "varies"
+            short = "the run is too short to tell whether it drifts: its fluctuations last nearly as long as the run"
+            return f"the {name} {within}; {short}"
+        if self.energy_is_conserved:
+            but = f"does not drift, BUT {self.too_long_a_step}"
+            return f"the {name} {but if self.too_long_a_step else 'is conserved'}"
+        (first, last), swollen, causes = self.temperatures, "", [self.too_long_a_step] * bool(self.too_long_a_step)
+        if self.is_settling:
+            went = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}"
+            causes.append(f"{went}, and with it the error of the energy; equilibrate first")
+        if self.swells:
+            swollen = f" (the volume changed by {100.0 * (self.volumes[1] / self.volumes[0] - 1.0):+.2g} %)"
+        if self.is_far_from_pressure:
+            causes.append(f"the barostat is far from its pressure{swollen}; equilibrate first")
+        return f"THE {name.upper()} DRIFTS: {'; '.join(causes) or 'reduce the time step or smooth the cutoff'}"
+
+
+def _differ(ends: tuple[float, float], share: float) -> bool:
+    return abs(ends[1] - ends[0]) > share * max(ends)
+
+
+@np.errstate(all="ignore")  # the report says what is not finite
+def conservation_report(record: Record, angular: bool, cost: Cost | None = None, linear: bool = True,
+                        lines: Sequence[Line] = (), n_dof: int | None = None,
+                        too_long_a_step: str = "") -> Report:  # fmt: skip
+    """The report of a record.
+    linear, angular : whether momentum is constant (see Engine.conserves_momentum), and angular momentum, too (then
+        nothing is periodic).  lines, cost, too_long_a_step : see Report.
+    n_dof : degrees of freedom of the run; if not given, the kinetic energy includes a motion of the center of mass.
+    With a thermostat or barostat, total energy minus reservoir energy is judged; with forces that depend on time, the
+    total energy and the shadow energy minus their work."""
+    units, has_bath, n, heat = record.units, "conserved_energy" in record, record.n_atoms, record.temperature
+    thermal = record.kinetic_energy if n_dof is None else 0.5 * n_dof * units.k_B * heat
+    time, work = record.time * units.to_picosecond, record.work if "work" in record else 0.0
+    energy = (record.conserved_energy if has_bath else record.total_energy - work) / n
+    slope = drift_of_walk(time, energy) if has_bath else drift(time, energy, beside=record.kinetic_energy)
+    shadow, potential = None, np.abs(record.potential_energy)
+    if "shadow_energy" in record:
+        series = (record.shadow_energy - work) / n
+        shadow = drift(time, series, beside=record.kinetic_energy)
+    volume = record.volume if "volume" in record else np.zeros(1)
+    return Report(
+        energy_drift=slope, energy_oscillation=_oscillation(time, energy, slope),
+        momentum_change=_largest_change(record.momentum, record.absolute_momentum, linear),
+        angular_momentum_change=_largest_change(record.angular_momentum, record.absolute_angular_momentum, angular),
+        mean_temperature=float(heat.mean()), temperature_deviation=float(heat.std()), duration=float(np.ptp(time)),
+        kinetic_energy=float(thermal.mean()) / n, n_frames=len(time), n_steps=int(record.step[-1] - record.step[0]),
+        units=(units.energy, units.shown_time, units.temperature), has_bath=has_bath, has_work="work" in record,
+        constraint_violation=float(record.constraint_violation.max()) if "constraint_violation" in record else None,
+        cost=cost, shadow_drift=shadow,
+        shadow_oscillation=0.0 if shadow is None else _oscillation(time, series, shadow), lines=tuple(lines),
+        energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * (potential / n).max())),
+        temperatures=_ends(heat), volumes=_ends(volume), not_finite=_not_finite(record),
+        temperature_error=mean_and_error(heat)[1],
+        is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * potential.max()), too_long_a_step=too_long_a_step,
+    )  # fmt: skip
+
+
+def _not_finite(record: Record) -> str:
+    """The first observable with an entry that is NaN or infinite, and its step, in words; empty if there is none."""
+    for name in ("time", *SERIES):
+        if name in record:
+            values = np.asarray(getattr(record, name)).reshape(len(record), -1)
+            if not (finite := np.isfinite(values).all(axis=1)).all():
+                return f"{name.replace('_', ' ')} is not finite at step {record.step[np.argmin(finite)]}"
+    return ""
+
+
+def _ends(series: Array) -> tuple[float, float]:
+    """Means of the first and of the last fifth."""
+    fifth = max(1, len(series) // 5)
+    return float(series[:fifth].mean()), float(series[-fifth:].mean())
+
+
+def _oscillation(time: Array, series: Array, slope: Drift) -> float:
+    """Standard deviation about a line."""
+    return float((series - series.mean() - slope.slope * (time - time.mean())).std())
+
+
+def _largest_change(vectors: Array, scales: Array, is_constant: bool) -> float | None:
+    """max |v(t) − v(0)| over the largest scale; 0 if there is no scale, because nothing moves; None if not constant."""
+    if not is_constant:
+        return None
+    scale = scales.max()
+    return float(np.linalg.norm(vectors - vectors[0], axis=1).max() / scale) if scale > 0.0 else 0.0

@@ -1,0 +1,277 @@
+"""The run guard makes steps in blocks; a block that fails is undone, made again step by step, and explained."""
+
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from math import isfinite
+from time import perf_counter
+from typing import Any, NoReturn
+
+from minimd.core.compiled.kernels import compile_clock
+from minimd.core.console.quiet import outside_minimd
+from minimd.core.diagnosis.crash_report import examine
+from minimd.core.diagnosis.judge import GROWTH, RUNAWAY, START, Failure, fault_of, hints, runaway
+from minimd.core.engine.engine import Engine, Snapshot
+from minimd.core.engine.observation import observe
+from minimd.core.engine.record import Frame
+from minimd.core.neighbors.queries import closest_pair
+from minimd.core.potentials.term import PER_ATOM
+from minimd.core.structure.errors import ConstraintError, NonFiniteError, RangeError
+from minimd.core.structure.observables import Array, longest
+
+# steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
+BLOCK = 100
+# atoms times steps of a block of few atoms, and its steps, at most: its checks cost as much as 30 steps
+SMALL, LONGEST_BLOCK = 50_000, 500
+RUN_BEGAN, FAILED_AS_BLOCK = "the run began", "some steps failed together, although each of them succeeded alone"
+MOST_SNAPSHOTS, ROOM = 16, 10**6  # numbers of snapshots kept, at least one, and of atoms in all of them
+SNAPSHOTS_APART = 40  # steps between two snapshots that are kept, at least
+SAME_ENERGY = 1e-3  # of K + |U|: a potential that gives another energy for the same atoms has been changed
+LEAST_REPLAY = 20  # steps from the snapshot with which a replay begins to the failure, if there were that many
+
+
+class RunGuard:
+    """Makes the steps of an engine, and finds out what went wrong when one fails.
+    seconds, n_steps : of the present run, without compilation.  observing : seconds of its observers.
+    failed_from : Snapshot from which the last failure can be replayed."""
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine, self.seconds, self.observing, self.n_steps = engine, 0.0, 0.0, 0
+        self.failed_from: Snapshot | None = None
+        self._first_volume = engine.system.volume
+        self._checked_timestep = 0.0  # none yet
+        self._judged_by: tuple[Mapping[str, Any] | None, float] = None, RUNAWAY  # of every run: see judge_by
+        self._first: Mapping[str, Any] | None = None  # observables at the first look of a run
+        self._growth, self._since = RUNAWAY, RUN_BEGAN  # with which energies have run away, and since when
+        self._seen: tuple[int, float] = (0, 0.0)  # step of the last look, and the total energy then
+        # why the last block failed, if something was raised
+        self._reason: NonFiniteError | ConstraintError | None = None
+        self._before: Snapshot | None = None  # the start of the last block
+        self._snapshots: list[Snapshot] = []  # at least SNAPSHOTS_APART steps apart
+        self._first_step = 0  # of the present run
+
+    @property
+    def block(self) -> int:
+        """Steps between two checks, at most."""
+        return max(BLOCK, min(LONGEST_BLOCK, SMALL // len(self.engine.positions)))
+
+    def begin_run(self) -> None:
+        """Count from zero: steps, seconds, evaluations, list builds, iterations of constraints."""
+        self.seconds, self.observing, self.n_steps = 0.0, 0.0, 0
+        self._first, self._growth = self._judged_by
+        self.engine.interactions.reset_counts()
+        if self.engine.constraint_set.bonds is not None:
+            self.engine.constraint_set.bonds.iterations = 0
+
+    @contextmanager
+    def uncounted(self) -> Iterator[None]:
+        """Context for computations that do not count as part of the last run, which the report describes."""
+        interactions = self.engine.interactions
+        counted = self.seconds, self.n_steps, interactions.counts
+        try:
+            yield
+        finally:
+            self.seconds, self.n_steps, interactions.counts = counted
+
+    def judge_by(self, first: Mapping[str, Any] | None, growth: float) -> None:
+        """Judge later runs by the energies at the start of another, of which they are a part: see judge.runaway."""
+        self._judged_by = first, growth
+
+    @property
+    def judgment(self) -> tuple[Mapping[str, Any] | None, float]:
+        """The energies and the growth by which the present run is judged, for judge_by."""
+        return self._first, self._growth
+
+    def check_start(self, is_same_run: bool = False) -> None:
+        """Take the state as it is now; one not changed since the last step continues as if there had been no pause.
+        is_same_run : energies and snapshots of earlier steps remain valid, if the energy is still the same.
+        Raises NonFiniteError if the first step would throw atoms across the scene, and as Forces.check_resolution."""
+        engine = self.engine
+        self._reason = self._before = None
+        if not is_same_run:
+            self.forget()
+        engine.interactions.check_resolution()
+        if not self._checked_timestep:
+            engine.interactions.check_forces(engine.time)
+        goes_on = engine.is_as_left
+        if not goes_on:
+            engine.begin()
+            engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(engine.method.timestep))
+        engine.evaluate()
+        engine.prepare()
+        if is_same_run:
+            kinetic, potential = engine.kinetic_energy, engine.interactions.potential_energy
+            if not abs(kinetic + potential - self._seen[1]) <= SAME_ENERGY * (kinetic + abs(potential)):
+                self.forget()  # another energy than at the last look, although nothing has moved since
+        if not goes_on:
+            engine.leave()
+        if self._checked_timestep != engine.method.timestep:
+            self._checked_timestep = engine.method.timestep
+            for hint in hints(engine):
+                warnings.warn(hint, stacklevel=outside_minimd())
+        if fault := fault_of(engine, START):
+            raise self._failure(fault, engine.step)
+
+    def make_steps(self, n_steps: int, with_energy: bool = False) -> None:
+        """Make steps, in blocks.  with_energy : as for advance.  Raises as advance and observe."""
+        try:
+            for done in range(0, n_steps, self.block):
+                self.advance(min(self.block, n_steps - done), with_energy and done + self.block >= n_steps)
+                if self.is_hot():
+                    self.observe()
+        finally:
+            self.engine.leave()
+
+    def advance(self, n_steps: int, with_energy: bool) -> None:
+        """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out which step failed and why.
+        with_energy : evaluate the energy with the last forces.
+        Raises NonFiniteError, ConstraintError if a step fails; the engine is then in the last good state.
+        KeyboardInterrupt after Ctrl-C. ValueError if the scene no longer fits the list it needs."""
+        engine = self.engine
+        kept = max(1, min(MOST_SNAPSHOTS, ROOM // len(engine.positions)))
+        is_due = kept == 1 or not self._snapshots or engine.step - self._snapshots[-1].step >= SNAPSHOTS_APART
+        self._before = None
+        if is_due:
+            del self._snapshots[: max(0, len(self._snapshots) + 1 - kept)]  # makes room for the new one
+        self._before = before = engine.snapshot()
+        if is_due:
+            self._snapshots.append(before)
+        is_whole, engine.is_whole = engine.is_whole, False  # until the steps are counted
+        started, compiled, self._reason = perf_counter(), compile_clock.seconds, None
+        try:
+            done = engine.advance(n_steps, with_energy)
+        except (NonFiniteError, ConstraintError):
+            self._replay(before, n_steps, FAILED_AS_BLOCK)
+        except BaseException:  # a list that does not fit, or a second Ctrl-C in the middle of a step
+            engine.restore(before)
+            raise
+        self.seconds += perf_counter() - started - (compile_clock.seconds - compiled)
+        if fault_of(engine):
+            self._replay(before, n_steps, FAILED_AS_BLOCK)
+        self._count(done)
+        engine.is_whole = is_whole
+        if engine.surroundings.stop_requested:
+            engine.leave()
+            raise KeyboardInterrupt(f"stopped after step {engine.step}")
+
+    def _replay(self, before: Snapshot, n_steps: int, otherwise: str) -> NoReturn:
+        """Repeat failed steps one by one, up to the last good state; raise the error of the next step.
+        otherwise : the fault if none fails."""
+        engine = self.engine
+        engine.restore(before)
+        for _ in range(n_steps):
+            good = engine.snapshot()
+            try:
+                engine.advance(1)
+                fault = fault_of(engine)
+                if not fault:
+                    engine.evaluate()  # a method that ends with a drift has not done so
+                    fault = self._fault_of_energy()
+            except (NonFiniteError, ConstraintError) as reason:
+                words = str(reason) if isinstance(reason, RangeError) else "the forces are not finite"
+                self._reason, fault = reason, fault_of(engine) or words
+            if fault:
+                at = engine.positions.copy()
+                engine.restore(good)
+                raise self._failure(fault, engine.step + 1, at)
+            self._count(1)
+        step = engine.step
+        engine.restore(before)
+        raise self._failure(otherwise, step)
+
+    def _count(self, done: int) -> None:
+        self.engine.count(done)
+        self.n_steps += done
+
+    def observe(self) -> Frame:
+        """The present state; NonFiniteError if its energy is not finite or has run away: the engine is then back in
+        the last good state."""
+        frame = observe(self.engine)
+        if self._first is None:
+            self._first = frame.observables
+        self._fail_if(self._fault_of_energy())
+        self._seen = frame.step, float(frame.observables["total_energy"])
+        return frame
+
+    def _fault_of_energy(self) -> str | None:
+        """What is wrong with the energies, which must be current; None if they are good."""
+        if not isfinite(self.engine.interactions.potential_energy):
+            return "the potential energy is not finite"
+        return None if self._first is None else runaway(self.engine, self._first, self._growth, self._since)
+
+    def check_kinetic_energy(self, most: float) -> None:
+        """Raise NonFiniteError if the kinetic energy is larger than most [energy]; the engine is then in the last good
+        state of the last block."""
+        kinetic, before = self.engine.kinetic_energy, self._before
+        if not kinetic > most:
+            return
+        if before is not None:
+            end = self.engine.snapshot()
+            self.engine.restore(before)
+            self._first, self._since = observe(self.engine).observables, f"step {before.step}"
+            self._seen = before.step, 0.0
+            self.engine.restore(end)
+        self._fail_if(f"the kinetic energy has gone to {kinetic:.3g} {self.engine.system.units.energy}")
+
+    def is_hot(self) -> bool:
+        """Whether the kinetic energy alone, which costs nothing, is a reason to check all energies."""
+        if (first := self._first) is None:
+            return False
+        return self.engine.kinetic_energy > RUNAWAY * (first["kinetic_energy"] + abs(first["potential_energy"]))
+
+    def forget(self) -> None:
+        """Forget energies and snapshots: the state was changed from outside."""
+        self._snapshots, self._first_step = [], self.engine.step
+        self._first, self._growth, self._since, self._seen = None, RUNAWAY, RUN_BEGAN, (self.engine.step, 0.0)
+
+    def drop_snapshots(self) -> None:
+        """Drop the snapshots: velocities were rescaled, and a replay from one would not lead to the present state."""
+        self._snapshots = []
+
+    def _fail_if(self, fault: str | None) -> None:
+        """If there is a fault, fail at the first bad step, which may be some steps earlier."""
+        if not fault:
+            return
+        if self._before is None:
+            raise self._failure(fault, self.engine.step, self.engine.positions.copy())
+        # the latest stored state, since the last observation, in which no energy had run away yet
+        end, start, growth, self._growth = self.engine.step, self._before, self._growth, min(GROWTH, self._growth)
+        known = {one.step: one for one in (*self._snapshots, start) if self._seen[0] <= one.step <= start.step}
+        for step in sorted(known, reverse=True):
+            self.engine.restore(known[step])
+            self.engine.evaluate()
+            if not self._fault_of_energy():
+                start = known[step]
+                break
+        else:
+            self._growth = growth
+        self.n_steps -= end - start.step
+        self._replay(start, end - start.step, fault)
+
+    def _failure(self, fault: str, step: int, at: Array | None = None) -> NonFiniteError | ConstraintError:
+        """The error for a run that failed in a step, with its crash report; the engine is in the last good state.
+        at : (N, 3), of the failure."""
+        engine, reason = self.engine, self._reason
+        engine.is_whole = True  # a good state, worth keeping, although runs from it may be rounded differently
+        snapshots = self._snapshots or [engine.snapshot()]
+        early = [one for one in snapshots if engine.step - one.step >= LEAST_REPLAY]
+        self.failed_from = start = early[-1] if early else snapshots[0]
+        kind: type[NonFiniteError | ConstraintError] = NonFiniteError
+        if isinstance(reason, ConstraintError | RangeError):
+            kind, fault = type(reason), str(reason)
+        report, why = None, ""
+        try:
+            engine.interactions.compute(PER_ATOM)
+        except Exception as broken:  # whatever a term of the user's own raises
+            why = f"There is no crash report: {type(broken).__name__}: {broken}\n"
+        else:
+            of_barostat = self._first_volume, engine.barostat is not None and isinstance(reason, RangeError)
+            at_all = start, start.step == self._first_step, *of_barostat
+            report = examine(engine, Failure(fault, step, getattr(reason, "atoms", None), at, *at_all))
+            why = "" if isinstance(reason, RangeError) else f"Likely cause: {report.cause}; {report.advice}\n"
+        pair = closest_pair(engine.system)
+        near = f"; in the last good state the closest pair is {pair.told(engine.system.units.length)}" if pair else ""
+        held = f"The system holds the last good state, that of step {engine.step}"
+        error = kind(f"{why}At step {step}: {fault}{near}. {held}")
+        error.crash_report = report
+        return error

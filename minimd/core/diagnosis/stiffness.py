@@ -1,0 +1,234 @@
+"""How stiff a scene is: its bonds in closed form, collisions of its Lennard-Jones atoms, the mode of one state."""
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.core.compiled.machine import EPS
+from minimd.core.constraints.constraint_set import ConstraintSet
+from minimd.core.forces.forces import Forces
+from minimd.core.neighbors.queries import closest_pair
+from minimd.core.potentials.bonded import HarmonicBond
+from minimd.core.potentials.laws import LennardJonesLaw
+from minimd.core.potentials.pair import Nonbonded, curvature_at_minimum
+from minimd.core.structure.bond_graph import among
+from minimd.core.structure.cell import nearest_vectors
+from minimd.core.structure.observables import Array, center, kinetic_energy, temperature, thermal_energy
+from minimd.core.structure.system import System
+from minimd.core.structure.units import ASE, BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_EV
+
+DISPLACEMENT = 1e-6  # of the closest pair: central differences are then right to 1e-9, and few pairs cross their cutoff
+ROUNDINGS = 1e-9  # of the largest coordinate: the smallest displacement, with six digits left after rounding
+ROUNDINGS_OF_FORCES = 100.0  # in a sum over some fifty neighbors and its projection
+SMALL = 90  # coordinates; up to this number the whole matrix is as cheap as iterations
+ACCURACY = 1e-4  # of ω², relative
+TRIED = 16  # bonds of the highest bare frequencies, whose freedom to stretch is examined
+RIGID = 1e-9  # of its bare 1/μ: a bond to which constraints leave less cannot stretch
+SEED = 1  # of the vector from which iterations start
+# ω of the stiffest mode of a liquid, divided by that of a pair at rest; the modes: 4.8 at T* 0.7, ρ* 0.85; 5.8 at 1.44,
+# 0.8442. (ω/ω_pair)² = cold + heat T*^(7/6) through these two; u″ ∝ u^(7/6) where a wall r⁻¹² stops an atom
+CROWDED, CROWDED_COLD, CROWDED_HEAT = 5.0, 15.0, 12.2
+COLDEST = ((CROWDED**2 - CROWDED_COLD) / CROWDED_HEAT) ** (6.0 / 7.0)  # T* below which the floor of CROWDED counts
+# eV, eV, Å: ε of no atom that is wider than WIDE, and of no atom at all; metals: W 1.07 eV, 2.56 Å
+DEEP, DEEPEST, WIDE = 0.5, 2.0, 2.7
+SHALLOW, LIKELY = 5e-4, 0.05  # eV: ε of helium is 9e-4, that of xenon 0.02
+READINGS = (  # of an ε in another unit: its name, its size in eV, and the factor in words
+    ("K", BOLTZMANN_EV_PER_K, "* md.units.ASE.k_B"),
+    ("kJ/mol", 1.0 / KJ_PER_MOL_PER_EV, "/ md.units.KJ_PER_MOL_PER_EV"),
+    ("kcal/mol", 4.184 / KJ_PER_MOL_PER_EV, "* 4.184 / md.units.KJ_PER_MOL_PER_EV"),
+    ("meV", 1e-3, "/ 1000"),
+)
+
+
+class StiffBond(NamedTuple):
+    """Atoms i and j of a harmonic bond with ω² = k (1/m_i + 1/m_j) [1/time²]."""
+
+    i: int
+    j: int
+    square: float
+
+
+class Stiffness:
+    """What is known of a scene without computing forces; each number is computed when it is first asked for."""
+
+    def __init__(self, system: System, potentials: Sequence[Any], constraint_set: ConstraintSet) -> None:
+        self.system, self._potentials, self._constraint_set = system, potentials, constraint_set
+        bonds = constraint_set.bonds
+        self._held: NDArray[np.int64] = np.zeros((0, 2), dtype=np.int64) if bonds is None else bonds.pairs
+
+    @cached_property
+    def bond(self) -> StiffBond | None:
+        """The harmonic bond with the highest frequency of its own, ω² = k/μ; None if there is none that can stretch.
+        With other bonds, and if nothing is compressed, the stiffest mode is faster still: ω² is a lower bound for its
+        square."""
+        found: list[StiffBond] = []
+        for potential in self._potentials:
+            if isinstance(potential, HarmonicBond):
+                pairs = potential.groups_in(self.system)
+                squares = potential.numbers()["k"] * self._constraint_set.inverse_masses[pairs].sum(axis=1)
+                squares[among(pairs, self._held)] = 0.0
+                stiffest = [b for b in np.argsort(-squares)[:TRIED] if squares[b] > 0.0]
+                found += [StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b])) for b in stiffest]
+        if len(self._held):
+            found = [one._replace(square=one.square * self._free_part(one)) for one in found]
+        return max((one for one in found if one.square > 0.0), key=lambda one: one.square, default=None)
+
+    def _free_part(self, bond: StiffBond) -> float:
+        """The fraction of 1/μ that constraints leave to a bond: the relative velocity that a unit impulse along it
+        causes, times μ. From 0 to 1."""
+        system, pair = self.system, np.array([bond.i, bond.j])
+        inverse_masses = self._constraint_set.inverse_masses[pair]
+        arm = direction(nearest_vectors(system.positions, system.cell, pair[None])[0])
+        velocities = np.zeros_like(system.positions)
+        velocities[pair] = np.outer(inverse_masses * [-1.0, 1.0], arm)
+        self._constraint_set.project(velocities, system.positions)
+        part = float((velocities[bond.j] - velocities[bond.i]) @ arm / inverse_masses.sum())
+        return part if part > RIGID else 0.0
+
+    def collisions(self, at_rest: bool = False) -> float:
+        """ω of Lennard-Jones atoms that collide in a liquid [1/time]; 0 if there are none.
+
+            ω² = u″(r_min)/μ · max(5², 15 + 12.2 T*^(7/6)),   T* = k_B T/ε of the velocities
+
+        This is the largest ω of all pairs of species. An atom bonded to a heavier one moves with it, and does not
+        count.  at_rest : whether the velocities are left out."""
+        system, bonds = self.system, np.concatenate([self.system.bonds, self._held])
+        masses = system.masses
+        lighter = bonds[np.arange(len(bonds)), np.argmin(masses[bonds], axis=1)]
+        inverse = 1.0 / masses
+        inverse[lighter[masses[bonds[:, 0]] != masses[bonds[:, 1]]]] = 0.0
+        fastest = np.zeros(len(system.species_names))
+        np.maximum.at(fastest, system.species_index, inverse)
+        thermal, square = 0.0 if at_rest else system.units.k_B * velocity_temperature(system), 0.0
+        for epsilon, sigma in self._wells():
+            each = fastest if len(epsilon) > 1 else fastest.max(keepdims=True)
+            with np.errstate(over="ignore"):  # in a run that has blown up
+                heat = np.divide(thermal, epsilon, out=np.zeros_like(epsilon), where=epsilon > 0.0) ** (7.0 / 6.0)
+                both = np.where((each[:, None] > 0.0) & (each > 0.0), each[:, None] + each, 0.0)
+                stiffness = curvature_at_minimum(epsilon, sigma) * both
+                crowd = np.maximum(CROWDED**2, CROWDED_COLD + CROWDED_HEAT * heat)
+                square = max(square, float((stiffness * crowd).max()))
+        return square**0.5
+
+    @cached_property
+    def strange_depth(self) -> tuple[str, str] | None:
+        """A cause and an advice if an ε in eV is larger than that of any atom, as a number in K or kJ/mol would be."""
+        if self.system.units != ASE:
+            return None
+        for epsilon, sigma in self._wells():
+            strange = epsilon * ((epsilon > DEEPEST) | ((epsilon > DEEP) & (sigma > WIDE)))
+            if (worst := float(strange.max())) > 0.0:
+                fits = [one for one in READINGS if SHALLOW <= worst * one[1] <= LIKELY]
+                would_be = "if epsilon is in {}, it is {:.3g} eV: give epsilon={:.6g} {}"
+                told = [would_be.format(unit, worst * size, worst, x) for unit, size, x in fits]
+                usual = "noble gases 0.001 to 0.02 eV, metals up to 1 eV"
+                cause = f"epsilon = {worst:.6g} eV is far deeper than any Lennard-Jones well of atoms ({usual})"
+                return cause, "; ".join(told) or "check its unit"
+        return None
+
+    def _wells(self) -> Iterator[tuple[Array, Array]]:
+        """ε and σ of each Lennard-Jones potential for pairs of species, (S, S) each."""
+        for potential in self._potentials:
+            if isinstance(potential, Nonbonded) and isinstance(potential.plain_law, LennardJonesLaw):
+                table = potential.table(self.system.species_names)
+                yield table[..., -2], table[..., -1]
+
+
+def direction(arm: Array) -> Array:
+    """The unit vector along a bond, (3,); an arbitrary one if its atoms are at the same place."""
+    return arm / np.linalg.norm(arm) if arm.any() else np.full(3, 3.0**-0.5)
+
+
+def velocity_temperature(system: System) -> float:
+    """T of the velocities relative to the center of mass [temperature], with all 3N degrees of freedom; 0 at rest."""
+    velocities, masses = system.velocities, system.masses
+    thermal = thermal_energy(kinetic_energy(velocities, masses), center(velocities, masses), masses)
+    return temperature(thermal, velocities.size, system.units.k_B)
+
+
+class Curvature:
+    """Products of D = M^−1/2 (∇²U − Σ λ ∇²g) M^−1/2 with vectors, on the directions that constraints allow.
+
+    g = ½ (r² − d²) of each constraint, and λ its multiplier at rest: the curvature of the constraints acts like springs
+    of stiffness −λ. Vectors w are mass-weighted displacements, w = M^1/2 u; D w is the change of M^−1/2 times the
+    forces, with the opposite sign, from central differences. Positions of the system are changed and put back.
+    is_finite : whether the forces of the state are finite.  displacement : of the atom that is moved most [length]."""
+
+    def __init__(self, forces: Forces, constraint_set: ConstraintSet) -> None:
+        self._forces, self._constraint_set, self._system = forces, constraint_set, forces.system
+        constraint_set.fit(self._system)
+        self._root = np.sqrt(constraint_set.inverse_masses)[:, None]
+        self._start = self._system.positions.copy()
+        self._first = forces.compute().copy()
+        self.is_finite = bool(np.isfinite(self._first).all())
+        # (pairs, λ) of each group of constraints, for atoms at rest
+        self._springs: list[tuple[NDArray[np.int64], Array]] = []
+        if (bonds := constraint_set.bonds) is not None:
+            accelerations = self._first * constraint_set.inverse_masses[:, None]
+            found = bonds.multipliers(self._start, np.zeros_like(self._start), accelerations)
+            self._springs = [(bonds.pairs[order], multipliers) for order, multipliers in found]
+        closest = closest_pair(self._system)
+        scale = closest.distance if closest and closest.distance > 0.0 else 1.0
+        self.displacement = max(DISPLACEMENT * scale, ROUNDINGS * float(np.abs(self._start).max()))
+
+    @property
+    def rounding(self) -> float:
+        """The error of D that rounding of the forces causes [1/time²]: smaller eigenvalues mean nothing."""
+        largest = float(np.abs(self._first).max(initial=0.0)) * float(self._constraint_set.inverse_masses.max())
+        return ROUNDINGS_OF_FORCES * EPS * largest / self.displacement
+
+    def times(self, vector: Array) -> Array:
+        """D w, (3N,) both [1/time²]; first w is projected onto the directions that constraints allow."""
+        steps = self._root * vector.reshape(-1, 3)
+        self._constraint_set.project(steps, self._start)
+        longest = float(np.sqrt(np.einsum("ij,ij->i", steps, steps).max()))
+        if longest == 0.0:
+            return np.zeros_like(vector)
+        step = self.displacement / longest
+        change = self._forces_at(steps, -step) - self._forces_at(steps, step)
+        product = change * (0.5 * longest / self.displacement)
+        for pairs, multipliers in self._springs:  # λ r_ij is the force on j: a step u changes it by λ (u_j − u_i)
+            pull = multipliers[:, None] * (steps[pairs[:, 1]] - steps[pairs[:, 0]])
+            np.add.at(product, pairs[:, 1], -pull)
+            np.add.at(product, pairs[:, 0], pull)
+        accelerations = self._constraint_set.inverse_masses[:, None] * product
+        self._constraint_set.project(accelerations, self._start)
+        return np.divide(accelerations, self._root, out=np.zeros_like(accelerations), where=self._root > 0.0).ravel()
+
+    def stiffest(self, guess: Array) -> tuple[float, Array]:
+        """The largest eigenvalue of D [1/time²] and its vector, (N, 3), of length one.  guess : (N, 3), of a start."""
+        if guess.size <= SMALL:
+            matrix = np.stack([self.times(unit) for unit in np.eye(guess.size)])
+            squares, modes = np.linalg.eigh(0.5 * (matrix + matrix.T))
+            return float(squares[-1]), modes[:, -1].reshape(-1, 3)
+        if not self.times(guess.ravel()).any():  # no curvature at all, which iterations do not accept
+            return 0.0, np.zeros_like(guess)
+        from scipy.sparse.linalg import LinearOperator, eigsh
+
+        operator = LinearOperator((guess.size, guess.size), matvec=self.times, dtype=np.float64)
+        squares, modes = eigsh(operator, k=1, which="LA", v0=guess.ravel(), tol=ACCURACY)
+        return float(squares[0]), modes[:, 0].reshape(-1, 3)
+
+    def guess(self, bond: StiffBond | None) -> Array:
+        """A vector that contains a part of every mode, and a large part of the stretching of a bond. (N, 3)."""
+        vector = np.random.default_rng(SEED).standard_normal(self._start.shape) / np.sqrt(self._start.size)
+        return vector if bond is None else vector + self.stretching(np.array([[bond.i, bond.j]]))[0]
+
+    def stretching(self, pairs: NDArray[np.int64]) -> Array:
+        """The stretching mode of each pair alone: its atoms move apart, in any direction if they are at the same place.
+        (B, N, 3), of length one."""
+        modes = np.zeros((len(pairs), *self._start.shape))
+        for mode, (i, j), arm in zip(modes, pairs, nearest_vectors(self._start, self._system.cell, pairs), strict=True):
+            mode[i], mode[j] = np.outer((-self._root[i], self._root[j]), direction(arm))
+            mode /= np.linalg.norm(mode)
+        return modes
+
+    def _forces_at(self, steps: Array, length: float) -> Array:
+        try:
+            self._system.positions[:] = self._start + length * steps
+            return self._forces.compute().copy()
+        finally:
+            self._system.positions[:] = self._start

@@ -1,0 +1,554 @@
+"""The engine: one system, its forces, its constraints and one method. It advances, stores and restores a state."""
+
+import operator
+import warnings
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from minimd.core.compiled.program import Operation, Program, in_python
+from minimd.core.console.display import Rows
+from minimd.core.console.quiet import outside_minimd, quiet
+from minimd.core.console.words import shown
+from minimd.core.constraints.constraint_set import ConstraintSet
+from minimd.core.constraints.groups import bodies_of
+from minimd.core.engine.cell_rescaling import CellRescaling, check_cell, rescaling_of
+from minimd.core.forces.forces import Forces, Potential
+from minimd.core.forces.options import FIXED_POINT, Options, described
+from minimd.core.integrators.barostats import StochasticCellRescaling
+from minimd.core.integrators.splitting import Splitting
+from minimd.core.integrators.state import Bath, GridState, State, Surroundings
+from minimd.core.integrators.steps import Evaluation, Moment, Steps, first_unit
+from minimd.core.integrators.substeps import Drift, mechanical
+from minimd.core.neighbors.verlet_list import Built
+from minimd.core.potentials.term import FORCES, TOTALS
+from minimd.core.structure.cell import Cell
+from minimd.core.structure.constraints import Constraint
+from minimd.core.structure.grid import Grid
+from minimd.core.structure.observables import Array, center, kinetic_energy, leaves_out_center
+from minimd.core.structure.system import AnySystem, System
+
+
+class Snapshot(NamedTuple):
+    """A stored state, see Engine.restore.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy].
+
+    clock : a step and its time, from which the times of other steps are counted.  cell : with a barostat, else None.
+    work : done by forces that depend on time [energy].
+    """
+
+    step: int
+    time: float
+    positions: Array
+    velocities: Array
+    reservoir_energy: float
+    clock: tuple[int, float] | None = None
+    work: float = 0.0
+    cell: Cell | None = None
+
+
+class Checkpoint(NamedTuple):
+    """What determines the bits of the steps to come, besides system, potentials, method, constraints and options.
+
+    displacement : of the fastest atom in a step, for which skins were chosen [length].  lists : of neighbors.
+    images : (K, 3) lattice vectors of rigid bonds [length], and their tolerance; None without.
+    equilibrated : steps of equilibrations so far.  grid : of fixed-point arithmetic; None without.
+    """
+
+    state: Snapshot
+    displacement: float
+    lists: tuple[Built, ...]
+    images: tuple[Array, float] | None
+    equilibrated: int
+    grid: Grid | None = None
+
+
+class Engine:
+    """One system, its forces, its constraints and one method; see Simulation for the parameters.
+
+    system : System, the state; its arrays can be changed.  step : number of steps made.  time : [time].
+    interactions : Forces, the sum of all terms.  constraint_set : ConstraintSet.  barostat : or None.
+    surroundings : of the method.  noise_shift : step n has the noise with number n + noise_shift.
+    extra_observables : names of additional observables.  notes : title and scene, texts for files.
+    is_whole : whether a checkpoint has the bits of the run; false after a state was restored without its lists.
+    holds_center : whether the center of mass must not move, because atoms with FixCom of ASE were given.
+    counts_center : whether it counts as a degree of freedom although nothing moves it, as in ASE's dynamics.
+    equilibrated : steps of equilibrations so far: none of them has the noise of another.
+    """
+
+    def __init__(
+        self,
+        system: AnySystem,
+        potentials: Potential | Sequence[Potential],
+        method: Splitting,
+        constraints: Constraint | Sequence[Constraint] | None = None,
+        options: Options | None = None,
+        barostat: StochasticCellRescaling | None = None,
+    ) -> None:
+        self._method = _checked_method(method)
+        self._system = system.copy() if isinstance(system, System) else System.from_ase(system)
+        self.holds_center, self.counts_center = _holds_center(system), False
+        self._step, self._clock, self._pace, self.noise_shift = 0, (0, 0.0), method.timestep, 0
+        self.equilibrated, self.is_whole, self.notes = 0, True, {"title": "", "scene": ""}
+        self.extra_observables: Sequence[str] = ()
+        self.interactions = Forces(self.system, potentials, options)
+        _warn_of_dropped(self.system.constraints, constraints)
+        held = self.system.constraints if constraints is None else constraints
+        self.constraint_set = ConstraintSet(self.system, held, self.interactions.options.most_threads)
+        self.system.constraints = self.constraint_set.kept
+        _check_center(self.holds_center, self._is_still_under(method), method)
+        self._state = self._laid_out()
+        self._fit_grid()
+        self._bath = Bath(k_B=self.system.units.k_B)
+        self.surroundings = Surroundings(self.constraint_set.bonds, self._bath)
+        self._left: tuple[int, ...] | None = None
+        self._steps: Steps | None = None
+        self._steps_of: tuple[Any, ...] = ()
+        self._describe_bath()
+        parts = self.system, self.interactions, self.constraint_set, method, self.holds_center
+        self.barostat, self._rescaling = barostat, rescaling_of(barostat, *parts)
+
+    def _laid_out(self) -> State:
+        """The state; in fixed-point arithmetic on a grid."""
+        interactions, options = self.interactions, self.interactions.options
+        parts = self.system.positions, self.system.velocities, interactions.forces, self.constraint_set.inverse_masses
+        if options.precision != FIXED_POINT:
+            return State(*parts)
+        interactions.lay_grid(options.grid or Grid.of_scene(self.system, self.method.timestep, interactions.depth()))
+        bonds = self.constraint_set.bonds
+        bodies = None if bonds is None else bodies_of(bonds.pairs, self.constraint_set.inverse_masses)
+        return GridState(*parts, impulses=interactions.impulses, bodies=bodies)
+
+    def _fit_grid(self) -> None:
+        """In fixed-point arithmetic, after changes: larger steps of the grid if needed, and the state rounded to it."""
+        interactions, state = self.interactions, self._state
+        if interactions.grid is None or not isinstance(state, GridState):
+            return
+        if interactions.options.grid is None and not interactions.grid.has_room_for(self.system):
+            scene = self.system, self.method.timestep, interactions.depth()
+            interactions.grid = interactions.grid.widened(Grid.of_scene(*scene))
+        self._lay(interactions.grid)
+        state.grid.take(self.system, state.inverse_masses)
+
+    def _lay(self, grid: Grid | None) -> None:
+        """Take a grid for the steps to come, if this engine has one."""
+        interactions, state = self.interactions, self._state
+        if grid is None or not isinstance(state, GridState):
+            return
+        interactions.grid = state.grid = grid
+        interactions.unit = state.unit = first_unit(self.method)
+
+    @property
+    def _own_steps(self) -> Steps:
+        """The steps of the method, made anew if anything else than the state is another one."""
+        constraints, grid = self.surroundings.constraints, self.interactions.grid
+        made_of = self._method, constraints, grid, *vars(self._method).values()
+        is_same = len(made_of) == len(self._steps_of) and all(map(operator.is_, made_of, self._steps_of))
+        if self._steps is None or not is_same:
+            forces = self.interactions
+            power = (lambda: forces.power) if forces.depend_on_time else None
+            work = lambda: forces.version, lambda: forces.pool
+            source = Evaluation(self._forces_at, *work, self._running, power, self._taken)
+            self._steps, self._steps_of = Steps(self._method, self._state, self.surroundings, source), made_of
+        return self._steps
+
+    def _forces_at(self, with_energy: bool, unit: float, moment: Moment) -> Iterator[Operation]:
+        """The operations of forces at a moment of a step."""
+        interactions = self.interactions
+        if interactions.depend_on_time:
+            yield in_python(lambda: setattr(interactions, "time", self._time_at(moment.time - self.noise_shift)))
+        yield from interactions.operations(interactions.target(TOTALS if with_energy else FORCES, unit))
+
+    @contextmanager
+    def _running(self, program: Program) -> Iterator[None]:
+        self.interactions.follow_cell()
+        with self.interactions.running(program):
+            yield
+
+    def _taken(self, with_energy: bool, unit: float) -> None:
+        self.interactions.taken(self.interactions.target(TOTALS if with_energy else FORCES, unit))
+
+    def advance(self, n_steps: int, with_energy: bool = True) -> int:
+        """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many.
+
+        step and time stay as they are. Blocks of any size have the same bits as one, if nothing is changed in between.
+
+        Raises NonFiniteError, ConstraintError if a step fails; then the state is invalid: restore a snapshot.
+        """
+        self._keep_pace()
+        rescaling, step, end = self._rescaling, self.step, self.step + n_steps
+        while step < end:
+            due = None if rescaling is None else rescaling.next_step(step)
+            at = end if due is None else min(end, due)
+            wants_energy, steps = at == due or (with_energy and at == end), self._own_steps
+            made = steps.advance(at - step, wants_energy, step + self.noise_shift)
+            self.interactions.n_evaluations += made * steps.n_evaluations
+            step += made
+            if rescaling is not None and step == due:
+                self._rescale_cell(rescaling, step)
+            if self.surroundings.stop_requested:
+                break
+        return step - self.step
+
+    def _rescale_cell(self, rescaling: CellRescaling, step: int) -> None:
+        """Contact with the barostat at the end of a step."""
+
+        def forces_follow() -> None:
+            self.moved()
+            self.interactions.follow()
+            self._evaluate(step)
+
+        check_cell(self.system)
+        self.turned()
+        self._evaluate(step)
+        rescaling.apply(self.method, step + self.noise_shift, self._bath, forces_follow)
+
+    def prepare(self) -> None:
+        """Compile what steps need."""
+        self._own_steps.prepare()
+
+    def begin(self) -> None:
+        """Prepare a run: choose images of rigid bonds, project onto the constraints, mark the forces as outdated."""
+        self.moved()
+        self.is_whole = True
+        self._describe_bath()
+        self.constraint_set.begin(self.system)
+        self._fit_grid()
+        self.surroundings.constraints = self.constraint_set.bonds
+
+    def moved(self) -> None:
+        """Mark the forces as outdated. To be called after atoms were moved or the cell was changed."""
+        self._state.forces_are_current = False
+        self.turned()
+
+    def turned(self) -> None:
+        """Forget what leave has remembered. To be called after velocities were changed."""
+        self._left = None
+
+    def catch_up(self) -> None:
+        """If anything was changed since leave, mark forces as outdated and choose images of rigid bonds again."""
+        if not self.is_as_left:
+            self.moved()
+            self.fit_images()
+
+    def leave(self) -> None:
+        """Remember the state, for is_as_left."""
+        self._left = self._digest()
+
+    @property
+    def is_as_left(self) -> bool:
+        """Whether positions, velocities, cell and masses are unchanged since leave."""
+        return self._left is not None and self._left == self._digest()
+
+    def _digest(self) -> tuple[int, ...]:
+        """CRC-32 of each array; a changed array has the same one with a probability of 1 in 4·10⁹."""
+        arrays = self.positions, self.velocities, self.system.cell.vectors, self.system.cell.pbc, self.system.masses
+        return tuple(zlib.crc32(np.ascontiguousarray(array).data) for array in arrays)
+
+    def evaluate(self) -> None:
+        """Compute forces, energy and virial, unless they are current; no bit of the steps to come changes."""
+        self._evaluate(self.step)
+
+    def _evaluate(self, step: int) -> None:
+        if self._state.forces_are_current and self.interactions.has_energy:
+            return
+        # the run itself needs no forces here if its next step begins with a drift
+        is_aside = isinstance(next(iter(mechanical(self.method.substeps)), None), Drift)
+        before, n_builds = self.interactions.lists_built() if is_aside else (), self.interactions.n_builds
+        self.interactions.time = self._time_at(step)
+        self.interactions.compute(TOTALS, self._state.unit)
+        self._state.forces_are_current, self.surroundings.power = True, self.interactions.power
+        if is_aside and self.interactions.n_builds != n_builds:
+            self.interactions.build_lists(before)
+
+    def fit_images(self) -> None:
+        """Choose the images of rigid bonds again: between two runs atoms may have been moved by lattice vectors."""
+        self.constraint_set.fit(self.system)
+        self.surroundings.constraints = self.constraint_set.bonds
+
+    @contextmanager
+    def coasted(self, duration: float) -> Iterator[Array]:
+        """Context in which atoms, and the clock of forces, have coasted for a duration [time]; yields (N, 3) forces."""
+        here, now = self.positions.copy(), self.interactions.time
+        with self.interactions.set_aside():
+            self.positions[:] += duration * self.velocities
+            self.interactions.time = self.time + duration
+            try:
+                yield self.interactions.compute(FORCES)
+            finally:
+                self.positions[:], self.interactions.time = here, now
+
+    def snapshot(self) -> Snapshot:
+        """A copy of the present state, for restore."""
+        arrays = self.positions.copy(), self.velocities.copy()
+        cell = None if self.barostat is None else self.system.cell
+        return Snapshot(self.step, self.time, *arrays, self.reservoir_energy, self._clock, self.work, cell)
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Restore the state of a snapshot."""
+        self.moved()
+        self._step, time, self.positions[:], self.velocities[:] = snapshot[:4]
+        self.reservoir_energy, clock, self.work, cell = snapshot[4:]
+        if cell is not None and cell is not self.system.cell:
+            self.constraint_set.follow(self.system.cell, cell)
+            self.system.cell = cell
+        self._clock, self._pace, self.is_whole = clock or (snapshot.step, time), self.method.timestep, False
+        if self.time != time:  # counted with the time step of another method
+            self.time = time
+
+    def checkpoint(self) -> Checkpoint:
+        """A copy of all that determines the bits of the steps to come, for go_on_from."""
+        bonds, interactions = self.constraint_set.bonds, self.interactions
+        images = None if bonds is None else (bonds.offsets.copy(), bonds.tolerance)
+        lists = interactions.displacement, interactions.lists_built()
+        return Checkpoint(self.snapshot(), *lists, images, self.equilibrated, interactions.grid)
+
+    def go_on_from(self, checkpoint: Checkpoint) -> None:
+        """Go on in place of the engine of a checkpoint: the next steps have the same bits as its next steps."""
+        self.restore(checkpoint.state)
+        self._lay(checkpoint.grid)
+        self.equilibrated, self.is_whole = checkpoint.equilibrated, True
+        if checkpoint.images is not None:
+            self.constraint_set.restore(self.system, *checkpoint.images)
+            self.surroundings.constraints = self.constraint_set.bonds
+        self.interactions.go_on_with(checkpoint.displacement, checkpoint.lists)
+        self.leave()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For pickle and copy: a copy makes the steps that this engine would make, to the last bit."""
+        interactions, names = self.interactions, ("noise_shift", "extra_observables", "is_whole")
+        scene = self.system, interactions.potentials, self.method, self.constraints, interactions.options, self.barostat
+        more = {name: getattr(self, name) for name in (*names, "holds_center", "counts_center")}
+        more["notes"] = dict(self.notes)
+        return _copied, (scene, self.checkpoint(), self.is_as_left, self.interactions.counts, more)
+
+    @property
+    def step(self) -> int:
+        """Number of steps made. Setting it leaves the time as it is."""
+        return self._step
+
+    @step.setter
+    def step(self, step: int) -> None:
+        self._step, self._clock = step, (step, self.time)
+
+    @property
+    def time(self) -> float:
+        """[time] since the start: the time that was set last, plus the time steps since then."""
+        return self._time_at(self._step)
+
+    @time.setter
+    def time(self, time: float) -> None:
+        self._clock = self._step, time
+        self._state.forces_are_current &= not self.interactions.depend_on_time
+
+    def _time_at(self, step: float) -> float:
+        first, time = self._clock
+        return time + (step - first) * self._pace
+
+    def _keep_pace(self) -> None:
+        """Count further time with the time step that the method has now; it may have been changed in place."""
+        if self._pace != self._method.timestep:
+            self._clock, self._pace = (self._step, self.time), self._method.timestep
+
+    def count(self, n_steps: int) -> None:
+        """Count n_steps more steps."""
+        self._step += n_steps
+
+    @property
+    def system(self) -> System:
+        """The state. Its arrays can be changed, but it cannot be replaced by another system."""
+        return self._system
+
+    @property
+    def method(self) -> Splitting:
+        """The integrator with its time step; it can be replaced.
+
+        Setting it raises TypeError for anything but a splitting with its time step; ValueError if it leaves no degree
+        of freedom, moves the center of mass of atoms with FixCom, or has another temperature than the barostat.
+        """
+        return self._method
+
+    @method.setter
+    def method(self, method: Splitting) -> None:
+        is_alone = _checked_method(method).conserves_momentum and not self.interactions.act_from_outside
+        self.constraint_set.degrees_of_freedom(is_alone)
+        _check_center(self.holds_center, self._is_still_under(method), method)
+        if self._rescaling is not None:
+            self._rescaling.temperature(method)
+        if type(method) is not type(self._method) or method.parameters != self._method.parameters:
+            self.turned()
+        self._method = method
+        self._keep_pace()
+        self._describe_bath()
+
+    def _describe_bath(self) -> None:
+        """Set n_dof and conserves_momentum of the bath."""
+        self._bath.n_dof = self.n_dof
+        self._bath.conserves_momentum = leaves_out_center(len(self.system), self.conserves_momentum)
+
+    @property
+    def n_dof(self) -> int:
+        """Degrees of freedom that share the thermal energy."""
+        return self.constraint_set.degrees_of_freedom(self.conserves_momentum)
+
+    @property
+    def drift(self) -> Array:
+        """Velocity of the center of mass if n_dof leaves it out, else 0 [length/time], (3,)."""
+        return center(self.velocities, self.system.masses, self.conserves_momentum)
+
+    @property
+    def has_bath(self) -> bool:
+        """Whether a thermostat or a barostat gives energy to the system."""
+        return self.method.is_thermostat or self.barostat is not None
+
+    @property
+    def conserves_momentum(self) -> bool:
+        """Whether momentum is constant: no fixed atoms, no outside force, no bath of each atom, no counts_center."""
+        return self._is_still_under(self.method)
+
+    def _is_still_under(self, method: Splitting) -> bool:
+        moves = self.counts_center or self.interactions.act_from_outside or self.constraint_set.n_fixed
+        return method.conserves_momentum and not moves
+
+    @property
+    def reservoir_energy(self) -> float:
+        """Energy given to the system by thermostat and barostat since the start [energy]; set when a run is resumed."""
+        return self._bath.energy
+
+    @reservoir_energy.setter
+    def reservoir_energy(self, energy: float) -> None:
+        self._bath.energy = energy
+
+    @property
+    def work(self) -> float:
+        """∫ ∂U/∂t dt, work of forces that depend on time, since the start [energy]; set when a run is resumed."""
+        return self.surroundings.work
+
+    @work.setter
+    def work(self, work: float) -> None:
+        self.surroundings.work = work
+
+    @property
+    def constraints(self) -> tuple[Constraint, ...]:
+        """The constraints, with the lengths in use."""
+        return self.constraint_set.kept
+
+    @property
+    def positions(self) -> Array:
+        """(N, 3) [length], never wrapped."""
+        return self.system.positions
+
+    @property
+    def velocities(self) -> Array:
+        """(N, 3) [length/time]."""
+        return self.system.velocities
+
+    @property
+    def forces(self) -> Array:
+        """(N, 3) [energy/length], of the last evaluation."""
+        return self.interactions.forces
+
+    @property
+    def kinetic_energy(self) -> float:
+        """K [energy]."""
+        return kinetic_energy(self.velocities, self.system.masses)
+
+    def scene_in_words(self) -> Rows:
+        """What makes up a simulation."""
+        potentials = map(repr, self.interactions.potentials)
+        return scene_in_words(self.system, potentials, self.method.name, self.method.parameters, self.barostat)
+
+    def display_rows(self) -> Rows:
+        """What makes up a simulation, and where it stands. Nothing is computed."""
+        options, units = self.interactions.options, self.system.units
+        chosen = {"threads": options.threads, "skin": options.skin}
+        words = [f"{name} {value:g}" for name, value in chosen.items() if value is not None]
+        rows = self.scene_in_words()
+        rows += [("observed too", ", ".join(self.extra_observables))] if self.extra_observables else []
+        rows += [("options", ", ".join([described(options.precision), *words]))]
+        if grid := self.interactions.grid:
+            rows += [("grid", f"{grid!r}: positions, lattice vectors and momenta are rounded to it")]
+        return [*rows, ("at", f"step {self.step}, {units.shown(self.time)}")]
+
+
+def scene_in_words(
+    system: System,
+    potentials: Iterable[str],
+    method: str,
+    parameters: Mapping[str, Any],
+    barostat: StochasticCellRescaling | None,
+) -> Rows:
+    """What is simulated, the same for a simulation, a file, and the lines and the page of a run.  method : its name."""
+    units, cell = system.units, "none, open in all directions"
+    if system.cell.is_periodic:
+        lengths = " × ".join(f"{length:.4g}" for length in np.linalg.norm(system.cell.vectors, axis=1))
+        cell = f"{lengths} {units.length}, periodic along {' '.join(np.array(list('abc'))[system.cell.pbc])}"
+    joined = "".join(f"; {len(group)} {name}" for name, group in system.groups().items() if len(group))
+    shown = {
+        "timestep": units.shown,
+        "temperature": lambda value: f"{value:.10g} {units.temperature}",
+        "friction": lambda value: f"{value / units.to_picosecond:.10g} / {units.shown_time}",
+        "relaxation_time": units.shown,
+    }
+    told = (f"{name.replace('_', ' ')} {shown.get(name, str)(value)}" for name, value in parameters.items())
+    rows = [("system", f"{len(system)} atoms ({system.composition}){joined}"), ("cell", cell)]
+    rows += [("constraints", ", ".join(map(repr, system.constraints)))] if system.constraints else []
+    rows += [*(("potential", one) for one in potentials), ("method", ", ".join((method, *told)))]
+    return rows + ([("barostat", repr(barostat))] if barostat is not None else [])
+
+
+def _copied(
+    scene: tuple[Any, ...], checkpoint: Checkpoint, is_as_left: bool, counts: tuple[int, int], more: dict[str, Any]
+) -> Engine:
+    """The engine that __reduce__ has described. Its warnings have been given."""
+    with quiet():
+        engine = Engine(*scene)
+    engine.system.cell = scene[0].cell  # the first grid of a scene that has spread is coarser than that of the run
+    engine.go_on_from(checkpoint)
+    if not is_as_left:  # its state was changed, and its next run will begin anew
+        engine.moved()
+    engine.interactions.counts = counts
+    for name, value in more.items():
+        setattr(engine, name, value)
+    return engine
+
+
+def _checked_method(method: Splitting) -> Splitting:
+    """The method.  Raises TypeError for anything but a splitting with its time step."""
+    if not isinstance(method, Splitting):
+        such = "an integrator with its time step, such as VelocityVerlet(0.005)"
+        raise TypeError(f"method must be {such}; got {shown(method)}")
+    return method
+
+
+def _warn_of_dropped(those_of_system: Sequence[Constraint], given: Constraint | Sequence[Constraint] | None) -> None:
+    """Warn if the given constraints replace those of the system and one kind of the latter is missing."""
+    if given is None:
+        return
+    kinds = {type(one) for one in (given if isinstance(given, Sequence) else [given])}
+    dropped = [repr(one) for one in those_of_system if type(one) not in kinds]
+    if kinds and dropped:
+        lost = f"the constraints given replace those of the system, and {', '.join(dropped)} is lost"
+        warnings.warn(lost, stacklevel=outside_minimd())
+
+
+def _holds_center(system: AnySystem) -> bool:
+    """Whether the system is an ase.Atoms with FixCom; a System never has it."""
+    if isinstance(system, System):
+        return False
+    from minimd.core.structure.ase_atoms import fixes_center  # loads ase
+
+    return fixes_center(system)
+
+
+def _check_center(is_held: bool, stays: bool, method: Splitting) -> None:
+    """Raise ValueError for atoms with FixCom whose center of mass would move."""
+    if stays or not is_held:
+        return
+    cause = "a force from outside or a fixed atom moves the center of mass: remove FixCom, or what moves it"
+    if not method.conserves_momentum:
+        cure = "take StochasticVelocityRescaling or minimd.ase.Langevin, or remove FixCom"
+        cause = f"{method.name} moves the center of mass: {cure}"
+    raise ValueError(f"atoms.constraints holds FixCom, but {cause}")

@@ -1,0 +1,198 @@
+"""Observables of an engine: the table of them all, and their values for one state."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from minimd.core.console.words import listed, shown
+from minimd.core.engine.engine import Engine
+from minimd.core.engine.record import SERIES, Frame, Record
+from minimd.core.structure import observables
+from minimd.core.structure.units import UnitSystem
+
+
+class Look:
+    """Quantities of one state that several observables share, each computed once, when it is first needed.
+
+    Forces, energy and virial of the engine must be current for those that follow from them.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine, self.system = engine, engine.system
+        self.bonds: Any = engine.constraint_set.bonds
+        self.motion = (engine.velocities, engine.system.masses)
+        self.path = (engine.positions, *self.motion)
+        self.grid = engine.interactions.grid
+
+    @property
+    def potential_energy(self) -> float:
+        """U [energy]."""
+        return self.engine.interactions.potential_energy
+
+    @cached_property
+    def kinetic_energy(self) -> float:
+        """K [energy]."""
+        return float(observables.kinetic_energy(*self.motion, self.grid.energy if self.grid else 0.0))
+
+    @property
+    def total_energy(self) -> float:
+        """U + K [energy]."""
+        return self.potential_energy + self.kinetic_energy
+
+    @property
+    def momentum(self) -> Any:
+        """(3,)."""
+        return observables.momentum(*self.motion, self.grid.momentum if self.grid else 0.0)
+
+    @cached_property
+    def drift(self) -> Any:
+        """See Engine."""
+        return self.engine.drift
+
+    @cached_property
+    def thermal_energy(self) -> float:
+        """K of the motion relative to the drift [energy]."""
+        return observables.thermal_energy(self.kinetic_energy, self.drift, self.system.masses)
+
+    @property
+    def temperature(self) -> float:
+        """T, of the thermal energy."""
+        return observables.temperature(self.thermal_energy, self.engine.n_dof, self.system.units.k_B)
+
+    @property
+    def volume(self) -> float:
+        """[length³].  Raises ValueError if the cell has none."""
+        check_has_volume(self.engine)
+        return float(self.engine.system.volume or 0.0)
+
+    @cached_property
+    def virial(self) -> Any:
+        """(3, 3) [energy], of forces and constraint forces."""
+        engine, virial = self.engine, self.engine.interactions.virial
+        if self.bonds is None:
+            return virial
+        return virial + self.bonds.virial(engine.positions, engine.velocities, engine.forces)
+
+    @property
+    def stress(self) -> Any:
+        """(3, 3) [energy/length³].  Raises ValueError if the cell has no volume."""
+        return observables.stress(self.motion[0] - self.drift, self.motion[1], self.virial, self.volume)
+
+
+@dataclass(frozen=True)
+class Observable:
+    """A number, or an array of numbers, that frames, records and files hold under a name.
+
+    name : in record and file.  unit : the attribute of UnitSystem that names its unit, empty for a pure number.
+    measure : its value, from a Look.  exists : whether it is defined for an engine.
+    demand : for one recorded only if extra_observables names it: raises ValueError for an engine that cannot have it.
+    """
+
+    name: str
+    unit: str
+    measure: Callable[[Look], Any]
+    exists: Callable[[Engine], bool] = lambda _engine: True
+    demand: Callable[[Engine], None] | None = None
+
+    def is_recorded(self, engine: Engine) -> bool:
+        """Whether frames of this engine have it."""
+        return self.exists(engine) if self.demand is None else self.name in engine.extra_observables
+
+
+OBSERVABLES: dict[str, Observable] = {}
+
+
+def register(observable: Observable) -> None:
+    """Add an observable to the record and files of all later runs in which it exists.
+
+    Raises ValueError if its name is in use, or its unit is neither empty nor named by a UnitSystem.
+    """
+    if observable.name in OBSERVABLES:
+        raise ValueError(f"an observable must have a name of its own; {observable.name!r} is already in use")
+    if observable.unit and observable.unit not in UnitSystem.__dataclass_fields__:
+        what = "empty or an attribute of UnitSystem, such as 'energy'"
+        raise ValueError(f"the unit of {observable.name} must be {what}; unit = {observable.unit!r}")
+    OBSERVABLES[observable.name] = observable
+    SERIES[observable.name] = observable.unit
+
+
+def check_has_volume(engine: Engine) -> None:
+    """Raise ValueError if the cell has no volume."""
+    if engine.system.volume is None:
+        pbc = engine.system.cell.pbc.tolist()
+        what = "a cell that is periodic in all three directions"
+        raise ValueError(f"pressure and stress need a volume: {what}; its pbc = {pbc}")
+
+
+for _observable in (
+    Observable("potential_energy", "energy", lambda look: look.potential_energy),
+    Observable("kinetic_energy", "energy", lambda look: look.kinetic_energy),
+    Observable("total_energy", "energy", lambda look: look.total_energy),
+    Observable("temperature", "temperature", lambda look: look.temperature),
+    Observable("momentum", "momentum", lambda look: look.momentum),
+    Observable("angular_momentum", "angular_momentum", lambda look: observables.angular_momentum(*look.path)),
+    Observable("absolute_momentum", "momentum", lambda look: observables.absolute_momentum(*look.motion)),
+    Observable(
+        "absolute_angular_momentum", "angular_momentum", lambda look: observables.absolute_angular_momentum(*look.path)
+    ),
+    Observable(
+        "pressure",
+        "pressure",
+        lambda look: observables.pressure(look.thermal_energy, look.virial, look.volume),
+        lambda engine: engine.system.volume is not None,
+    ),
+    Observable("stress", "pressure", lambda look: look.stress, demand=check_has_volume),
+    Observable(
+        "conserved_energy",
+        "energy",
+        lambda look: look.total_energy - look.engine.reservoir_energy - look.engine.work,
+        lambda engine: engine.has_bath,
+    ),
+    Observable("work", "energy", lambda look: look.engine.work, lambda engine: engine.interactions.depend_on_time),
+    Observable("volume", "volume", lambda look: look.volume, lambda engine: engine.barostat is not None),
+    Observable("cell", "length", lambda look: look.system.cell.vectors, lambda engine: engine.barostat is not None),
+    Observable(
+        "constraint_violation",
+        "",
+        lambda look: float(look.bonds.violation(look.path[0]).max()),
+        lambda one: bool(one.constraint_set.bonds),
+    ),
+):
+    register(_observable)
+
+
+def recorded(engine: Engine) -> list[str]:
+    """Names of the observables that frames of this engine have."""
+    return [one.name for one in OBSERVABLES.values() if one.is_recorded(engine)]
+
+
+def observe(engine: Engine) -> Frame:
+    """The present state with its observables; forces, energy and virial are evaluated if they are not current."""
+    engine.evaluate()
+    look = Look(engine)
+    values = {name: OBSERVABLES[name].measure(look) for name in recorded(engine)}
+    state = engine.step, engine.time, engine.positions, engine.velocities, engine.forces
+    return Frame(*state, values, engine.reservoir_energy, engine.system.cell)
+
+
+def measure(engine: Engine, name: str) -> Any:
+    """One observable of the present state, as in observe.  Raises ValueError for a stress without volume."""
+    engine.evaluate()
+    return OBSERVABLES[name].measure(Look(engine))
+
+
+def check_extras(engine: Engine) -> None:
+    """Raise ValueError unless extra_observables of the engine names only what can be recorded besides the usual."""
+    names, known = engine.extra_observables, [name for name, one in OBSERVABLES.items() if one.demand is not None]
+    if isinstance(names, str) or not set(names) <= set(known):
+        what = f"a tuple with any of {listed(known)}, or empty"
+        raise ValueError(f"extra_observables must be {what}; it is {shown(names)}")
+    for name in names:
+        if (demand := OBSERVABLES[name].demand) is not None:
+            demand(engine)
+
+
+def extras_in(record: Record) -> Sequence[str]:
+    """The extra_observables of the run that made a record."""
+    return tuple(name for name, one in OBSERVABLES.items() if one.demand is not None and name in record)

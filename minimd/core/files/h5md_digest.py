@@ -1,0 +1,329 @@
+"""Restart, observers, frames and description of a minimd file, each with a checksum that shows whether its numbers are
+those that were written.
+
+minimd/restart            all that the next steps depend on, to the last bit: the arrays and numbers of flattened() as
+                          datasets and attributes, the number n_frames of frames, and the CRC-32 of them all;
+                          observer.<name>.* are the arrays of the state of an observer
+minimd/earlier_restart    the restart before it. The older of the two is overwritten, then the two exchange their names:
+                          if one is damaged, the run goes on from the other
+minimd/observers/<name>   attributes kind and arguments (JSON); at the end of a run the result: a dataset for each
+                          series and for its standard error, and single numbers as attributes, in the units of the
+                          simulation (attribute units)
+minimd/blocks             (B, 2) a row for each block of frames: the number of frames up to its end, and the CRC-32 of
+                          the block; the attribute series names the datasets that grow with the frames
+minimd, attribute digest  the CRC-32 of everything that does not change: names, types, attributes, and arrays
+                          that do not grow
+
+Types are part of every checksum: the same bytes in another order are other numbers.
+
+H5MD keeps averages that do not depend on time as groups in observables. The reader of MDAnalysis takes everything there
+for series with an entry for each frame, and refuses a file in which that is not so. Therefore minimd keeps the results
+of observers in its own group.
+"""
+
+import json
+import warnings
+import zlib
+from collections.abc import Mapping, Sequence
+from itertools import count
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+
+from minimd.core.console.annexes import from_annex
+from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.words import listed, shown
+from minimd.core.engine.engine import Checkpoint, Snapshot
+from minimd.core.engine.observer import Accumulator
+from minimd.core.files.h5_items import NOTHING, REFERENCE, Item, put
+from minimd.core.neighbors.verlet_list import Built
+from minimd.core.structure.cell import Cell
+from minimd.core.structure.grid import Grid
+
+RESTART, EARLIER, SPARE = "minimd/restart", "minimd/earlier_restart", "minimd/spare"
+OBSERVERS, MARK = "minimd/observers", "observer."
+BLOCKS, DIGEST = "minimd/blocks", "digest"
+FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")  # groups; but for the above, they do not change
+STATE = {"step": int, "time": float, "reservoir_energy": float}  # numbers of a state; older files have no work
+
+
+class Restart(NamedTuple):
+    """A restart that is intact.  n_frames : in the file at that time.  arrays : all of it, with those that are kept
+    beside the checkpoint.  is_earlier : whether it is the earlier restart, because the newest is damaged."""
+
+    checkpoint: Checkpoint
+    n_frames: int
+    arrays: dict[str, np.ndarray]
+    is_earlier: bool
+
+    def states(self) -> dict[str, dict[str, np.ndarray]]:
+        """The state of each observer, by its name."""
+        found: dict[str, dict[str, np.ndarray]] = {}
+        for name, array in self.arrays.items():
+            if name.startswith(MARK):
+                _, observer, key = name.split(".")
+                found.setdefault(observer, {})[key] = array
+        return found
+
+
+def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """A checkpoint as named arrays and numbers. Arrays that it does not have are left out."""
+    state, lists, (images, tolerance) = checkpoint.state, checkpoint.lists, checkpoint.images or (None, 0.0)
+    clock = state.clock or (state.step, state.time)
+    arrays: dict[str, Any] = {"positions": state.positions, "velocities": state.velocities, "images": images}
+    cells = {"cell": state.cell} | {f"cell_of_list_{k}": one.cell for k, one in enumerate(lists)}
+    for name, cell in cells.items():
+        arrays |= {} if cell is None else {name: cell.vectors, f"{name}_reduction": cell.reduction}
+    for k, one in enumerate(lists):
+        arrays |= {f"list_{k}": one.positions, f"region_of_list_{k}": one.region}
+    numbers = {name: getattr(state, name) for name in (*STATE, "work")}
+    numbers |= {name: getattr(checkpoint, name) for name in ("displacement", "equilibrated")}
+    numbers |= {"clock_step": clock[0], "clock_time": clock[1], "tolerance": tolerance}
+    numbers |= {"skins": np.array([one.skin for one in lists])}
+    numbers |= {} if checkpoint.grid is None else {"grid": np.array([*vars(checkpoint.grid).values()])}
+    return {name: array for name, array in arrays.items() if array is not None}, numbers
+
+
+def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Checkpoint:
+    """The checkpoint with these flattened arrays and numbers."""
+
+    def cell(name: str) -> Cell | None:
+        return Cell.of_reduction(arrays[name], arrays[f"{name}_reduction"]) if name in arrays else None
+
+    def built(k: int, skin: float) -> Built:
+        return Built(skin, arrays.get(f"list_{k}"), cell(f"cell_of_list_{k}"), arrays.get(f"region_of_list_{k}"))
+
+    state = Snapshot(
+        **{name: kind(numbers[name]) for name, kind in STATE.items()},
+        positions=arrays["positions"],
+        velocities=arrays["velocities"],
+        clock=(int(numbers["clock_step"]), float(numbers["clock_time"])),
+        work=float(numbers.get("work", 0.0)),
+        cell=cell("cell"),
+    )
+    lists = tuple(built(k, float(skin)) for k, skin in enumerate(numbers["skins"]))
+    images = (arrays["images"], float(numbers["tolerance"])) if "images" in arrays else None
+    grid = Grid(*map(float, numbers["grid"])) if "grid" in numbers else None
+    return Checkpoint(state, float(numbers["displacement"]), lists, images, int(numbers["equilibrated"]), grid)
+
+
+def write_restart(
+    h5: h5py.File,
+    checkpoint: Checkpoint,
+    n_frames: int,
+    observers: Sequence[Accumulator] = (),
+    beside: Mapping[str, np.ndarray] = NOTHING,
+) -> None:
+    """Write the newest restart; the one before becomes the earlier restart.  beside : arrays that are kept with it."""
+    older = EARLIER if EARLIER in h5 else SPARE
+    arrays, numbers = flattened(checkpoint)
+    arrays |= {f"{MARK}{one.name}.{key}": np.asarray(part) for one in observers for key, part in one.state().items()}
+    arrays, group = {**arrays, **beside}, h5.require_group(older)
+    for name in [name for name in group if name not in arrays or group[name].shape != arrays[name].shape]:
+        del group[name]
+    put(h5, checked(older, arrays, numbers | {"n_frames": n_frames}))
+    if older != SPARE:
+        h5.move(older, SPARE)
+    if RESTART in h5:
+        h5.move(RESTART, EARLIER)
+    h5.move(SPARE, RESTART)
+
+
+def read_restart(h5: h5py.File) -> Restart:
+    """The newest restart that is intact.  Raises ValueError if both are damaged."""
+    for name in (RESTART, EARLIER):
+        if (found := _whole(h5, name)) is not None:
+            return found
+    raise ValueError("its restart is damaged")
+
+
+def damaged_restart(h5: h5py.File) -> str:
+    """The damaged restart in words; empty if there is none. After a single commit a file has no earlier restart."""
+    if _whole(h5, RESTART) is None:
+        return "numbers of the newest restart"
+    return "numbers of the restart before the newest" if EARLIER in h5 and _whole(h5, EARLIER) is None else ""
+
+
+def set_aside_damaged(h5: h5py.File) -> None:
+    """Rename damaged restarts. They are not deleted: the bytes that they claim as theirs may belong to other data."""
+    for name in (RESTART, EARLIER, SPARE):
+        if h5.get(name, getlink=True) is not None and _whole(h5, name) is None:
+            h5.move(name, next(free for k in count(1) if h5.get(free := f"{name}_damaged_{k}", getlink=True) is None))
+
+
+def _whole(h5: h5py.File, name: str) -> Restart | None:
+    """The restart of a name; None if it is damaged."""
+    try:
+        arrays, numbers = read_group(h5[name])
+        return Restart(unflattened(arrays, numbers), int(numbers["n_frames"]), arrays, name == EARLIER)
+    except MemoryError:
+        raise
+    except Exception:  # HDF5 and h5py raise almost anything for bytes they do not expect
+        return None
+
+
+def checked(path: str, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> dict[str, Item]:
+    """A group of arrays, numbers, and their digest."""
+    values = {name: np.asarray(one, np.int64 if isinstance(one, int) else np.float64) for name, one in numbers.items()}
+    values[DIGEST] = np.asarray(digest_of(arrays, numbers), np.uint32)
+    return {path: Item(values)} | {f"{path}/{name}": Item(data=array) for name, array in arrays.items()}
+
+
+def read_group(group: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays and numbers of a group, as in checked.  Raises ValueError if their digest is wrong."""
+    arrays, numbers = {name: group[name][()] for name in group}, dict(group.attrs)
+    if digest_of(arrays, numbers) != numbers.pop(DIGEST, None):
+        raise ValueError(f"{group.name} is damaged")
+    return arrays, numbers
+
+
+def digest_of(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any] = NOTHING) -> int:
+    """CRC-32 of the names, types, shapes and bytes of arrays, and of the names and bytes of numbers."""
+    digest = 0
+    for name, array in sorted(arrays.items()):
+        digest = zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), digest)
+        digest = zlib.crc32(np.ascontiguousarray(array).data, digest)
+    for name in sorted(set(numbers) - {DIGEST}):
+        digest = zlib.crc32(np.asarray(numbers[name], dtype=np.float64).tobytes(), zlib.crc32(name.encode(), digest))
+    return digest
+
+
+def description(observers: Sequence[Accumulator]) -> dict[str, Item]:
+    """The arguments of the observers."""
+    told = {one.name: {"kind": one.kind, "arguments": json.dumps(one.made_with())} for one in observers}
+    return {f"{OBSERVERS}/{name}": Item(attributes) for name, attributes in told.items()}
+
+
+def restore_observers(h5: h5py.File, file: str | Path, restart: Restart, observers: Sequence[Accumulator]) -> None:
+    """Give observers that have not looked yet the state that the file holds for them.
+
+    Raises ValueError if the file holds an observer of the same name with other arguments, or in a state of another
+    convention. Warns of observers in the file that the run does not have.
+    """
+    known, states = h5.get(OBSERVERS, {}), restart.states()
+    for one in observers:
+        if one.name in known:
+            if (was := json.loads(known[one.name].attrs["arguments"])) != json.loads(json.dumps(one.made_with())):
+                holds = f"file {str(file)!r} holds the observer {one.name} with the arguments {was}"
+                raise ValueError(f"{holds}; use the same arguments, or pass another name=")
+            if not one.n_looks:
+                one.restore(states.get(one.name, {}))
+    if left := set(known) - {one.name for one in observers}:
+        words = f"file {str(file)!r} holds the observers {listed(sorted(left))}, which this run does not continue"
+        warnings.warn(f"{words}; to continue them, pass them as observers=[...]", stacklevel=outside_minimd())
+
+
+def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
+    """Write the results of the observers that have looked, in place of those in the file."""
+    for one in observers:
+        group = h5[f"{OBSERVERS}/{one.name}"]
+        for name in list(group):
+            del group[name]
+        if one.n_looks:
+            result, looks = one.result(), {"n_looks": one.n_looks, "last_step": one.last_step}
+            group.attrs.update({**looks, "units": result.scene.units, **result.numbers()})
+            # HDF5 allows no slash in names, that of a species may contain one
+            group.update({name.replace("/", "_"): series for name, series in result.columns().items()})
+
+
+def observers_of(h5: h5py.File, restart: Restart) -> dict[str, Accumulator]:
+    """The observers in an open file, by name, in their state at the restart;
+    new ones where the convention of the state is another. A warning tells those of a kind that is not known here."""
+    states, found, unknown = restart.states(), {}, list[str]()
+    kinds = from_annex("observers by kind") if h5.get(OBSERVERS) else {}
+    for name, group in h5.get(OBSERVERS, {}).items():
+        arguments: dict[str, Any] = json.loads(group.attrs["arguments"])
+        if (kind := str(group.attrs["kind"])) not in kinds:
+            unknown.append(f"{shown(name)} of the kind {shown(kind)}")
+            continue
+        try:
+            found[name] = kinds[kind](**arguments)
+            if found[name].can_restore(state := states.get(name, {})):
+                found[name].restore(state)
+        except MemoryError:
+            raise ValueError(f"observer {name} asks for more memory than there is, by {shown(arguments)}") from None
+    if unknown:
+        known = "to read them, register their classes: minimd.observers.KINDS[kind] = ..."
+        warnings.warn(f"observers of unknown kinds are left out: {', '.join(unknown[:5])}; {known}",
+                      stacklevel=outside_minimd())  # fmt: skip
+    return found
+
+
+def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> None:
+    """Append the row of a block: n_frames frames are now in the file; entries : of the frames of the block,
+    by the paths of their series."""
+    # a block that is written again replaces its row
+    row = int(np.searchsorted(h5[BLOCKS][:, 0], n_frames)) if BLOCKS in h5 else 0
+    about = NOTHING if row else {"series": sorted(entries)}
+    put(h5, {BLOCKS: Item(about, np.array([[n_frames, digest_of(entries)]]), 64, row)})
+
+
+def damaged_frames(h5: h5py.File) -> str:
+    """The frames that are not as they were written, in words; empty if there are none."""
+    series, first = {one: h5[one] for one in h5[BLOCKS].attrs["series"]}, 0
+    lengths = {len(one) for one in series.values()}
+    for last, digest in h5[BLOCKS][:].tolist():
+        is_there = first < last <= min(lengths)
+        if not is_there or digest_of({path: one[first:last] for path, one in series.items()}) != digest:
+            return f"frames {first} to {last - 1}"
+        first = last
+    return "" if lengths == {first} else f"frames from {first} on"
+
+
+def drop_frames(h5: h5py.File, n_frames: int) -> None:
+    """Keep the first n_frames frames, and remove the others."""
+    blocks = h5[BLOCKS]
+    series = {one: h5[one] for one in blocks.attrs["series"]}
+    for one in series.values():
+        one.resize(n_frames, axis=0)
+    blocks.resize(int(np.searchsorted(blocks[:, 0], n_frames, side="right")), axis=0)
+    first = int(blocks[-1, 0]) if len(blocks) else 0
+    if first < n_frames:
+        add_block(h5, n_frames, {path: one[first:] for path, one in series.items()})
+
+
+def n_whole_frames(h5: h5py.File) -> int:
+    """The number of frames in the file that have a checksum."""
+    return int(h5[BLOCKS][-1, 0]) if BLOCKS in h5 and len(h5[BLOCKS]) else 0
+
+
+def sign(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> None:
+    """Store the digest of everything that does not change.  written : all of it, which then is not read."""
+    h5["minimd"].attrs[DIGEST] = np.uint32(_digest_of_description(h5, written))
+
+
+def check_description(h5: h5py.File) -> None:
+    """Raise ValueError unless the description is the one that was signed."""
+    if h5["minimd"].attrs.get(DIGEST) != _digest_of_description(h5):
+        raise ValueError("the checksum of the stored description of the run does not match")
+
+
+def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> int:
+    """CRC-32 of names, attributes and contents of everything that does not change, in order.  written : as in sign."""
+    names: dict[str, bool] = {}  # False for a second name of an item that is visited under another
+    for group in FIXED:
+        names[group], here = True, h5[group]  # a visit stops if the function returns anything but None
+        here.visit_links(lambda name, group=group: names.update({f"{group}/{name}": False}))
+        here.visit(lambda name, group=group: names.update({f"{group}/{name}": True}))
+    digest = 0
+    for name, is_first in sorted(names.items()):
+        if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):
+            continue
+        item = written.get(name, Item()) if is_first else Item()
+        if is_first and not written:
+            read = h5[name]
+            grows, data = isinstance(read, h5py.Dataset) and read.maxshape[:1] == (None,), None
+            if isinstance(read, h5py.Dataset):
+                data = np.empty((0, *read.shape[1:]), read.dtype) if grows else np.asarray(read[()], read.dtype)
+            item = Item(read.attrs, data, int(grows))
+        item, words = written.get(item.other, item), [name.encode()]
+        for key in sorted(set(item.attributes) - {DIGEST, REFERENCE}):
+            words.append(repr((key, np.asarray(item.attributes[key]).tolist())).encode())
+        if (data := item.data) is not None:
+            words.append(repr((data.shape[bool(item.rows) :], data.dtype.str)).encode())
+            if not item.rows:
+                words.append(repr(data.tolist()).encode() if data.dtype.kind == "O" else data.tobytes())
+        digest = zlib.crc32(b"".join(words), digest)
+    return digest

@@ -1,0 +1,430 @@
+"""Reading a minimd file: the door, a first look, and record, restart and description; see h5md_schema for the layout.
+
+Every HDF5 file that minimd reads or continues is opened here, and searched before anything in it is read. HDF5 lets a
+file lead elsewhere: links may name objects in other files, and the numbers of a dataset may lie in any other file,
+which is then read, or overwritten when a run goes on. A file of minimd consists of groups and plain datasets in itself;
+all others are refused. On damaged bytes HDF5 may crash, or never end, and its process with it: a first look is taken in
+a child process.
+"""
+
+import faulthandler
+import os
+import pickle
+import signal
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from math import prod
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+import h5py
+import numpy as np
+from h5py import h5a, h5d, h5g, h5l, h5o, h5t
+
+import minimd.core.diagnosis.shadow_energy  # noqa: F401 - registers an observable, of runs and of files
+from minimd.core.console.display import Displayed, Rows
+from minimd.core.console.quiet import quiet
+from minimd.core.console.words import printable, shown
+from minimd.core.engine.engine import Checkpoint, scene_in_words
+from minimd.core.engine.observer import Accumulator
+from minimd.core.engine.record import SERIES, Frame, Record
+from minimd.core.files import h5md_digest as digest
+from minimd.core.files.claim import end_with, repair
+from minimd.core.files.h5md_schema import SPACING, STEPS, TRAJECTORY, factors, read_constraints, read_method
+from minimd.core.integrators.barostats import StochasticCellRescaling
+from minimd.core.integrators.splitting import Splitting
+from minimd.core.integrators.table import METHODS
+from minimd.core.structure.bond_graph import GROUPS
+from minimd.core.structure.cell import Cell
+from minimd.core.structure.errors import sentence
+from minimd.core.structure.system import System
+from minimd.core.structure.units import SYSTEMS, UnitSystem
+
+Found = TypeVar("Found")
+
+NUMBERS = (h5t.INTEGER, h5t.FLOAT, h5t.ENUM)  # bools and species are enumerations
+TEXTS = (*NUMBERS, h5t.STRING)
+CRASH_TEXTS = ("findings", "words", "simulation")
+MAY_BE_TEXTS = ("minimd/species_names", *(f"minimd/crash_report/{name}" for name in CRASH_TEXTS))
+REFERENCE = b"particles_group"  # the only attribute that refers to an object
+LAYOUTS = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
+MOST_TEXTS = 256  # attributes of an object, and texts in an attribute; minimd has some 30
+DEEPEST = 8  # groups in groups; minimd has 5
+REASONS = {  # why a file cannot be opened, by the words of HDF5
+    "unable to lock file": "another run is writing it",
+    "truncated file": "it is damaged, it ends before its data do; copy it again, or run again",
+}
+SECONDS, BYTES_PER_SECOND = 10, 10_000_000  # of processor time that a look may take; reading needs a hundredth of it
+# bytes that a look may take, and besides so many times those of the file: texts of a file may claim the same bytes
+MEMORY, SIZES = 2**32, 4
+
+
+def opened(path: str | Path) -> h5py.File:
+    """Open a minimd file for reading. A commit that was interrupted is finished first.
+
+    Raises FileNotFoundError if it does not exist.  ValueError if it is not HDF5, or not written by minimd.  OSError if
+    it is damaged, as admitted.  BlockingIOError if a run is writing it.
+    """
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"file {str(path)!r} does not exist; give the .h5md file of a run")
+    try:
+        repair(path)
+        if not h5py.is_hdf5(path):
+            raise ValueError(f"file {str(path)!r} is not an HDF5 file; give the .h5md file of a run")
+        h5 = h5py.File(path, "r")
+    except (OSError, RuntimeError) as error:
+        words = sentence(error)
+        reason = next((told for sign, told in REASONS.items() if sign in words), words.splitlines()[0])
+        kind = BlockingIOError if isinstance(error, BlockingIOError) else OSError
+        raise kind(f"file {str(path)!r} cannot be opened: {reason}") from error
+    with damage_told(path):
+        is_ours = h5.id.links.exists(b"minimd")
+    if not is_ours:
+        h5.close()
+        raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
+    return admitted(h5, path)
+
+
+def admitted(h5: h5py.File, path: str | Path) -> h5py.File:
+    """The file, if all of it is of the kinds that minimd writes, lies in the file, and is not larger than it.  path :
+    for messages.  Raises OSError, with the name of the first thing that is not, and closes the file."""
+    try:
+        with damage_told(path):
+            problem = _strange_thing(h5)
+        if problem:
+            remedy = "minimd writes no such thing; do not use this file"
+            raise OSError(f"file {str(path)!r} is refused: {problem}; {remedy}")
+    except BaseException:
+        h5.close()
+        raise
+    return h5
+
+
+def _strange_thing(h5: h5py.File) -> str:
+    """The first thing that minimd does not write, in words; empty if there is none.  No link out of the file is
+    followed, and no number read."""
+    room, seen, groups = h5.id.get_filesize(), {h5o.get_info(h5.id).addr}, [("", h5.id)]
+    while groups:
+        path, group = groups.pop()
+        links: list[tuple[bytes, int]] = []
+        # h5py uses one info for all
+        group.links.iterate(lambda key, info, links=links: links.append((key, info.type)), info=True)
+        for key, kind in links:
+            name = f"{path}{key.decode(errors='replace')}"
+            if kind != h5l.TYPE_HARD:
+                return f"{name!r} is a link by name, which may lead into another file"
+            item = h5o.open(group, key)
+            is_group, is_second = isinstance(item, h5g.GroupID), (address := h5o.get_info(item).addr) in seen
+            if is_group and (is_second or name.count("/") >= DEEPEST):
+                return f"{name!r} is a group that has a second name, or lies inside more than {DEEPEST} others"
+            if is_second:
+                continue
+            seen.add(address)
+            groups += [(f"{name}/", item)] if is_group else []
+            words, n_bytes = _strange_in(item, name)
+            room -= n_bytes
+            if words or room < 0:
+                too_large = f"and all before it claim {-room} bytes more than the file has"
+                return f"{name!r} {words or too_large}"
+    return ""
+
+
+def _strange_in(item: Any, name: str) -> tuple[str, int]:
+    """What is strange in a group or dataset, in words, and the number of bytes that it asks for."""
+    if (n := h5a.get_num_attrs(item)) > MOST_TEXTS:
+        return f"has {n} attributes", 0
+    keys: list[bytes] = []
+    h5a.iterate(item, keys.append)
+    n_bytes, is_data = 0, isinstance(item, h5d.DatasetID)
+    for key in keys:
+        one = h5a.open(item, key)
+        n, kind, named = prod(one.shape), one.get_type(), f"has the attribute {key.decode(errors='replace')!r}"
+        n_bytes += n * kind.get_size()
+        if kind.get_class() not in TEXTS and key != REFERENCE:
+            return f"{named} that is neither numbers nor texts", 0
+        if n > MOST_TEXTS and kind.get_class() == h5t.STRING:  # each of them could be as long as the file
+            return f"{named} of {n} texts", 0
+    if not is_data:
+        return "" if isinstance(item, h5g.GroupID) else "is neither a group nor a dataset", n_bytes
+    made, holds = item.get_create_plist(), item.get_type()
+    strange = {
+        "whose numbers lie in other files": made.get_external_count() > 0,
+        "that consists of parts of others": made.get_layout() not in LAYOUTS,
+        "whose numbers pass through filters": made.get_nfilters() > 0,
+        "of other things than numbers": holds.get_class() not in (TEXTS if name in MAY_BE_TEXTS else NUMBERS),
+    }
+    words = next((f"is a dataset {words}" for words, is_so in strange.items() if is_so), "")
+    return words, n_bytes + (0 if words else prod(item.get_space().get_simple_extent_dims()) * holds.get_size())
+
+
+@contextmanager
+def damage_told(path: str | Path) -> Iterator[None]:
+    """Turn any error in reading a file into an OSError with one sentence."""
+    try:
+        yield
+    except MemoryError:
+        raise
+    except Exception as error:  # HDF5 and h5py raise almost anything for bytes they do not expect
+        reason = printable(" ".join(str(error).split())) or type(error).__name__
+        raise OSError(f"file {str(path)!r} is damaged: {reason}; copy it again, or run again") from error
+
+
+def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
+    """Return or raise what look() does; it is called in a child process if the system can fork, else in this one.
+    Raises OSError if the child crashes, or takes more time or memory than reading could take."""
+    if not hasattr(os, "fork"):
+        return look()
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(f"a file must be given by its name, such as 'run.h5md'; got {shown(path)}")
+    parent, (listening, telling) = os.getpid(), os.pipe()
+    try:
+        with quiet():  # Python warns of forks with threads; h5py holds its lock in a fork
+            child = os.fork()
+    except OSError:
+        os.close(listening)
+        os.close(telling)
+        raise
+    if child == 0:
+        _tell(parent, telling, path, look)
+    os.close(telling)
+    try:
+        with open(listening, "rb") as pipe:
+            answer = pipe.read()
+    except BaseException:
+        os.kill(child, signal.SIGKILL)
+        raise
+    finally:
+        status = 0
+        with suppress(ChildProcessError):  # not known, because this process ignores the ends of its children
+            status = os.waitpid(child, 0)[1]
+    if status or not answer:
+        raise OSError(f"file {str(path)!r} is damaged: HDF5 crashes on it; copy it again, or run again")
+    found, error = pickle.loads(answer)
+    if error is not None:
+        raise error
+    return found
+
+
+def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> NoReturn:
+    """In the child: call look with little time and memory, send its result or error, and end without any output."""
+    status = 1
+    try:
+        import resource  # a system without fork does not have this module
+
+        end_with(parent)
+        faulthandler.disable()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        n_bytes = os.path.getsize(path) if os.path.exists(path) else 0
+        limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: SECONDS + n_bytes // BYTES_PER_SECOND}
+        with suppress(OSError):  # not every system tells how much memory a process has
+            pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+            limits[resource.RLIMIT_AS] = pages * resource.getpagesize() + MEMORY + SIZES * n_bytes
+        for which, limit in limits.items():
+            hard = resource.getrlimit(which)[1]
+            resource.setrlimit(which, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
+        answer: tuple[Any, Exception | None]
+        try:
+            answer = look(), None
+        except MemoryError:
+            much = f"to read it takes more memory than {MEMORY / 1e9:.2g} GB"
+            answer = None, OSError(f"file {str(path)!r} is damaged: {much}; copy it again, or run again")
+        except Exception as error:
+            answer = None, error
+        with open(pipe, "wb") as told:
+            pickle.dump(answer, told)
+        status = 0
+    finally:
+        os._exit(status)
+
+
+@dataclass(frozen=True, repr=False)
+class H5MDContents(Displayed):
+    """The contents of a minimd file, apart from its frames.
+
+    record : Record, one entry for each frame.
+    system : System at the restart, to the last bit, with the constraints of the run.
+    restart : Checkpoint.  step, time : int, [time], of the restart.  timestep : [time].
+    method : its name in integrators.METHODS.  parameters : arguments with which it can be made again.
+    barostat : StochasticCellRescaling, or None.  precision, skin : of the options.  potentials : in words.
+    too_long_a_step : the warning of a Report that the time step is too long, or empty.
+    since : the first step from which on method, bath and state are those of one run; 0 for all of them.
+    reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.
+    conserves_momentum : whether the run did.
+    n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
+    observers : of minimd.observers, by name, in their state at the restart.  lacks_results : whether they have looked
+        since their results were written, as in a killed run.
+    repaired : a sentence if the newest restart is damaged and the one before it is used; else empty.
+    """
+
+    record: Record
+    system: System
+    restart: Checkpoint
+    step: int
+    time: float
+    timestep: float
+    method: str
+    reservoir_energy: float
+    conserves_momentum: bool
+    n_frames: int
+    has_forces: bool
+    title: str
+    scene: str
+    parameters: dict[str, Any]
+    precision: Any
+    skin: float | None
+    potentials: list[str]
+    repaired: str
+    observers: dict[str, Accumulator]
+    lacks_results: bool
+    barostat: StochasticCellRescaling | None = None
+    too_long_a_step: str = ""
+    since: int = 0
+
+    def __repr__(self) -> str:
+        return f"H5MDContents({self.n_frames} frames of {len(self.system)} atoms, {self.method}, step {self.step})"
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        shown = self.system.units.shown
+        return [
+            *([("title", self.title)] if self.title else []),
+            *self.scene_in_words(),
+            ("frames", f"{self.n_frames}, {'with' if self.has_forces else 'without'} forces"),
+            ("restart", f"step {self.step}, {shown(self.time)}"),
+            ("scene", "stored" if self.scene else "none stored"),
+            *([("repaired", self.repaired)] if self.repaired else []),
+        ]
+
+    def scene_in_words(self) -> Rows:
+        """System, potentials, method and barostat."""
+        potentials = (one.partition(": ")[2] for one in self.potentials)
+        return scene_in_words(self.system, potentials, self.method, self.parameters, self.barostat)
+
+    def integrator(self) -> Splitting:
+        """The method with its time step.  Raises ValueError if it is not a method of minimd."""
+        if self.method not in METHODS:
+            made_with = f"the run was made with the method {self.method!r}, which minimd does not have"
+            raise ValueError(f"{made_with}; pass the method of that run")
+        made: Any = METHODS[self.method](**self.parameters)
+        return made
+
+
+def read_file(path: str | Path) -> H5MDContents:
+    """Read record, restart and description of a minimd file, and verify their checksums; see verify_frames for frames.
+
+    Raises FileNotFoundError, OSError as opened, and OSError if it is damaged.  ValueError if it is not HDF5,
+    or not written by minimd.
+    """
+    with opened(path) as h5:
+        return contents_of(h5, path)
+
+
+def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
+    """Record, restart and description of an open minimd file.  path : for messages.  Raises as read_file."""
+    with damage_told(path):
+        digest.check_description(h5)
+        n_frames, group, found = digest.n_whole_frames(h5), h5["minimd"], digest.read_restart(h5)
+        state, at, observers = found.checkpoint.state, group.attrs, digest.observers_of(h5, found)
+        told = f"the newest restart in {path} is damaged; the one before it is used, of step {state.step}"
+        system = _system(group, found.checkpoint)
+        return H5MDContents(
+            record=_record(h5, system, n_frames),
+            system=system,
+            restart=found.checkpoint,
+            step=state.step,
+            time=state.time,
+            timestep=float(at["timestep"]),
+            since=int(at.get("since", 0)),
+            reservoir_energy=state.reservoir_energy,
+            n_frames=n_frames,
+            has_forces=f"{TRAJECTORY}/force" in h5,
+            title=printable(str(at["title"])),
+            scene=str(at["scene"]),
+            repaired=told if found.is_earlier else "",
+            observers=observers,
+            lacks_results=any(
+                one.n_looks > h5[f"{digest.OBSERVERS}/{name}"].attrs.get("n_looks", 0)
+                for name, one in observers.items()
+            ),
+            **read_method(group),
+        )
+
+
+def frames_of(
+    path: str | Path, numbers: Iterable[int], units: UnitSystem, observables: Iterable[str] = ()
+) -> Iterator[Frame]:
+    """Frames of a minimd file in its units, converted to rounding; with forces (else None), cell and the observables of
+    these names if the file has them.  Raises as opened."""
+    by = factors(units)
+    with opened(path) as h5, damage_told(path):
+        places = {f"{name}s": h5[TRAJECTORY].get(f"{name}/value") for name in ("position", "force")}
+        places["velocities"], known = h5[TRAJECTORY]["velocity/value"], h5["observables"]
+        seen = {name: known[f"{name}/value"] for name in ("cell", *observables) if name in known}
+        for k in numbers:
+            arrays: dict[str, Any] = {name: None if at is None else at[k] / by[name] for name, at in places.items()}
+            values = {name: series[k] for name, series in seen.items()}
+            cell = Cell(values["cell"], np.ones(3, bool)) if "cell" in values else None
+            step, time = int(h5[STEPS][k]), float(h5["minimd/time"][k])
+            yield Frame(step, time, **arrays, observables=values, cell=cell)
+
+
+def damage(path: str | Path) -> str:
+    """The frames, or else the restart, of a minimd file that are not as they were written, in words; empty if there are
+    none. The whole file is read in a child process, which damaged bytes may crash.  Raises as read_file."""
+    frames, restart = looked_at(path, partial(_damage, path))
+    return frames or restart
+
+
+def verify_frames(path: str | Path) -> None:
+    """Raise OSError unless all frames of a minimd file are as they were written.  Raises as read_file, too."""
+    if which := looked_at(path, partial(_damage, path))[0]:
+        words = f"{which} are not those that were written"
+        raise OSError(f"file {str(path)!r} is damaged: {words}; copy it again, or run again")
+
+
+def _damage(path: str | Path) -> tuple[str, str]:
+    """The damaged frames and the damaged restart, in words; see damage."""
+    with opened(path) as h5, damage_told(path):
+        digest.check_description(h5)
+        n_frames, found = digest.read_restart(h5).n_frames, digest.n_whole_frames(h5)
+        return digest.damaged_frames(h5) or (
+            f"frames from {found} on" if found < n_frames else ""
+        ), digest.damaged_restart(h5)
+
+
+def _system(group: h5py.Group, restart: Checkpoint) -> System:
+    names = group["species_names"]
+    labels = names.asstr()[:] if h5py.check_string_dtype(names.dtype) else names[:]
+    return System(
+        restart.state.positions,
+        velocities=restart.state.velocities,
+        cell=restart.state.cell or Cell(group["cell"][:], group.attrs["pbc"].astype(bool)),
+        species=np.array(labels.tolist())[group["species_index"][:]],
+        **{name: group[name][:] for name in ("masses", "charges", *GROUPS) if name in group},
+        units=SYSTEMS[group.attrs["units"]],
+        constraints=read_constraints(group),
+    )
+
+
+def _record(h5: h5py.File, system: System, n_frames: int) -> Record:
+    stored = h5["observables"]
+    names = [name for name in SERIES if name in stored]
+    names += [name for name in stored if name not in SERIES and name != SPACING]
+    paths = {"step": STEPS, "time": "minimd/time"} | {name: f"observables/{name}/value" for name in names}
+    return Record.of(system.units, len(system), {name: h5[place][:n_frames] for name, place in paths.items()})
+
+
+def read_observers(path: str | Path) -> dict[str, Accumulator]:
+    """The observers in an H5MD file by name, in their state at its restart:
+    read_observers("run.h5md")["viscosity"].result().
+
+    Raises OSError, ValueError for a file that does not exist, is damaged, or was not written by minimd.
+    """
+    return read_file(path).observers
+
+
+def read_record(path: str | Path) -> Record:
+    """The Record of all frames in an H5MD file, also of a run that was continued.  Raises as read_observers."""
+    return read_file(path).record

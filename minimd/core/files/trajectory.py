@@ -1,0 +1,240 @@
+"""Trajectory files: the writer for each suffix, and a context that closes all files whatever happens."""
+
+import errno
+import os
+import struct
+import warnings
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol
+
+from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.whole_file import locked
+from minimd.core.console.words import shown
+from minimd.core.engine.engine import Engine
+from minimd.core.engine.observer import Accumulator
+from minimd.core.engine.record import Frame
+from minimd.core.files.claim import Claim, read_at
+
+
+class Writer(Protocol):
+    """A file that takes frames."""
+
+    claim: Claim
+
+    def write(self, frame: Frame) -> None:
+        """Append one frame."""
+
+    def checkpoint(self) -> None:
+        """Bring all frames taken so far to the disk; an H5MD file also keeps the present state as its restart."""
+        try:
+            os.fsync(self.claim.descriptor)
+        except OSError as error:
+            words = f"trajectory {self.claim.name!r} could not be brought to the disk: {error.strerror}"
+            raise OSError(error.errno, words) from None
+
+    def close(self) -> None:
+        """Finish the file, which then is valid with any number of frames."""
+
+
+FOR_H5MD = ("store_forces", "every", "observers", "n_frames", "bring_others")
+H5MD = ("minimd.core.files.h5md_writer", "H5MDWriter", FOR_H5MD)
+MDANALYSIS = ("minimd.core.files.turned_cell", "MDAnalysisWriter", ())
+ASE = ("minimd.core.files.structure_file", "ASEWriter", ("store_forces",))
+# suffix: module and class of its writer, imported when needed, and the options that it takes besides claim and engine
+FORMATS: dict[str, tuple[str, str, tuple[str, ...]]] = {
+    ".h5md": H5MD,
+    **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), MDANALYSIS),
+    **dict.fromkeys((".xyz", ".extxyz", ".traj"), ASE),
+}
+N_FIRST, N_LAST = 128, 256
+MARK = struct.Struct(f"<QQQ{N_FIRST}s{N_LAST}s")
+"""Of a file beside an H5MD file: inode of the H5MD file; inode and size of the file, its first bytes, in which some
+formats count frames, and its last bytes, in which zeros may be replaced later by places of frames (.traj).
+Its name follows."""
+
+
+@contextmanager
+def open_trajectories(
+    paths: str | Path | Sequence[str | Path],
+    engine: Engine,
+    *,
+    store_forces: bool,
+    overwrite: bool,
+    append: bool = False,
+    every: int = 1,
+    n_steps: int | None = None,
+    observers: Sequence[Accumulator] = (),
+) -> Iterator[list[Writer]]:
+    """Writers for several files: all are checked before the first is opened, and closed at the end;
+    if one cannot be opened, none is left behind.
+
+    every : steps between two frames.  n_steps : of the run, None if it is not known.
+    observers : .h5md files hold their state and results; with append,
+        those that have not looked yet go on from their state in the file.
+    Raises ValueError for a suffix without a writer, a file that is named twice, is not a regular file, or cannot be
+    appended to. FileExistsError for a file that exists, unless overwrite.  FileNotFoundError, PermissionError for a
+    folder that does not exist or cannot be written.  OSError if another run writes the file.
+    """
+    files = named_files("trajectory", paths)
+    for k, path in enumerate(files):
+        if same := [one for one in files[:k] if os.path.realpath(one) == os.path.realpath(path)]:
+            both = f"{str(same[0])!r} and {str(path)!r} are the same file"
+            raise ValueError(f"each trajectory must be a file of its own; {both}: name it once")
+    for path in files:
+        if append and not _is_h5md(path):
+            why = "only .h5md files can be appended to, because they hold the state from which a run goes on"
+            raise ValueError(f"{why}; the file is {str(path)!r}")
+        if not append:
+            checked_output(path, overwrite)
+    writers: list[Writer] = []
+    options = {"store_forces": store_forces, "every": every, "observers": observers}
+    options["n_frames"] = None if n_steps is None else n_steps // every + 2
+    options["bring_others"] = partial(_brought_to_disk, writers)
+    with ExitStack() as closing:
+        for file in sorted(files, key=_is_h5md):  # last: it tells how far the others are
+            if append:
+                from minimd.core.files.h5md_writer import H5MDWriter
+
+                writers.append(H5MDWriter.append_to(file, engine, store_forces, every, observers))
+            else:
+                writers.append(_new(file, engine, options, overwrite))
+            closing.callback(writers[-1].close)
+            if append:
+                _cut_others_back(writers[-1])
+        try:
+            yield writers
+        except KeyboardInterrupt as stopped:  # also by other signals; see console.Terminated
+            stopped.__dict__["kept"] = tuple(files)
+            raise
+
+
+def _new(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -> Writer:
+    module, name, takes = FORMATS[file.suffix.lower()]
+    try:
+        claim = Claim(file, overwrite=overwrite)
+    except OSError as error:
+        raise type(error)(f"output {str(file)!r} cannot be written: {error.strerror}") from None
+    try:
+        made: Writer = getattr(import_module(module), name)(claim, engine, **{one: options[one] for one in takes})
+    except BaseException:
+        claim.release()
+        raise
+    return made
+
+
+def _brought_to_disk(writers: list[Writer], claim: Claim) -> list[bytes]:
+    """Bring trajectories to the disk that are not H5MD; returns marks of those beside the claimed H5MD file,
+    for its restart.
+
+    A kill may leave a part of a frame, which the usual readers refuse; a resumed run cuts off what came after the
+    restart.
+
+    Raises OSError for a trajectory that cannot be brought to the disk; it is not tried again.
+    """
+    marks, own = [], os.fstat(claim.descriptor).st_ino
+    for one in [writer for writer in writers if not _is_h5md(writer.claim.path)]:
+        path, file = one.claim.path, one.claim.descriptor
+        try:
+            one.checkpoint()
+        except OSError:
+            writers.remove(one)
+            raise
+        if path.parent == claim.path.parent:
+            now = os.fstat(file)
+            ends = read_at(file, N_FIRST, 0), read_at(file, *_last_bytes(now.st_size))
+            marks.append(MARK.pack(own, now.st_ino, now.st_size, *ends) + os.fsencode(path.name))
+    return marks
+
+
+def _cut_others_back(writer: Any) -> None:
+    """Cut the other trajectories of a continued H5MD file to what they were at its restart; warns of what was cut,
+    and what could not be."""
+    told = []
+    for mark in writer.marks:
+        path = writer.claim.path.parent / Path(os.fsdecode(mark[MARK.size :])).name
+        try:
+            words = _cut_back(path, writer.claim.descriptor, *MARK.unpack_from(mark))
+        except FileNotFoundError:
+            words = ""
+        except (OSError, ValueError, struct.error) as error:
+            reason = getattr(error, "strerror", None) or error
+            words = f"is left as it is, and may hold frames later than the state from which the run goes on: {reason}"
+        told += [f"trajectory {str(path)!r} {words}"] if words else []
+    for sentence in told:
+        warnings.warn(sentence, stacklevel=outside_minimd())
+
+
+def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: bytes, last: bytes) -> str:
+    """Cut a trajectory to what it was at a restart; returns what was done, in words, empty if it has not grown since.
+
+    h5md : descriptor of the file with the restart.  own, inode, size, first, last : as in MARK.
+    Raises OSError, ValueError if one of the two files is not the one that the run has written.
+    """
+    if path.suffix.lower() not in set(FORMATS) - {".h5md"}:
+        raise ValueError("its suffix is not that of a trajectory")
+    with open(locked(path), "r+b") as file:
+        there = file.fileno()
+        found = os.fstat(there).st_size
+        is_ours = _has_inode(h5md, own) and _has_inode(there, inode) and found >= size
+        now = read_at(there, *_last_bytes(size)) if is_ours else b""  # a strange mark may have any size
+        if not is_ours or any(was not in (0, byte) for was, byte in zip(last, now, strict=False)):
+            raise ValueError("this trajectory, or the .h5md file, is a copy or was changed")
+        file.write(first[:size])
+        file.truncate(size)
+        if not size:  # it had no frame, and therefore no name
+            path.unlink()
+            return f"of {found} bytes was removed: it had no frame at the step from which the run goes on"
+    return f"was cut to {size} bytes, its size at the step from which the run goes on" if found > size else ""
+
+
+def _has_inode(descriptor: int, inode: int) -> bool:
+    return os.fstat(descriptor).st_ino == inode
+
+
+def _last_bytes(size: int) -> tuple[int, int]:
+    """Number and place of the last bytes of a file that a mark holds; none of them is among the first."""
+    return min(N_LAST, max(0, size - N_FIRST)), max(N_FIRST, size - N_LAST)
+
+
+def _is_h5md(file: Path) -> bool:
+    return file.suffix.lower() == ".h5md"
+
+
+def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Path]:
+    """The paths of one file or several.  name : of the argument, for messages.
+    Raises TypeError for anything that is not a path."""
+    several = [paths] if isinstance(paths, str | Path) else paths
+    if not isinstance(several, list | tuple) or not all(
+        isinstance(path, str | Path) and Path(path).name for path in several
+    ):
+        raise TypeError(f"{name} must be the path of a file, or a list of paths; {name} = {shown(paths)}")
+    return [Path(path) for path in several]
+
+
+def first_h5md(paths: str | Path | Sequence[str | Path]) -> Path | None:
+    """The first H5MD file among the trajectories of a run, or None.  Raises TypeError as named_files."""
+    return next((file for file in named_files("trajectory", paths) if _is_h5md(file)), None)
+
+
+def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:
+    """The path, if a new file with one of the suffixes can be written there; no file is created.  Raises as
+    open_trajectories."""
+    file = Path(path)
+    if file.suffix.lower() not in suffixes:
+        other = "; docs/formats.md says how other formats are made from an .h5md file" * (suffixes is FORMATS)
+        wanted = f"the suffix of a trajectory must be one of {', '.join(suffixes)}"
+        raise ValueError(f"{wanted}; the file is {str(file)!r}{other}")
+    if file.exists() and not overwrite:
+        raise FileExistsError(f"output {str(file)!r} exists; choose another name, or pass overwrite=True")
+    if not file.absolute().parent.is_dir():
+        raise FileNotFoundError(f"output folder {str(file.absolute().parent)!r} does not exist; make it first")
+    if file.exists() and not file.is_file():
+        words = "it is a folder or a device; choose another name"
+        raise ValueError(f"output {str(file)!r} must be a regular file, but {words}")
+    if not os.access(file if file.exists() else file.absolute().parent, os.W_OK):
+        raise PermissionError(f"output {str(file)!r} cannot be written: {os.strerror(errno.EACCES)}")
+    return file

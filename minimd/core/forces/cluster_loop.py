@@ -1,0 +1,417 @@
+"""The vector loop over clusters: the same pair laws as pair_loop, applied to all lanes of a vector at a time.
+
+Atoms near each other form clusters, of as many as there are lanes; see neighbors.clusters for the picture. A row
+belongs to one atom i and lists the clusters j with atoms within its reach.
+Lanes that do not count are infinitely far from it, see Memory.far.
+"""
+
+from collections import namedtuple
+
+import numpy as np
+from numba import types
+
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.fixed_point import BIAS, biased_product, in_steps, is_fixed, on_grid
+from minimd.core.compiled.kernels import by_type, called_kernel, scalar
+from minimd.core.compiled.simd import bits_from_mask, broadcast, fma, load, select, store, total, zeros
+from minimd.core.compiled.simd.vector import count, loaded, loaded_columns
+from minimd.core.neighbors.cluster_search import GHOST_BITS, LANES_FROM
+from minimd.core.neighbors.clusters import DIMENSIONS
+from minimd.core.neighbors.domains import GHOSTS
+from minimd.core.potentials.law import evaluate_law
+from minimd.core.potentials.pair_loop import SameForAll, with_product
+from minimd.core.potentials.term import PER_ATOM
+
+SUMS = 7  # accumulators: an energy, and a virial as xx yy zz yz xz xy
+APART = 2  # rows of accumulators from domain to domain: so no two threads write to the same line of the cache
+
+
+class ByLane(ByAddress, namedtuple("ByLane", "columns species slots table of_atoms")):
+    """Parameters by species, laid out for lanes.
+
+    columns : tuple of (S · slots,) arrays; element a · slots + s is the parameter of the atom in slot s with species a.
+    species : (slots,) int.  slots : number of slots, ghosts included, for which there is room.
+    table : (S, S, 1 + P) parameters of pairs of species.  of_atoms : (N,) int, species of the atoms.
+    """
+
+
+class ChargesByLane(ByAddress, namedtuple("ChargesByLane", "of_slots of_atoms source")):
+    """The product of charges, and what another source has.
+
+    of_slots : (slots,), those of of_atoms (N,) [√(energy · length)].  source : SameForAll or ByLane.
+    """
+
+
+@by_type
+def parameters_of_lanes(source, slot, cluster, lanes):
+    """Parameters of pairs of the atom in a slot with the lanes of a cluster: numbers, or vectors if species differ."""
+    if source.instance_class is SameForAll:
+        return lambda source, slot, cluster, lanes: source.numbers
+    if source.instance_class is ChargesByLane:
+        return lambda source, slot, cluster, lanes: with_product(
+            parameters_of_lanes(source.source, slot, cluster, lanes),
+            load(source.of_slots, cluster * count(lanes), lanes) * source.of_slots[slot],
+        )
+    return lambda source, slot, cluster, lanes: loaded_columns(
+        source.columns, source.species[slot] * source.slots + cluster * count(lanes), lanes
+    )
+
+
+class Sums(ByAddress, namedtuple("Sums", "forces of_rows of_lanes detail")):
+    """The accumulators of the loop.
+
+    forces : flat, a block for each ghost in a window, see Domains.place, of the type of the pair arithmetic
+        [energy/length]; in fixed-point arithmetic int64 impulses.
+    of_rows : (n, SUMS) [energy], with PER_ATOM of the atom of each row, (slots, SUMS), else of each domain, APART.
+    of_lanes : flat, SUMS · n numbers for each ghost of each window, of the lanes; empty unless PER_ATOM.
+    detail : TOTALS or PER_ATOM, see term.
+    """
+
+
+class TotalSums(Sums):
+    """Accumulators for TOTALS: a type of its own, for which the virial is not summed pair by pair, see add_virial."""
+
+
+class ForceSums(Sums):
+    """Accumulators of forces only: a type of its own, for which the compiler leaves out energies and virials."""
+
+
+@by_type
+def with_energy(sums):
+    """Whether energies are wanted, as a constant for the compiler."""
+    answer = sums.instance_class is not ForceSums
+    return lambda sums: answer
+
+
+@by_type
+def by_pair(sums, steps):
+    """Whether the virial is the sum of those of all pairs, as a constant: each rounded in fixed-point arithmetic, so
+    that the sum is the same for any list."""
+    answer = sums.instance_class is Sums or (sums.instance_class is TotalSums and is_fixed(steps))
+    return lambda sums, steps: answer
+
+
+@by_type
+def looks_ahead(vector):
+    """Whether the loop computes separations one entry ahead, so that the processor has work while it waits for the law.
+
+    It does with vectors of 512 bits: processors that have them have the 32 registers it needs, and gain a twentieth.
+    """
+    answer = vector.lanes * vector.element.bitwidth == 512
+    return lambda vector: answer
+
+
+class Work(ByAddress, namedtuple("Work", "laws sums")):
+    """What the loop does.
+
+    laws : tuple of (law type, SameForAll, ByLane or ChargesByLane).  sums : Sums, TotalSums or ForceSums.
+    """
+
+
+@called_kernel
+def add_forces_of_laws(domain, arrays, work, steps):
+    """add_cluster_forces for each law of a Work; its energies and virials begin with zero."""
+    _start_energies(domain, arrays, work.sums)
+    _add_forces_of(domain, arrays, work.laws, work.sums, steps)
+    add_virial(domain, arrays, work.sums, steps)
+
+
+@by_type
+def add_virial(domain, arrays, sums, steps):
+    """The virial of a domain, from the forces on all ghosts in its window, whose sum is zero:
+
+        W = Σ_pairs f r_ij ⊗ r_ij = Σ_ghosts F ⊗ (r − r₀)
+
+    r₀, any point near by, keeps rounding errors small.
+    """
+    if sums.instance_class is not TotalSums or is_fixed(steps):
+        return lambda domain, arrays, sums, steps: None
+
+    def add(domain, arrays, sums, steps):
+        domains, memory, lanes = arrays.domains, arrays.memory, arrays.clusters.lanes
+        n_lanes, start = count(lanes), arrays.domain_start[domain]
+        if start == arrays.domain_start[domain + 1]:
+            return
+        block, first, place = DIMENSIONS * n_lanes, domains.first[domain], domains.place[domain]
+        at = arrays.ghosts.home[start] * block
+        x0, y0, z0 = memory.coordinates[at], memory.coordinates[at + n_lanes], memory.coordinates[at + 2 * n_lanes]
+        xx = yy = zz = yz = xz = xy = zeros(lanes)
+        for k in range(domains.window[domain + 1] - domains.window[domain]):
+            x, y, z = loaded(memory.coordinates, (first + k) * block, lanes)
+            fx, fy, fz = loaded(sums.forces, (place + k) * block, lanes)
+            x, y, z = x - x0, y - y0, z - z0
+            xx, yy, zz = fma(fx, x, xx), fma(fy, y, yy), fma(fz, z, zz)
+            yz, xz, xy = fma(fy, z, yz), fma(fx, z, xz), fma(fx, y, xy)
+        for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
+            sums.of_rows[APART * domain, 1 + c] += total(w)
+
+    return add
+
+
+@by_type
+def _start_energies(domain, arrays, sums):
+    """Energies and virials of a domain = 0, where they are wanted."""
+    if sums.instance_class is ForceSums:
+        return lambda domain, arrays, sums: None
+
+    def start(domain, arrays, sums):
+        if sums.detail != PER_ATOM:
+            sums.of_rows[APART * domain] = 0.0
+            return
+        n_lanes, window = count(arrays.clusters.lanes), arrays.domains.window
+        sums.of_rows[arrays.domain_start[domain] * n_lanes : arrays.domain_start[domain + 1] * n_lanes] = 0.0
+        sums.of_lanes[window[domain] * SUMS * n_lanes : window[domain + 1] * SUMS * n_lanes] = 0.0
+
+    return start
+
+
+@by_type
+def _add_forces_of(domain, arrays, laws, sums, steps):
+    """Unrolled by the compiler."""
+    if len(laws) == 0:
+        return lambda domain, arrays, laws, sums, steps: None
+
+    def add(domain, arrays, laws, sums, steps):
+        add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums, steps)
+        _add_forces_of(domain, arrays, laws[1:], sums, steps)
+
+    return add
+
+
+@scalar
+def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
+    """Forces between the atoms of a domain and the clusters of their rows.
+
+        r_ij = r_j − r_i,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= Σ f r_ij,   W += f r_ij ⊗ r_ij
+
+    arrays : ClusterArrays.  law : law type.  parameters : SameForAll or ByLane.
+    sums : with TOTALS each pair is added to the domain, with PER_ATOM half of it to each atom.
+    steps : () or, in fixed-point arithmetic, Steps.
+    Indices in the inner loop are unsigned: the compiler need not check for those that count from the end.
+    """
+    rows, homes, memory, lanes = arrays.rows, arrays.ghosts.home, arrays.memory, arrays.clusters.lanes
+    n_lanes = count(lanes)
+    first, window, block = arrays.domains.first[domain], arrays.domains.window[domain], DIMENSIONS * n_lanes
+    coordinates = memory.coordinates[first * block :]  # of this window, as the forces
+    forces = sums.forces[arrays.domains.place[domain] * block :]
+    nothing, zero = broadcast(0, load(forces, 0, lanes)), zeros(lanes)
+    own_share, scale = 0.5 if sums.detail == PER_ATOM else 1.0, scale_of(steps, zero)
+    limit2, stops = limit_of(steps), rows.stops[rows.layers[0] - 1]
+    energy = xx = yy = zz = yz = xz = xy = zero
+    for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
+        if rows.start[slot] == stops[slot] and not with_energy(sums):  # in a gas many rows are empty
+            continue
+        home, lane = homes[slot // n_lanes] - first, slot % n_lanes
+        place = home * DIMENSIONS * n_lanes + lane
+        x, y, z = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
+        at = broadcast(x, zero), broadcast(y, zero), broadcast(z, zero)
+        after = rows.entries[np.uintp(rows.start[slot])]
+        ahead = separations(coordinates, memory.far, after, at, lanes)
+        fx, fy, fz, size2 = nothing, nothing, nothing, zero
+        for entry in range(np.uintp(rows.start[slot]), np.uintp(stops[slot])):
+            if looks_ahead(nothing):
+                now, (dx, dy, dz, r2), after = after, ahead, rows.entries[entry + np.uintp(1)]
+                ahead = separations(coordinates, memory.far, after, at, lanes)
+            else:
+                now = rows.entries[entry]
+                dx, dy, dz, r2 = separations(coordinates, memory.far, now, at, lanes)
+            ghost = np.uintp(now & GHOST_BITS)
+            numbers = parameters_of_lanes(parameters, (first + home) * n_lanes + lane, first + np.intp(ghost), lanes)
+            near = r2 < numbers[0]
+            u, f = evaluate_law(law, r2, numbers[1:])
+            f = select(near, f, 0.0)
+            g = as_impulse(f, scale)
+            size2 = summed_squares(g, size2, steps)
+            fx, fy, fz = plus_product(g, dx, fx), plus_product(g, dy, fy), plus_product(g, dz, fz)
+            push(forces, ghost, g, (dx, dy, dz))
+            if with_energy(sums):
+                u = in_steps(select(near, u, 0.0), steps)
+                energy = energy + u
+            if by_pair(sums, steps):
+                gx, gy, gz = f * dx, f * dy, f * dz
+                xx, xy = plus_virial(gx, dx, xx, steps), plus_virial(gx, dy, xy, steps)
+                yy, yz = plus_virial(gy, dy, yy, steps), plus_virial(gy, dz, yz, steps)
+                zz, xz = plus_virial(gz, dz, zz, steps), plus_virial(gx, dz, xz, steps)
+                if sums.detail == PER_ATOM:
+                    for c, w in enumerate((u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)):
+                        at_c = ((window + np.intp(ghost)) * SUMS + c) * n_lanes
+                        store(sums.of_lanes, at_c, load(sums.of_lanes, at_c, lanes) + 0.5 * in_steps(w, steps))
+        n_entries = stops[slot] - rows.start[slot]
+        forces[place] -= without_bias(total(fx), n_entries, lanes)
+        forces[place + n_lanes] -= without_bias(total(fy), n_entries, lanes)
+        forces[place + 2 * n_lanes] -= without_bias(total(fz), n_entries, lanes)
+        if lanes_beyond(size2, limit2):
+            memory.is_out[domain] = 1
+        if with_energy(sums) and (sums.detail == PER_ATOM or lane == n_lanes - 1):
+            k = slot if sums.detail == PER_ATOM else APART * domain
+            sums.of_rows[k, 0] += own_share * total(energy)
+            if by_pair(sums, steps):
+                for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
+                    sums.of_rows[k, 1 + c] += own_share * total(w)
+            energy = xx = yy = zz = yz = xz = xy = zero
+
+
+@scalar
+def separations(coordinates, far, entry, at, lanes):
+    """r_j − r_i = (dx, dy, dz) and r² from a position to the lanes of an entry, ∞ for those that do not count [length].
+
+    coordinates : of the ghosts in the window.  far : of Memory.
+    """
+    n_lanes = np.uintp(count(lanes))
+    x = np.uintp(entry & GHOST_BITS) * np.uintp(DIMENSIONS) * n_lanes
+    y, z = x + n_lanes, x + n_lanes + n_lanes
+    dx, dy = load(coordinates, x, lanes) - at[0], load(coordinates, y, lanes) - at[1]
+    dz = load(coordinates, z, lanes) - at[2]
+    apart = load(far, np.uintp(entry >> LANES_FROM) * n_lanes, lanes)
+    return dx, dy, dz, fma(dx, dx, fma(dy, dy, fma(dz, dz, apart)))
+
+
+@by_type
+def scale_of(steps, like):
+    """What makes impulses of forces, in steps of momentum, in all lanes; () where forces are summed as they are."""
+    return (lambda steps, like: broadcast(steps.per_force[0], like)) if is_fixed(steps) else lambda steps, like: ()
+
+
+@by_type
+def as_impulse(f, scale):
+    """f = −u′/r [energy/length²], or the same as an impulse [1/length]."""
+    return (lambda f, scale: f * scale) if f == scale else lambda f, scale: f
+
+
+@by_type
+def plus_product(f, x, to):
+    """to + f x, lane by lane; where it is of int64, with the product rounded to a whole number, and BIAS added,
+    see without_bias."""
+    return (lambda f, x, to: fma(f, x, to)) if to.is_float else lambda f, x, to: to + biased_product(f, x)
+
+
+@by_type
+def without_bias(total, n, lanes):
+    """The sum of n entries of a row on all lanes, without their biases."""
+    if isinstance(total, types.Float):
+        return lambda total, n, lanes: total
+    return lambda total, n, lanes: total - n * count(lanes) * BIAS
+
+
+@called_kernel
+def prepare_loop(arrays, work):
+    """What the loop needs beside the list, to be made after each list build and each change of the layers in use."""
+    fill_lanes(arrays, work.laws)
+    start_sums(arrays, len(work.laws), arrays.memory.first_sum, arrays.memory.forces)
+
+
+@by_type
+def fill_lanes(arrays, laws):
+    """Columns and species of each law with a table, see ByLane, for slots of all ghosts; unrolled by the compiler."""
+    if len(laws) == 0:
+        return lambda arrays, laws: None
+
+    def fill(arrays, laws):
+        _fill_lanes(laws[0][1], arrays)
+        fill_lanes(arrays, laws[1:])
+
+    return fill
+
+
+@scalar
+def _atom_in(slot, arrays):
+    n_lanes = count(arrays.clusters.lanes)
+    return arrays.clusters.atom[arrays.ghosts.owner[slot // n_lanes] * n_lanes + slot % n_lanes]
+
+
+@by_type
+def _fill_lanes(source, arrays):
+    if source.instance_class is SameForAll:
+        return lambda source, arrays: None
+    if source.instance_class is ChargesByLane:
+
+        def fill_charges(source, arrays):
+            n_lanes = count(arrays.clusters.lanes)
+            for slot in range(arrays.domains.numbers[GHOSTS] * n_lanes):
+                source.of_slots[slot] = source.of_atoms[_atom_in(slot, arrays)]
+            _fill_lanes(source.source, arrays)
+
+        return fill_charges
+
+    def fill(source, arrays):
+        for slot in range(arrays.domains.numbers[GHOSTS] * count(arrays.clusters.lanes)):
+            b = source.of_atoms[_atom_in(slot, arrays)]
+            source.species[slot] = b
+            for a in range(source.table.shape[0]):
+                _fill_columns(source.columns, source.table, a, b, 0, a * source.slots + slot)
+
+    return fill
+
+
+@by_type
+def _fill_columns(columns, table, a, b, p, place):
+    """Element `place` of each column from p on = table[a, b, p]; unrolled by the compiler."""
+    if len(columns) == 0:
+        return lambda columns, table, a, b, p, place: None
+
+    def fill(columns, table, a, b, p, place):
+        columns[0][place] = table[a, b, p]
+        _fill_columns(columns[1:], table, a, b, p + 1, place)
+
+    return fill
+
+
+@by_type
+def start_sums(arrays, n_laws, first_sum, forces):
+    """first_sum (W,) int64 = what sums of forces begin with on each ghost of each window:
+    minus the biases that the rows of n_laws will add."""
+    if isinstance(forces.dtype, types.Float):
+        return lambda arrays, n_laws, first_sum, forces: None
+
+    def start(arrays, n_laws, first_sum, forces):
+        rows, n_lanes = arrays.rows, count(arrays.clusters.lanes)
+        stops = rows.stops[rows.layers[0] - 1]
+        first_sum[:] = 0
+        for domain in range(arrays.domains.first.size):
+            window = arrays.domains.window[domain]
+            for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
+                for entry in range(rows.start[slot], stops[slot]):
+                    first_sum[window + np.intp(rows.entries[entry] & GHOST_BITS)] -= n_laws * BIAS
+
+    return start
+
+
+@by_type
+def plus_virial(g, x, to, steps):
+    """to + g x, a component of the virial [energy]."""
+    if is_fixed(steps):
+        return lambda g, x, to, steps: to + on_grid(g * x, steps.energy)
+    return lambda g, x, to, steps: fma(g, x, to)
+
+
+@by_type
+def summed_squares(f, to, steps):
+    """to + f², lane by lane, where forces are watched: in fixed-point arithmetic."""
+    return (lambda f, to, steps: fma(f, f, to)) if is_fixed(steps) else lambda f, to, steps: to
+
+
+@by_type
+def lanes_beyond(size2, limit2):
+    """The lanes, as bits, whose squares are beyond a limit or no numbers; none if nothing is limited: limit2 is ()."""
+    if not isinstance(limit2, types.Float):
+        return lambda size2, limit2: 0
+    all_lanes = (1 << size2.lanes) - 1
+    return lambda size2, limit2: ~bits_from_mask(size2 <= limit2) & all_lanes
+
+
+@by_type
+def limit_of(steps):
+    """limit2 of Steps; () without them."""
+    return (lambda steps: steps.limit2) if is_fixed(steps) else lambda steps: ()
+
+
+@scalar
+def push(forces, ghost, f, separation):
+    """F_j += f r_ij on the lanes of a ghost.  separation : (dx, dy, dz) of r_ij."""
+    dx, dy, dz = separation
+    n_lanes = np.uintp(count(f))
+    x = ghost * np.uintp(DIMENSIONS) * n_lanes
+    y, z = x + n_lanes, x + n_lanes + n_lanes
+    store(forces, x, plus_product(f, dx, load(forces, x, f)))
+    store(forces, y, plus_product(f, dy, load(forces, y, f)))
+    store(forces, z, plus_product(f, dz, load(forces, z, f)))

@@ -1,0 +1,225 @@
+"""Pair laws on the cluster list: eight pairs at a time, on a pool of threads.
+
+Its operations are the loop over the clusters of a domain, and the sums of its forces.
+"""
+
+from collections import namedtuple
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.core.compiled.by_address import ByAddress, run_at
+from minimd.core.compiled.fixed_point import MOST
+from minimd.core.compiled.kernels import DirectCalls, called_kernel, scalar
+from minimd.core.compiled.program import GO_ON, OUT_OF_RANGE, Operation, operation
+from minimd.core.compiled.simd import lane
+from minimd.core.compiled.simd.vector import BITS, count
+from minimd.core.forces.cluster_loop import (
+    APART,
+    SUMS,
+    ByLane,
+    ChargesByLane,
+    ForceSums,
+    Sums,
+    TotalSums,
+    Work,
+    add_forces_of_laws,
+    prepare_loop,
+)
+from minimd.core.forces.options import FIXED_POINT, Options, described, pool_for
+from minimd.core.forces.pair_laws import ListTerm, PairLaws, skin_for
+from minimd.core.neighbors.buffers import Buffers
+from minimd.core.neighbors.cluster_list import ClusterList
+from minimd.core.neighbors.cluster_memory import clear, collected
+from minimd.core.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, PREPARED_FOR
+from minimd.core.neighbors.domains import LATE
+from minimd.core.potentials.law import loop_for
+from minimd.core.potentials.pair_loop import SameForAll
+from minimd.core.potentials.term import FORCES, PER_ATOM, TOTALS, PairLaw, Target
+from minimd.core.structure.system import System
+
+
+class Evaluation(ByAddress, namedtuple("Evaluation", "arrays add prepare work forces steps")):
+    """What the operations work on.
+
+    arrays : ClusterArrays.
+    add, prepare : addresses of add_forces_of_laws and, if the loop needs it after a list build, of prepare_loop, or 0;
+        compiled for each law, so that the kernels of this file are the same for all laws.
+    work : address of their Work.
+    forces : (N, 3) output [energy/length]; int64 impulses in fixed-point arithmetic, where steps : Steps, else ().
+    """
+
+
+@called_kernel
+def prepare_laws(evaluation, _chunk):
+    """What the loop needs of a new list, or of other layers of one."""
+    layers = evaluation.arrays.rows.layers
+    now = layers[BUILDS] * (LAYERS + 1) + layers[IN_USE]
+    if layers[PREPARED_FOR] != now:
+        layers[PREPARED_FOR] = now
+        run_at(evaluation.prepare, (evaluation.arrays, evaluation.work))
+    return GO_ON
+
+
+@called_kernel
+def add_domain(evaluation, domain):
+    """Forces between the atoms of a domain and all that it sees. On one thread the sums of what is whole are taken at
+    once: while they are in the cache."""
+    arrays = evaluation.arrays
+    clear(domain, arrays)
+    if domain < arrays.memory.is_out.size:
+        arrays.memory.is_out[domain] = 0
+    run_at(evaluation.add, (domain, arrays, evaluation.work, evaluation.steps))
+    if domain >= arrays.domains.numbers[LATE]:
+        _collect(domain, evaluation)
+    return GO_ON
+
+
+@called_kernel
+def collect_domain(evaluation, domain):
+    """The forces on the atoms of a domain that were not taken before.  OUT_OF_RANGE if one of a pair was, in
+    fixed-point arithmetic."""
+    if domain < evaluation.arrays.domains.numbers[LATE]:
+        _collect(domain, evaluation)
+    is_out = evaluation.arrays.memory.is_out
+    return OUT_OF_RANGE if is_out.size > 0 and is_out[domain] else GO_ON
+
+
+@scalar
+def _collect(domain, evaluation):
+    """forces (N, 3) = those on the atoms of a domain."""
+    arrays, forces, clusters = evaluation.arrays, evaluation.forces, evaluation.arrays.clusters
+    n_lanes = count(clusters.lanes)
+    for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
+        x, y, z = collected(k, arrays)
+        for k_lane in range(n_lanes):
+            if k_lane < clusters.filled[k]:
+                i = np.uintp(clusters.atom[k * n_lanes + k_lane])
+                forces[i, 0], forces[i, 1], forces[i, 2] = lane(x, k_lane), lane(y, k_lane), lane(z, k_lane)
+
+
+NONE = np.zeros(0)
+
+
+class ClusterTerm(ListTerm):
+    """Laws on all pairs within their cutoffs, eight at a time, found with one cluster list."""
+
+    list: ClusterList
+    assigns = True
+
+    def __init__(self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0) -> None:
+        super().__init__(system, laws)
+        self.pool = pool_for(options, len(system))
+        self._precision = options.precision
+        skin = skin_for(system, laws, options, displacement, LAYERS)
+        self.list = ClusterList(
+            len(system), laws.cutoff, skin, laws.excluded, options.precision == FIXED_POINT, self.pool
+        )
+        members = [one.law for one in laws.members]
+        self._add_forces, self._prepare_loop = (loop_for(one, *members) for one in (add_forces_of_laws, prepare_loop))
+        self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
+        self._arranged_for = 0  # which arrays of the list
+        self._memory, self._made = Buffers(), dict[tuple[Any, ...], tuple[Evaluation, Work]]()
+
+    def suits(self, system: System) -> bool:
+        """See ListTerm: a cell without room for the list needs another one."""
+        return bool(system.cell.heights.min() >= self.list.cutoff + self.list.skin)
+
+    def operations(self, system: System, target: Target) -> Iterator[Operation]:
+        """See Term."""
+        if self._arranged_for != self.list.version:
+            self._arrange(system)
+        evaluation, n, calls = self._evaluation(target), self.list.n_domains, self._calls[FORCES]
+        yield from self.list.operations()
+        if self._needs_preparation:
+            yield operation(calls, prepare_laws, evaluation, is_kept=True)
+        yield operation(calls, add_domain, evaluation, n, is_kept=True)
+        yield operation(calls, collect_domain, evaluation, n, is_kept=True)
+
+    def _evaluation(self, target: Target) -> Evaluation:
+        """What operations for a target work on: kept as long as the list is not arranged anew."""
+        key = _key(target)
+        if key not in self._made:
+            arrays, work, calls, steps = self.list.arrays, self._work_of(target.detail), self._calls[target.detail], ()
+            if target.steps:  # with the limit of forces divided by distances: all distances are below the cutoff
+                steps = target.steps._replace(limit2=(MOST / self._pair_laws.cutoff) ** 2)
+            add = calls.address(self._add_forces, 0, arrays, work, steps)
+            prepare = calls.address(self._prepare_loop, arrays, work) if self._needs_preparation else 0
+            made = Evaluation(arrays, add, prepare, work.address, target.forces, steps)
+            self._made[key] = made, work
+        return self._made[key][0]
+
+    def collect(self, target: Target) -> None:
+        """See Term."""
+        if target.detail == FORCES:
+            return
+        _, work = self._made[_key(target)]
+        if target.detail == TOTALS:
+            energy, *virial = work.sums.of_rows[::APART].sum(axis=0)
+            target.energies[0] += energy
+            target.virials[0] += virial
+        else:
+            self._add_each(work.sums, target.energies, target.virials)
+            del self._made[_key(target)]  # large
+
+    def _arrange(self, system: System) -> None:
+        """Arrays that go with those of the list."""
+        members = self._pair_laws.members
+        of_lanes = [self._source(k, one, system) for k, one in enumerate(members)]
+        self._laws: tuple[Any, ...] = tuple(zip((one.law for one in members), of_lanes, strict=True))
+        self._needs_preparation = self._precision == FIXED_POINT or any(
+            not isinstance(one, SameForAll) for one in of_lanes
+        )
+        self._arranged_for = self.list.version
+        self._made.clear()
+
+    def _work_of(self, detail: int) -> Work:
+        """Work with accumulators: none; of each domain; or of each slot and each lane of a ghost."""
+        forces, n_lanes = self.list.memory.forces, self.list.lanes.size
+        if detail == FORCES:
+            return Work(self._laws, ForceSums(forces, np.zeros((0, SUMS)), NONE, FORCES))
+        if detail == TOTALS:
+            return Work(self._laws, TotalSums(forces, np.zeros((APART * self.list.n_domains, SUMS)), NONE, TOTALS))
+        of_lanes = np.zeros(len(self.list.ghosts.parts) * n_lanes * SUMS)
+        return Work(self._laws, Sums(forces, np.zeros((len(self.list.clusters.atom), SUMS)), of_lanes, PER_ATOM))
+
+    def _add_each(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
+        """Add the sums of slots and lanes to the energies (N,) and virials (N, 6) of their atoms."""
+        clusters, n_lanes, n = self.list.clusters, self.list.lanes.size, self.list.n_clusters
+        atom, real = clusters.atom[: n * n_lanes], (np.arange(n_lanes) < clusters.filled[:n, None]).ravel()
+        of_rows = sums.of_rows[: n * n_lanes][real]
+        energies[atom[real]] += of_rows[:, 0]
+        virials[atom[real]] += of_rows[:, 1:]
+        first, window, owner = self.list.domains.first, self.list.domains.window, self.list.ghosts.owner
+        of_lanes = sums.of_lanes.reshape(-1, SUMS, n_lanes)[: int(window[-1])]
+        owners = np.concatenate([owner[a : a + size] for a, size in zip(first, np.diff(window), strict=True)])
+        atoms = atom.reshape(-1, n_lanes)[owners]
+        np.add.at(energies, atoms, of_lanes[:, 0])
+        np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))
+
+    @property
+    def summary(self) -> str:  # type: ignore[override]
+        """The list, for the report."""
+        n = min(self.pool.n_threads, self.list.n_domains) if self.list.n_builds else self.pool.n_threads
+        threads = f"{n} thread{'s' if n > 1 else ''}"
+        vectors = f"vectors of {self.list.lanes.size} × {BITS} bits"
+        return f"cluster list (skin {self.list.skin:.3g}, {threads}, {described(self._precision)}) on {vectors}"
+
+    def _source(self, k: int, law: PairLaw, system: System) -> SameForAll | ByLane | ChargesByLane:
+        """Where the loop finds the numbers of law k."""
+        slots = len(self.list.ghosts.owner) * self.list.lanes.size
+        source: SameForAll | ByLane = SameForAll(tuple(law.table[0, 0].tolist()))
+        if (n := len(law.table)) > 1:
+            values = self._memory.array(f"parameters of law {k}", np.float64, law.table.shape[-1] * n * slots)
+            species = self._memory.array(f"species of law {k}", np.int64, slots)
+            columns = tuple(values.reshape(law.table.shape[-1], -1))
+            source = ByLane(columns, species, slots, law.table, system.species_index)
+        if law.charges is None:
+            return source
+        return ChargesByLane(self._memory.array(f"charges of law {k}", np.float64, slots), law.charges, source)
+
+
+def _key(target: Target) -> tuple[Any, ...]:
+    return target.detail, *((float(target.steps.per_force[0]), *target.steps[1:]) if target.steps else ())

@@ -1,0 +1,350 @@
+"""The smooth part of Coulomb's law on a mesh: the waves of wave_sum.py, by Fourier transforms of charges on its points.
+
+    Q(m) = Σ qⱼ φ(m − xⱼ),  S(k) = Q̂(k)/φ̂(k),  v(m) = Σ_k L̂(k)/(V φ̂(k)²) Q̂(k) exp(−i k·m),
+    U = ½ Σ_m Q(m) v(m) − ½ L(0) Σ qᵢ²,   F_i = −qᵢ Σ_m v(m) ∂φ(m − xᵢ)/∂rᵢ
+
+V is the volume, x are positions in units of the spacing of points, φ is a product of three windows: see mesh_window.py.
+Forces are minus the gradient of this energy, less their sum, of which each atom bears a share by its mass: that is the
+motion under U where the center of mass is held in its place. Charges are put on the planes of the mesh by chunks that
+own them, in the order of atoms on each: the same bits for any number of threads. Those of the transforms depend on the
+builds of numpy and scipy.
+
+T. Darden, D. York, L. Pedersen, J. Chem. Phys. 98, 10089 (1993); U. Essmann et al., ibid. 103, 8577 (1995).
+"""
+
+from collections import namedtuple
+from collections.abc import Iterator
+from math import pi, prod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.kernels import called_kernel, scalar
+from minimd.core.compiled.program import GO_ON, Operation, in_python, operation
+from minimd.core.compiled.simd import broadcast, fma, load, store, total, zeros
+from minimd.core.compiled.simd.vector import Lanes8, Lanes16, count
+from minimd.core.forces.mesh_window import Window, windows
+from minimd.core.forces.wave_sum import MOST_CELLS, ChargeSum, WaveSum, virials_of
+from minimd.core.potentials.prolates import Split
+from minimd.core.potentials.term import FORCES, Target
+from minimd.core.structure.system import System
+
+MOST_SLABS = 16  # of planes
+# measured [ns]: of an atom, for each row that it sees, and for a vector of eight points; of a point of the mesh; of all
+PER_ATOM, PER_ROW, PER_POINT, PER_SUM = 30.0, 2.0, 7.0, 40_000.0
+PER_WAVE = 0.18  # of an atom, in a sum wave by wave
+ROOM = 1.02  # for a cell that becomes larger
+MOST_POINTS = 2**27  # of a mesh: some gigabytes
+IN_A_BLOCK = 256  # atoms, in numpy
+ALONE = 50_000  # points that are transformed by one thread
+
+
+class Mesh(
+    ByAddress,
+    namedtuple(
+        "Mesh",
+        "positions charges shares inverse shape pieces starts seen order begins points sums forces width",
+    ),
+):
+    """What the sum works on.
+
+    positions : (N, 3) [length].  charges : (N,) [√(energy · length)].  shares : (N,), masses over their sum.
+    inverse : (3, 3) of the lattice [1/length].
+    shape : (5,) int, points in each direction; in a row, with those that repeat its beginning; that an atom sees.
+    pieces : (D, width) of the window.  starts : (N, 3) int, the first points that atoms see.
+    seen : (N · 6 · width,) φ and dφ/dt of each atom in the three directions.
+    order : (N,) int, atoms by the plane where they start.  begins : (planes + 1,) int, of each plane in order.
+    points : of the mesh, row by row.  sums : (chunks, 3) of forces.  forces : (N, 3) output.
+    width : points of a row that are added at once.
+    """
+
+
+@called_kernel
+def see_points(mesh, chunk):
+    """Which points the atoms of a chunk see, and how."""
+    n, n_chunks, shape, width = mesh.charges.size, mesh.sums.shape[0], mesh.shape, np.uintp(count(mesh.width))
+    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+        x, y, z = mesh.positions[i, 0], mesh.positions[i, 1], mesh.positions[i, 2]
+        for d in range(3):
+            s = x * mesh.inverse[0, d] + y * mesh.inverse[1, d] + z * mesh.inverse[2, d]
+            edge = shape[d] * (s - np.floor(s)) - 0.5 * shape[4]
+            first = np.ceil(edge)
+            t = broadcast(2.0 * (first - edge) - 1.0, zeros(mesh.width))
+            value = slope = zeros(mesh.width)
+            for k in range(mesh.pieces.shape[0] - 1, -1, -1):
+                slope = fma(slope, t, value)
+                value = fma(value, t, load(mesh.pieces[k], 0, mesh.width))
+            at = np.uintp(6 * i + 2 * d) * width
+            store(mesh.seen, at, value)
+            store(mesh.seen, at + width, slope)
+            mesh.starts[i, d] = int(first) % shape[d]
+    return GO_ON
+
+
+@called_kernel
+def sort_atoms(mesh, _chunk):
+    """Atoms by the plane where they start."""
+    begins = mesh.begins
+    for k in range(begins.size):
+        begins[k] = 0
+    for i in range(mesh.order.size):
+        begins[mesh.starts[i, 0] + 1] += 1
+    for k in range(begins.size - 1):
+        begins[k + 1] += begins[k]
+    for i in range(mesh.order.size):
+        plane = mesh.starts[i, 0]
+        mesh.order[begins[plane]] = i
+        begins[plane] += 1
+    for k in range(begins.size - 1, 0, -1):
+        begins[k] = begins[k - 1]
+    begins[0] = 0
+    return GO_ON
+
+
+@called_kernel
+def put_charges(mesh, chunk):
+    """Charges on the points of some planes, from all atoms that see them."""
+    shape, n_planes, n_chunks = mesh.shape, mesh.shape[0], plane_chunks(mesh.shape)
+    first, last = chunk * n_planes // n_chunks, (chunk + 1) * n_planes // n_chunks
+    size = shape[1] * shape[3]
+    for k in range(first * size, last * size):
+        mesh.points[k] = 0.0
+    is_alone = n_chunks == 1
+    for start in range(first if is_alone else first - shape[4] + 1, last):
+        plane = start if start >= 0 else start + n_planes
+        begin, end = max(0, first - start), shape[4] if is_alone else min(shape[4], last - start)
+        for k in range(mesh.begins[plane], mesh.begins[plane + 1]):
+            _put_one(mesh, mesh.order[k], begin, end)
+    for row in range(first * shape[1], last * shape[1]):
+        at = row * shape[3]
+        for k in range(shape[2], shape[3]):
+            mesh.points[at + k % shape[2]] += mesh.points[at + k]
+    return GO_ON
+
+
+@scalar
+def plane_chunks(shape):
+    """Chunks of planes, each at least as many as an atom sees, or one."""
+    return max(1, min(MOST_SLABS, shape[0] // shape[4]))
+
+
+@scalar
+def _put_one(mesh, i, begin, end):
+    """The charge of an atom on the planes begin to end of those that it sees."""
+    shape, width, seen = mesh.shape, np.uintp(count(mesh.width)), mesh.seen
+    at = np.uintp(6 * i) * width
+    window = mesh.charges[i] * load(seen, at + np.uintp(4) * width, mesh.width)
+    for k in range(begin, end):
+        plane = (mesh.starts[i, 0] + k) % shape[0]
+        on_plane = seen[at + np.uintp(k)] * window
+        row = mesh.starts[i, 1]
+        for j in range(shape[4]):
+            place = np.uintp((plane * shape[1] + row) * shape[3] + mesh.starts[i, 2])
+            weight = seen[at + np.uintp(j) + width + width]
+            store(mesh.points, place, fma(on_plane, weight, load(mesh.points, place, mesh.width)))
+            row = row + 1 if row + 1 < shape[1] else 0
+
+
+@called_kernel
+def push_from_points(mesh, chunk):
+    """forces += those of the mesh on a chunk of atoms."""
+    n, n_chunks, shape, seen = mesh.charges.size, mesh.sums.shape[0], mesh.shape, mesh.seen
+    width, inverse, nothing = np.uintp(count(mesh.width)), mesh.inverse, zeros(mesh.width)
+    for d in range(3):
+        mesh.sums[chunk, d] = 0.0
+    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+        at = np.uintp(6 * i) * width
+        at_y, along_x, along_y, along_z = at + width + width, nothing, nothing, nothing
+        for k in range(shape[4]):
+            plane = (mesh.starts[i, 0] + k) % shape[0]
+            row, value, slope = mesh.starts[i, 1], nothing, nothing
+            for j in range(shape[4]):
+                place = np.uintp((plane * shape[1] + row) * shape[3] + mesh.starts[i, 2])
+                points = load(mesh.points, place, mesh.width)
+                value = fma(points, seen[at_y + np.uintp(j)], value)
+                slope = fma(points, seen[at_y + width + np.uintp(j)], slope)
+                row = row + 1 if row + 1 < shape[1] else 0
+            here = seen[at + np.uintp(k)]
+            along_x, along_y = fma(value, seen[at + width + np.uintp(k)], along_x), fma(slope, here, along_y)
+            along_z = fma(value, here, along_z)
+        window, bend = (
+            load(seen, at_y + width + width, mesh.width),
+            load(seen, at_y + width + width + width, mesh.width),
+        )
+        q2 = 2.0 * mesh.charges[i]  # the slope of t is −2
+        fa, fb = q2 * shape[0] * total(along_x * window), q2 * shape[1] * total(along_y * window)
+        fc = q2 * shape[2] * total(along_z * bend)
+        for d in range(3):
+            f = inverse[d, 0] * fa + inverse[d, 1] * fb + inverse[d, 2] * fc
+            mesh.forces[np.uintp(i), d] += f
+            mesh.sums[chunk, d] += f
+    return GO_ON
+
+
+@called_kernel
+def hold_center(mesh, chunk):
+    """forces −= the share of each atom of a chunk in their sum."""
+    n, n_chunks = mesh.charges.size, mesh.sums.shape[0]
+    for d in range(3):
+        rest = 0.0
+        for k in range(n_chunks):
+            rest += mesh.sums[k, d]
+        for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+            mesh.forces[i, d] -= mesh.shares[i] * rest
+    return GO_ON
+
+
+def charge_sum(
+    system: System, charges: NDArray[np.float64], split: Split, method: str, is_fixed: bool, n_threads: int
+) -> ChargeSum:
+    """The sum that a method names: "waves", "mesh", or "ewald", the one that takes less time.
+
+    Raises ValueError for a mesh in fixed-point arithmetic, or for an accuracy that no mesh reaches; and as WaveSum.
+    """
+    n_waves = split.largest_wave**3 * abs(np.linalg.det(system.cell.lattice)) / (12.0 * pi**2)
+    too_many = n_waves > MOST_CELLS and method == "ewald"  # a mesh will do
+    wave_by_wave = (
+        np.inf
+        if too_many and not is_fixed
+        else 0.0
+        if is_fixed or method == "waves"
+        else PER_WAVE * len(system) * n_waves
+    )
+    times = {
+        window: PER_SUM
+        + PER_POINT * prod(shape_for(system, window))
+        + len(system) * (PER_ATOM + PER_ROW * window.points**2 * -(-window.points // Lanes8.size))
+        for window in (windows(split) if method == "mesh" or wave_by_wave > PER_SUM else [])
+    }
+    best = min(times, key=times.__getitem__, default=None)
+    if best is not None and prod(shape_for(system, best)) > MOST_POINTS:
+        needs = (
+            f"needs a mesh of {' x '.join(map(str, shape_for(system, best)))} points; at most {MOST_POINTS} are allowed"
+        )
+        raise ValueError(f"cutoff of Coulomb must be larger; {split.cutoff:.3g} {needs}")
+    if method == "mesh" and (best is None or is_fixed):
+        limit = "in fixed-point arithmetic" if is_fixed else f"at an accuracy of {split.bound:.1g}"
+        raise ValueError(f'method of Coulomb must be "waves" or "ewald" {limit}; method = "mesh"')
+    if best is None or (method != "mesh" and wave_by_wave < times[best]):
+        return WaveSum(system, charges, split)
+    return MeshSum(system, charges, split, best, n_threads)
+
+
+def shape_for(system: System, window: Window) -> tuple[int, int, int]:
+    """Points in each direction: of small prime factors."""
+    from scipy.fft import next_fast_len
+
+    lengths = np.linalg.norm(system.cell.lattice, axis=1)
+    a, b, c = (next_fast_len(int(np.ceil(ROOM * length / window.spacing)), real=True) for length in lengths)
+    return a, b, c
+
+
+class MeshSum(ChargeSum):
+    """The sum of the charges of a system on a mesh.  window : one of windows(split).  n_threads : for transforms."""
+
+    def __init__(
+        self, system: System, charges: NDArray[np.float64], split: Split, window: Window, n_threads: int
+    ) -> None:
+        super().__init__(system, charges, split)
+        self._window, self.shape = window, shape_for(system, window)
+        self._workers = n_threads if np.prod(self.shape) > ALONE else 1
+        self._width = Lanes8() if window.points <= Lanes8.size else Lanes16()
+        n, width, (a, b, c) = len(system), self._width.size, self.shape
+        self._pieces = window.pieces(split.bound, width)
+        self._sizes = np.array([a, b, c, c + width, window.points])
+        self._starts, self._order = np.zeros((n, 3), dtype=np.int64), np.zeros(n, dtype=np.int64)
+        self._seen, self._begins = np.zeros(6 * n * width), np.zeros(a + 1, dtype=np.int64)
+        self._points, self._shares = np.zeros((a, b, c + width)), system.masses / system.masses.sum()
+        self._sums, self._repeated = np.zeros((self._n_chunks, 3)), np.arange(width) % c
+        most = int(split.largest_wave * window.spacing * c / (2.0 * pi))
+        waves = [np.fft.fftfreq(a, 1.0 / a), np.fft.fftfreq(b, 1.0 / b), np.arange(most + 1.0)]
+        self._waves = np.stack(np.meshgrid(*waves, indexing="ij"), axis=-1)
+        self._amplitudes = np.zeros((a, b, most + 1), dtype=np.complex128)
+        self._rows = np.zeros((a, b, c // 2 + 1), dtype=np.complex128)
+        seen = [window.transform(one / size) for one, size in zip(waves, self.shape, strict=True)]
+        self._seen2 = np.einsum("i,j,k->ijk", *seen) ** 2
+        self._take(system)
+
+    @property
+    def summary(self) -> str:  # type: ignore[override]
+        """The sum, for the report."""
+        points = " x ".join(map(str, self.shape))
+        return f"mesh of {points} points, of which a charge sees {self._window.points}³ ({self._said})"
+
+    def follow(self, system: System) -> bool:
+        """See Term."""
+        lengths = np.linalg.norm(system.cell.lattice, axis=1)
+        if (lengths > self._window.spacing * np.array(self.shape)).any():
+            return False
+        self._take(system)
+        return True
+
+    def operations(self, system: System, target: Target) -> Iterator[Operation]:
+        """See Term."""
+        atoms = system.positions, self._charges, self._shares, self._inverse, self._sizes, self._pieces
+        tables = self._starts, self._seen, self._order, self._begins, self._points.reshape(-1), self._sums
+        mesh = Mesh(*atoms, *tables, target.forces, self._width)
+        yield operation(self._calls, see_points, mesh, self._n_chunks)
+        yield operation(self._calls, sort_atoms, mesh)
+        yield operation(self._calls, put_charges, mesh, plane_chunks.py_func(self._sizes))
+        yield in_python(lambda: self._convolve(target.detail))
+        yield operation(self._calls, push_from_points, mesh, self._n_chunks)
+        yield operation(self._calls, hold_center, mesh, self._n_chunks)
+
+    def _convolve(self, detail: int) -> None:
+        """From charges to potentials; energy and virial."""
+        from scipy.fft import fftn
+
+        np.fft.rfft(self._points[:, :, : self.shape[2]], out=self._rows)
+        self._amplitudes[:] = self._rows[:, :, : self._amplitudes.shape[2]]
+        # in place: new memory for each transform would take more time than they do
+        fftn(self._amplitudes, axes=(0, 1), overwrite_x=True, workers=self._workers)
+        if detail != FORCES:
+            self._kept = self._amplitudes[self._used]
+            half = 0.5 * self._twice * np.abs(self._kept) ** 2
+            self._totals[0, 0], self._totals[0, 1:] = half @ self._weights[self._used], half @ self._virials
+        self._amplitudes *= self._weights
+        self._fill()
+
+    def _fill(self) -> None:
+        """The points, from their transform."""
+        from scipy.fft import ifftn
+
+        length = self.shape[2]
+        ifftn(self._amplitudes, axes=(0, 1), norm="forward", overwrite_x=True, workers=self._workers)
+        np.fft.irfft(self._amplitudes, length, norm="forward", out=self._points[:, :, :length])
+        self._points[:, :, length:] = self._points[:, :, self._repeated]
+
+    def _of_atoms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """See ChargeSum."""
+        shares = []
+        for weights in (self._weights[self._used], *self._virials.T):
+            self._amplitudes[:] = 0.0
+            self._amplitudes[self._used] = weights * self._kept
+            self._fill()
+            shares.append(0.5 * self._charges * self._at_atoms())
+        return shares[0], np.stack(shares[1:], axis=1)
+
+    def _at_atoms(self) -> NDArray[np.float64]:
+        """The potential of the points at each atom."""
+        seen = self._seen.reshape(len(self._charges), 3, 2, -1)[:, :, 0, : self._window.points]
+        found = np.empty(len(seen))
+        for some in np.array_split(np.arange(len(seen)), len(seen) // IN_A_BLOCK + 1):
+            a, b, c = ((self._starts[some, d, None] + np.arange(seen.shape[2])) % self.shape[d] for d in range(3))
+            points = self._points[a[:, :, None, None], b[:, None, :, None], c[:, None, None, :]]
+            found[some] = np.einsum("nijk,ni,nj,nk->n", points, *seen[some].swapaxes(0, 1))
+        return found
+
+    def _take(self, system: System) -> None:
+        """Weights for the present cell."""
+        self._keep(system)
+        k = 2.0 * pi * self._waves @ self._inverse.T
+        k2 = (k**2).sum(axis=-1)
+        self._used = np.nonzero((k2 > 0.0) & (k2 <= self._split.largest_wave**2))
+        k, k2 = k[self._used], k2[self._used]
+        weights, bends = (one / (self._volume * self._seen2[self._used]) for one in self._split.spectrum(k2))
+        self._weights = np.zeros(self._waves.shape[:3])
+        self._weights[self._used] = weights
+        self._virials = virials_of(k, weights, bends)
+        self._twice = np.where(self._used[2] > 0, 2.0, 1.0)  # k and −k

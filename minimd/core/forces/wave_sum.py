@@ -1,0 +1,415 @@
+"""The smooth part of Coulomb's law in a periodic cell: a sum over waves, wave by wave.
+
+    U = ½/V Σ_k L̂(k) |S(k)|² − ½ L(0) Σ qᵢ²,   S(k) = Σ qⱼ exp(i k·rⱼ),   F_i = qᵢ/V Σ_k L̂(k) k Im(S* exp(i k·rᵢ))
+
+k runs over the reciprocal vectors 2π (a, b, c) in fractional coordinates with 0 < |k| ≤ c/r_c: half of them, since −k
+has the same share. exp(i k·r) = X_a Y_b Z_c, of which a cell (a, b ≥ 0, c ≥ 0) needs the products for ±b and ±c: four
+waves for eight multiplications with an addition. Atoms are taken in blocks, whose X, Y, Z stay in the cache; each chunk
+of atoms has sums of its own, which are added in their order: the same bits for any number of threads.
+
+P. P. Ewald, Ann. Phys. 369, 253 (1921); net charges: a uniform background, of energy −½ (Σ q)²/V ∫ S(r) d³r.
+"""
+
+from collections import namedtuple
+from collections.abc import Iterator
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.fixed_point import force_along, is_fixed
+from minimd.core.compiled.kernels import DirectCalls, by_type, called_kernel, scalar
+from minimd.core.compiled.program import GO_ON, Operation, n_chunks_of, operation
+from minimd.core.compiled.simd import broadcast, fma, load, store, total, zeros
+from minimd.core.compiled.simd.vector import count, lanes_for
+from minimd.core.potentials.prolates import Split
+from minimd.core.potentials.term import FORCES, PER_ATOM, VOIGT, OwnTerm, Target
+from minimd.core.structure.system import System
+
+BLOCK = 128  # atoms whose tables are made at once
+MOST_SUMS = 16  # chunks of atoms, each with sums of its own
+MOST_CELLS = 100_000  # of four waves each: their sums take half a gigabyte
+ROOM = 1.2  # for waves that come when the cell becomes larger
+SIGNS = np.array([(1, 1, 1), (1, 1, -1), (1, -1, 1), (1, -1, -1)])  # of a, b, c, for the four waves of a cell
+SUMS, AMPLITUDES = 8, 8  # numbers for each cell
+A, B, FIRST, N_CELLS = range(4)  # columns of rows: a, b, the number of the first cell, how many cells c = 0, 1, …
+# sizes: of rows, cells; places of tables: X, Y, Z, XY, forces
+N_ROWS, N_ALL, X, Y, Z, XY, F = range(7)
+
+
+class Waves(
+    ByAddress,
+    namedtuple(
+        "Waves",
+        "positions charges inverse sizes rows weights bends tables sums amplitudes totals rest forces steps detail "
+        "lanes",
+    ),
+):
+    """What the sum works on.
+
+    positions : (N, 3) [length].  charges : (N,) [√(energy · length)].  inverse : (3, 3) of the lattice [1/length].
+    sizes : (7,) int, see N_ROWS.  rows : (R, 4) int, cells of the same a and b.
+    weights, bends : (C, 4) of L̂ and dL̂/dk², for the four waves of a cell.
+    tables : (chunks, …) of the atoms of a block.  sums : (chunks, C · 8 · lanes).  amplitudes : (C, 8).
+    totals : (1, 7) output: energy and virial.  rest : (chunks, 3) int64, the sums of rounded impulses.
+    forces : (N, 3) output; int64 impulses in fixed-point arithmetic, where steps : Steps, else ().  detail : see term.
+    """
+
+
+@called_kernel
+def sum_waves(waves, chunk):
+    """The sums S of a chunk of atoms, lane by lane, in parts: see _signs."""
+    n, n_chunks, lanes = waves.charges.size, waves.sums.shape[0], waves.lanes
+    table, sums, n_lanes = waves.tables[chunk], waves.sums[chunk], np.uintp(count(waves.lanes))
+    for k in range(np.uintp(0), np.uintp(waves.sizes[N_ALL] * SUMS), np.uintp(1)):
+        store(sums, k * n_lanes, zeros(lanes))
+    first, last = chunk * n // n_chunks, (chunk + 1) * n // n_chunks
+    for start in range(first, last, BLOCK):
+        _fill_tables(waves, table, start, min(start + BLOCK, last))
+        for row in range(waves.sizes[N_ROWS]):
+            _multiply(waves, table, row)
+            for cell in range(waves.rows[row, N_CELLS]):
+                _add_cell(waves, table, sums, waves.rows[row, FIRST] + cell, cell)
+    return GO_ON
+
+
+@scalar
+def _fill_tables(waves, table, first, last):
+    """q exp(2πi a s₁), exp(2πi b s₂), exp(2πi c s₃) of the atoms of a block, in fractional coordinates s."""
+    inverse, sizes, n_lanes = waves.inverse, waves.sizes, np.uintp(count(waves.lanes))
+    place = np.uintp(sizes[F])
+    for k in range(BLOCK):
+        i = np.uintp(min(first + k, last - 1))
+        x, y, z = waves.positions[i, 0], waves.positions[i, 1], waves.positions[i, 2]
+        for d in range(3):
+            s = x * inverse[0, d] + y * inverse[1, d] + z * inverse[2, d]
+            table[place + np.uintp(d * BLOCK + k)] = 2.0 * pi * (s - np.floor(s + 0.5))
+        table[np.uintp(sizes[X] + k)] = waves.charges[i] if first + k < last else 0.0
+    for d in range(3):
+        begin, end = sizes[X + d], sizes[X + d + 1]
+        for k in range(np.uintp(0), np.uintp(BLOCK), n_lanes):
+            angle = load(table, place + np.uintp(d * BLOCK) + k, waves.lanes)
+            c, s = np.cos(angle), np.sin(angle)
+            x = load(table, np.uintp(begin) + k, waves.lanes) if d == 0 else broadcast(1.0, c)
+            y = 0.0 * x
+            for at in range(np.uintp(begin), np.uintp(end), np.uintp(2 * BLOCK)):
+                store(table, at + k, x)
+                store(table, at + k + np.uintp(BLOCK), y)
+                x, y = fma(x, c, -(y * s)), fma(x, s, y * c)
+
+
+@scalar
+def _multiply(waves, table, row):
+    """X_a Y_b and X_a Y_b* of a row."""
+    sizes, n_lanes, block = waves.sizes, np.uintp(count(waves.lanes)), np.uintp(BLOCK)
+    at_x = np.uintp(sizes[X] + 2 * BLOCK * waves.rows[row, A])
+    at_y = np.uintp(sizes[Y] + 2 * BLOCK * waves.rows[row, B])
+    at = np.uintp(sizes[XY])
+    for k in range(np.uintp(0), block, n_lanes):
+        xr, xi = load(table, at_x + k, waves.lanes), load(table, at_x + block + k, waves.lanes)
+        yr, yi = load(table, at_y + k, waves.lanes), load(table, at_y + block + k, waves.lanes)
+        rr, ii, ri, ir = xr * yr, xi * yi, xr * yi, xi * yr
+        store(table, at + k, rr - ii)
+        store(table, at + block + k, ri + ir)
+        store(table, at + block + block + k, rr + ii)
+        store(table, at + block + block + block + k, ir - ri)
+
+
+@scalar
+def _add_cell(waves, table, sums, cell, c):
+    """The products of X Y with Z_c, real and imaginary parts each with each, summed over the atoms of a block."""
+    lanes, n_lanes, block = waves.lanes, np.uintp(count(waves.lanes)), np.uintp(BLOCK)
+    at, at_z = np.uintp(waves.sizes[XY]), np.uintp(waves.sizes[Z] + 2 * BLOCK * c)
+    place = np.uintp(cell * SUMS) * n_lanes
+    p_rc, p_is = load(sums, place, lanes), load(sums, place + n_lanes, lanes)
+    p_rs, p_ic = load(sums, place + np.uintp(2) * n_lanes, lanes), load(sums, place + np.uintp(3) * n_lanes, lanes)
+    m_rc, m_is = load(sums, place + np.uintp(4) * n_lanes, lanes), load(sums, place + np.uintp(5) * n_lanes, lanes)
+    m_rs, m_ic = load(sums, place + np.uintp(6) * n_lanes, lanes), load(sums, place + np.uintp(7) * n_lanes, lanes)
+    for k in range(np.uintp(0), block, n_lanes):
+        zc, zs = load(table, at_z + k, lanes), load(table, at_z + block + k, lanes)
+        pr, pi_ = load(table, at + k, lanes), load(table, at + block + k, lanes)
+        mr, mi = load(table, at + block + block + k, lanes), load(table, at + block + block + block + k, lanes)
+        p_rc, p_is, p_rs, p_ic = fma(pr, zc, p_rc), fma(pi_, zs, p_is), fma(pr, zs, p_rs), fma(pi_, zc, p_ic)
+        m_rc, m_is, m_rs, m_ic = fma(mr, zc, m_rc), fma(mi, zs, m_is), fma(mr, zs, m_rs), fma(mi, zc, m_ic)
+    for part in (p_rc, p_is, p_rs, p_ic, m_rc, m_is, m_rs, m_ic):
+        store(sums, place, part)
+        place += n_lanes
+
+
+@called_kernel
+def weigh_waves(waves, _chunk):
+    """Amplitudes A = L̂ S* of all waves; energy and virial.
+
+    For ±c of each b: A₊ + A₋ and A₊ − A₋, real and imaginary parts.
+    """
+    for c in range(7):
+        waves.totals[0, c] = 0.0
+    for row in range(waves.sizes[N_ROWS]):
+        for c in range(waves.rows[row, N_CELLS]):
+            cell = waves.rows[row, FIRST] + c
+            for side in range(2):
+                rc, im = _added(waves, cell, 4 * side), _added(waves, cell, 4 * side + 1)
+                rs, ic = _added(waves, cell, 4 * side + 2), _added(waves, cell, 4 * side + 3)
+                up, down = waves.weights[cell, 2 * side], waves.weights[cell, 2 * side + 1]
+                ur, ui, dr, di = rc - im, rs + ic, rc + im, ic - rs  # S for c and for −c
+                a = waves.amplitudes[cell]
+                a[4 * side], a[4 * side + 1] = up * ur + down * dr, -(up * ui + down * di)
+                a[4 * side + 2], a[4 * side + 3] = up * ur - down * dr, down * di - up * ui
+                if waves.detail != FORCES:
+                    b = waves.rows[row, B] * (1 - 2 * side)
+                    _count(waves, (waves.rows[row, A], b, c), up, waves.bends[cell, 2 * side], ur * ur + ui * ui)
+                    _count(waves, (waves.rows[row, A], b, -c), down, waves.bends[cell, 2 * side + 1], dr * dr + di * di)
+    return GO_ON
+
+
+@scalar
+def _added(waves, cell, part):
+    """One of the sums of a cell, of all chunks."""
+    n_lanes, added = np.uintp(count(waves.lanes)), 0.0
+    for chunk in range(waves.sums.shape[0]):
+        added += total(load(waves.sums[chunk], np.uintp(cell * SUMS + part) * n_lanes, waves.lanes))
+    return added
+
+
+@scalar
+def _count(waves, wave, weight, bend, size2):
+    """totals += energy and virial of one wave:  u = w |S|²,  W = u 1 + 2 (dw/dk²) |S|² k ⊗ k."""
+    inverse, totals, two_pi = waves.inverse, waves.totals, 2.0 * pi
+    kx = two_pi * (inverse[0, 0] * wave[0] + inverse[0, 1] * wave[1] + inverse[0, 2] * wave[2])
+    ky = two_pi * (inverse[1, 0] * wave[0] + inverse[1, 1] * wave[1] + inverse[1, 2] * wave[2])
+    kz = two_pi * (inverse[2, 0] * wave[0] + inverse[2, 1] * wave[1] + inverse[2, 2] * wave[2])
+    u, g = weight * size2, 2.0 * bend * size2
+    totals[0, 0] += u
+    for c, w in enumerate((u + g * kx * kx, u + g * ky * ky, u + g * kz * kz, g * ky * kz, g * kx * kz, g * kx * ky)):
+        totals[0, 1 + c] += w
+
+
+@called_kernel
+def push_atoms(waves, chunk):
+    """forces += those of all waves on a chunk of atoms."""
+    n, n_chunks, lanes = waves.charges.size, waves.tables.shape[0], waves.lanes
+    table, at = waves.tables[chunk], np.uintp(waves.sizes[F])
+    n_lanes, block = np.uintp(count(lanes)), np.uintp(BLOCK)
+    first, last = chunk * n // n_chunks, (chunk + 1) * n // n_chunks
+    for d in range(3):
+        waves.rest[chunk, d] = 0
+    for start in range(first, last, BLOCK):
+        stop = min(start + BLOCK, last)
+        _fill_tables(waves, table, start, stop)
+        for k in range(np.uintp(0), np.uintp(3 * BLOCK), n_lanes):
+            store(table, at + k, zeros(lanes))
+        for row in range(waves.sizes[N_ROWS]):
+            _multiply(waves, table, row)
+            for k in range(np.uintp(0), block, n_lanes):
+                _add_row(waves, table, row, k)
+        for i in range(start, stop):
+            k, inverse = at + np.uintp(i - start), waves.inverse
+            fa, fb, fc = table[k], table[k + block], table[k + block + block]
+            for d in range(3):
+                f = 4.0 * pi * (inverse[d, 0] * fa + inverse[d, 1] * fb + inverse[d, 2] * fc)
+                g = force_along(f, 1.0, waves.steps)
+                waves.forces[np.uintp(i), d] += g
+                _keep_rest(waves, chunk, d, g)
+    return GO_ON
+
+
+@scalar
+def _add_row(waves, table, row, k):
+    """Fractional forces of the waves of a row on as many atoms as a vector has lanes, from k on in the block."""
+    lanes, block = waves.lanes, np.uintp(BLOCK)
+    at, at_z, at_f = np.uintp(waves.sizes[XY]) + k, np.uintp(waves.sizes[Z]) + k, np.uintp(waves.sizes[F]) + k
+    pr = pi_ = mr = mi = pzr = pzi = mzr = mzi = zeros(lanes)  # Σ A Z, and Σ c A Z
+    n = zeros(lanes)
+    first = np.uintp(waves.rows[row, FIRST])
+    for cell in range(first, first + np.uintp(waves.rows[row, N_CELLS])):
+        a = waves.amplitudes[cell]
+        zc, zs = load(table, at_z, lanes), load(table, at_z + block, lanes)
+        nc, ns = n * zc, n * zs
+        pr, pi_ = fma(zc, a[0], fma(zs, -a[3], pr)), fma(zc, a[1], fma(zs, a[2], pi_))
+        pzr, pzi = fma(nc, a[2], fma(ns, -a[1], pzr)), fma(nc, a[3], fma(ns, a[0], pzi))
+        mr, mi = fma(zc, a[4], fma(zs, -a[7], mr)), fma(zc, a[5], fma(zs, a[6], mi))
+        mzr, mzi = fma(nc, a[6], fma(ns, -a[5], mzr)), fma(nc, a[7], fma(ns, a[4], mzi))
+        n, at_z = n + 1.0, at_z + block + block
+    xr, xi = load(table, at, lanes), load(table, at + block, lanes)
+    yr, yi = load(table, at + block + block, lanes), load(table, at + block + block + block, lanes)
+    of_p, of_m = fma(xr, pi_, xi * pr), fma(yr, mi, yi * mr)
+    fa, fb, fc = load(table, at_f, lanes), load(table, at_f + block, lanes), load(table, at_f + block + block, lanes)
+    store(table, at_f, fma(of_p + of_m, float(waves.rows[row, A]), fa))
+    store(table, at_f + block, fma(of_p - of_m, float(waves.rows[row, B]), fb))
+    store(table, at_f + block + block, fma(xr, pzi, xi * pzr) + fma(yr, mzi, yi * mzr) + fc)
+
+
+@by_type
+def _keep_rest(waves, chunk, d, g):
+    """rest += an impulse."""
+    if not is_fixed(waves.types[waves.fields.index("steps")]):
+        return lambda waves, chunk, d, g: None
+
+    def keep(waves, chunk, d, g):
+        waves.rest[chunk, d] += g
+
+    return keep
+
+
+@called_kernel
+def balance_impulses(waves, _chunk):
+    """The impulses of all waves add up to a few steps, left by rounding: the first atoms give back one each."""
+    for d in range(3):
+        rest = 0
+        for chunk in range(waves.rest.shape[0]):
+            rest += waves.rest[chunk, d]
+        step = 1 if rest > 0 else -1
+        for k in range(abs(rest)):
+            waves.forces[k % waves.charges.size, d] -= step
+    return GO_ON
+
+
+def virials_of(k: NDArray[np.float64], weights: NDArray[np.float64], bends: NDArray[np.float64]) -> NDArray[np.float64]:
+    """W/|S|² = w 1 + 2 (dw/dk²) k ⊗ k of waves k (M, 3), as xx yy zz yz xz xy, (M, 6)."""
+    virials = 2.0 * bends[:, None] * k[:, VOIGT[0]] * k[:, VOIGT[1]]
+    virials[:, :3] += weights[:, None]
+    return virials
+
+
+class ChargeSum(OwnTerm):
+    """A sum over the waves of the charges of a system.  charges : (N,) [√(energy · length)].  split : of 1/r."""
+
+    def __init__(self, system: System, charges: NDArray[np.float64], split: Split) -> None:
+        self._charges, self._split, self._calls = charges, split, DirectCalls()
+        self._n_chunks = min(n_chunks_of(len(charges)), MOST_SUMS)
+        self._energy = -0.5 * split.at_zero * charges**2  # of each charge with its own smooth part
+        self._net2 = float(charges.sum()) ** 2
+        self._inverse, self._totals = np.zeros((3, 3)), np.zeros((1, 7))
+        self._said = f"relative error of forces at most {split.bound:.1g}"
+
+    def _keep(self, system: System) -> None:
+        """Take the present cell."""
+        self._inverse[:] = system.cell.inverse
+        self._volume = float(abs(np.linalg.det(system.cell.lattice)))
+
+    def _of_atoms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Each atom's share of energy and virial, (N,) and (N, 6)."""
+        raise NotImplementedError
+
+    def collect(self, target: Target) -> None:
+        """See Term."""
+        if target.detail == FORCES:
+            return
+        # the uniform background fills what S leaves of a net charge
+        background = -0.5 * self._net2 / self._volume * self._split.moment
+        share = background / len(self._charges)
+        if target.detail == PER_ATOM:
+            energies, virials = self._of_atoms()
+            target.energies[:] += energies + self._energy + share
+            target.virials[:] += virials
+            target.virials[:, :3] += share
+        else:
+            target.energies[0] += self._totals[0, 0] + self._energy.sum() + background
+            target.virials[0] += self._totals[0, 1:]
+            target.virials[0, :3] += background
+
+
+class WaveSum(ChargeSum):
+    """The sum wave by wave."""
+
+    fits_grid = True
+
+    def __init__(self, system: System, charges: NDArray[np.float64], split: Split) -> None:
+        super().__init__(system, charges, split)
+        self._sizes, self._lanes = np.zeros(7, dtype=np.int64), lanes_for()
+        rows, weights, bends = self._waves(system)
+        room = int(ROOM * len(weights)) + 8
+        self._rows, self._weights, self._bends = np.zeros((room, 4), np.int64), np.zeros((room, 4)), np.zeros((room, 4))
+        self._room = int(ROOM * self._places(rows)[-1]) + 8 * BLOCK + 3 * BLOCK
+        self._tables = np.zeros((self._n_chunks, self._room))
+        self._sums = np.zeros((self._n_chunks, room * SUMS * self._lanes.size))
+        self._amplitudes = np.zeros((room, AMPLITUDES))
+        self._rest = np.zeros((self._n_chunks, 3), dtype=np.int64)
+        self._take(system, rows, weights, bends)
+
+    @property
+    def n_waves(self) -> int:
+        """The number of waves, k and −k as one."""
+        return int((self._weights[: self._sizes[N_ALL]] != 0.0).sum())
+
+    @property
+    def summary(self) -> str:  # type: ignore[override]
+        """The sum, for the report."""
+        return f"sum over {self.n_waves} waves ({self._said})"
+
+    def follow(self, system: System) -> bool:
+        """See Term."""
+        waves = self._waves(system)
+        if len(waves[1]) > len(self._weights) or self._places(waves[0])[-1] + 3 * BLOCK > self._room:
+            return False
+        self._take(system, *waves)
+        return True
+
+    def operations(self, system: System, target: Target) -> Iterator[Operation]:
+        """See Term."""
+        where = system.positions, self._charges, self._inverse, self._sizes, self._rows, self._weights, self._bends
+        what = self._tables, self._sums, self._amplitudes, self._totals, self._rest, target.forces, target.steps
+        waves = Waves(*where, *what, target.detail, self._lanes)
+        yield operation(self._calls, sum_waves, waves, self._n_chunks)
+        yield operation(self._calls, weigh_waves, waves)
+        yield operation(self._calls, push_atoms, waves, self._n_chunks)
+        if target.steps:
+            yield operation(self._calls, balance_impulses, waves)
+
+    def _waves(self, system: System) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+        """rows, weights and bends for the present cell."""
+        lattice, largest = system.cell.lattice, self._split.largest_wave
+        reciprocal = 2.0 * pi * system.cell.inverse
+        ends = np.floor(largest * np.linalg.norm(lattice, axis=1) / (2.0 * pi))
+        if (n := float(np.prod(ends + 1.0))) > MOST_CELLS:
+            needs = f"needs some {2.0 * n:.1g} waves in this cell, but at most {2 * MOST_CELLS} are allowed"
+            raise ValueError(f"cutoff of Coulomb must be larger; {self._split.cutoff:.3g} {needs}")
+        most = ends.astype(np.int64)
+        cells = np.stack(np.meshgrid(*(np.arange(n + 1) for n in most), indexing="ij"), axis=-1).reshape(-1, 3)
+        k2 = ((cells[:, None] * SIGNS @ reciprocal.T) ** 2).sum(axis=-1)  # (C, 4)
+        a, b, c = (cells[:, None, d] for d in range(3))
+        is_new = (SIGNS[:, 1] > 0) | ((a > 0) & (b > 0))  # of ±b, and below of ±c, the same waves once
+        is_new = is_new & ((SIGNS[:, 2] > 0) | ((c > 0) & ((a > 0) | (b > 0))))
+        counts = is_new & (k2 > 0.0) & (k2 <= largest**2)
+        height = np.where(counts.any(axis=1), cells[:, 2] + 1, 0)
+        firsts, place = np.flatnonzero(cells[:, 2] == 0), cells[:, 0] * (most[1] + 1) + cells[:, 1]
+        n_cells = np.maximum.reduceat(height, firsts)
+        kept = cells[:, 2] < n_cells[place]
+        n_cells, firsts = n_cells[n_cells > 0], firsts[n_cells > 0]
+        rows = np.column_stack([cells[firsts, :2], np.cumsum(n_cells) - n_cells, n_cells])
+        self._cells, counts, k2 = cells[kept], counts[kept], k2[kept]
+        spectrum, bend = self._split.spectrum(np.where(counts, k2, 1.0))
+        volume = abs(np.linalg.det(lattice))
+        return rows, np.where(counts, spectrum, 0.0) / volume, np.where(counts, bend, 0.0) / volume
+
+    def _places(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Where the tables X, Y, Z, XY and those of forces begin."""
+        ends = rows.max(axis=0, initial=0)[[A, B, N_CELLS]] + (1, 1, 0)
+        return np.cumsum([0, *(2 * BLOCK * ends), 4 * BLOCK])
+
+    def _take(self, system: System, rows: NDArray, weights: NDArray, bends: NDArray) -> None:
+        """Write waves to memory that stays in its place."""
+        self._rows[: len(rows)], self._weights[: len(weights)], self._bends[: len(bends)] = rows, weights, bends
+        self._sizes[:] = len(rows), len(weights), *self._places(rows)
+        self._keep(system)
+        self._positions = system.positions
+
+    def _of_atoms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Each atom's share of energy and virial: q Re(Σ w S* exp(i k·r)), and so on; (N,) and (N, 6)."""
+        n_all = self._sizes[N_ALL]
+        used = self._weights[:n_all] != 0.0
+        weights, bends = self._weights[:n_all][used], self._bends[:n_all][used]
+        k = 2.0 * pi * (self._cells[:, None] * SIGNS)[used] @ self._inverse.T
+        blocks = np.array_split(np.arange(len(self._charges)), -(-len(self._charges) // BLOCK))
+        conjugate = np.conj(sum(self._phases(block, k).sum(axis=0) for block in blocks))
+        energies, virials = [], []
+        for block in blocks:
+            share = (self._phases(block, k) * conjugate).real
+            energies.append(share @ weights)
+            virials.append(share @ virials_of(k, weights, bends))
+        return np.concatenate(energies), np.concatenate(virials)
+
+    def _phases(self, atoms: NDArray[np.int64], k: NDArray[np.float64]) -> NDArray:
+        """q exp(i k·r) of some atoms, (atoms, waves)."""
+        return np.exp(1j * self._positions[atoms] @ k.T) * self._charges[atoms, None]

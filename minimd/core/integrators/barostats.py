@@ -1,0 +1,176 @@
+"""Stochastic cell rescaling: a bath of constant pressure, which strains the cell and everything in it.
+
+It acts every few steps, on the state between two steps: a splitting of the whole evolution in which each part is
+reversible. The energy it gives to the system is counted like the heat of a thermostat:
+total energy minus reservoir energy changes only by errors of the time step.
+"""
+
+from dataclasses import dataclass, field, fields
+from math import inf, log, sqrt
+
+import numpy as np
+
+from minimd.core.console.display import Displayed, Rows, as_text
+from minimd.core.integrators.method import Array
+from minimd.core.integrators.thermostats import philox
+from minimd.core.structure.checks import checked_choice, checked_count, checked_number
+from minimd.core.structure.observables import SEEDS
+
+__all__ = ["StochasticCellRescaling"]
+
+AXES = "xyz"
+COUPLINGS = ("isotropic", "triclinic", "x", "y", "z", "xy", "xz", "yz", "xyz")
+OWN_STREAM = 1  # of random numbers; the stream of thermostats is 0
+
+
+@dataclass(frozen=True)
+class ThermodynamicState:
+    """What a barostat needs to know about a state.
+    pressure : P, (3, 3) [energy/length³], kinetic part included.  volume : V [length³].  energy : E = K + U [energy].
+        thermal : k_B T [energy]."""
+
+    pressure: Array
+    volume: float
+    energy: float
+    thermal: float
+
+
+@dataclass(frozen=True, repr=False)
+class StochasticCellRescaling(Displayed):
+    """Constant pressure by stochastic cell rescaling: a first-order bath with the fluctuations of the
+    isothermal-isobaric ensemble.
+
+        dλ = −(βλ/2τ) (P₀ − P − k_B T/2V) dt + √(k_B T β/2τ) dW,  λ = √V   isotropic: Bernetti and Bussi, eq. 7
+        dε = −(β/3τ) 𝒫[P₀ 1 − P] dt + √(2 k_B T β/3Vτ) 𝒫[dW]                          anisotropic: Del Tatto et al.
+        r ← r e^ε,  v ← v e^(−ε),  cell ← cell e^ε;  isotropic e^ε = (V′/V)^(1/3)
+
+    P is the pressure, isotropic its trace/3; ε is the strain and W a symmetric matrix of white noise. 𝒫 keeps the
+    strains that the coupling allows: along some axes, each by itself, or all of them ("triclinic"), followed by the
+    rotation that keeps the direction of the first lattice vector and the plane of the first two. ε is symmetric, and
+    its trace is d ln V, as in eq. 4 of the first paper. Atoms joined by fixed lengths form molecules:
+    their centers of mass move as above, and P is the molecular pressure.
+
+    The bath acts at every n-th step, over h = nΔt, by one Euler step with the drift b = −(βλh/2τ)(…) or m = −(βh/3τ)
+    𝒫[…]. It changes
+
+        H = E − reservoir energy
+
+    by ΔE + P₀ΔV − ½ k_B T ln(V′/V) + (τ/βh) [(λ′ − λ + b′)² − (λ′ − λ − b)²], or, with d free strains,
+    by ΔE + P₀ΔV − (1 + d/2) k_B T ln(V′/V) + (3τ/4βh) [V′|ε + m′|² − V|ε − m|²], where ′ means afterwards. This is zero
+    up to errors of the finite h, as for thermostats. All other energy it gives to the system, heat and work, is counted
+    in the reservoir energy. Fluctuations of V are too large by a fraction of the order h/τ.
+
+    With a thermostat this gives the isothermal-isobaric (NPT) ensemble. Without one, only the noise of the cell brings
+    the temperature to T, and it does so slowly; until then the run samples no standard ensemble,
+    not even the isobaric-isenthalpic one.
+
+    Parameters
+    ----------
+    pressure : P₀ [energy/length³].
+    compressibility : β, isothermal [length³/energy]; a rough value is enough, since only β/τ matters;
+        4.6e-5 bar⁻¹ for water.
+    relaxation_time : τ of the volume, > 0 [time]; at least 10 nΔt. With one free axis it takes three times as long.
+    seed : int ≥ 0 of the noise, below 2¹²⁸.
+    temperature : T ≥ 0; that of the thermostat if not given.
+    coupling : "isotropic", "triclinic", or axes that change each by itself, such as "z" or "xy".
+    every : n, number of steps between two strains. Each costs as much as several steps: energy and virial twice.
+
+    Raises
+    ------
+    ValueError : for a number out of range or an unknown coupling.
+
+    M. Bernetti, G. Bussi, J. Chem. Phys. 153, 114107 (2020); V. Del Tatto, P. Raiteri, M. Bernetti, G. Bussi, Appl.
+    Sci. 12, 1139 (2022).
+    """
+
+    pressure: float
+    compressibility: float
+    relaxation_time: float
+    seed: int
+    temperature: float | None = None
+    coupling: str = "isotropic"
+    every: int = 50
+    mask: Array = field(init=False, compare=False)  # of the strains that 𝒫 keeps
+
+    def __post_init__(self) -> None:
+        checked_number("pressure", self.pressure, "finite")
+        checked_number("compressibility", self.compressibility, "positive and finite")
+        checked_number("relaxation_time", self.relaxation_time, "positive and finite")
+        checked_count("seed", self.seed, 0, SEEDS)
+        checked_count("every", self.every)
+        if self.temperature is not None:
+            checked_number("temperature", self.temperature, "finite and not negative")
+        checked_choice("coupling", self.coupling, COUPLINGS)
+        axes = np.array([axis in self.coupling for axis in AXES], dtype=np.float64)
+        object.__setattr__(self, "mask", np.ones((3, 3)) if self.coupling == "triclinic" else np.diag(axes))
+
+    def __repr__(self) -> str:
+        given = (f"{name}={value!r}" for name, value in self.parameters.items() if value is not None)
+        return f"StochasticCellRescaling({', '.join(given)})"
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        given = [(name, as_text(value)) for name, value in self.parameters.items() if value is not None]
+        return [("barostat", "stochastic cell rescaling"), *given]
+
+    @property
+    def parameters(self) -> dict[str, float | int | str | None]:
+        """The constructor arguments that recreate this barostat, by name."""
+        return {one.name: getattr(self, one.name) for one in fields(self) if one.init}
+
+    def strain(self, state: ThermodynamicState, duration: float, number: int) -> Array:
+        """ε, (3, 3).  duration : h [time].  number : of the step; it selects the noise."""
+        white = philox(self.seed, 0, number, OWN_STREAM).standard_normal((3, 3))
+        if self.coupling == "isotropic":
+            spread = sqrt(0.5 * state.thermal * self.compressibility * duration / self.relaxation_time)
+            larger = 1.0 + (self._drift_of_root(state, duration) + spread * white[0, 0]) / sqrt(state.volume)  # λ′/λ
+            return np.diag(np.full(3, 2.0 / 3.0 * log(larger) if larger > 0.0 else -inf))
+        slowness = 3.0 * state.volume * self.relaxation_time
+        spread = sqrt(2.0 * state.thermal * self.compressibility * duration / slowness)
+        return self._drift_of_strain(state, duration) + spread * self.mask * 0.5 * (white + white.T)
+
+    def change_of_conserved(self, before: ThermodynamicState, after: ThermodynamicState, strain: Array,
+                            duration: float) -> float:  # fmt: skip
+        """ΔH [energy] of one strain, as above.
+
+        It is k_B T ln of the ratio of two probabilities: of the strain and of its reverse,
+        each times that of the state it starts from."""
+        work = after.energy - before.energy + self.pressure * (after.volume - before.volume)
+        entropy = before.thermal * log(after.volume / before.volume)
+        rate = self.relaxation_time / (self.compressibility * duration)
+        if self.coupling == "isotropic":
+            change = sqrt(after.volume) - sqrt(before.volume)
+            back, there = change + self._drift_of_root(after, duration), change - self._drift_of_root(before, duration)
+            return work - 0.5 * entropy + rate * (back**2 - there**2)
+        returned = strain + self._drift_of_strain(after, duration)
+        gone = strain - self._drift_of_strain(before, duration)
+        n_free = 6 if self.coupling == "triclinic" else len(self.coupling)
+        gaussian = after.volume * np.square(returned).sum() - before.volume * np.square(gone).sum()
+        return float(work - (1.0 + 0.5 * n_free) * entropy + 0.75 * rate * gaussian)
+
+    def _drift_of_root(self, state: ThermodynamicState, duration: float) -> float:
+        """b = −(βλh/2τ) (P₀ − P − k_B T/2V) [√volume]."""
+        excess = float(np.trace(state.pressure)) / 3.0 - self.pressure + 0.5 * state.thermal / state.volume
+        return 0.5 * self.compressibility * sqrt(state.volume) * duration / self.relaxation_time * excess
+
+    def _drift_of_strain(self, state: ThermodynamicState, duration: float) -> Array:
+        """m = −(βh/3τ) 𝒫[P₀ 1 − P], (3, 3)."""
+        factor = self.compressibility * duration / (3.0 * self.relaxation_time)
+        return factor * self.mask * (state.pressure - self.pressure * np.eye(3))
+
+
+def exponential(strain: Array) -> Array:
+    """e^ε of a symmetric (3, 3) matrix."""
+    if np.count_nonzero(strain) == np.count_nonzero(np.diag(strain)):
+        return np.diag(np.exp(np.diag(strain)))
+    values, vectors = np.linalg.eigh(strain)
+    return np.asarray((vectors * np.exp(values)) @ vectors.T)
+
+
+def turned_back(before: Array, strained: Array) -> tuple[Array, Array]:
+    """Strained lattice vectors (3, 3), rows, rotated so that the first has its old direction and the first two their
+    old plane; and the rotation."""
+    (frame, _), (own, triangle) = (np.linalg.qr(vectors.T) for vectors in (before, strained))
+    signs = np.sign(np.einsum("ij,ij->j", frame, own))  # of the axes: a strain turns them only slightly
+    own, triangle = own * signs, triangle * signs[:, None]
+    return triangle.T @ frame.T, own @ frame.T

@@ -1,0 +1,111 @@
+"""The base class of all one-step methods, and the protocols of problems and steps: y(t) → y(t+h)."""
+
+from collections.abc import Callable
+from inspect import signature
+from typing import Any, ClassVar, Protocol
+
+from minimd.core.console.display import Displayed, Rows, as_text, call_of
+from minimd.core.structure.checks import checked_number
+from minimd.core.structure.vectors import Array
+
+__all__ = ["Method"]
+
+
+class Problem(Protocol):
+    """y′ = f(t, y) or F(t, y, y′) = 0, with initial values. States are one-dimensional arrays.
+    solver : Newton() or FixedPoint(), for implicit steps.  shape : of q and of v, None for problems without them.
+    remark : what limits the accuracy of solutions beyond method and rounding, if anything does; known after begin."""
+
+    solver: Any
+    shape: Any
+    remark: str = ""
+
+    def begin(self, start: Any, t0: float = 0.0) -> Array:
+        """The initial values at time t0 as a state; their shapes are checked and remembered."""
+
+    def field(self, t: float, y: Array) -> Array:
+        """y′."""
+
+    def residual(self, t: float, y: Array, slope: Array) -> Array:
+        """F(t, y, y′), zero on a solution; y′ − f(t, y) if the problem is explicit."""
+        return slope - self.field(t, y)
+
+
+class Step(Protocol):
+    """One step of a method on a problem: y(t) → y(t+h). It never changes y, and counts its evaluations in nfev.
+    A step may remember what it knows about the state it returned last, its force say, and know it as the same array."""
+
+    @property
+    def nfev(self) -> int:
+        """Evaluations of the right-hand side so far."""
+
+    def __call__(self, t: float, y: Array, h: float) -> Array:
+        """y(t+h) from y(t); h may be negative."""
+
+
+class ClassProperty:
+    """An attribute of a class that is computed, here from the coefficients of a method, whenever it is read."""
+
+    def __init__(self, compute: Callable[[Any], Any]) -> None:
+        self._compute = compute
+
+    def __get__(self, _instance: object, owner: type) -> Any:
+        return self._compute(owner)
+
+
+class Method(Displayed):
+    """A method with its time step.
+
+    Parameters
+    ----------
+    timestep : Δt [time], finite and not zero; a negative one runs time backwards.
+
+    Attributes of each method
+    -------------------------
+    name, source : key in METHODS; literature.
+    order : p of the global error O(Δtᵖ).  stages : evaluations of the force, or systems of stage equations, per step.
+    is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1.  is_symplectic : for Hamiltonian problems.
+    is_explicit : whether separable problems are stepped without solving equations.
+
+    Raises
+    ------
+    ValueError : if the time step is zero or not finite.
+    """
+
+    timestep: float
+    name: ClassVar[str]
+    source: ClassVar[str]
+    order: Any
+    stages: Any
+    is_symmetric: Any
+    is_symplectic: ClassVar[Any]
+    is_explicit: ClassVar[bool]
+
+    def __init__(self, timestep: float) -> None:
+        self.timestep = checked_number("timestep", timestep, "finite and not zero")
+
+    def __repr__(self) -> str:
+        return call_of(self, self.parameters)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The constructor arguments that recreate this method, by name: its attributes with the names of arguments."""
+        return {name: getattr(self, name) for name in signature(type(self)).parameters if hasattr(self, name)}
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        kind = [word for word, holds in (("symmetric", self.is_symmetric), ("symplectic", self.is_symplectic)) if holds]
+        rows = [("method", f"{type(self).__name__}, order {self.order}{''.join(f', {word}' for word in kind)}")]
+        rows += [(name, as_text(value)) for name, value in self.parameters.items()]
+        return rows + ([("source", self.source)] if hasattr(self, "source") else [])
+
+    @classmethod
+    def on(cls, problem: Problem) -> Step:
+        """The step of this method on a problem that has its initial values.
+        Raises TypeError if the method cannot be used on such problems."""
+        raise NotImplementedError
+
+    @classmethod
+    def order_on(cls, problem: Problem) -> int:
+        """Order on this problem, which can be lower than on the problems for which the method was made."""
+        return cls.order

@@ -1,0 +1,121 @@
+"""Splitting methods: the flows of the two halves of H = T(p) + V(q), composed as a sequence of substeps.
+
+    drift  φ[1]:  r(t+cΔt) = r(t) + cΔt v            velocities are constant
+    kick   φ[2]:  v(t+cΔt) = v(t) + cΔt F(r)/m       positions are constant
+
+Each half is solved exactly, so every composition is symplectic and conserves total momentum. It is reversible if the
+sequence equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), II.5.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import ClassVar
+
+from minimd.core.compiled.program import Operation, in_python
+from minimd.core.integrators.method import ClassProperty, Method, Problem, Step
+from minimd.core.integrators.order_conditions import nystrom_order
+from minimd.core.integrators.state import Bath, State, Surroundings
+from minimd.core.integrators.steps import Evaluation, Moment, Steps
+from minimd.core.integrators.substeps import Kick, Substeps, is_palindrome, mechanical, merged
+from minimd.core.structure.observables import kinetic_energy
+
+__all__ = ["Splitting"]
+
+
+def stages(method: "type[Splitting]") -> int:
+    """Force evaluations per step of a long run: groups of kicks with no drift between them;
+    the last and the first kick form one group."""
+    kicks = [isinstance(substep, Kick) for substep in merged(mechanical(method.substeps))]
+    return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
+
+
+class Splitting(Method):
+    """A splitting method, given by its sequence of substeps.
+
+    Forces are computed when a kick needs them and positions have moved since. With constraints every drift is
+    projected, and at the end of each step velocities are. So a state between two steps is all that the next step needs:
+    n steps and then m have the same bits as n + m. Where kicks and drifts follow each other, also those of two steps,
+    they are made in one pass over memory, each with its own rounding: velocity Verlet costs what leapfrog costs.
+
+    Parameters, Raises : as Method.
+
+    Attributes of each method
+    -------------------------
+    name, substeps, source : key in METHODS; kicks and drifts of one step; literature.
+    conserves_momentum : true unless a bath acts on each atom separately.  is_thermostat : whether a bath acts at all.
+
+    Attributes computed from them
+    -----------------------------
+    order : p of the global error O(Δtᵖ) for H = p²/2m + V(q).  stages : force evaluations per step of a long run.
+    is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1; the method is then also reversible.  is_symplectic : true without a bath.
+    """
+
+    substeps: ClassVar[Substeps]
+    is_symplectic: ClassVar[bool] = True
+    is_explicit: ClassVar[bool] = True
+    conserves_momentum: ClassVar[bool] = True
+    is_thermostat: ClassVar[bool] = False
+    order = ClassProperty(lambda method: nystrom_order(method.sequence()))
+    is_symmetric = ClassProperty(lambda method: is_palindrome(method.sequence()))
+    stages = ClassProperty(stages)
+
+    @classmethod
+    def sequence(cls) -> Substeps:
+        """One step, neighbors of one kind merged."""
+        return merged(cls.substeps)
+
+    @classmethod
+    def on(cls, problem: Problem) -> Step:
+        """The step on a problem with q and v, see Partitioned.sequence_step.  Raises TypeError for other problems."""
+        if not hasattr(problem, "sequence_step"):
+            needed = "a problem with q and v, SecondOrder or Partitioned"
+            raise TypeError(f"{cls.name} needs {needed}; got {type(problem).__name__}")
+        return problem.sequence_step(cls.sequence())
+
+    @classmethod
+    def order_on(cls, problem: Problem) -> int:
+        """See Method."""
+        return problem.sequence_order(cls.sequence()) if hasattr(problem, "sequence_order") else cls.order
+
+    def advance(self, state: State, compute_forces: Callable[[State, bool], None], n_steps: int,
+                with_energy: bool = True, surroundings: Surroundings | None = None) -> int:  # fmt: skip
+        """Make n_steps steps, or fewer (at least one) if surroundings.stop_requested becomes true;
+        return how many were made.
+
+        compute_forces : fills state.forces; if called with True, evaluates the energy, too.
+        with_energy : evaluate the energy, too, with the last forces.  surroundings : constraints and bath, if any.
+
+        Raises
+        ------
+        ConstraintError : if a constrained length cannot be kept.  ValueError : from a thermostat without a bath.
+        """
+
+        def evaluation(with_energy: bool, _unit: float, _moment: Moment) -> Iterable[Operation]:
+            yield in_python(lambda: compute_forces(state, with_energy))
+
+        around = Surroundings() if surroundings is None else surroundings
+        first = 0 if around.bath is None else around.bath.step
+        made = Steps(self, state, around, Evaluation(evaluation)).advance(n_steps, with_energy, first)
+        if around.bath is not None:
+            around.bath.step += made
+        return made
+
+    def contact(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterable[Operation]:
+        """Contact with the bath over a duration, at a moment: the operations of a substep Thermalize."""
+
+        def thermalize() -> None:
+            bath = Bath() if around.bath is None else around.bath
+            bath.step, bath.contact, given = moment.step, moment.contact, bath.energy
+            around.project(state)
+            before = kinetic_energy(state.velocities, state.masses)
+            self.thermalize(state, duration, around)
+            around.project(state)
+            if self.is_thermostat:
+                bath.energy = given + kinetic_energy(state.velocities, state.masses) - before
+            state.settle()
+
+        yield in_python(thermalize)
+
+    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
+        """The same, made once, by Python: velocities are changed in place. They are projected onto constraints before
+        and after, and what a thermostat gives to the kinetic energy is counted as heat."""
+        raise NotImplementedError(f"{self.name} has no thermostat")

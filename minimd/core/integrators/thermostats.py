@@ -1,0 +1,354 @@
+"""Methods in contact with a bath: the substeps of a splitting, and one more that changes velocities at random.
+
+The noise depends only on the seed, the number of the step and the place of the contact within the step: a run that is
+stopped and resumed, replayed after a failure, or made with another number of threads has the same noise. The energy
+that the bath puts in is counted, so that total energy minus this sum changes only by the errors of kicks and drifts.
+This difference drifts if Δt is large. G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007); D. A. Sivak, J. D.
+Chodera, G. E. Crooks, Phys. Rev. X 3, 011007 (2013).
+"""
+
+from collections import namedtuple
+from collections.abc import Iterator
+from math import exp, sqrt
+from typing import Self
+
+import numpy as np
+
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.fixed_point import in_steps, is_fixed, on_grid
+from minimd.core.compiled.kernels import DirectCalls, by_type, called_kernel, filling_kernel, scalar
+from minimd.core.compiled.normal_numbers import new_stream, normal, start_stream, sum_of_squares, three_normals
+from minimd.core.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation
+from minimd.core.compiled.threads import thread_pool
+from minimd.core.integrators.flows import mixed, momentum_in_steps, velocity_of
+from minimd.core.integrators.method import Problem, Step
+from minimd.core.integrators.splitting import Splitting
+from minimd.core.integrators.state import Bath, State, Surroundings
+from minimd.core.integrators.steps import FIRST, MADE, Moment, projected
+from minimd.core.integrators.substeps import Drift, Kick, Thermalize
+from minimd.core.structure.checks import checked_count, checked_number
+from minimd.core.structure.observables import AT_REST, SEEDS, kinetic_energy_of
+
+__all__ = ["LangevinBAOAB", "StochasticVelocityRescaling"]
+
+STEPS = 2**64  # numbers of steps are taken modulo this; those of an equilibration, before step 0, are negative
+CALLS = {False: DirectCalls(), True: DirectCalls()}  # by whether there is a grid
+
+
+def philox(seed: int, contact: int, step: int, stream: int = 0) -> np.random.Generator:
+    """The generator of random numbers for a contact with a bath in a step."""
+    counter = np.array([0, stream, contact, step % STEPS], dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(key=seed, counter=counter))
+
+
+class Noise(ByAddress, namedtuple("Noise", "key counts begun contact")):
+    """What selects noise.  key : (2,) uint64 of Philox.  counts, begun, contact : of a Moment."""
+
+
+@scalar
+def step_of(noise):
+    """The number of the present step, see Moment."""
+    return noise.counts[FIRST] + noise.counts[MADE] + noise.begun
+
+
+class Thermostat(Splitting):
+    """A splitting with a bath.
+    timestep : Δt [time], positive.  temperature : of the bath, ≥ 0.  seed : int ≥ 0, of the noise, below 2¹²⁸.
+    Raises ValueError for a time step that is not positive, a temperature or a rate below zero, or a seed out of range.
+    """
+
+    temperature: float
+    seed: int
+    is_symmetric = is_symplectic = False
+    is_thermostat = True
+    order = 2
+
+    def __init__(self, timestep: float, temperature: float, seed: int) -> None:
+        super().__init__(timestep)
+        if self.timestep < 0.0:
+            raise ValueError(f"time cannot run backwards with a thermostat; timestep = {timestep!r}")
+        self.temperature = checked_number("temperature", temperature, "finite and not negative")
+        self.seed = checked_count("seed", seed, 0, SEEDS)
+
+    @classmethod
+    def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
+        """The thermostat with this relaxation time, τ > 0 [time]; scene files know no other parameter.
+        Other arguments : see Thermostat."""
+        why = f"{cls.name} cannot be used in a scene, because it has no with_relaxation_time"
+        raise NotImplementedError(f"{why}; run it from a script")
+
+    @classmethod
+    def on(cls, problem: Problem) -> Step:
+        """Raises TypeError: a bath needs masses and a unit of temperature, which small problems do not have."""
+        raise TypeError(
+            f"{cls.name} cannot solve a bare problem, which has no unit of temperature; use it in a Simulation"
+        )
+
+    def contact(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
+        """See Splitting; a derived class that has another thermalize is asked for that."""
+        if type(self).thermalize is Thermostat.thermalize:
+            yield from self.touch(state, duration, around, moment)
+        else:
+            yield from super().contact(state, duration, around, moment)
+
+    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
+        """The operations of touch, at once."""
+        bath = bath_of(around)
+        moment = Moment(np.array([0, 0, bath.step]), contact=bath.contact)
+        Program(lambda: self.touch(state, duration, around, moment), lambda: 0, thread_pool(1)).run()
+        bath.contact += 1
+
+    def noise_at(self, moment: Moment) -> "Noise":
+        """What selects the noise of a contact."""
+        key = np.array([self.seed % 2**64, self.seed >> 64], dtype=np.uint64)
+        return Noise(key, moment.counts, moment.begun, moment.contact)
+
+    def touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
+        """The operations of a contact with the bath over a duration."""
+        raise NotImplementedError(f"{self.name} has neither touch nor thermalize")
+
+    def noise(self, bath: Bath) -> np.random.Generator:
+        """The generator of random numbers for one contact with the bath: for this step and its place within it."""
+        bath.contact += 1
+        return philox(self.seed, bath.contact - 1, bath.step)
+
+
+class LangevinBAOAB(Thermostat):
+    """Langevin dynamics, with friction and independent noise on each atom: kick, drift, bath, drift, kick.
+
+        v(t+Δt/2) = v(t) + Δt/2 F(t)/m                         B
+        r(t+Δt/2) = r(t) + Δt/2 v                              A
+        v ← e^(−γΔt) v + √(k_B T (1 − e^(−2γΔt))/m) ξ          O, the exact Ornstein-Uhlenbeck process; ξ normal
+        r(t+Δt)   = r(t+Δt/2) + Δt/2 v                         A
+        v(t+Δt)   = v + Δt/2 F(t+Δt)/m                         B
+
+    Averages have errors of order 2. For harmonic forces, averages of positions are exact at any stable Δt, and those of
+    v² are too low by the fraction (ωΔt)²/4: a kinetic temperature below that of the bath by O(Δt²) is an error of the
+    time step, not of the bath. This also holds for rigid molecules; without forces they have the temperature of the
+    bath. Momentum is not conserved, so all 3N degrees of freedom are thermal. Without friction this is velocity Verlet.
+
+    Parameters
+    ----------
+    timestep : Δt > 0 [time].  temperature : T ≥ 0, of the bath.
+    friction : γ ≥ 0 [1/time].  seed : int ≥ 0 of the noise, below 2¹²⁸.
+
+    B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013); J. Chem. Phys. 138, 174102 (2013), eq. 7.
+    With constraints: B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 20160138 (2016).
+    """
+
+    name = "langevin-baoab"
+    substeps = (Kick(0.5), Drift(0.5), Thermalize(1.0), Drift(0.5), Kick(0.5))
+    source = "B. Leimkuhler, C. Matthews, J. Chem. Phys. 138, 174102 (2013)"
+    conserves_momentum = False
+
+    def __init__(self, timestep: float, temperature: float, friction: float, seed: int) -> None:
+        super().__init__(timestep, temperature, seed)
+        self.friction = checked_number("friction", friction, "finite and not negative")
+
+    @classmethod
+    def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
+        """See Thermostat; γ = 1/τ."""
+        tau = checked_number("relaxation_time", relaxation_time, "positive and finite")
+        return cls(timestep, temperature, 1.0 / tau, seed)
+
+    def touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
+        """The Ornstein-Uhlenbeck process over a duration, between two projections onto the constraints.
+
+        The noise of an atom depends on seed, step, contact and the number of the atom."""
+        bath, n_chunks, is_held = bath_of(around), n_chunks_of(len(state.velocities)), around.constraints is not None
+        kept = exp(-self.friction * duration)
+        spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
+        atoms, noise = (state.velocities, state.inverse_masses, state.masses), self.noise_at(moment)
+        touch = Touch(*atoms, kept, spread, noise, np.zeros(n_chunks), bath.heat, int(is_held), state.steps)
+        calls = CALLS[bool(state.steps)]
+        yield from projected(state, around)
+        yield operation(calls, touch_atoms, touch, n_chunks)
+        yield from projected(state, around)
+        if is_held:
+            yield operation(calls, add_kinetic, touch, n_chunks)
+        yield operation(calls, count_heat, touch)
+
+
+class Touch(ByAddress, namedtuple("Touch", "velocities inverse_masses masses kept spread noise parts heat is_held "
+                                  "steps")):  # fmt: skip
+    """The contact of atoms with a bath, see LangevinBAOAB.
+    velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
+    kept, spread : e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy].  noise : Noise.
+    parts : (chunks,) output, heat of each chunk [energy].  heat : (1,), to which it is added.
+    is_held : whether constraints follow, before the kinetic energy afterwards is known.  steps : of a grid, or ()."""
+
+
+@filling_kernel
+def touch_atoms(touch, chunk):
+    """v ← kept · v + spread √(1/m) ξ."""
+    velocities, masses, n_chunks = touch.velocities, touch.masses, touch.parts.size
+    n, stream, noise, given = masses.size, new_stream(touch.noise.key), touch.noise, 0.0
+    step = step_of(noise)
+    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+        if touch.inverse_masses[i] > 0.0:
+            given -= kinetic_energy_at(velocities, masses, i, touch.steps)
+            scale = touch.spread * sqrt(touch.inverse_masses[i])
+            for c, xi in enumerate(three_normals(stream, i, noise.contact, step)):
+                v = mixed(velocities[i, c], xi, touch.kept, scale)
+                velocities[i, c] = settled(v, touch.inverse_masses[i], touch.steps)
+            if not touch.is_held:
+                given += kinetic_energy_at(velocities, masses, i, touch.steps)
+    touch.parts[chunk] = given
+    return GO_ON
+
+
+@called_kernel
+def add_kinetic(touch, chunk):
+    """The heat of a chunk += its kinetic energy now."""
+    n, n_chunks = touch.masses.size, touch.parts.size
+    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+        touch.parts[chunk] += kinetic_energy_at(touch.velocities, touch.masses, i, touch.steps)
+    return GO_ON
+
+
+@called_kernel
+def count_heat(touch, _chunk):
+    """The heat of all chunks."""
+    given = 0.0
+    for part in touch.parts:
+        given += part
+    touch.heat[0] += given
+    return GO_ON
+
+
+@scalar
+def kinetic_energy_at(velocities, masses, i, steps):
+    """½ m v² of atom i [energy]; on a grid rounded to it."""
+    return in_steps(kinetic_energy_of(masses[i], velocities[i, 0], velocities[i, 1], velocities[i, 2]), steps)
+
+
+@by_type
+def on_steps(momentum, steps):
+    """A momentum, rounded to its grid if there is one."""
+    if is_fixed(steps):
+        return lambda momentum, steps: on_grid(momentum, steps.momentum)
+    return lambda momentum, steps: momentum
+
+
+@by_type
+def settled(velocity, inverse_mass, steps):
+    """A velocity, rounded to its grid if there is one."""
+    if not is_fixed(steps):
+        return lambda velocity, inverse_mass, steps: velocity
+    return lambda velocity, inverse_mass, steps: velocity_of(
+        momentum_in_steps(velocity, inverse_mass, steps), inverse_mass, steps
+    )
+
+
+class StochasticVelocityRescaling(Thermostat):
+    """Velocity Verlet, then velocities times one factor, drawn so that kinetic energy has its canonical distribution.
+
+        dK = (K̄ − K) dt/τ + 2 √(K K̄/n_dof) dW/√τ,  K̄ = n_dof k_B T/2
+
+    solved exactly over Δt: with c = e^(−Δt/τ), normal ξ and S the sum of n_dof − 1 squares of others,
+
+        K′ = c K + (1 − c) K̄/n_dof (S + ξ²) + 2 ξ √(c (1 − c) K K̄/n_dof)
+
+    K is the kinetic energy of the n_dof degrees of freedom. If total momentum is conserved, the motion of the center of
+    mass is not among them: K is then relative to its velocity V, which is kept, v ← V + √(K′/K) (v − V). If atoms are
+    held fixed, V is zero. Directions of motion are kept, so that the dynamics is hardly disturbed.
+
+    Parameters
+    ----------
+    timestep : Δt > 0 [time].  temperature : T ≥ 0, of the bath.
+    relaxation_time : τ > 0 [time].  seed : int ≥ 0 of the noise, below 2¹²⁸.
+
+    G. Bussi, D. Donadio, M. Parrinello, J. Chem. Phys. 126, 014101 (2007), eq. A7.
+    """
+
+    name = "stochastic-velocity-rescaling"
+    substeps = (Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(1.0))
+    source = "G. Bussi, D. Donadio, M. Parrinello, J. Chem. Phys. 126, 014101 (2007)"
+
+    def __init__(self, timestep: float, temperature: float, relaxation_time: float, seed: int) -> None:
+        super().__init__(timestep, temperature, seed)
+        self.relaxation_time = checked_number("relaxation_time", relaxation_time, "positive and finite")
+
+    @classmethod
+    def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
+        """See Thermostat."""
+        return cls(timestep, temperature, relaxation_time, seed)
+
+    def touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
+        """The exact change of the kinetic energy over a duration."""
+        bath, n_chunks, calls = bath_of(around), n_chunks_of(len(state.velocities)), CALLS[bool(state.steps)]
+        numbers = exp(-duration / self.relaxation_time), bath.k_B * self.temperature, float(state.masses.sum())
+        atoms, memory = (state.velocities, state.inverse_masses, state.masses), (np.zeros((n_chunks, 4)), np.zeros(4))
+        rescaling = Rescaling(*atoms, *numbers, bath.thermal, self.noise_at(moment), *memory, bath.heat, state.steps)
+        yield from projected(state, around)
+        yield operation(calls, sum_motion, rescaling, n_chunks)
+        yield operation(calls, draw_scale, rescaling)
+        yield operation(calls, rescale_atoms, rescaling, n_chunks)
+
+
+class Rescaling(ByAddress, namedtuple("Rescaling", "velocities inverse_masses masses kept thermal_energy mass "
+                                      "thermal noise parts motion heat steps")):  # fmt: skip
+    """The contact of all atoms with a bath, see StochasticVelocityRescaling.
+    velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
+    kept : e^(−Δt/τ).  thermal_energy : k_B T [energy].  mass : of all atoms.  thermal : of Bath.  noise : Noise.
+    parts : (chunks, 4) output, momentum and kinetic energy of each chunk.
+    motion : (4,) output, V, and √(K′/K) with its sign.  heat : (1,), to which the heat is added.  steps : of a grid."""
+
+
+@called_kernel
+def sum_motion(rescaling, chunk):
+    """Momentum and kinetic energy of a chunk."""
+    v, masses, steps, n_chunks = rescaling.velocities, rescaling.masses, rescaling.steps, rescaling.parts.shape[0]
+    x = y = z = energy = 0.0
+    for i in range(chunk * masses.size // n_chunks, (chunk + 1) * masses.size // n_chunks):
+        x, y = x + on_steps(masses[i] * v[i, 0], steps), y + on_steps(masses[i] * v[i, 1], steps)
+        z, energy = z + on_steps(masses[i] * v[i, 2], steps), energy + kinetic_energy_at(v, masses, i, steps)
+    for c, part in enumerate((x, y, z, energy)):
+        rescaling.parts[chunk, c] = part
+    return GO_ON
+
+
+@filling_kernel
+def draw_scale(rescaling, _chunk):
+    """V, and the factor for the velocities relative to it; and the heat."""
+    (n_dof, leaves_out_center), motion, kept = rescaling.thermal, rescaling.motion, rescaling.kept
+    for c in range(4):
+        motion[c] = 0.0
+        for part in rescaling.parts[:, c]:
+            motion[c] += part
+    kinetic = total = motion[3]
+    for c in range(3):
+        motion[c] = motion[c] / rescaling.mass if leaves_out_center else 0.0
+        kinetic -= 0.5 * rescaling.mass * motion[c] * motion[c]
+    motion[3] = 1.0
+    if kinetic <= AT_REST * total:  # rounding
+        return GO_ON
+    stream = new_stream(rescaling.noise.key)
+    start_stream(stream, 0, rescaling.noise.contact, step_of(rescaling.noise))
+    one = normal(stream)
+    share = (1.0 - kept) * 0.5 * rescaling.thermal_energy / kinetic
+    squares = sum_of_squares(stream, n_dof - 1) + one * one
+    square = max(kept + share * squares + 2.0 * one * sqrt(kept * share), 0.0)
+    motion[3] = -sqrt(square) if share > 0.0 and one < -sqrt(kept / share) else sqrt(square)
+    rescaling.heat[0] += in_steps(kinetic * (square - 1.0), rescaling.steps)
+    return GO_ON
+
+
+@called_kernel
+def rescale_atoms(rescaling, chunk):
+    """velocities = V + scale · (velocities − V)."""
+    v, motion, n, n_chunks = rescaling.velocities, rescaling.motion, rescaling.masses.size, rescaling.parts.shape[0]
+    scale = motion[3]
+    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks if scale != 1.0 else 0):
+        for c in range(3):
+            moved = (1.0 - scale) * motion[c] + scale * v[i, c]
+            v[i, c] = settled(moved, rescaling.inverse_masses[i], rescaling.steps)
+    return GO_ON
+
+
+def bath_of(around: Surroundings) -> Bath:
+    """The bath that a thermostat needs.  Raises ValueError if there is none."""
+    if around.bath is None:
+        remedy = "pass surroundings=Surroundings(bath=Bath(k_B, n_dof))"
+        raise ValueError(f"a thermostat needs a bath to count the energy it gives: {remedy}")
+    return around.bath

@@ -1,0 +1,264 @@
+"""Which clusters each atom must meet: columns ahead, bounding boxes, then the atoms themselves.
+
+Every pair of clusters is met once: an atom's row looks at its own cluster (later lanes only), at what stands above it
+in its own column, and at the columns ahead:
+
+    . . f f f        c  the column itself, upwards only
+    . . f f f        f  columns ahead, over their whole height
+    . . c f f        .  columns that look at this one instead
+    . . . f f
+    . . . f f
+
+All of these are runs of ghosts in the window of the atom's domain:
+neither the search nor the loop over rows knows of periodicity.
+"""
+
+from collections import namedtuple
+
+import numpy as np
+
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.kernels import inlined, scalar
+from minimd.core.compiled.simd import bits_from_mask, broadcast, fma, load, select, store, trailing_zeros
+from minimd.core.compiled.simd.vector import count, loaded
+from minimd.core.neighbors.clusters import DIMENSIONS
+from minimd.core.neighbors.domains import BOXES, HOME, SIDES, first_run
+from minimd.core.structure.cell import minimum_image
+
+LANES_FROM = 24  # the bits of an entry below this one number a ghost, those above it stand for lanes
+GHOST_BITS = (1 << LANES_FROM) - 1
+LAYERS = 2  # of each row; with more, a build costs as much more as steps cost less
+IN_USE, BUILDS, PREPARED_FOR = 0, 1, 2  # places in Rows.layers
+AHEAD = 2 * BOXES  # see Rows
+WORD = 64  # candidates, one for each bit of a number
+AT_A_TIME = 4  # entries written without a branch
+SETS = np.arange(1 << BOXES)[:, None] >> np.arange(BOXES) & 1 == 1  # of boxes, row k those whose bits are set in k
+HOW_MANY = SETS.sum(axis=1)
+SET_BITS = np.argsort(~SETS, axis=1, kind="stable").astype(np.int32).ravel()  # their numbers, and then the others
+ROUNDED_UP = 1.0 + 1e-6  # the squared reach, in units of itself, by the rounding of float32
+
+
+class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 limits2_at_build layers")):
+    """Clusters near each atom, in layers: entries[start[s] : stops[l, s]] have an atom within reach l of the one in s.
+    start : (slots,) int.  stops : (LAYERS, slots) int.
+    entries : (E,) uint32, the number of a ghost in the window of the domain, and above its 24 bits one for each lane.
+    reaches2 : (LAYERS,) squared, from the shortest to the longest [length²].
+    limits2 : (LAYERS,) squared distances that an atom may move before another layer is needed, or a new list [length²].
+    limits2_at_build : the same as long as the cell has not been strained since.
+    layers : (3,) int: how many layers are IN_USE, 0 if there is no list; the number of BUILDS so far; and, for the loop
+        over clusters, for which of them, see prepare_loop, it is prepared.
+    After the last entry there is memory for AHEAD more: some read ahead. The loop reads one: it must name a ghost."""
+
+
+class Work(namedtuple("Work", "ahead candidates entries near")):
+    """Memory for the search of one cluster. Ghosts are numbered as in GhostClusters, but for those in entries.
+    ahead : (runs, 2) int, first and last ghost of each run ahead.  candidates, entries : (M,) ghosts, their entries.
+    near : flat int64, for each WORD candidates, each layer and each lane of the cluster a number: bit b is set if
+        candidate b stands in that layer of the row of the atom in that lane."""
+
+
+@inlined
+def make_work(layout):
+    """Enough for any cluster of any domain."""
+    domains, columns, n_lanes = layout.domains, layout.columns, count(layout.clusters.lanes)
+    n_runs = (columns.reach[0] + 1) * (2 * columns.reach[1] + 1)
+    n = 0
+    for k in range(domains.first.size):
+        n = max(n, domains.window[k + 1] - domains.window[k])
+    ahead, candidates = np.empty((n_runs, 2), dtype=np.int64), np.empty(n + BOXES, dtype=np.int32)
+    entries, near = np.empty(n + WORD + 1, dtype=np.uint32), (n // WORD + 1) * LAYERS * n_lanes
+    return Work(ahead, candidates, entries, np.empty(near, dtype=np.int64))
+
+
+@scalar
+def find_rows(domain, layout, rows, room, work):
+    """Write the rows of a domain; return how many entries there are, more if there is no room (first, last)."""
+    columns, domains, column_start = layout.columns, layout.domains, layout.clusters.column_start
+    depth, ahead, (first, last) = columns.reach[1], work.ahead, room
+    n_entries = first
+    for x in range(domains.column[domain], domains.column[domain + 1]):
+        for y in range(columns.counts[1]):
+            column = x * columns.counts[1] + y
+            n_ahead = 0
+            for run_x in range(columns.reach[0] + 1):
+                for run_y in range(-depth if run_x > 0 else 0, depth + 1):
+                    run = first_run(x + run_x, columns) + y + run_y + depth
+                    ahead[n_ahead, 0], ahead[n_ahead, 1] = domains.ghost[run], domains.ghost[run + 1]
+                    n_ahead += ahead[n_ahead, 0] < ahead[n_ahead, 1]
+            for k in range(column_start[column], column_start[column + 1]):
+                ahead[0, 0] = layout.ghosts.home[k] + 1
+                n = _candidates(k, n_ahead, layout, work)
+                n_entries = _prune(k, n, domain, layout, rows, (n_entries, last), work)
+    if n_entries < last:
+        rows.entries[n_entries] = 0  # see Rows
+    return n_entries + 1 - first
+
+
+@scalar
+def _candidates(k, n_ahead, layout, work):
+    """Ghosts ahead of cluster k whose boxes are within reach; how many. The first of each run moves up with k."""
+    ghosts, ahead, candidates = layout.ghosts, work.ahead, work.candidates
+    along, limit2 = layout.columns.along[2], np.float32(ROUNDED_UP)
+    boxes, bottom, top, i = ghosts.boxes, ghosts.bottom, ghosts.top, ghosts.home[k]
+    low, high = bottom[i] - along, top[i] + along
+    n, stride, like = 0, boxes.size // SIDES, load(boxes, 0, BOXES)
+    x_low, x_high = broadcast(boxes[i], like), broadcast(boxes[i + 3 * stride], like)
+    y_low, y_high = broadcast(boxes[i + stride], like), broadcast(boxes[i + 4 * stride], like)
+    z_low, z_high = broadcast(boxes[i + 2 * stride], like), broadcast(boxes[i + 5 * stride], like)
+    for run in range(n_ahead):
+        j, last = ahead[run, 0], ahead[run, 1]
+        while j < last and top[j] < low:
+            j += 1
+        ahead[run, 0] = j
+        while j < last and bottom[j] <= high:
+            x = _gap(boxes, j, stride, x_low, x_high)
+            y = _gap(boxes, j + stride, stride, y_low, y_high)
+            z = _gap(boxes, j + 2 * stride, stride, z_low, z_high)
+            near = bits_from_mask(fma(x, x, fma(y, y, z * z)) < limit2) & (1 << min(BOXES, last - j)) - 1
+            numbers = load(SET_BITS, near * BOXES, BOXES)
+            store(candidates, n, numbers + j)
+            n += HOW_MANY[near]
+            j += BOXES
+    return n
+
+
+@scalar
+def _gap(boxes, j, stride, low, high):
+    """Distances along one axis [reach] from an interval, low to high, to those of BOXES boxes; 0 where they overlap."""
+    return max(0.0, max(load(boxes, j, BOXES) - high, low - load(boxes, j + 3 * stride, BOXES)))
+
+
+@scalar
+def _prune(k, n, domain, layout, rows, room, work):
+    """Write the rows of the atoms of cluster k: k itself, then those of the n candidates that are within reach.
+    room : first and last of the entries that are left.  Returns the end of the entries."""
+    n_lanes, filled, (n_entries, last) = count(layout.clusters.lanes), layout.clusters.filled[k], room
+    most = n_lanes * (n + 1) + AT_A_TIME
+    if n_entries + most >= last:  # no room: an upper bound tells how much is missing
+        return n_entries + most + 1
+    _find_near(k, n, domain, layout, rows.reaches2, work)
+    home, end = layout.ghosts.home[k], np.uintp(n_entries)  # unsigned: no check for indices that count from the end
+    own, is_compact = home - layout.domains.first[domain], _is_compact(layout.ghosts.boxes, home)
+    for lane in range(n_lanes):
+        rows.start[k * n_lanes + lane] = end
+        later = layout.ghosts.lanes[home] >> (lane + 1) << (lane + 1)
+        rows.entries[end] = own | later << LANES_FROM
+        if not is_compact:
+            later &= _own_lanes_near(home, lane, layout, rows.reaches2[LAYERS - 1])
+        end += np.uintp(later != 0)
+        for layer in range(LAYERS):
+            for first in range(0, n if lane < filled else 0, WORD):
+                near = work.near[(first // WORD * LAYERS + layer) * n_lanes + lane]
+                end = _append(work, first, near, rows.entries, end)
+            rows.stops[layer, k * n_lanes + lane] = end
+    return np.int64(end)
+
+
+@scalar
+def _is_compact(boxes, i):
+    """Whether the atoms of a cluster are certainly within reach of each other."""
+    stride, square = boxes.size // SIDES, np.float32(0.0)
+    for c in range(DIMENSIONS):
+        side = boxes[i + (c + DIMENSIONS) * stride] - boxes[i + c * stride]
+        square += side * side
+    return square < 1.0
+
+
+@scalar
+def _own_lanes_near(home, lane, layout, reach2):
+    """The lanes of a cluster, as bits, whose atoms are within reach of the atom in one of them."""
+    lanes, n_lanes = layout.clusters.lanes, count(layout.clusters.lanes)
+    start = home * DIMENSIONS * n_lanes
+    x, y, z = loaded(layout.coordinates, np.uintp(start), lanes)
+    at = start + lane
+    dx, dy = x - layout.coordinates[at], y - layout.coordinates[at + n_lanes]
+    dz = z - layout.coordinates[at + 2 * n_lanes]
+    return bits_from_mask(fma(dx, dx, fma(dy, dy, dz * dz)) < reach2)
+
+
+@scalar
+def _append(work, first, near, entries, end):
+    """Append those of WORD candidates, from the first on, whose bits in near are set; the end of the entries."""
+    bits = np.uint64(near)
+    while True:
+        for _ in range(AT_A_TIME):  # without a branch: what is one too many is overwritten by the next
+            entries[end] = work.entries[np.uintp(first) + trailing_zeros(bits)]
+            end += np.uintp(bits != np.uint64(0))
+            bits &= bits - np.uint64(1)
+        if bits == np.uint64(0):
+            return end
+
+
+@scalar
+def _find_near(k, n, domain, layout, reaches2, work):
+    """work.near : which of the n candidates stand in which layers of the rows of cluster k; work.entries : of them."""
+    ghosts, coordinates, lanes = layout.ghosts, layout.coordinates, layout.clusters.lanes
+    n_lanes, first_seen = count(lanes), np.uintp(layout.domains.first[domain])
+    block, window = np.uintp(DIMENSIONS * n_lanes), np.uintp(layout.domains.window[domain])
+    x, y, z = loaded(coordinates, np.uintp(ghosts.home[k]) * block, lanes)
+    none = broadcast(0, load(work.near, 0, lanes))
+    for first in range(0, n, WORD):
+        bit, a, b = broadcast(1, none), none, none
+        for p in range(np.uintp(first), np.uintp(min(first + WORD, n))):
+            ghost = np.uintp(work.candidates[p])
+            nearest = broadcast(np.inf, x)
+            for lane in range(np.uintp(n_lanes)):  # all atoms of k at a time against one of the candidate's
+                at_x = ghost * block + lane
+                at_y, at_z = at_x + np.uintp(n_lanes), at_x + np.uintp(2 * n_lanes)
+                dx, dy, dz = x - coordinates[at_x], y - coordinates[at_y], z - coordinates[at_z]
+                nearest = min(nearest, fma(dx, dx, fma(dy, dy, dz * dz)))
+            within = nearest < reaches2[1]
+            a, b = a | select(nearest < reaches2[0], bit, none), b | select(within, bit, none)
+            bit = bit + bit
+            ghosts.is_used[window + ghost - first_seen] |= bits_from_mask(within) != 0
+            work.entries[p] = ghost - first_seen | np.uintp(ghosts.lanes[ghost]) << np.uintp(LANES_FROM)
+        for layer, near in enumerate((a, b - a)):  # each layer holds those before it
+            store(work.near, (first // WORD * LAYERS + layer) * n_lanes, near)
+
+
+@scalar
+def exclude(domain, slot, other, layout, image, rows):
+    """Clear the lane of the atom in slot other in the row of a slot, if it is there.  image : see minimum_image."""
+    ghosts, coordinates, n_lanes = layout.ghosts, layout.coordinates, count(layout.clusters.lanes)
+    cluster, lane = other // n_lanes, np.uint32(other % n_lanes)
+    own, home = ghosts.home[slot // n_lanes], ghosts.home[cluster]
+    at, place = own * DIMENSIONS * n_lanes + slot % n_lanes, home * DIMENSIONS * n_lanes + lane
+    x, y = coordinates[place] - coordinates[at], coordinates[place + n_lanes] - coordinates[at + n_lanes]
+    z = coordinates[place + 2 * n_lanes] - coordinates[at + 2 * n_lanes]
+    a, b, c = minimum_image(x, y, z, *image)
+    ghost = _ghost_of(domain, cluster, HOME + int(9.0 * a + 3.0 * b + c), layout)
+    if ghost == home and other < slot:  # rows look ahead
+        return
+    entry = _find_entry(rows, slot, ghost - layout.domains.first[domain])
+    if entry >= 0:
+        rows.entries[np.uintp(entry)] &= ~np.uint32(np.uint32(1) << (np.uint32(LANES_FROM) + lane))
+
+
+@scalar
+def _ghost_of(domain, cluster, image, layout):
+    """The ghost of a cluster in the window of a domain; −1 if there is none."""
+    ghosts, domains = layout.ghosts, layout.domains
+    first, home = domains.first[domain], ghosts.home[cluster]
+    last = first + domains.window[domain + 1] - domains.window[domain]
+    if image == HOME and first <= home < last:
+        return home
+    for p in range(np.uintp(ghosts.start[cluster]), np.uintp(ghosts.start[cluster + 1])):
+        ghost = ghosts.of[p]
+        if first <= ghost < last and ghosts.image[ghost] == image:
+            return ghost
+    return -1
+
+
+@scalar
+def _find_entry(rows, slot, ghost):
+    """Where a ghost stands in the row of a slot, −1 if nowhere. Many entries are compared at a time."""
+    start, stop = np.uintp(rows.start[slot]), np.uintp(rows.stops[LAYERS - 1, slot])
+    while start < stop:
+        first = load(rows.entries, start, BOXES) & GHOST_BITS
+        second = load(rows.entries, start + np.uintp(BOXES), BOXES) & GHOST_BITS
+        bits = bits_from_mask(first == ghost) | bits_from_mask(second == ghost) << BOXES
+        place = start + trailing_zeros(np.uint64(bits))
+        if bits != 0:
+            return np.int64(place) if place < stop else -1
+        start += np.uintp(2 * BOXES)
+    return -1

@@ -1,0 +1,188 @@
+"""Atoms into clusters of as many as a vector has lanes: columns of the cell, sorted along them, cut into pieces.
+
+Seen from above and from the side (4 columns; one column with its clusters A, B, C of eight; · is padding):
+
+    +-----+-----+        | A A A A A A A A | B B B B B B B B | C C C · · · · · |
+    |  0  |  1  |         bottom  ->  along the third lattice vector  ->   top
+    +-----+-----+
+    |  2  |  3  |        in memory, each cluster: x x x x x x x x y y y y y y y y z z z z z z z z
+    +-----+-----+
+
+The last cluster of a column may have fewer atoms than lanes. The other lanes are padding: they repeat its last atom,
+and count nowhere.
+"""
+
+from collections import namedtuple
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.kernels import kernel, scalar
+from minimd.core.compiled.simd import lane
+from minimd.core.compiled.simd.vector import Lanes, count, gathered, loaded, stored
+from minimd.core.neighbors.buffers import Buffers
+from minimd.core.neighbors.search import ATOMS_PER_BIN, WIDER, into_cell
+from minimd.core.structure.cell import Cell
+from minimd.core.structure.system import local_density
+
+N_FIXED = 5  # fields of Columns that stay as the cell is strained
+DIMENSIONS = 3  # numbers of an atom; a cluster of n atoms is a block of 3 n numbers in memory: n x, n y, n z
+
+
+class Columns(
+    ByAddress, namedtuple("Columns", "counts distance reach pbc is_crossed along origin extent lattice inverse")
+):
+    """The part of a cell where there are atoms, divided into columns along the third lattice vector.
+
+    Atoms outside it are in the outermost columns. Between two atoms there are never more columns than if the columns
+    went on: so no pair is missed, as long as none can meet across a face that is not crossed, see columns_fit.
+
+    What changes as the cell is strained, from along on, is in arrays.
+    counts : (3,) int, columns along the first two lattice vectors, and bins along the third, for sorting.
+    distance : within which pairs are searched [length].  reach : (2,) int, the same in columns on each side.
+    pbc, lattice, inverse : of the Cell.  along : (3,) distance as a fraction of its heights.
+    is_crossed : (3,) bool, whether atoms may meet those beyond the faces across a lattice vector.
+    origin, extent : (3,) fractional coordinates of that part; 0 and 1 where is_crossed. In periodic directions
+        atoms are in the cell that begins at the origin."""
+
+    def move_to(self, to: "Columns") -> bool:
+        """Whether there are as many columns in another cell, or elsewhere; then they move there, in the same arrays."""
+        if not all(np.array_equal(a, b) for a, b in zip(self[:N_FIXED], to[:N_FIXED], strict=True)):
+            return False
+        for a, b in zip(self[N_FIXED:], to[N_FIXED:], strict=True):
+            a[:] = b
+        return True
+
+
+class Clusters(
+    ByAddress, namedtuple("Clusters", "lanes atom filled positions origins wrapping column_start bottom top boxes")
+):
+    """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n.
+
+    Arrays of C elements have room for more.
+    lanes : Lanes, n as a type.  atom : (n C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
+    positions : flat, a block of 3 n numbers for each cluster: of its atoms when it was made,
+        strained since as the cell was [length].
+    origins : the same without the strain, and the same array if there never was one.  wrapping : Wrapping.
+    column_start : (columns + 1,) int, first cluster of each column; the last number is C.
+    bottom, top : (C,) lowest and highest fractional coordinate along the third lattice vector.
+    boxes : (C, 6) smallest x y z and largest x y z of the atoms of each cluster [length].
+    bottom, top and boxes are needed for a build only."""
+
+
+class Wrapping(namedtuple("Wrapping", "inverse periodic lattice origin")):
+    """How atoms are brought into the cell: by as many lattice vectors as for their origins.
+
+    These are computed, not kept: memory is slower.
+    inverse : (3, 3) of the cell in which clusters were made [1/length], and periodic : (3,) 1.0 where it was, else 0.0.
+    lattice : (3, 3) of the cell as it is now [length].  origin : (3,) of Columns."""
+
+
+@scalar
+def offsets_of(start, clusters):
+    """Lattice vectors that bring the atoms of the block at start into the cell: vectors x, y, z [length]."""
+    (inverse, periodic, lattice, origin), (x, y, z) = clusters.wrapping, loaded(clusters.origins, start, clusters.lanes)
+    a = -np.floor(x * inverse[0, 0] + y * inverse[1, 0] + z * inverse[2, 0] - origin[0]) * periodic[0]
+    b = -np.floor(x * inverse[0, 1] + y * inverse[1, 1] + z * inverse[2, 1] - origin[1]) * periodic[1]
+    c = -np.floor(x * inverse[0, 2] + y * inverse[1, 2] + z * inverse[2, 2] - origin[2]) * periodic[2]
+    x = a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0]
+    y = a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1]
+    return x, y, a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
+
+
+def region_of(cell: Cell, positions: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
+    """Where atoms are: (7,) origin and extent of Columns; and how many atoms a cell as dense everywhere would have.
+    On both sides there is room for half the reach. A periodic direction is crossed and covered as a whole, unless there
+    is a gap in it that leaves a reach between the two ends of the region."""
+    origin, extent, margin = np.zeros(3), np.ones(3), WIDER * reach / cell.heights
+    for k, s in enumerate(np.einsum("ij,jk->ki", positions, cell.inverse)):  # not @: see observables
+        s = np.sort(s - np.floor(s) if cell.pbc[k] else s)
+        gaps = np.diff(s, append=s[0] + 1.0 if cell.pbc[k] else np.inf)
+        widest = int(np.argmax(gaps)) if cell.pbc[k] else len(s) - 1
+        first, width = s[(widest + 1) % len(s)], 1.0 - gaps[widest] if cell.pbc[k] else s[-1] - s[0]
+        if not cell.pbc[k] or width + 2.0 * margin[k] <= 1.0:
+            origin[k], extent[k] = first - 0.5 * margin[k], width + margin[k]
+    filled = local_density(positions, cell, reach) * abs(np.linalg.det(cell.lattice))
+    return np.array([*origin, *extent, filled])
+
+
+def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: NDArray[np.float64]) -> Columns:
+    """Columns so wide that the atoms of a cluster fill about a cube of them.  region : see region_of."""
+    origin, extent, filled = region[:3], region[3:6], float(region[6] * region[3:6].prod())
+    is_crossed, widths, n_lanes = cell.pbc & (extent == 1.0), cell.heights * extent, lanes.size
+    cube = (n_lanes * widths.prod() / filled) ** (1.0 / 3.0)
+    most = max(1.0, min(filled, n_atoms) / n_lanes)  # a flat scene has few; many that are empty would cost time
+    across = np.clip(widths[:2] / cube, 1.0, most)
+    across = np.maximum(1.0, np.rint(across * min(1.0, (most / across.prod()) ** 0.5)))
+    bins = max(1.0, min(filled, n_atoms / ATOMS_PER_BIN) / across.prod())
+    needed = np.ceil(WIDER * reach * across / widths[:2])
+    needed = np.minimum(needed, np.where(is_crossed[:2], across, across - 1.0))
+    counts = np.array([*across, bins]).astype(np.int64)
+    along, in_columns = WIDER * reach / cell.heights, needed.astype(np.int64)
+    moving = along, origin.copy(), extent.copy(), cell.lattice.copy(), cell.inverse.copy()
+    return Columns(counts, reach, in_columns, cell.pbc, is_crossed, *moving)
+
+
+@kernel
+def columns_fit(positions, columns):
+    """Whether atoms at positions (N, 3) are where columns are; else pairs are missed, or the search is slow.
+    In each direction that is not crossed, they fill the region up to a reach at most on either side; where it is
+    periodic, its ends are a reach apart through the gap."""
+    for d in range(DIMENSIONS):
+        if columns.is_crossed[d]:
+            continue
+        low, high, origin, extent, margin = np.inf, -np.inf, columns.origin[d], columns.extent[d], columns.along[d]
+        for i in range(positions.shape[0]):
+            s, _ = into_cell(positions, i, columns.inverse, columns.pbc, columns.origin, d)
+            low, high = min(low, s - origin), max(high, s - origin)
+        if not (0.0 <= low <= margin and extent - margin <= high <= extent):
+            return False
+        if columns.pbc[d] and extent + margin > 1.0:
+            return False
+    return True
+
+
+def make_clusters(n_clusters: int, columns: Columns, lanes: Lanes, for_build: Sequence[NDArray], memory: Buffers,
+                  spare: float) -> Clusters:  # fmt: skip
+    """Arrays with room for so many.  for_build : bottom, top, boxes.  spare : see Buffers.array."""
+    n_slots, array = n_clusters * lanes.size, partial(memory.array, spare=spare)
+    column_start = array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1)
+    atom, filled = array("atom", np.int32, n_slots), array("filled", np.int32, n_clusters)
+    at = array("positions", np.float64, n_slots * DIMENSIONS)
+    wrapping = Wrapping(columns.inverse.copy(), columns.pbc.astype(np.float64), columns.lattice.copy(), columns.origin)
+    return Clusters(lanes, atom, filled, at, at, wrapping, column_start, *for_build)
+
+
+@scalar
+def fill_column(column, positions, columns, binned, clusters):
+    """Sort the atoms of a column by height (they nearly are, being in bins), and cut them into clusters."""
+    counts, order, height = columns.counts, binned.order, binned.height
+    n_lanes = count(clusters.lanes)
+    first, last = binned.bin_start[column * counts[2]], binned.bin_start[(column + 1) * counts[2]]
+    for p in range(first, last):
+        i, q = order[p], p
+        while q > first and height[order[q - 1]] > height[i]:
+            order[q] = order[q - 1]
+            q -= 1
+        order[q] = i
+    cluster = clusters.column_start[column]
+    for p in range(first, last, n_lanes):
+        n = min(n_lanes, last - p)
+        clusters.filled[cluster] = n
+        clusters.bottom[cluster], clusters.top[cluster] = height[order[p]], height[order[p + n - 1]]
+        for k in range(n_lanes):
+            clusters.atom[cluster * n_lanes + k] = order[p + min(k, n - 1)]
+        start = np.uintp(cluster * DIMENSIONS * n_lanes)
+        at = gathered(positions, clusters.atom, cluster * n_lanes, clusters.lanes)
+        stored(clusters.positions, start, at)
+        stored(clusters.origins, start, at)
+        offsets = offsets_of(start, clusters)
+        for c, x in enumerate((at[0] + offsets[0], at[1] + offsets[1], at[2] + offsets[2])):
+            low = high = lane(x, 0)
+            for k in range(1, n_lanes):
+                low, high = min(low, lane(x, k)), max(high, lane(x, k))
+            clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = low, high
+        cluster += 1

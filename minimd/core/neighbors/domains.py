@@ -1,0 +1,259 @@
+"""The cell cut into domains, each with forces of its own on all clusters that its atoms can see:
+so no two domains write to the same memory.
+
+A domain is a range of columns along the first lattice vector. Its rows look ahead only. So around its own columns (o)
+it sees those ahead (h), through periodic boundaries where these are crossed; atoms in the columns behind (.)
+look at the domain instead:
+
+    . . h h h h h h h        second lattice vector  ↑
+    . . o o o o o h h
+    . . o o o o o h h        first lattice vector   →
+    . . h h h h h h h
+
+Each of these columns is a run of ghosts, sorted along the third lattice vector, with images below and above:
+
+    | image −1: the highest of the column | the column itself | image +1: the lowest of the column |
+
+A ghost is a cluster moved by a lattice vector; the one moved by zero is its home. Ghosts are numbered column after
+column, so those that a domain sees, its window, have consecutive numbers; the windows of neighboring domains overlap.
+Positions are copied to all ghosts of a cluster. Forces belong to a ghost in a window, and are summed window by window,
+in the order of the ghosts: the same bits, whichever thread did the work.
+
+    ghosts    | 0 0 0 0 0 0 0 0 | 1 1 1 1 1 1 1 1 | 2 2 2 2 2 2 2 2 | behind the last column: images of the first
+    window 0  | o o o o o o o o   h h h |
+    window 1                    | o o o o o o o o   h h h |
+    window 2                                      | o o o o o o o o   h h h |
+
+One thread needs memory for the forces of few windows at a time: as soon as a domain and those behind it are done, the
+sums of its atoms are whole. Only the first domains, which the last ones see, must wait to the end.
+"""
+
+import functools
+from collections import namedtuple
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.kernels import scalar
+from minimd.core.compiled.simd import store
+from minimd.core.compiled.simd.vector import count, loaded
+from minimd.core.compiled.threads import MOST_CHUNKS
+from minimd.core.neighbors.buffers import Buffers, Fields
+from minimd.core.neighbors.clusters import DIMENSIONS, Columns, offsets_of
+
+SIDES = 6  # of a box: smallest x, y, z, and largest
+BOXES = 8  # compared at a time
+OUTWARD = 2e-7  # of a coordinate: boxes in float32 are larger by its rounding
+IMAGES, HOME = 27, 13  # number of images, and the code of image (0, 0, 0)
+LATE, BLOCKS, GHOSTS = 0, 1, 2  # places in Domains.numbers
+ATOMS_PER_DOMAIN = 800  # at least, on average: with fewer, handing out the work costs more than a second thread gains
+
+
+class Domains(ByAddress, namedtuple("Domains", "column cluster first window place numbers ghost")):
+    """column, cluster : (K + 1,) int, first column of each domain along the first lattice vector, and first cluster.
+    first : (K,) int, the first ghost that it sees.  window : (K + 1,) int, how many all domains before it see together.
+    place : (K,) int, the block of forces of its first ghost.
+    numbers : (3,) int, LATE: how many of the domains, the first ones, wait until all forces are computed; all of them,
+        unless one thread goes from domain to domain.  BLOCKS: how many blocks of forces there are.  GHOSTS: M.
+    ghost : (runs + 1,) int, the first ghost of each run; the last number is M."""
+
+
+class GhostClusters(ByAddress, namedtuple("GhostClusters", "owner image bottom top boxes lanes home is_used of start "
+                                          "parts part_start")):  # fmt: skip
+    """M ghosts of C clusters, and W of them in windows. Arrays have room for more.
+    owner : (M,) int, the cluster.  image : (M,) int, code of its image (a, b, c): 9 (a + 1) + 3 (b + 1) + c + 1.
+    bottom, top : (M,) fractional coordinates along the third lattice vector.
+    boxes : flat float32, for each of the SIDES a row of at least M + BOXES numbers, in units of Columns.distance:
+        any length has room.
+    lanes : (M,) uint8, bit k is set if lane k is not padding.
+    home : (C,) int, the home of each cluster.
+    is_used : (W + M,) bool, window after window, true for ghosts that stand in a row of the domain, and for its homes;
+        then for each ghost whether it is used in any of them.
+    of : (U,) int, ghosts used in some window, by cluster, those of cluster k from start[k].  start : (C + 1,) int.
+    parts : (P,) int, the blocks of the forces on them, likewise, from part_start[k].  part_start : (C + 1,) int.
+    bottom, top, boxes, lanes and is_used are needed for a build only."""
+
+
+class Layout(ByAddress, namedtuple("Layout", "columns clusters domains ghosts coordinates shifts")):
+    """The clusters of a scene and where their ghosts stand.  coordinates : flat, a block for each ghost [length].
+    shifts : (IMAGES, 3) lattice vector of each image [length]."""
+
+
+def make_domains(columns: Columns, n_atoms: int) -> Domains:
+    """As many domains, for any number of threads, as have enough atoms and are as wide as their rows look ahead."""
+    across = int(columns.counts[0]) // max(1, int(columns.reach[0]))
+    n_domains = max(1, min(n_atoms // ATOMS_PER_DOMAIN, across, MOST_CHUNKS))
+    n_runs = int((columns.counts[0] + columns.reach[0]) * (columns.counts[1] + 2 * columns.reach[1]))
+    sizes = n_domains + 1, n_domains + 1, n_domains, n_domains + 1, n_domains, 3, n_runs + 1
+    return Domains(*(np.zeros(size, dtype=np.int64) for size in sizes))
+
+
+def ghosts_for_search(n_ghosts: int, n_in_windows: int) -> Fields:
+    """Those arrays of GhostClusters that are needed for a build only: bottom, top, boxes, lanes, is_used."""
+    heights, boxes = (np.float64, (n_ghosts,)), (np.float32, (SIDES * (n_ghosts + BOXES),))
+    return heights, heights, boxes, (np.uint8, (n_ghosts,)), (np.bool_, (n_in_windows + n_ghosts,))
+
+
+def make_ghosts(n_clusters: int, n_ghosts: int, n_in_windows: int, for_search: Sequence[NDArray],
+                memory: Buffers) -> GhostClusters:  # fmt: skip
+    """Arrays with room for so many, for fill_ghosts and sort_ghosts.  for_search : those of ghosts_for_search."""
+    room = functools.partial(memory.array, spare=1.0)
+    (owner, of), image = (room(name, np.int32, n_ghosts) for name in ("owner", "of")), room("image", np.uint8, n_ghosts)
+    home, start, part_start = (room(name, np.int32, n_clusters + 1) for name in ("home", "start", "part start"))
+    parts = room("parts", np.int32, n_in_windows)
+    bottom, top, boxes, lanes, is_used = for_search
+    return GhostClusters(owner, image, bottom, top, boxes, lanes, home, is_used, of, start, parts, part_start)
+
+
+@scalar
+def cut_into_domains(clusters, columns, domains, goes_along):
+    """Fill Domains: which columns and clusters each has, and which ghosts it sees.
+    goes_along : whether one thread goes from domain to domain: forces then take the place of those no longer needed."""
+    counts, reach, column_start = columns.counts, columns.reach, clusters.column_start
+    n_domains, n_clusters = domains.column.size - 1, column_start[counts[0] * counts[1]]
+    x = 0
+    for d in range(n_domains + 1):
+        share = 2 * d * n_clusters if d > 0 else -1
+        while x < counts[0] and (column_start[x * counts[1]] + column_start[(x + 1) * counts[1]]) * n_domains <= share:
+            x += 1  # to the border nearest to d equal shares
+        domains.column[d] = counts[0] if d == n_domains else x
+        domains.cluster[d] = column_start[domains.column[d] * counts[1]]
+    run = 0
+    for run_x in range(counts[0] + reach[0]):
+        for run_y in range(-reach[1], counts[1] + reach[1]):
+            n = 0
+            if run_x > 0 or run_y >= 0:  # no row looks at what is behind the first column
+                for image_z in range(-1, 2):
+                    first, last, _ = _seen(run_x, run_y, image_z, clusters, columns)
+                    n += last - first
+            domains.ghost[run + 1] = domains.ghost[run] + n
+            run += 1
+    for d in range(n_domains):
+        domains.first[d] = domains.ghost[first_run(domains.column[d], columns)]
+        last = domains.ghost[first_run(domains.column[d + 1] + reach[0], columns)]
+        domains.window[d + 1] = domains.window[d] + last - domains.first[d]
+    domains.numbers[GHOSTS] = domains.ghost[run]
+    _place_windows(columns, domains, goes_along)
+
+
+@scalar
+def _place_windows(columns, domains, goes_along):
+    """Where the forces of each window stand: each by itself, or all but the late ones where others are done."""
+    n, column, reach = domains.first.size, domains.column, columns.reach[0]
+    n_late, n_open, widest, behind = 0, 1, 0, 0
+    for d in range(n):
+        n_late += column[d] < reach  # the last domains see it
+        widest = max(widest, domains.window[d + 1] - domains.window[d])
+    for d in range(n + 1):
+        while behind < n - 1 and column[behind + 1] + reach <= column[d]:
+            behind += 1
+        n_open = max(n_open, min(d, n - 1) + 1 - behind)
+    is_less = goes_along > 0 and (n_late + n_open) * widest < domains.window[n]
+    for d in range(n):
+        place = d if d < n_late else n_late + (d - n_late) % n_open
+        domains.place[d] = widest * place if is_less else domains.window[d]
+    domains.numbers[LATE] = max(1, n_late) if goes_along else n
+    domains.numbers[BLOCKS] = (n_late + n_open) * widest if is_less else domains.window[n]
+
+
+@scalar
+def first_run(x, columns):
+    """The first run of a column along the first lattice vector."""
+    return x * (columns.counts[1] + 2 * columns.reach[1])
+
+
+@scalar
+def _seen(run_x, run_y, image_z, clusters, columns):
+    """Clusters first to last of a column, in the cell or beyond its faces, whose image it can see; the image's code."""
+    counts, is_crossed = columns.counts, columns.is_crossed
+    image_x, image_y = run_x // counts[0], run_y // counts[1]
+    image = (image_x + 1) * 9 + (image_y + 1) * 3 + image_z + 1
+    if (image_x and not is_crossed[0]) or (image_y and not is_crossed[1]) or (image_z and not is_crossed[2]):
+        return 0, 0, image
+    column = (run_x - image_x * counts[0]) * counts[1] + run_y - image_y * counts[1]
+    first, last = clusters.column_start[column], clusters.column_start[column + 1]
+    while image_z > 0 and last > first and clusters.bottom[last - 1] > columns.along[2]:
+        last -= 1
+    while image_z < 0 and last > first and clusters.top[first] < 1.0 - columns.along[2]:
+        first += 1
+    return first, last, image
+
+
+@scalar
+def fill_ghosts(domain, layout):
+    """Write the ghosts of the columns of a domain, of the last one also those behind the last column.
+    In its window is_used is then true for the domain's own clusters only; find_rows sets it for the others."""
+    columns, clusters, domains, ghosts, coordinates, shifts = layout
+    stride, unit = ghosts.boxes.size // SIDES, columns.distance
+    lanes, n_lanes = clusters.lanes, count(clusters.lanes)
+    run = first_run(domains.column[domain], columns)
+    last_x = domains.column[domain + 1] + (columns.reach[0] if domain == domains.first.size - 1 else 0)
+    for place in range(domains.window[domain], domains.window[domain + 1]):
+        ghosts.is_used[place] = False
+    for run_x in range(domains.column[domain], last_x):
+        for run_y in range(-columns.reach[1], columns.counts[1] + columns.reach[1]):
+            ghost = domains.ghost[run]
+            run += 1
+            if ghost == domains.ghost[run]:
+                continue
+            for image_z in range(-1, 2):
+                first, last, image = _seen(run_x, run_y, image_z, clusters, columns)
+                for k in range(first, last):
+                    ghosts.owner[ghost], ghosts.image[ghost] = k, image
+                    ghosts.lanes[ghost] = (1 << clusters.filled[k]) - 1
+                    ghosts.bottom[ghost], ghosts.top[ghost] = clusters.bottom[k] + image_z, clusters.top[k] + image_z
+                    start = k * DIMENSIONS * n_lanes
+                    x, y, z = loaded(clusters.positions, start, lanes)
+                    to_x, to_y, to_z = offsets_of(start, clusters)
+                    for d, at in enumerate((x + to_x, y + to_y, z + to_z)):
+                        shift = shifts[image, d]
+                        low, high = (clusters.boxes[k, d] + shift) / unit, (clusters.boxes[k, d + 3] + shift) / unit
+                        ghosts.boxes[d * stride + ghost] = low - OUTWARD * abs(low)
+                        ghosts.boxes[(d + 3) * stride + ghost] = high + OUTWARD * abs(high)
+                        store(coordinates, (ghost * DIMENSIONS + d) * n_lanes, at + shift)
+                    if image == HOME:
+                        ghosts.home[k] = ghost
+                        ghosts.is_used[domains.window[domain] + ghost - domains.first[domain]] = True
+                    ghost += 1
+
+
+@scalar
+def fill_shifts(columns, shifts):
+    """The lattice vector of each image: Layout.shifts."""
+    for image in range(IMAGES):
+        for d in range(3):
+            along, across = (image // 9 - 1) * columns.lattice[0, d], (image // 3 % 3 - 1) * columns.lattice[1, d]
+            shifts[image, d] = along + across + (image % 3 - 1) * columns.lattice[2, d]
+
+
+@scalar
+def sort_ghosts(domains, ghosts):
+    """Fill ghosts.of, start, parts, part_start: what is used, by cluster, by window, in the order of their numbers."""
+    owner, window, is_used = ghosts.owner, domains.window, ghosts.is_used
+    n_ghosts, n_domains = domains.numbers[GHOSTS], domains.first.size
+    somewhere = window[n_domains]  # behind the windows: whether a ghost is used in any of them
+    for m in range(n_ghosts):
+        is_used[somewhere + m] = False
+    for k in range(ghosts.start.size):
+        ghosts.start[k] = ghosts.part_start[k] = 0
+    for d in range(n_domains):
+        for place in range(window[d], window[d + 1]):
+            m = domains.first[d] + place - window[d]
+            ghosts.start[owner[m]] += is_used[place] and not is_used[somewhere + m]
+            ghosts.part_start[owner[m]] += is_used[place]
+            is_used[somewhere + m] |= is_used[place]
+    for k in range(1, ghosts.start.size):
+        ghosts.start[k] += ghosts.start[k - 1]
+        ghosts.part_start[k] += ghosts.part_start[k - 1]
+    for m in range(n_ghosts - 1, -1, -1):  # what starts as the end of each cluster ends as its start
+        if is_used[somewhere + m]:
+            ghosts.start[owner[m]] -= 1
+            ghosts.of[ghosts.start[owner[m]]] = m
+    for d in range(n_domains - 1, -1, -1):
+        for place in range(window[d + 1] - 1, window[d] - 1, -1):
+            if is_used[place]:
+                k = owner[domains.first[d] + place - window[d]]
+                ghosts.part_start[k] -= 1
+                ghosts.parts[ghosts.part_start[k]] = domains.place[d] + place - window[d]

@@ -1,0 +1,98 @@
+"""Queries about neighbors: the list in ASE's form, the closest pair."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.core.console.words import shown
+from minimd.core.neighbors.pair_list import PairList, check_size
+from minimd.core.structure.checks import LARGEST, checked_number
+from minimd.core.structure.system import System
+
+QUANTITIES = "ijdDS"
+BEYOND = 1.0 + 1e-9  # of a distance: the reach that finds a pair at this distance
+
+
+def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArray, ...] | NDArray:
+    """Neighbors within a cutoff, each pair in both directions, sorted by the first atom.
+
+    Parameters
+    ----------
+    quantities : any of the letters of ASE's neighbor_list, in any order:
+        i, j : (P,) int, the two atoms;  d : (P,) distance [length];  D : (P, 3) r_j − r_i + S · cell [length];
+        S : (P, 3) int, lattice vectors of system.cell to add to r_j.
+    cutoff : [length], > 0 and finite.
+
+    Raises
+    ------
+    ValueError : for an unknown letter or a cutoff that is not positive and finite.
+    """
+    if not (isinstance(quantities, str) and quantities and set(quantities) <= set(QUANTITIES)):
+        raise ValueError(f"quantities must be letters of {QUANTITIES!r}; quantities = {shown(quantities)}")
+    if not isinstance(system, System):
+        raise TypeError(f"system must be a minimd System; got {type(system).__name__}")
+    cutoff = checked_number("cutoff", cutoff, "positive and finite")
+    check_size(system, cutoff, 0.0)
+    cell, positions = system.cell, system.positions
+    pair_list = PairList(len(system), cutoff, 0.0, np.zeros((0, 2), dtype=np.int64))
+    pair_list.update(positions, cell)
+    pairs, order = pair_list.pairs, pair_list.order
+    first = np.repeat(np.arange(len(system)), np.diff(pairs.start))
+    steps = (pair_list.offsets @ cell.inverse)[pairs.second] - (pair_list.offsets @ cell.inverse)[first]
+    if cell.is_periodic:
+        steps = steps + (pairs.translations @ cell.inverse)[pairs.image]
+    shifts = np.rint(steps).astype(np.int64) @ cell.reduction
+    both, shifts = np.stack([order[first], order[pairs.second]]), np.concatenate([shifts, -shifts])
+    i, j = np.concatenate([both, both[::-1]], axis=1)
+    by_first = np.lexsort((*shifts.T, j, i))
+    i, j, shifts = i[by_first], j[by_first], shifts[by_first]
+    vectors = positions[j] - positions[i] + shifts @ cell.vectors
+    found = {"i": i, "j": j, "d": np.linalg.norm(vectors, axis=1), "D": vectors, "S": shifts}
+    answer = tuple(found[quantity] for quantity in quantities)
+    return answer if len(answer) > 1 else answer[0]
+
+
+class ClosestPair(NamedTuple):
+    """Atoms first and second, distance apart [length] through the nearest image."""
+
+    first: int
+    second: int
+    distance: float
+
+    def __str__(self) -> str:
+        return self.told("")
+
+    def told(self, length: str) -> str:
+        """The pair as text.  length : the unit."""
+        return f"atoms {self.first} and {self.second}, {self.distance:.3g}{f' {length}' if length else ''} apart"
+
+
+def closest_pair(system: System) -> ClosestPair | None:
+    """The two closest atoms; None for a single atom in an open cell or where no distance is finite.
+    First the closest pair within one cell, in N log N however uneven the atoms; then a closer one through an image,
+    near the faces of the cell."""
+    known, cell = np.flatnonzero((np.abs(system.positions) <= LARGEST).all(axis=1)), system.cell
+    if known.size == 0 or (known.size == 1 and not cell.is_periodic):
+        return None
+    fractional = np.einsum("ij,jk->ik", system.positions[known], cell.inverse)
+    fractional = np.where(cell.pbc, fractional - np.floor(fractional), fractional)
+    here = fractional @ cell.lattice
+    best = ClosestPair(0, 0, np.inf)
+    if known.size > 1:
+        from scipy.spatial import KDTree
+
+        distances, partners = KDTree(here).query(here, k=2)
+        i = int(np.argmin(distances[:, 1]))
+        j = int(partners[i, 0] if partners[i, 0] != i else partners[i, 1])
+        best = ClosestPair(min(i, j), max(i, j), float(distances[i, 1]))
+    own = float(np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf))  # an atom and its own image
+    reach = BEYOND * min(best.distance, own)
+    from_faces = (np.minimum(fractional, 1.0 - fractional) * cell.heights)[:, cell.pbc]
+    near = np.flatnonzero((from_faces <= reach).any(axis=1))
+    if near.size and reach > 0.0:
+        first, second, d = neighbor_list("ijd", System(here[near], cell=cell), reach)
+        if d.min(initial=np.inf) < best.distance:
+            p = int(np.argmin(d))
+            best = ClosestPair(int(near[first[p]]), int(near[second[p]]), float(d[p]))
+    return ClosestPair(int(known[best.first]), int(known[best.second]), best.distance)

@@ -1,0 +1,209 @@
+"""All pairs of atoms and images within a distance, each once, in a time linear in the number of atoms.
+
+Atoms are sorted into bins, a grid along the lattice vectors; then the bins within reach of each bin are searched.
+"""
+
+from collections import namedtuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.core.compiled.kernels import kernel, scalar
+from minimd.core.neighbors.buffers import Fields
+from minimd.core.structure.cell import Cell, minimum_image
+
+ATOMS_PER_BIN = 0.25  # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
+FLATTEST = 1e-9  # of the reach: a thinner scene counts as this thick, so that no width is zero
+WIDER = 1.0 + 1e-9  # bins are this much wider than the reach, so that rounding never asks for one bin more
+
+
+class Grid(namedtuple("Grid", "counts reach origin extent")):
+    """counts : (3,) int, bins along each lattice vector.  reach : (3,) int, bins to search on each side.
+
+    origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions."""
+
+
+def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
+    """A grid whose bins are about half the reach wide, wider where there would be many more bins than atoms."""
+    fractional = np.einsum("ij,jk->ik", positions, cell.inverse)  # not @: see observables
+    origin = np.where(cell.pbc, 0.0, fractional.min(axis=0))
+    extent = np.where(cell.pbc, 1.0, np.maximum(fractional.max(axis=0) - origin, np.finfo(float).tiny))
+    widths = cell.heights * extent
+    counts = np.maximum(1.0, np.floor(2.0 * widths / (reach * WIDER)))
+    while counts.prod() > max(64.0, len(positions) / ATOMS_PER_BIN) and counts.max() > 1.0:
+        counts = np.where(counts == counts.max(), np.ceil(0.5 * counts), counts)
+    needed = np.ceil(reach * counts / np.maximum(widths, FLATTEST * reach * counts))
+    needed = np.where(cell.pbc, needed, np.minimum(needed, counts - 1.0))
+    return Grid(counts.astype(np.int64), needed.astype(np.int64), origin, extent)
+
+
+class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
+    """The arrays of a counting sort of N atoms into B bins.
+    order, bins : (N,) int, atoms in the order of their bins, and the bin of each atom.
+    bin_start : (B + 1,) int, first atom of each bin.  place : (B + 1,) int, scratch.
+    cells : (N, 3) numbers of lattice vectors that bring each atom into the cell; (0, 3) where nobody asks for them.
+    height : (N,) fractional coordinate along the third lattice vector, in the cell."""
+
+
+def bins_for_sort(n_atoms: int, counts: NDArray[np.int64]) -> Fields:
+    """Arrays of Binned for so many atoms and bins. Its cells are left out: they are computed again."""
+    each, of_bins = (np.int32, (n_atoms,)), (np.int32, (int(counts.prod()) + 1,))
+    return each, each, of_bins, of_bins, (np.float64, (0, 3)), (np.float64, (n_atoms,))
+
+
+@scalar
+def into_cell(positions, i, inverse, pbc, origin, d):
+    """Fractional coordinate of atom i along lattice vector d, wrapped into the cell that begins at origin (3,) where
+    pbc[d]; and how many lattice vectors that has added."""
+    s = positions[i, 0] * inverse[0, d] + positions[i, 1] * inverse[1, d] + positions[i, 2] * inverse[2, d]
+    cells = -np.floor(s - origin[d]) if pbc[d] else 0.0
+    return s + cells, cells
+
+
+@scalar
+def counting_sort(positions, inverse, pbc, grid, binned):
+    """Fill Binned: atoms into the bins of a grid (counts, origin, extent), the last direction running fastest. Atoms
+    outside what is covered are in the outermost bins."""
+    counts, origin = grid.counts, grid.origin
+    per_bin = counts[0] / grid.extent[0], counts[1] / grid.extent[1], counts[2] / grid.extent[2]
+    for b in range(binned.bin_start.size):
+        binned.bin_start[b] = 0
+    for i in range(positions.shape[0]):
+        index, s = 0, 0.0
+        for d in range(3):
+            s, cells = into_cell(positions, i, inverse, pbc, origin, d)
+            if binned.cells.shape[0] > 0:
+                binned.cells[i, d] = cells
+            along = (s - origin[d]) * per_bin[d]
+            index = index * counts[d] + int(max(0.0, min(counts[d] - 1.0, along)))
+        binned.bins[i], binned.height[i] = index, s
+        binned.bin_start[index + 1] += 1
+    for b in range(binned.bin_start.size - 1):
+        binned.place[b] = binned.bin_start[b]
+        binned.bin_start[b + 1] += binned.bin_start[b]
+    for i in range(positions.shape[0]):
+        place = binned.place[binned.bins[i]]
+        binned.order[place] = i
+        binned.place[binned.bins[i]] = place + 1
+
+
+@kernel
+def sort_into_bins(positions, lattice, inverse, pbc, grid):
+    """order and bin_start, see Binned, and offsets: (N, 3), offsets[k] [length] brings atom order[k] into the cell."""
+    n_atoms, n_bins = positions.shape[0], grid.counts[0] * grid.counts[1] * grid.counts[2]
+    order, bins = np.empty(n_atoms, dtype=np.int64), np.empty(n_atoms, dtype=np.int64)
+    bin_start, place = np.empty(n_bins + 1, dtype=np.int64), np.empty(n_bins + 1, dtype=np.int64)
+    cells = np.empty((n_atoms, 3))
+    counting_sort(positions, inverse, pbc, grid, Binned(order, bins, bin_start, place, cells, np.empty(n_atoms)))
+    offsets = np.empty((n_atoms, 3))
+    for k in range(n_atoms):
+        i = order[k]
+        for c in range(3):
+            offsets[k, c] = cells[i, 0] * lattice[0, c] + cells[i, 1] * lattice[1, c] + cells[i, 2] * lattice[2, c]
+    return order, offsets, bin_start
+
+
+class Bins(namedtuple("Bins", "bin_start counts forward crossed translations pbc lattice inverse safe_distance2")):
+    """Where the search looks for the neighbors of the atoms of a bin, and through which images.
+    bin_start, counts : see Binned, Grid.
+    forward : (K, 3) int, offsets of one half of the bins within reach, (0, 0, 0) left out: every pair is met once.
+    crossed : (3,) int, how many cells a search can cross in each direction.
+    translations : (T, 3) of all images [length]; no rows if nothing is periodic.
+        Image (a, b, c) has row ((a + n_x)(2 n_y + 1) + b + n_y)(2 n_z + 1) + c + n_z, with n = crossed.
+    pbc, lattice, inverse, safe_distance2 : of the Cell."""
+
+
+def bins_of(cell: Cell, grid: Grid, bin_start: NDArray[np.int64]) -> Bins:
+    """The bins of a grid, ready for a search."""
+    within = _steps(grid.reach)
+    forward = within[len(within) // 2 + 1 :].copy()
+    crossed = np.where(cell.pbc, -(-grid.reach // grid.counts), 0)
+    periodic = np.where(cell.pbc[:, None], cell.lattice, 0.0)
+    translations = _steps(crossed) @ periodic if cell.is_periodic else np.zeros((0, 3))
+    image = cell.pbc, cell.lattice, cell.inverse, cell.safe_distance2
+    return Bins(bin_start, grid.counts, forward, crossed, translations, *image)
+
+
+def _steps(most: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(K, 3) int: all triples from −most to most, the last number running fastest."""
+    return np.stack(np.meshgrid(*(np.arange(-n, n + 1) for n in most), indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+@kernel
+def find_pairs(positions, order, bins, reach2, partners, pairs):
+    """Write all pairs within the reach and return how many there are, which may be more than there is room for.
+    positions : (N, 3), in the order of the bins and inside the cell [length].  order : (N,) the user's index of each.
+    bins : Bins.  reach2 : squared reach [length²].
+    partners : see verlet_list; the nearest image of a pair of partners, numbered as by the user, is left out.
+    pairs : output, see Pairs; its atoms count in the order of the bins."""
+    n_pairs, room = 0, pairs.second.size
+    counts, bin_start, crossed, translations = bins.counts, bins.bin_start, bins.crossed, bins.translations
+    shifted = translations.shape[0] > 0
+    rows_y, rows_z = 2 * crossed[1] + 1, 2 * crossed[2] + 1
+    has_excluded, image = partners[1].size > 0, (bins.lattice, bins.inverse, bins.pbc, bins.safe_distance2)
+    ranges = np.empty((bins.forward.shape[0] + 1, 3), dtype=np.int64)
+    for bin_x in range(counts[0]):
+        for bin_y in range(counts[1]):
+            for bin_z in range(counts[2]):
+                own = (bin_x * counts[1] + bin_y) * counts[2] + bin_z
+                if bin_start[own] == bin_start[own + 1]:
+                    continue
+                n_ranges = atoms_in_reach(bin_x, bin_y, bin_z, bins, ranges)
+                for i in range(bin_start[own], bin_start[own + 1]):
+                    pairs.start[i] = n_pairs
+                    x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
+                    for k in range(n_ranges):
+                        first_atom, row = i + 1 if k == 0 else ranges[k, 0], ranges[k, 2]
+                        tx = ty = tz = 0.0
+                        if shifted:
+                            tx, ty, tz = translations[row, 0], translations[row, 1], translations[row, 2]
+                        for j in range(first_atom, ranges[k, 1]):
+                            dx, dy, dz = positions[j, 0] - x + tx, positions[j, 1] - y + ty, positions[j, 2] - z + tz
+                            if dx * dx + dy * dy + dz * dz < reach2:
+                                if has_excluded and _is_partner(order[i], order[j], partners):
+                                    a, b, c = minimum_image(dx - tx, dy - ty, dz - tz, *image)
+                                    nearest_xy = (int(a) + crossed[0]) * rows_y + int(b) + crossed[1]
+                                    if nearest_xy * rows_z + int(c) + crossed[2] == row:
+                                        continue
+                                if n_pairs < room:
+                                    pairs.second[n_pairs] = j
+                                    if shifted:
+                                        pairs.image[n_pairs] = row
+                                n_pairs += 1
+    pairs.start[positions.shape[0]] = n_pairs
+    return n_pairs
+
+
+@kernel
+def atoms_in_reach(bin_x, bin_y, bin_z, bins, ranges):
+    """Ranges of atoms in the bins ahead of one bin, as rows (first, last, image) of ranges; returns how many.
+    The first row is the bin itself and what follows it without a gap. Neighboring bins of one image are one range."""
+    bin_start, counts, forward, crossed, pbc = bins.bin_start, bins.counts, bins.forward, bins.crossed, bins.pbc
+    rows_y, rows_z = 2 * crossed[1] + 1, 2 * crossed[2] + 1
+    own = (bin_x * counts[1] + bin_y) * counts[2] + bin_z
+    ranges[0, 0], ranges[0, 1] = bin_start[own], bin_start[own + 1]
+    ranges[0, 2] = (crossed[0] * rows_y + crossed[1]) * rows_z + crossed[2]
+    n = 0
+    for k in range(forward.shape[0]):
+        to_x, to_y, to_z = bin_x + forward[k, 0], bin_y + forward[k, 1], bin_z + forward[k, 2]
+        cell_x, cell_y, cell_z = to_x // counts[0], to_y // counts[1], to_z // counts[2]
+        if (cell_x != 0 and not pbc[0]) or (cell_y != 0 and not pbc[1]) or (cell_z != 0 and not pbc[2]):
+            continue
+        to_x, to_y, to_z = to_x - cell_x * counts[0], to_y - cell_y * counts[1], to_z - cell_z * counts[2]
+        neighbor = (to_x * counts[1] + to_y) * counts[2] + to_z
+        row = ((cell_x + crossed[0]) * rows_y + cell_y + crossed[1]) * rows_z + cell_z + crossed[2]
+        if bin_start[neighbor] == ranges[n, 1] and row == ranges[n, 2]:
+            ranges[n, 1] = bin_start[neighbor + 1]
+        else:
+            n += 1
+            ranges[n, 0], ranges[n, 1], ranges[n, 2] = bin_start[neighbor], bin_start[neighbor + 1], row
+    return n + 1
+
+
+@kernel
+def _is_partner(a, b, partners):
+    start, values = partners
+    for k in range(start[a], start[a + 1]):
+        if values[k] == b:
+            return True
+    return False

@@ -1,0 +1,226 @@
+"""Laws on bonds, angles, dihedrals and impropers: groups of two, three or four atoms, given or those of the system."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.core.potentials import declared as kind, laws
+from minimd.core.potentials.declared import NOT_NEGATIVE, POSITIVE, Array, Declared, LammpsStyle, declared
+from minimd.core.potentials.law import check_law_of_angles, check_user_law, checked_law, on_vectors
+from minimd.core.potentials.links import Bend, FixedPairs, LinkedTerm, Torsion
+from minimd.core.potentials.term import NoTerm, Term, no_bonds
+from minimd.core.structure.bond_graph import GROUPS, checked_groups, checked_pairs
+from minimd.core.structure.cell import nearest_vectors
+from minimd.core.structure.system import System
+
+STRETCH = "u = −k longest² ln(1 − (r/longest)²)/2, plus the repulsion"
+REPULSION = "ε of the repulsion, a Lennard-Jones law cut at its minimum; 0 for none"
+TRIED_AT = (0.9, 0.97, 1.06)  # of the length of the first bond: where a user's law of bonds is tried
+ARGUMENTS = {2: "pairs", 3: "triples", 4: "quadruples"}
+
+
+class Bonded(Declared):
+    """Base class.  acts_on : the groups of a System on which it acts if none are given.  law : law type.
+    term : makes the term of groups (G, n), from the columns of their numbers."""
+
+    acts_on: ClassVar[str]
+    law: ClassVar[Any]
+    term: ClassVar[Callable[..., Term]]
+
+    def groups_in(self, system: System) -> NDArray[np.int64]:
+        """(G, n) int, those on which it acts in a system.  Raises ValueError if they name atoms that do not exist."""
+        name = ARGUMENTS[size := GROUPS[self.acts_on]]
+        own: NDArray[np.int64] = getattr(system, self.acts_on) if (given := getattr(self, name)) is None else given
+        return checked_pairs(name, own, len(system)) if size == 2 else checked_groups(name, own, size, len(system))
+
+    def bind(self, system: System) -> Term:
+        """The term of these groups in a system.
+        Raises ValueError if they name a missing atom, or an array of parameters has another length than their list."""
+        found = self.groups_in(system)
+        columns = self.columns(self.acts_on, len(found))
+        if len(found):
+            self.check_law(system, found[0], tuple(float(column[0]) for column in columns))
+            return self.term(found, columns)
+        is_told = getattr(self, ARGUMENTS[GROUPS[self.acts_on]]) is None
+        return NoTerm(no_bonds(repr(self), self.acts_on) if is_told else "")
+
+    def check_law(self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]) -> None:
+        """Compare a user's law with its slope, for the first group.  Raises ValueError if it is wrong."""
+
+
+class Bond(Bonded):
+    """Base class of laws u(r) along bonds, whatever their length; each runs to the nearest image of its partner."""
+
+    acts_on = "bonds"
+
+    def term(self, found: NDArray[np.int64], columns: tuple[Array, ...]) -> Term:
+        """See Bonded."""
+        return FixedPairs(found, self.law, (np.full(len(found), np.inf), *columns))
+
+
+class BondPotential(Bond):
+    """A law u(r) along bonds, whatever their length. Each bond runs to the nearest image of its partner."""
+
+    law: Callable | tuple = declared(kind.own_law, "law(r2, *parameters), as for PairPotential")  # type: ignore[misc]
+    parameters: Sequence[ArrayLike] = declared(kind.own_parameters, default=())
+    pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
+
+    def check_law(self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]) -> None:
+        """See Bonded."""
+        r = float(np.linalg.norm(nearest_vectors(system.positions, system.cell, group[None])))
+        check_user_law(checked_law(self.law), numbers, [x * r for x in TRIED_AT] if r > 0.0 else ())
+
+
+class HarmonicBond(Bond):
+    """Harmonic bond u(r) = ½ k (r − r₀)²."""
+
+    law, lammps = laws.HarmonicLaw(), LammpsStyle("harmonic", lambda k, length: (0.5 * k, length))
+    k: ArrayLike = declared(kind.each, "u = k (r − length)²/2", "stiffness", NOT_NEGATIVE)
+    length: ArrayLike = declared(kind.each, "rest length", "length", NOT_NEGATIVE)
+    pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
+
+
+class MorseBond(Bond):
+    """Morse bond u(r) = D (1 − exp[−a (r − r₀)])², which breaks when it is pulled; its stiffness at rest is 2 a² D."""
+
+    law, lammps = laws.MorseLaw(), LammpsStyle("morse")
+    depth: ArrayLike = declared(kind.each, "u = depth (1 − exp(−a (r − length)))²", "energy", NOT_NEGATIVE)
+    a: ArrayLike = declared(kind.each, "inverse width", "inverse length", POSITIVE)
+    length: ArrayLike = declared(kind.each, "rest length", "length", NOT_NEGATIVE)
+    pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
+
+
+class FENEBond(Bond):
+    """Finitely extensible bond of Kremer and Grest: −½ k R² ln(1 − (r/R)²), and a repulsion of its two beads,
+    Lennard-Jones cut at its minimum.
+
+    Exclude bonded pairs from the potential between all beads with bonded_scale=(0, 1, 1), as LAMMPS' `special_bonds
+    fene` does. The energy of a bond of length R or more is not finite: the run ends with NonFiniteError.
+    """
+
+    law, lammps = laws.FENELaw(), LammpsStyle("fene")
+    k: ArrayLike = declared(kind.each, STRETCH, "stiffness", NOT_NEGATIVE)
+    longest: ArrayLike = declared(kind.each, "length that a bond cannot reach", "length", POSITIVE)
+    epsilon: ArrayLike = declared(kind.each, REPULSION, "energy", NOT_NEGATIVE, default=1.0)
+    sigma: ArrayLike = declared(kind.each, "σ of the repulsion", "length", POSITIVE, default=1.0)
+    pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
+
+
+class HarmonicAngle(Bonded):
+    """Harmonic angle u(θ) = ½ k (θ − θ₀)² at the middle atom of each triple.
+
+    Where θ is exactly 0 or π, the force has no direction; it is then zero.
+    """
+
+    acts_on, lammps = "angles", LammpsStyle("harmonic", lambda k, angle: (0.5 * k, np.degrees(angle)))
+    k: ArrayLike = declared(kind.each, "u = k (θ − angle)²/2", "angular stiffness", NOT_NEGATIVE)
+    angle: ArrayLike = declared(kind.each, "rest angle", "angle", kind.ANGLE)
+    triples: ArrayLike | None = declared(kind.groups, "the middle one second", of=3, default=None)
+
+    def term(self, found: NDArray[np.int64], columns: tuple[Array, ...]) -> Term:
+        """See Bonded."""
+        k, angle = columns
+        return LinkedTerm(found, Bend(), (), (k, np.sin(angle), np.cos(angle)))
+
+
+class Dihedral(Bonded):
+    """Base class of laws u(φ) of the dihedral angle of atoms i, j, k, l, about the axis from j to k."""
+
+    acts_on = "dihedrals"
+
+    def term(self, found: NDArray[np.int64], columns: tuple[Array, ...]) -> Term:
+        """See Bonded."""
+        return LinkedTerm(found, Torsion(), on_vectors(self.law, len(columns)), columns)
+
+
+class DihedralPotential(Dihedral):
+    """A law u(φ) of the dihedral angles of quadruples of atoms i, j, k, l, about the axis from j to k.
+
+    law(phi, *parameters) of the angle [rad], −π < φ ≤ π, zero for cis and ±π for trans, returns u [energy] and u′(φ)
+    [energy/rad]; it is plain Python of numbers, or already compiled by numba.njit. Each bond of the chain i, j, k, l
+    runs to the nearest image of its partner.
+    """
+
+    law: Callable | tuple = declared(kind.own_law, "law(phi, *parameters)")  # type: ignore[misc]
+    parameters: Sequence[ArrayLike] = declared(kind.own_parameters, default=())
+    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
+
+    def check_law(self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]) -> None:
+        """See Bonded."""
+        check_law_of_angles(checked_law(self.law), numbers)
+
+
+class PeriodicDihedral(Dihedral):
+    """Periodic torsion u(φ) = k [1 + cos(nφ − φ₀)], as in CHARMM and AMBER.
+
+    A quadruple that is given several times has a sum of terms.
+    LAMMPS' `dihedral_style harmonic`, K [1 + d cos(nφ)], is k = K with the phase 0 for d = 1 and π for d = −1.
+    """
+
+    law, lammps = laws.PeriodicLaw(), LammpsStyle("fourier", lambda k, n, phase: (1, k, n, np.degrees(phase)))
+    k: ArrayLike = declared(kind.each, "u = k (1 + cos(n φ − phase))", "energy")
+    n: ArrayLike = declared(kind.each, "number of minima in a turn", "", kind.WHOLE)
+    phase: ArrayLike = declared(kind.each, "phase of u, see k", "angle", default=0.0)
+    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
+
+
+class RyckaertBellemans(Dihedral):
+    """Ryckaert-Bellemans torsion u(φ) = Σ cₙ cosⁿ(φ − π), n = 0 … 5.
+
+    LAMMPS' `dihedral_style nharmonic` has powers of cos φ: A₁ = c₀, A₂ = −c₁, A₃ = c₂, A₄ = −c₃ …
+    """
+
+    law = laws.RyckaertBellemansLaw()
+    lammps = LammpsStyle("nharmonic", lambda *c: (len(c), *(-one if n % 2 else one for n, one in enumerate(c))))
+    coefficients: Sequence[ArrayLike] = declared(kind.coefficients, "c₀ to c₅ of u = Σ cₙ cosⁿ(φ − 180°)", "energy")
+    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
+
+    def numbers(self) -> dict[str, Array]:
+        """See Declared."""
+        return {f"c{k}": np.asarray(one) for k, one in enumerate(self.coefficients)}
+
+
+class OPLSDihedral(Dihedral):
+    """OPLS torsion u(φ) = ½ [k₁ (1 + cos φ) + k₂ (1 − cos 2φ) + k₃ (1 + cos 3φ) + k₄ (1 − cos 4φ)].
+
+    LAMMPS' `dihedral_style opls`. It is computed as the polynomial of Ryckaert and Bellemans that equals it.
+
+    W. L. Jorgensen, D. S. Maxwell, J. Tirado-Rives, J. Am. Chem. Soc. 118, 11225 (1996).
+    """
+
+    law, lammps = RyckaertBellemans.law, RyckaertBellemans.lammps
+    k1: ArrayLike = declared(kind.each, "u = k1 (1 + cos φ)/2 + …", "energy")
+    k2: ArrayLike = declared(kind.each, "… + k2 (1 − cos 2φ)/2 + …", "energy")
+    k3: ArrayLike = declared(kind.each, "… + k3 (1 + cos 3φ)/2 + …", "energy")
+    k4: ArrayLike = declared(kind.each, "… + k4 (1 − cos 4φ)/2", "energy", default=0.0)
+    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        shapes = [np.shape(one) for one in (self.k1, self.k2, self.k3, self.k4)]
+        if len({*shapes} - {()}) > 1:
+            raise ValueError(f"k1 to k4 must have the same length; their shapes are {shapes}")
+
+    def numbers(self) -> dict[str, Array]:
+        """See Declared."""
+        one, two, three, four = super().numbers().values()
+        c = (two + 0.5 * (one + three), 0.5 * (3.0 * three - one), 4.0 * four - two, -2.0 * three, -4.0 * four, 0.0)
+        return {f"c{k}": np.asarray(one) for k, one in enumerate(c)}
+
+
+class HarmonicImproper(Dihedral):
+    """Harmonic improper u(φ) = ½ k (φ − φ₀)², φ − φ₀ taken between −π and π.
+
+    φ is the dihedral angle of the four atoms in the order in which they are given, with its sign: φ₀ = 0 keeps them in
+    a plane, another φ₀ keeps the chirality of a center.
+    LAMMPS' `improper_style harmonic` takes the same angle without its sign, and K = k/2.
+    """
+
+    acts_on, law = "impropers", laws.HarmonicTorsionLaw()
+    k: ArrayLike = declared(kind.each, "u = k (φ − angle)²/2", "angular stiffness", NOT_NEGATIVE)
+    angle: ArrayLike = declared(kind.each, "rest angle, with its sign", "angle", kind.SIGNED_ANGLE, default=0.0)
+    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)

@@ -1,0 +1,172 @@
+"""Coulomb's law of charged atoms, split for sums over periodic images, see prolates.py; a cheap law without the sum."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from collections.abc import Sequence
+from math import inf, sqrt
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from minimd.core.compiled.kernels import scalar, type_of
+from minimd.core.compiled.simd import fma, select
+from minimd.core.compiled.simd.functions import polynomial
+from minimd.core.console.words import shown
+from minimd.core.potentials.declared import POSITIVE, Declared, choice, declared, factors, number, pairs
+from minimd.core.potentials.law import evaluate_law
+from minimd.core.potentials.prolates import LEAST_ACCURATE, MOST_ACCURATE, Numbers, Split, split_for
+from minimd.core.potentials.term import OwnTerm, PairLaw
+from minimd.core.structure.bond_graph import checked_pairs
+from minimd.core.structure.system import System
+
+MethodName = Literal["ewald", "waves", "mesh", "reaction-field", "shifted-force"]
+SUMS = {"ewald": "pairs and waves, by the quicker of two sums", "waves": "wave by wave", "mesh": "on a mesh"}
+METHODS = {**SUMS, "reaction-field": "pairs only", "shifted-force": "pairs only"}
+NO_REST: Numbers = (0.0, (0.0, 0.0), (0.0, 0.0))  # of a split whose L is zero
+
+
+@scalar
+def coulomb(r2, split, parameters):
+    """Coulomb's law without the smooth rest, for r < r_c.
+
+        u(r)     = q (1/r − L(r))
+        −u′(r)/r = q (1/r³ + L′(r)/r)
+
+    split : numbers of a Split.  parameters : (q, …), the product of two charges [energy · length].
+    """
+    scale, values, slopes = split
+    t, inverse2 = scale * r2 - 1.0, 1.0 / r2
+    inverse = sqrt(inverse2)
+    u = inverse - polynomial(t, values)
+    return parameters[0] * u, parameters[0] * fma(inverse, inverse2, polynomial(t, slopes))
+
+
+@scalar
+def shifted_force(r2, cutoff, parameters):
+    """Coulomb's law less its tangent at the cutoff: u = q (1/r − 2/r_c + r/r_c²).
+
+    S. Toxvaerd, J. C. Dyre, J. Chem. Phys. 134, 081102 (2011).  parameters : (q, …), as of coulomb.
+    """
+    inverse2 = 1.0 / r2
+    inverse = sqrt(inverse2)
+    u = inverse + (r2 * inverse - 2.0 * cutoff) / (cutoff * cutoff)
+    return parameters[0] * u, parameters[0] * inverse * (inverse2 - 1.0 / (cutoff * cutoff))
+
+
+@scalar
+def charged(r2, law, charges, parameters):
+    """A law with a cutoff of its own, and one of charges: one pass over the pairs for both.
+    parameters : (q, squared cutoff of the law, *parameters of the law)."""
+    u, f = evaluate_law(law, r2, parameters[2:])
+    v, g = evaluate_law(charges, r2, parameters)
+    is_near = r2 < parameters[1]
+    return v + select(is_near, u, 0.0), g + select(is_near, f, 0.0)
+
+
+@scalar
+def special(r2, split, parameters):
+    """Coulomb's law times a factor s, for a pair whose L the sum over waves holds: u = q (s/r − L(r)), at any distance.
+    parameters : (q, s, r_c²)."""
+    scale, values, slopes = split
+    q, s, cutoff2 = parameters
+    t, inverse2 = scale * r2 - 1.0, 1.0 / r2
+    inverse, is_near = sqrt(inverse2), r2 < cutoff2
+    inverse3 = inverse * inverse2
+    rest = select(is_near, polynomial(t, values), inverse)
+    return q * (s * inverse - rest), q * (s * inverse3 + select(is_near, polynomial(t, slopes), -inverse3))
+
+
+CoulombLaw, SpecialLaw, ShiftedForceLaw, ChargedLaw = (
+    type_of(formula)(namedtuple(name, fields, module=__name__))
+    for name, formula, fields in (
+        ("CoulombLaw", coulomb, "split"),
+        ("SpecialLaw", special, "split"),
+        ("ShiftedForceLaw", shifted_force, "cutoff"),
+        ("ChargedLaw", charged, "law charges"),
+    )
+)
+
+
+class Coulomb(Declared):
+    """Coulomb energies U = k_e Σ qᵢ qⱼ / r of the charges of a System, with all periodic images.
+
+    In a cell that is periodic in all directions 1/r is split: pairs within the cutoff, and a sum over waves for the
+    smooth rest (Ewald's sum with prolate spheroidal wave functions instead of Gaussians: see prolates.py).
+    Without periodic directions all pairs count, whatever the cutoff. A net charge is balanced by a uniform background.
+    Methods "waves" and "mesh" name the sum over waves, of which "ewald" takes the quicker one. Of pairs only, and of
+    unknown error: "reaction-field", as in a uniform medium beyond the cutoff, u = q (1/r + k r² − c),
+    k = (ε − 1)/((2ε + 1) r_c³), c = 3ε/((2ε + 1) r_c); "shifted-force", u = q (1/r − 2/r_c + r/r_c²).
+    Refused at the start: a system without charges, or periodic in some directions only.
+    """
+
+    cutoff: float | None = declared(
+        number, "r_c of the pairs; a small r_c needs many waves; required if periodic", "length", POSITIVE, default=None
+    )
+    accuracy: float = declared(
+        number, "bound of the rms error of forces, divided by the rms force", demand=POSITIVE, default=1e-5
+    )
+    method: MethodName = declared(
+        choice, "how charges are summed; the last two are approximations", of=METHODS, default="ewald", kw_only=True
+    )
+    dielectric: float = declared(
+        number, "ε of the reaction field, 1 or more; default: infinite, a conductor", of=inf, default=inf, kw_only=True
+    )
+    bonded_scale: Sequence[float] = declared(
+        factors, "factors for pairs one, two and three bonds apart", default=(0.0, 0.0, 1.0), kw_only=True
+    )
+    exclusions: ArrayLike | None = declared(
+        pairs, "pairs that do not interact, whatever bonded_scale says", default=None, kw_only=True
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not MOST_ACCURATE <= self.accuracy <= LEAST_ACCURATE:
+            limits = f"between {MOST_ACCURATE:g} and {LEAST_ACCURATE:g} (rounding prevents smaller errors)"
+            raise ValueError(f"accuracy must be {limits}; accuracy = {shown(self.accuracy)}")
+        if self.dielectric < 1.0:
+            least = "1 (vacuum) or more, inf for a conductor"
+            raise ValueError(f"dielectric must be {least}; dielectric = {self.dielectric}")
+
+    def bind(self, system: System) -> CoulombTerm:
+        """The term of this potential in a system.  Raises ValueError as the class."""
+        if not system.charges.any():
+            hint = "System(..., charges=q), atoms.set_initial_charges(q) of ASE, or in a scene file structure.charges"
+            raise ValueError(f"Coulomb needs charges; those of the system are all zero: give them as {hint}")
+        pbc, is_sum = system.cell.pbc, self.method in SUMS
+        if is_sum and pbc.any() and not pbc.all():
+            hint = 'make the cell periodic in all three, with empty space, or take method="shifted-force"'
+            raise ValueError(f"Coulomb needs a cell that is periodic in all directions or in none; pbc = {pbc}: {hint}")
+        cutoff, is_split = self.cutoff or inf, is_sum and pbc.all()
+        if cutoff == inf and (pbc.any() or not is_sum):
+            where = "in a periodic cell" if is_sum else f"with method {self.method!r}"
+            raise ValueError(f"cutoff of Coulomb must be given {where}; it is None")
+        return CoulombTerm(self, system, cutoff, split_for(cutoff, self.accuracy) if is_split else None)
+
+
+class CoulombTerm(OwnTerm):
+    """Charges in a system: a law for the planner to run on a list of neighbors, and perhaps with a sum over waves."""
+
+    def __init__(self, potential: Coulomb, system: System, cutoff: float, split: Split | None) -> None:
+        self.cutoff = self.shortest_length = inf if split is None and potential.method in SUMS else cutoff
+        numbers = NO_REST if split is None else split.numbers
+        if potential.method == "reaction-field":
+            part = 1.0 / (2.0 + 1.0 / potential.dielectric)
+            k, c = (1.0 - 1.0 / potential.dielectric) * part / self.cutoff, 3.0 * part / self.cutoff
+            numbers = (2.0 / self.cutoff**2, (c - 0.5 * k, -0.5 * k), (-2.0 * k / self.cutoff**2, 0.0))
+        charges = system.charges * sqrt(system.units.coulomb)
+        if split is not None and (net := system.net_charge):
+            self.warning = f"the net charge of the cell is {net:.6g} e: a uniform background balances it"
+        name, table = type(potential).__name__, np.full((1, 1, 1), self.cutoff**2)
+        law = ShiftedForceLaw(cutoff) if potential.method == "shifted-force" else CoulombLaw(numbers)
+        left_out = checked_pairs("exclusions", potential.exclusions, len(system))
+        scale = tuple(potential.bonded_scale)
+        self.pair_law = PairLaw(name, law, table, self.cutoff, scale, charges, split, potential.method, left_out)
+
+
+def with_charges(law: PairLaw, charges: PairLaw) -> PairLaw:
+    """A law, and that of charges, which reaches as far or farther, as one law."""
+    table = np.concatenate([np.full((*law.table.shape[:2], 1), charges.cutoff**2), law.table], axis=-1)
+    name = f"{law.name}, {charges.name}"
+    return charges._replace(name=name, law=ChargedLaw(law.law, charges.law), table=table)

@@ -1,0 +1,346 @@
+"""The loop over terms of two to four atoms, such as bonds, angles and dihedrals: images, forces, energies, virial.
+
+A term is a chain or a star of links. Link l of term t leads from atom first[l, t] to atom second[l, t]:
+
+    r_l = r_second − r_first + translation,   F_second += f_l,   F_first −= f_l,   W += r_l ⊗ f_l
+
+    bond      i → j                  angle     i ← j → k                 dihedral  i ← j ← k → l
+
+Terms are computed in blocks of as many as a vector has lanes; the last block is filled up with its last term. Each f_l
+goes to a slot of its own; then each atom sums its slots, in a fixed order: the same bits for any number of threads.
+The translation of a link is that of the nearest image, and stays as long as it certainly is that. Translations and
+slots of a block lie together: all x, all y, all z.
+"""
+
+from collections import namedtuple
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.fixed_point import as_force, force_along, in_steps, is_too_large
+from minimd.core.compiled.kernels import DirectCalls, by_type, called_kernel, inlined, scalar, type_of
+from minimd.core.compiled.program import GO_ON, OUT_OF_RANGE, Operation, n_chunks_of, operation
+from minimd.core.compiled.simd import bits_from_mask, fma, lane, select
+from minimd.core.compiled.simd.vector import count, gathered, lanes_for, loaded, loaded_columns, stored
+from minimd.core.neighbors.clusters import DIMENSIONS
+from minimd.core.potentials.law import evaluate_law, loop_for, on_vectors
+from minimd.core.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, OwnTerm, Target
+from minimd.core.structure.cell import minimum_image
+from minimd.core.structure.system import System
+from minimd.core.structure.vectors import combined, cross, dot, times
+
+VIRIAL = 6  # components: xx yy zz yz xz xy
+# the smallest sin² of the angle between two neighboring bonds by which forces are divided: its rounding error
+STRAIGHT2 = 1e-16
+
+
+class Links(
+    ByAddress,
+    namedtuple(
+        "Links",
+        "positions images first second sites translations shape law columns slots steps detail totals each lanes",
+    ),
+):
+    """What the loop over T terms of L links, in B blocks of n lanes, works on.
+
+    positions : (N, 3) [length].  images : Images.  first, second : (L, B n) int32, atoms.  sites : (T, L + 1) int.
+    translations : (3 L B n,) [length], kept.
+    shape : how the links make a force, see link_shape.  law : law type.  columns : (B n,) numbers for each parameter.
+    slots : (3 L B n,) output, f_l; int64 impulses in fixed-point arithmetic, where steps : Steps, else ().
+    detail : see term.  totals : (chunks, 1 + 6) output of TOTALS, energies and virials of each chunk.
+    each : energies (N,) and virials (N, 6), to which PER_ATOM adds equal shares of the atoms of a term; in one chunk.
+    """
+
+
+def link_shape(name: str, formula: Any, *ends: tuple[int, int]) -> Any:
+    """The shape of terms, by the name of its variable.  ends : columns of the sites between which each link leads.
+    formula(links, b, law, numbers) takes each arm of block b, pushes its end, and returns u [energy] and whether a
+    force is beyond the range of a grid."""
+    shape: Any = type_of(formula)(namedtuple(name, (), module=__name__))
+    shape.ends = ends
+    return shape
+
+
+@scalar
+def _stretch(links, b, law, numbers):
+    """A law of the distance: f = −u′(r)/r r_ij within the cutoff, whose square is the first number."""
+    (dx, dy, dz), _ = arm(links, 0, b)
+    r2 = fma(dx, dx, fma(dy, dy, dz * dz))
+    u, f = evaluate_law(law, min(r2, numbers[0]), numbers[1:])
+    is_near = r2 < numbers[0]
+    f = select(is_near, f, 0.0)
+    return select(is_near, u, 0.0), push(links, 0, b, (f * dx, f * dy, f * dz))
+
+
+@inlined
+def _minor(a, b, c, d):
+    """a b − c d, right to a few roundings even where the products nearly cancel, if fma rounds once (W. Kahan)."""
+    x, y = a * b, c * d
+    return (x - y) + (fma(a, b, -x) - fma(c, d, -y))
+
+
+@inlined
+def _normal(a, b, lost_a, lost_b):
+    """(a + lost_a) × (b + lost_b), to a few roundings however small the angle between them is."""
+    n = _minor(a[1], b[2], a[2], b[1]), _minor(a[2], b[0], a[0], b[2]), _minor(a[0], b[1], a[1], b[0])
+    return combined(1.0, n, 1.0, combined(1.0, cross(lost_a, b), 1.0, cross(a, lost_b)))
+
+
+@scalar
+def _bend(links, block, _law, numbers):
+    """Harmonic angles u = ½ k (θ − θ₀)², with a = r_i − r_j, b = r_k − r_j, n = a × b.
+
+        tan(θ − θ₀) = (|n| cos θ₀ − a·b sin θ₀)/(a·b cos θ₀ + |n| sin θ₀)
+        F_i = u′(θ) n × a/(a²|n|),   F_k = u′(θ) b × n/(b²|n|),   all zero if n = 0
+
+    numbers : k [energy/rad²], sin θ₀, cos θ₀. θ near 0 and π, and θ − θ₀ if θ₀ is 0 or π, have all their digits.
+    """
+    (a, lost_a), (b, lost_b), (k, sine, cosine) = arm(links, 0, block), arm(links, 1, block), numbers
+    n = _normal(a, b, lost_a, lost_b)
+    size, ab = dot(n, n) ** 0.5, dot(a, b)
+    stretch = np.arctan2(size * cosine - ab * sine, ab * cosine + size * sine)
+    slope = k * stretch
+    s = select(size > 0.0, slope / size, 0.0)
+    is_beyond = push(links, 0, block, times(s / dot(a, a), cross(n, a)))
+    return 0.5 * slope * stretch, push(links, 1, block, times(s / dot(b, b), cross(b, n))) or is_beyond
+
+
+@scalar
+def _turn(links, block, law, numbers):
+    """A law of the dihedral angle, without a division by sin φ.
+
+        F = r_i − r_j,  G = r_j − r_k,  H = r_l − r_k,  A = F × G,  B = H × G
+        cos φ = A·B/(|A||B|),   sin φ = (B × A)·G/(|A||B||G|)
+        F_i = u′ |G|/A² A,   F_l = −u′ |G|/B² B,   S = u′ (F·G/(A²|G|) A − H·G/(B²|G|) B),
+        F_j = −F_i − S,   F_k = −F_l + S
+
+    A. Blondel, M. Karplus, J. Comput. Chem. 17, 1132 (1996), eq. 6, 27.
+    """
+    (f, _), (g, _), (h, _) = arm(links, 0, block), arm(links, 1, block), arm(links, 2, block)
+    a, b = cross(f, g), cross(h, g)
+    g2, fg, hg, a2, b2 = dot(g, g), dot(f, g), dot(h, g), dot(a, a), dot(b, b)
+    length = g2**0.5
+    u, slope = evaluate_law(law, np.arctan2(dot(g, cross(b, a)) / length, dot(a, b)), numbers)
+    a2, b2 = max(a2, STRAIGHT2 * g2 * dot(f, f)), max(b2, STRAIGHT2 * g2 * dot(h, h))
+    on_i = push(links, 0, block, times(slope * length / a2, a))
+    between = push(links, 1, block, combined(-slope * fg / (a2 * length), a, slope * hg / (b2 * length), b))
+    return u, push(links, 2, block, times(-slope * length / b2, b)) or on_i or between
+
+
+Stretch, Bend = link_shape("Stretch", _stretch, (0, 1)), link_shape("Bend", _bend, (1, 0), (1, 2))
+Torsion = link_shape("Torsion", _turn, (1, 0), (2, 1), (2, 3))
+
+
+@scalar
+def block_of(links, l, b):
+    """Where block b of link l begins, in translations and slots."""
+    return np.uintp(l * links.first.shape[1] + b * count(links.lanes)) * np.uintp(DIMENSIONS)
+
+
+@scalar
+def arm(links, l, b):
+    """r_l to the nearest image, rounded, and what rounding has left out [length]."""
+    x, y, z = _difference(links, l, b)
+    is_near = bits_from_mask(x[0] * x[0] + y[0] * y[0] + z[0] * z[0] <= links.images.safe_distance2[0])
+    if is_near != (1 << count(links.lanes)) - 1:
+        for k in range(count(links.lanes)):
+            if not is_near >> k & 1:
+                _find_image(links, l, b * count(links.lanes) + k, block_of(links, l, b) + np.uintp(k))
+        x, y, z = _difference(links, l, b)
+    return (x[0], y[0], z[0]), (x[1], y[1], z[1])
+
+
+@scalar
+def push(links, l, b, force):
+    """f_l to its slots; returns whether one is beyond the range of a grid."""
+    (x, y, z), steps = force, links.steps
+    on_ends = force_along(x, 1.0, steps), force_along(y, 1.0, steps), force_along(z, 1.0, steps)
+    stored(links.slots, block_of(links, l, b), on_ends)
+    return is_too_large(x * x + y * y + z * z, steps)
+
+
+@called_kernel
+def add_links(links, chunk):
+    """Forces to slots; energies and virials.  OUT_OF_RANGE if a force is beyond the range of a grid."""
+    n_lanes = count(links.lanes)
+    n_blocks, n_chunks, is_out = links.first.shape[1] // n_lanes, links.totals.shape[0], False
+    for c in range(1 + VIRIAL):
+        links.totals[chunk, c] = 0.0
+    for b in range(chunk * n_blocks // n_chunks, (chunk + 1) * n_blocks // n_chunks):
+        numbers = loaded_columns(links.columns, b * n_lanes, links.lanes)
+        u, is_beyond = _acting(links.shape, links, b, links.law, numbers)
+        is_out |= is_beyond
+        if links.detail != FORCES:
+            _count(links, b, links.totals[chunk], u)
+    return OUT_OF_RANGE if is_out else GO_ON
+
+
+@by_type
+def _acting(shape, links, b, law, numbers):
+    formula = shape.instance_class.formula
+    return lambda shape, links, b, law, numbers: formula(links, b, law, numbers)
+
+
+@scalar
+def _count(links, b, total, u):
+    """total (7,) += energy and virial of a block; and with PER_ATOM equal shares of them to its atoms."""
+    (energies, virials), steps, sites, n_lanes = links.each, links.steps, links.sites, count(links.lanes)
+    n_sites = sites.shape[1] if links.detail == PER_ATOM else 0
+    xx = yy = zz = yz = xz = xy = 0.0 * u
+    for l in range(links.first.shape[0]):
+        (x, y, z), _ = arm(links, l, b)
+        gx, gy, gz = loaded(links.slots, block_of(links, l, b), links.lanes)
+        fx, fy, fz = as_force(gx, steps), as_force(gy, steps), as_force(gz, steps)
+        xx, yy, zz, yz, xz, xy = xx + x * fx, yy + y * fy, zz + z * fz, yz + z * fy, xz + z * fx, xy + y * fx
+    for k in range(min(n_lanes, sites.shape[0] - b * n_lanes)):
+        total[0] += in_steps(lane(u, k), steps)
+        for s in range(n_sites):
+            energies[sites[b * n_lanes + k, s]] += in_steps(lane(u, k) / n_sites, steps)
+        for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
+            total[1 + c] += in_steps(lane(w, k), steps)
+            for s in range(n_sites):
+                virials[sites[b * n_lanes + k, s], c] += in_steps(lane(w, k) / n_sites, steps)
+
+
+@scalar
+def _difference(links, l, b):
+    start, lanes = b * count(links.lanes), links.lanes
+    end = gathered(links.positions, links.second[l], start, lanes)
+    begin = gathered(links.positions, links.first[l], start, lanes)
+    shift = loaded(links.translations, block_of(links, l, b), lanes)
+    x, y = _component(end[0], begin[0], shift[0]), _component(end[1], begin[1], shift[1])
+    return x, y, _component(end[2], begin[2], shift[2])
+
+
+@scalar
+def _component(x, y, translation):
+    """x − y + translation rounded, and the sum of the two rounding errors (D. E. Knuth's two-sum)."""
+    d = x - y
+    z = d - x
+    lost = (x - (d - z)) - (y + z)
+    s = d + translation
+    z = s - d
+    return s, lost + ((d - (s - z)) + (translation - z))
+
+
+@scalar
+def _find_image(links, l, t, at):
+    """The translation of link l of term t, in place: that of the nearest image.  at : of its x in the translations."""
+    i, j, positions, n = links.first[l, t], links.second[l, t], links.positions, np.uintp(count(links.lanes))
+    lattice, inverse, pbc, safe_distance2 = links.images
+    x, y, z = positions[j, 0] - positions[i, 0], positions[j, 1] - positions[i, 1], positions[j, 2] - positions[i, 2]
+    a, b, c = minimum_image(x, y, z, lattice, inverse, pbc, safe_distance2[0])
+    for k in range(DIMENSIONS):
+        links.translations[at + np.uintp(k) * n] = a * lattice[0, k] + b * lattice[1, k] + c * lattice[2, k]
+
+
+class LinkedTerm(OwnTerm):
+    """Terms of one shape, each link taken at its nearest image.  sites : (T, L + 1) int, atoms of each term.
+
+    shape : from link_shape.  law : law type, which runs on vectors.  columns : (T,) numbers of each term, for each
+    parameter.  n_slots, first_slot : its slots, see Slots.
+    """
+
+    fits_grid = True
+
+    def __init__(self, sites: NDArray, shape: Any, law: tuple, columns: tuple[NDArray, ...]) -> None:
+        self.lanes, self._sites, self.n_terms = lanes_for(), np.array(sites), (n_terms := len(sites))
+        full = np.minimum(np.arange(-(-n_terms // self.lanes.size) * self.lanes.size), n_terms - 1)
+        ends = zip(*shape.ends, strict=True)
+        self.first, self.second = (sites.T[list(side)][:, full].astype(np.int32) for side in ends)
+        self._shape, self._law, self._columns = shape, law, tuple(column[full] for column in columns)
+        self._translations = np.zeros(DIMENSIONS * self.first.size)
+        self._loop, self._calls = loop_for(add_links, law), DirectCalls()
+        self.n_slots, self.first_slot = self.first.size, 0
+        self._totals = np.zeros((n_chunks_of(n_terms), 1 + VIRIAL))
+
+    def follow(self, system: System) -> bool:
+        """See Term; images are looked for again."""
+        self._translations[:] = 0.0
+        return True
+
+    def operations(self, system: System, target: Target) -> Iterator[Operation]:
+        """See Term."""
+        totals = self._totals[:1] if target.detail == PER_ATOM else self._totals
+        slots = target.slots[DIMENSIONS * self.first_slot : DIMENSIONS * (self.first_slot + self.n_slots)]
+        place = system.positions, target.images, self.first, self.second, self._sites, self._translations
+        what = self._shape, self._law, self._columns, slots, target.steps, target.detail
+        links = Links(*place, *what, totals, (target.energies, target.virials), self.lanes)
+        yield operation(self._calls, self._loop, links, len(totals))
+
+    def collect(self, target: Target) -> None:
+        """See Term."""
+        if target.detail == TOTALS:
+            totals = self._totals.sum(axis=0)
+            target.energies[0] += totals[0]
+            target.virials[0] += totals[1:]
+
+
+class FixedPairs(LinkedTerm):
+    """A law on pairs that never change.  pairs : (P, 2) int.  law : law type.
+    columns : (P,) numbers of each pair, the squared cutoff first."""
+
+    ingredient = BOND_LOOP
+
+    def __init__(self, pairs: NDArray[np.int64], law: tuple, columns: tuple[NDArray, ...]) -> None:
+        super().__init__(pairs, Stretch(), on_vectors(law, len(columns) - 1), columns)
+
+
+class Gathering(ByAddress, namedtuple("Gathering", "atoms start place slots forces n_chunks lanes")):
+    """The sums of slots.  atoms : (A,) int32, that have any.  start : (A + 1,) int32, where those of each begin.
+
+    place : where in slots the x of a force is that acts on the atom, or −1 − that, if its opposite does.
+        slots : (3 S,).  forces : (N, 3).
+    """
+
+
+@called_kernel
+def sum_slots(gathering, chunk):
+    """forces += Σ of the slots of each atom of a chunk, in their order."""
+    atoms, start, place, slots, forces, n_chunks, lanes = gathering
+    y_after_x, z_after_x = np.uintp(count(lanes)), np.uintp(2 * count(lanes))
+    for a in range(np.uintp(chunk * atoms.size // n_chunks), np.uintp((chunk + 1) * atoms.size // n_chunks)):
+        i = np.uintp(atoms[a])
+        x, y, z = forces[i, 0], forces[i, 1], forces[i, 2]
+        for p in range(np.uintp(start[a]), np.uintp(start[a + np.uintp(1)])):
+            at = place[p]
+            if at >= 0:
+                k = np.uintp(at)
+                x, y, z = x + slots[k], y + slots[k + y_after_x], z + slots[k + z_after_x]
+            else:
+                k = np.uintp(-1 - at)
+                x, y, z = x - slots[k], y - slots[k + y_after_x], z - slots[k + z_after_x]
+        forces[i, 0], forces[i, 1], forces[i, 2] = x, y, z
+    return GO_ON
+
+
+class Slots:
+    """The slots of the terms of a scene.  size : their number."""
+
+    def __init__(self, terms: list[LinkedTerm]) -> None:
+        self._lanes = lanes_for()
+        ends, self.size, n_lanes = [np.zeros((0, 2), dtype=np.int64)], 0, self._lanes.size
+        for term in terms:
+            term.first_slot = self.size
+            slots = self.size + np.arange(term.n_slots).reshape(term.first.shape)[:, : term.n_terms]
+            places = (slots // n_lanes * DIMENSIONS * n_lanes + slots % n_lanes).ravel()
+            ends.append(np.column_stack([term.second[:, : term.n_terms].ravel(), places]))
+            ends.append(np.column_stack([term.first[:, : term.n_terms].ravel(), -1 - places]))
+            self.size += term.n_slots
+        atom, place = np.concatenate(ends).T
+        order = np.argsort(atom, kind="stable")
+        self._atoms, start = np.unique(atom[order], return_index=True)
+        self._start = np.append(start, len(atom)).astype(np.int32)
+        self._place, self._atoms = place[order].astype(np.int32), self._atoms.astype(np.int32)
+        self._calls = DirectCalls()
+
+    def operations(self, target: Target) -> Iterator[Operation]:
+        """The sums of the slots of all atoms."""
+        if self.size:
+            n_chunks = n_chunks_of(len(self._atoms))
+            where = self._atoms, self._start, self._place
+            made = Gathering(*where, target.slots, target.forces, n_chunks, self._lanes)
+            yield operation(self._calls, sum_slots, made, n_chunks)

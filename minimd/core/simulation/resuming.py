@@ -1,0 +1,49 @@
+"""Simulations from files, at the restart of a run."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from minimd.core.console.annexes import from_annex
+from minimd.core.console.quiet import outside_minimd
+from minimd.core.engine.observation import extras_in
+from minimd.core.forces.forces import Potential
+from minimd.core.structure.checks import checked_count
+
+Potentials = Potential | Sequence[Potential] | None
+
+
+def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | None) -> Any:
+    """See Simulation.resume.  kind : Simulation."""
+    from minimd.core.files.h5md_reader import read_file, verify_frames  # h5py is slow to load
+    from minimd.core.files.h5md_schema import other_potentials
+
+    verify_frames(file)  # a child process reads it first
+    contents = read_file(file)
+    if potentials is None:
+        potentials = from_annex("potentials of a scene")(contents.scene, contents.potentials, Path(file))
+    options = {name: getattr(contents, name) for name in ("precision", "skin", "barostat")}
+    simulation = kind(contents.system, potentials, contents.integrator(), threads=threads, **options)
+    simulation.extra_observables = extras_in(contents.record)
+    simulation.engine.notes.update(title=contents.title, scene=contents.scene)
+    simulation.system.cell = contents.system.cell  # not rounded to another grid than that of the run
+    simulation.engine.go_on_from(contents.restart)
+    if other := other_potentials(contents.potentials, simulation.potentials):
+        given = f"the potentials given are not those of the last steps in {str(file)!r}: {other}"
+        warnings.warn(f"{given}; the potential energy jumps at this step", stacklevel=outside_minimd())
+    if contents.repaired:
+        warnings.warn(contents.repaired, stacklevel=outside_minimd())
+    return simulation
+
+
+def last_step(step: int, n_steps: int | None, until_step: int | None) -> int:
+    """The step at which a run ends.  Raises ValueError unless exactly one of n_steps and until_step is given."""
+    if (n_steps is None) == (until_step is None):
+        given = f"n_steps = {n_steps!r}, until_step = {until_step!r}"
+        raise ValueError(f"a run needs either n_steps or until_step; {given}")
+    if n_steps is not None:
+        return step + checked_count("n_steps", n_steps, 0)
+    return checked_count("until_step", until_step, step)

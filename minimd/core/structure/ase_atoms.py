@@ -1,0 +1,174 @@
+"""ASE's atoms as systems, and systems as ASE's atoms, with their constraints."""
+
+from typing import Any
+
+import numpy as np
+from ase import Atoms
+from ase.constraints import FixAtoms, FixBondLengths, FixCom, FixConstraint, FixLinearTriatomic
+from ase.data import atomic_numbers
+from ase.geometry import find_mic
+from ase.stress import full_3x3_to_voigt_6_stress
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.core.structure.bond_graph import GROUPS, joined_in, texts
+from minimd.core.structure.cell import Cell
+from minimd.core.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms, lengths_of
+from minimd.core.structure.observables import center, momentum, stress as kinetic_stress
+from minimd.core.structure.units import ASE
+
+LABELS = "species_labels"  # the array of an ase.Atoms for species that are not chemical elements
+# in the info of atoms from a .traj, which keeps no such array: the names of species; tags are indices into them
+NAMES = "species_names"
+Given = ArrayLike | None
+Pairs = tuple[NDArray[np.int64], NDArray[np.float64]]
+UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCom"
+
+
+def system_arguments(atoms: Atoms, bonds: Given = None, constraints: bool = True, **others: Given) -> dict[str, Any]:
+    """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and
+    constraints. Charges are the initial charges. Species are the chemical symbols, or labels that atoms_from_system or
+    label_by_tags stored in them.
+    bonds, others : bonds, angles, dihedrals and impropers, as for System; without bonds,
+        what the arrays of the atoms name: see joined_in.
+    constraints : True to take those of the atoms; False if the caller handles them.
+    Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, and as
+    joined_in."""
+    if not isinstance(atoms, Atoms):
+        raise TypeError(f"a minimd System or an ase.Atoms is expected; got {type(atoms).__name__}")
+    found = joined_in(atoms) if bonds is None else None
+    velocities, masses = atoms.get_velocities(), atoms.get_masses()
+    if constraints and fixes_center(atoms):
+        velocities -= momentum(velocities, masses) / masses.sum()
+    return {"positions": atoms.positions, "masses": masses, "charges": atoms.get_initial_charges(),
+            "velocities": velocities, "cell": cell_of(atoms), "species": _labels(atoms),
+            **(found.groups if found is not None else {"bonds": bonds}),
+            **{name: given for name, given in others.items() if given is not None}, "units": ASE,
+            "constraints": constraints_of(atoms) if constraints else ()}  # fmt: skip
+
+
+def atoms_from_system(system: Any) -> Atoms:
+    """ASE's atoms with the positions (not wrapped), momenta, masses, cell, periodicity, constraints, bonds,
+    angles and dihedrals of a system; its charges as initial charges, unless all are zero.
+
+    Species that are chemical symbols become elements. All others become 'X', ASE's symbol for no element, and all
+    labels are kept in the array "species_labels", where system_arguments finds them again. Numbers are not converted:
+    for a system in reduced units they are not in Å and eV. Bonds, angles, dihedrals and impropers become arrays with
+    these names, as ASE's reader of LAMMPS data makes them. The array "id" shows system_arguments that no atoms were cut
+    out or sorted; it gives the groups back in the order of their first atoms."""
+    symbols = [label if label in atomic_numbers else "X" for label in system.species.tolist()]
+    masses, cell = system.masses, system.cell
+    momenta = system.velocities * masses[:, None]
+    atoms = Atoms(symbols, system.positions, momenta=momenta, masses=masses, cell=cell.vectors, pbc=cell.pbc)
+    if system.charges.any():
+        atoms.set_initial_charges(system.charges)
+    if not set(system.species_names) <= set(atomic_numbers):
+        atoms.set_array(LABELS, system.species)
+    if named := texts(system.groups(), len(atoms)):
+        atoms.arrays.update(named, id=np.arange(1, len(atoms) + 1))
+    kept: list[FixConstraint] = []
+    for constraint in system.constraints:
+        if isinstance(constraint, FixedAtoms):
+            kept.append(FixAtoms(indices=constraint.atoms))
+        else:  # for ASE's solver
+            lengths = lengths_of(system.positions, system.cell, constraint).copy()
+            kept.append(FixBondLengths(constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths))
+    atoms.set_constraint(kept)
+    return atoms
+
+
+def label_by_tags(atoms: Atoms, system: Any) -> None:
+    """Store species that are not elements where a .traj keeps them: names in info, their indices in tags."""
+    if LABELS in atoms.arrays:
+        atoms.info[NAMES] = list(system.species_names)
+        atoms.set_tags(system.species_index)
+
+
+def _labels(atoms: Atoms) -> Any:
+    """The species of each atom: its label, or else its chemical symbol; an atom that is not X needs no label."""
+    names, symbols, tags = atoms.info.get(NAMES), atoms.get_chemical_symbols(), atoms.get_tags().tolist()
+    if LABELS in atoms.arrays or names is None:
+        return atoms.arrays.get(LABELS, symbols)
+    each = zip(symbols, tags, strict=True)
+    return [names[tag] if symbol == "X" and 0 <= tag < len(names) else symbol for symbol, tag in each]
+
+
+def cell_of(atoms: Atoms) -> Cell:
+    """The cell and periodicity of atoms."""
+    return Cell.of(atoms.cell.array, atoms.pbc)
+
+
+def same_labels(one: Atoms, other: Atoms) -> bool:
+    """True if species that are not elements have the same labels."""
+    return np.array_equal(one.arrays.get(LABELS, ()), other.arrays.get(LABELS, ()))
+
+
+def same_scene(one: Atoms, other: Atoms) -> bool:
+    """True if only positions, momenta and cell can differ."""
+    fixed = [[atoms.numbers, atoms.get_masses(), atoms.get_initial_charges(), atoms.pbc] for atoms in (one, other)]
+    for arrays, atoms in zip(fixed, (one, other), strict=True):
+        arrays += [atoms.arrays.get(name, ()) for name in (LABELS, *GROUPS)]
+    return all(map(np.array_equal, *fixed)) and one.calc is other.calc
+
+
+def calculators_stress(stress: NDArray[np.float64], atoms: Atoms, conserves_momentum: bool) -> NDArray[np.float64]:
+    """What ASE calls the stress, (6,) as xx yy zz yz xz xy [eV/Å³]: without the kinetic part, which
+    get_stress(include_ideal_gas=True) adds.  stress : (3, 3), of an engine with the atoms in their present motion.
+    conserves_momentum : of that engine."""
+    velocities, masses = atoms.get_velocities(), atoms.get_masses()
+    velocities -= center(velocities, masses, conserves_momentum)
+    moving = kinetic_stress(velocities, masses, np.zeros((3, 3)), volume_of(atoms))
+    return full_3x3_to_voigt_6_stress(stress - moving)
+
+
+def volume_of(atoms: Atoms) -> float:
+    """Volume of the parallelepiped, periodic or not [Å³]; 0 if there is none."""
+    return float(atoms.get_volume()) if atoms.cell.rank == 3 else 0.0
+
+
+def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
+    """The constraints of atoms: lengths, linear molecules and fixed atoms. FixCom is left out: see fixes_center.
+    Raises ValueError for a constraint of another kind, by name."""
+    lengths: list[Pairs] = []
+    tolerances: list[float] = []
+    fixed: list[int] = []
+    for constraint in atoms.constraints:
+        if isinstance(constraint, FixBondLengths):
+            pairs, given = _counted_from_front(constraint.pairs, len(atoms)), constraint.bondlengths
+            lengths.append((pairs, _distances(atoms, pairs) if given is None else np.asarray(given, dtype=float)))
+            tolerances.append(float(constraint.tolerance))
+        elif isinstance(constraint, FixLinearTriatomic):
+            triples = _counted_from_front(constraint.triples, len(atoms))
+            arms = np.concatenate([triples[:, [0, 1]], triples[:, [1, 2]]])
+            apart = _distances(atoms, arms)  # the distance of the ends is the sum of both bonds
+            rods = np.concatenate([arms, triples[:, [0, 2]]])
+            lengths.append((rods, np.concatenate([apart, apart.reshape(2, -1).sum(axis=0)])))
+        elif isinstance(constraint, FixAtoms):
+            fixed.extend(np.arange(len(atoms))[constraint.index])
+        elif type(constraint) is not FixCom:
+            told = f"it holds {type(constraint).__name__}: remove it, or use ASE's dynamics"
+            raise ValueError(f"atoms.constraints may hold {UNDERSTOOD}; {told}")
+    if fixed and fixes_center(atoms):
+        why_not = "with fixed atoms the center of mass does not stay by itself; remove FixCom or FixAtoms"
+        raise ValueError(f"atoms.constraints holds FixCom and FixAtoms: {why_not}")
+    answer: list[Constraint] = [FixedAtoms(np.unique(fixed))] if fixed else []
+    if lengths:
+        pairs, values = (np.concatenate(part) for part in zip(*lengths, strict=True))
+        answer.append(DistanceConstraints(pairs, values, min(tolerances, default=TOLERANCE)))
+    return tuple(answer)
+
+
+def fixes_center(atoms: Atoms) -> bool:
+    """Whether the center of mass is held. If momentum is conserved, it is enough that it is zero at the start;
+    Engine refuses all other cases."""
+    return any(isinstance(constraint, FixCom) for constraint in atoms.constraints)
+
+
+def _distances(atoms: Atoms, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Distances to the nearest image [Å]."""
+    return find_mic(atoms.positions[pairs[:, 1]] - atoms.positions[pairs[:, 0]], atoms.cell, atoms.pbc)[1]
+
+
+def _counted_from_front(indices: Any, n_atoms: int) -> NDArray[np.int64]:
+    """Indices of atoms; negative ones count from the last atom, in ASE as in Python."""
+    array = np.asarray(indices, dtype=np.int64)
+    return np.where(array < 0, array + n_atoms, array)

@@ -1,0 +1,141 @@
+"""Groups of atoms by index: bonded pairs, and which atoms are one, two or three bonds apart.
+
+The texts in an ase.Atoms that name them are those of ASE's reader of LAMMPS data, one for each atom. The array "bonds"
+has "j(type)" for atom i, "angles" has "i-k(type)" for the middle atom j, "dihedrals" has "j-k-l(type)" for the first
+atom i, and so has "impropers", which ASE does not read. Several entries are joined by commas; "_" means none. The
+indices are those of the atoms as they were read. ASE copies the text unchanged when atoms are cut out, repeated or
+sorted.
+"""
+
+import re
+from collections import defaultdict
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.core.structure.checks import check_rows, checked_indices
+
+MAX_BONDS_APART = 3
+GROUPS = {"bonds": 2, "angles": 3, "dihedrals": 4, "impropers": 4}  # of a System, and how many atoms each has
+
+
+def pairs_by_bonds_apart(bonds: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Pairs i < j whose shortest path along the bonds has one, two and three bonds: three (P, 2) int arrays, each
+    sorted by (i, j). Rings and cages are no exception: the shortest path decides.  bonds : (B, 2) int."""
+    neighbors: defaultdict[int, set[int]] = defaultdict(set)  # of bonded atoms alone: most scenes have none
+    for i, j in bonds.tolist():
+        neighbors[i].add(j)
+        neighbors[j].add(i)
+    found: list[list[tuple[int, int]]] = [[] for _ in range(MAX_BONDS_APART)]
+    for i in np.unique(bonds).tolist():
+        seen, shell = {i}, {i}
+        for pairs in found:
+            shell = {k for j in shell for k in neighbors[j]} - seen
+            seen |= shell
+            pairs.extend((i, j) for j in sorted(shell) if j > i)
+    return [np.array(pairs, dtype=np.int64).reshape(-1, 2) for pairs in found]
+
+
+def checked_pairs(name: str, pairs: ArrayLike | None, n_atoms: int | None = None) -> NDArray[np.int64]:
+    """Pairs of atoms as a (P, 2) int array, (0, 2) if there are none.  n_atoms : None for any number of atoms.
+    Raises ValueError as checked_groups, or if a pair is given twice, in either order."""
+    array = checked_groups(name, pairs, 2, n_atoms)
+    _, first, counts = np.unique(np.sort(array, axis=1), axis=0, return_index=True, return_counts=True)
+    if (counts > 1).any():
+        # the one that is given first, as it is given
+        row, times = min(zip(first[counts > 1].tolist(), counts[counts > 1].tolist(), strict=True))
+        given = f"{name}[{row}] = {array[row].tolist()} is given {times} times"
+        raise ValueError(f"{name} must name each pair once; {given}")
+    return array
+
+
+def among(pairs: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which of the pairs, (B,) bool, are among others, in either order."""
+    n_atoms = 1 + max(pairs.max(initial=0), others.max(initial=0))
+    names, known = (each.min(axis=1) * n_atoms + each.max(axis=1) for each in (pairs, others))
+    return np.isin(names, known)
+
+
+def checked_groups(name: str, groups: ArrayLike | None, size: int, n_atoms: int | None = None) -> NDArray[np.int64]:
+    """Groups of size different atoms as a (G, size) int array; None for none of them; see checked_pairs.
+    Raises ValueError if the shape is wrong, an atom does not exist, or an atom appears twice in a group."""
+    array = checked_indices(name, () if groups is None else groups, f"an (n, {size}) array of atom indices")
+    if array.size == 0:
+        return np.zeros((0, size), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != size:
+        raise ValueError(f"{name} must be an (n, {size}) array of atom indices; its shape is {array.shape}")
+    ordered, known = np.sort(array, axis=1), "from 0 on" if n_atoms is None else f"0 to {n_atoms - 1}"
+    exist = (ordered[:, 0] >= 0) & (ordered[:, -1] < (np.inf if n_atoms is None else n_atoms))
+    check_rows(name, f"groups of atoms {known}", exist, array)
+    check_rows(name, "groups of different atoms", (np.diff(ordered, axis=1) > 0).all(axis=1), array)
+    return array
+
+
+Indices = NDArray[np.int64]
+# indices, and the type
+FORMS = {name: re.compile("-".join([r"(\d+)"] * (size - 1)) + r"(?:\((\w+)\))?") for name, size in GROUPS.items()}
+PLACE = {"bonds": 0, "angles": 1, "dihedrals": 0, "impropers": 0}  # in the group, of the atom whose text names it
+NONE = ("_", "")
+INSTEAD = "give the bonds as bonds=[[0, 1], ...], or bonds=() for none"
+
+
+class Joined(NamedTuple):
+    """groups : bonds (B, 2), angles (A, 3), the middle atom second, dihedrals (D, 4), impropers (I, 4), int, by these
+    names.  n_types : how many types of each there are, by these names; left out where all are of one type.
+    charges : (N,) [e] of the atoms, where a file without positions has them, as a PSF."""
+
+    groups: dict[str, Indices]
+    n_types: dict[str, int] = {}  # noqa: RUF012 - never changed
+    charges: Any = None
+
+    def __bool__(self) -> bool:
+        return any(map(len, self.groups.values()))
+
+    def __str__(self) -> str:
+        names = [f"{len(groups)} {name}" for name, groups in self.groups.items() if len(groups)]
+        return " and ".join([*([", ".join(names[:-1])] if names[:-1] else []), *names[-1:]]) or "no bonds"
+
+
+def joined_in(atoms: Any) -> Joined:
+    """The groups in the arrays "bonds", "angles", "dihedrals" and "impropers" of an ase.Atoms; empty if it has no such
+    arrays. Raises ValueError for text in another form, or if the atoms are not those that were read: the array "id"
+    then does not count from 1 to N."""
+    if not any(name in atoms.arrays for name in GROUPS):
+        return Joined({name: np.zeros((0, size), np.int64) for name, size in GROUPS.items()})
+    ids = atoms.arrays.get("id")
+    if ids is not None and not np.array_equal(ids, np.arange(1, len(atoms) + 1)):
+        why = "their array 'id' does not count from 1 to N, so atoms may have been cut out, repeated or sorted"
+        raise ValueError(f"the bonds of these atoms cannot be trusted: {why} since they were read; {INSTEAD}")
+    found: dict[str, Indices] = {}
+    n_types: dict[str, int] = {}
+    for name, size in GROUPS.items():
+        rows, kinds = [], set()
+        for i, text in enumerate(map(str, atoms.arrays.get(name, ()))):
+            for entry in () if text in NONE else text.split(","):
+                match = FORMS[name].fullmatch(entry.strip())
+                if match is None or max(others := [int(each) for each in match.groups()[:-1]]) >= len(atoms):
+                    known = f"with indices of atoms from 0 to {len(atoms) - 1}"
+                    given = f"the array {name!r} of these atoms has {text!r} for atom {i}"
+                    form = "ase.io.read writes it for format='lammps-data'"
+                    raise ValueError(f"{given}; it must be written as {form}, {known}: {INSTEAD}")
+                others.insert(PLACE[name], i)
+                rows.append(others)
+                kinds.add(match.groups()[-1])
+        found[name] = np.array(rows, np.int64).reshape(-1, size)
+        n_types |= {name: len(kinds - {None})} if len(kinds - {None}) > 1 else {}
+    return Joined(found, n_types)
+
+
+def texts(groups: Mapping[str, Indices], n_atoms: int) -> dict[str, NDArray[np.str_]]:
+    """The arrays "bonds", "angles", "dihedrals" and "impropers" for an ase.Atoms, without empty ones; all of type 1.
+    groups : (G, n) int, by these names."""
+    found = {}
+    for name, members in groups.items():
+        words: list[list[str]] = [[] for _ in range(n_atoms)]
+        for row in members.tolist():
+            words[row.pop(PLACE[name])].append("-".join(map(str, row)) + "(1)")
+        if len(members):
+            found[name] = np.array([",".join(each) or NONE[0] for each in words])
+    return found

@@ -1,0 +1,313 @@
+"""The simulation cell: any three lattice vectors, each direction periodic or open, and periodic images."""
+
+from collections import namedtuple
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.kernels import kernel, scalar
+from minimd.core.compiled.machine import EPS
+from minimd.core.console.display import Displayed, Rows, as_text
+from minimd.core.console.words import shown
+from minimd.core.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers
+from minimd.core.structure.vectors import Array, follow_lattice
+
+MOST_IMAGES = 2**16  # images among which one length is searched for: 40 cells in each of three directions
+FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
+SLAB = "such as pbc=(True, True, False) of a slab"
+OPEN = f"in a direction that does not repeat give length 0, or any length and pbc=False there, {SLAB}"
+SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
+# combinations of vectors that could be shorter
+COMBINED = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
+
+
+@dataclass(frozen=True, repr=False)
+class Cell(Displayed):
+    """Lattice vectors and periodicity, checked, with the reduced lattice that searches use.
+
+    Made by Cell.of; never changed.
+
+    Attributes
+    ----------
+    vectors : (3, 3) array [length]; rows are the lattice vectors as given, zeros where there is none.
+    pbc : (3,) bool; direction k repeats with vectors[k].
+    lattice : (3, 3) array [length]; the same lattice from its shortest vectors; an open direction holds a unit vector
+        perpendicular to the periodic ones, whatever vectors says there.
+    reduction : (3, 3) int; lattice = reduction @ vectors on periodic rows, zero on open ones.
+    inverse : (3, 3) array [1/length]; positions @ inverse are fractional coordinates in lattice.
+    heights : (3,) array [length]; distance of the two faces across each direction of lattice.
+    """
+
+    vectors: Array
+    pbc: NDArray[np.bool_]
+    lattice: Array = field(init=False)
+    reduction: NDArray[np.int64] = field(init=False)
+    inverse: Array = field(init=False)
+    heights: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.__dict__.update(vectors=_as_matrix(self.vectors), pbc=_as_flags(self.pbc))
+        _check_independent(self.vectors, self.pbc)
+        self._complete(*_reduced(self.vectors, self.pbc))
+
+    def _complete(self, lattice: Array, reduction: NDArray[np.int64]) -> None:
+        inverse = np.linalg.inv(lattice)
+        made = {"lattice": lattice, "reduction": reduction, "inverse": inverse}
+        made["heights"] = 1.0 / np.linalg.norm(inverse, axis=0)
+        self.__setstate__(self.__dict__ | {name: np.ascontiguousarray(array) for name, array in made.items()})
+
+    def __setstate__(self, state: dict) -> None:
+        """Arrays are read-only, in a copy too, where NumPy forgets it: kernels are not compiled for a second kind."""
+        self.__dict__.update(state)
+        for value in state.values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+
+    @classmethod
+    def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> "Cell":
+        """A cell from one length, three lengths or a (3, 3) array of rows; by default pbc is True where one is given.
+        Raises ValueError if the shape is wrong, a number is masked, complex or not finite, pbc is neither one bool nor
+        three, a periodic direction has no vector, or the periodic vectors are linearly dependent."""
+        matrix = _as_matrix(vectors)
+        return cls(matrix, np.any(matrix != 0.0, axis=1) if pbc is None else _as_flags(pbc))
+
+    @classmethod
+    def of_reduction(cls, vectors: Array, reduction: NDArray[np.int64]) -> "Cell":
+        """A cell periodic in all directions whose reduced lattice is known: reduction @ vectors."""
+        cell = object.__new__(cls)
+        cell.__dict__.update(vectors=np.array(vectors), pbc=np.ones(3, dtype=bool))
+        cell._complete(reduction @ cell.vectors, np.array(reduction))
+        return cell
+
+    def strained(self, vectors: Array) -> "Cell":
+        """The cell after a small change of its vectors, all periodic; the reduction stays the same while it is one."""
+        cell = Cell.of_reduction(vectors, self.reduction)
+        length2, combined = (cell.lattice**2).sum(axis=1), ((COMBINED @ cell.lattice) ** 2).sum(axis=1)
+        is_reduced = (combined[:, None] >= SHORTER * length2)[COMBINED != 0].all()
+        return cell if is_reduced else Cell(vectors, self.pbc)
+
+    def __repr__(self) -> str:
+        return f"Cell({self.vectors.tolist()}, pbc={self.pbc.tolist()})"
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        if not (self.is_periodic or self.vectors.any()):
+            return [("cell", "none")]
+        words = (
+            as_text(tuple(row)) + ", open" * (not pbc) for row, pbc in zip(self.vectors.tolist(), self.pbc, strict=True)
+        )
+        rows = [*zip(("cell a", "b", "c"), words, strict=True)]
+        return rows if self.volume is None else [*rows, ("volume", f"{self.volume:.10g}")]
+
+    @property
+    def is_periodic(self) -> bool:
+        """True if any direction repeats."""
+        return bool(self.pbc.any())
+
+    @cached_property
+    def volume(self) -> float | None:
+        """Volume of the cell [length³]; None unless all three directions are periodic."""
+        return float(abs(np.linalg.det(self.vectors))) if self.pbc.all() else None
+
+    @property
+    def safe_distance2(self) -> float:
+        """Squared length below which a vector is certainly its own minimum image: (smallest height/2)² [length²]."""
+        return float((0.5 * self.heights[self.pbc].min()) ** 2) if self.is_periodic else np.inf
+
+    def wrapped(self, positions: Array) -> Array:
+        """Positions moved by lattice vectors into the cell spanned by vectors, where it is periodic; a new array."""
+        full = np.where(self.pbc[:, None], self.vectors, self.lattice)
+        cells = np.floor(positions @ np.linalg.inv(full))
+        return positions - np.where(self.pbc, cells, 0.0) @ full
+
+    def follow(self, cell: "Cell", translations: Array) -> None:
+        """Lattice vectors, (n, 3) or in blocks (n, 3, m), become the same multiples of those of a cell, in place."""
+        follow_lattice(translations, self.vectors, cell.vectors)
+
+    def same_as(self, other: "Cell") -> bool:
+        """True if vectors and periodicity are equal to the last bit."""
+        return self is other or (np.array_equal(self.vectors, other.vectors) and np.array_equal(self.pbc, other.pbc))
+
+
+class Images(ByAddress, namedtuple("Images", "lattice inverse pbc safe_distance2")):
+    """What kernels need to know about a cell to find images: attributes of Cell, the last of them as an array (1,).
+    The arrays stay the same when the scene gets another cell, see take."""
+
+    @classmethod
+    def of(cls, cell: Cell) -> Self:
+        """Those of a cell."""
+        images = cls(np.empty((3, 3)), np.empty((3, 3)), np.empty(3, dtype=np.bool_), np.empty(1))
+        images.take(cell)
+        return images
+
+    def take(self, cell: Cell) -> None:
+        """Those of another cell."""
+        for name, array in zip(self._fields, self, strict=True):
+            array[:] = getattr(cell, name)
+
+
+@scalar
+def minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2):
+    """Integers (a, b, c) for which d + (a, b, c) · lattice is shortest. A vector shorter than half the smallest height
+    is its own minimum image. Otherwise the fractional coordinates are rounded. A result as short as that is right; a
+    longer one is compared with its 26 neighbors, which suffices in a reduced lattice."""
+    if dx * dx + dy * dy + dz * dz <= safe_distance2:
+        return 0.0, 0.0, 0.0
+    a = -np.rint(dx * inverse[0, 0] + dy * inverse[1, 0] + dz * inverse[2, 0]) if pbc[0] else 0.0
+    b = -np.rint(dx * inverse[0, 1] + dy * inverse[1, 1] + dz * inverse[2, 1]) if pbc[1] else 0.0
+    c = -np.rint(dx * inverse[0, 2] + dy * inverse[1, 2] + dz * inverse[2, 2]) if pbc[2] else 0.0
+    shortest2 = _length2(dx, dy, dz, a, b, c, lattice)
+    if shortest2 <= safe_distance2:
+        return a, b, c
+    best = (a, b, c)
+    for i in range(-int(pbc[0]), int(pbc[0]) + 1):
+        for j in range(-int(pbc[1]), int(pbc[1]) + 1):
+            for k in range(-int(pbc[2]), int(pbc[2]) + 1):
+                length2 = _length2(dx, dy, dz, a + i, b + j, c + k, lattice)
+                if length2 < shortest2:
+                    shortest2 = length2
+                    best = (a + i, b + j, c + k)
+    return best
+
+
+@scalar
+def _length2(dx, dy, dz, a, b, c, lattice):
+    x = dx + a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0]
+    y = dy + a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1]
+    z = dz + a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
+    return x * x + y * y + z * z
+
+
+@kernel
+def minimum_image_translations(positions, first, second, lattice, inverse, pbc, safe_distance2, translations):
+    """translations[p] = the lattice vector that makes r_j − r_i + translation shortest, for fixed pairs (i, j)
+    = (first, second)[p].
+    positions : (N, 3) [length].  first, second : (P,) int.
+    translations : (P, 3) [length], lattice vectors, such as zeros or the previous ones;
+        kept where they are still certainly right."""
+    for p in range(np.uintp(first.size)):  # unsigned: no check for indices that count from the end
+        i, j = np.uintp(first[p]), np.uintp(second[p])
+        dx = positions[j, 0] - positions[i, 0]
+        dy = positions[j, 1] - positions[i, 1]
+        dz = positions[j, 2] - positions[i, 2]
+        x, y, z = dx + translations[p, 0], dy + translations[p, 1], dz + translations[p, 2]
+        if x * x + y * y + z * z <= safe_distance2:
+            continue
+        a, b, c = minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2)
+        for k in range(3):
+            translations[p, k] = a * lattice[0, k] + b * lattice[1, k] + c * lattice[2, k]
+
+
+def nearest_images(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> Array:
+    """(K, 3) lattice vectors [length] that make r_j − r_i of each pair shortest."""
+    translations = np.zeros((len(pairs), 3))
+    if cell.is_periodic:
+        first, second = np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
+        lattice = cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2
+        minimum_image_translations(positions, first, second, *lattice, translations)
+    return translations
+
+
+def nearest_vectors(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> Array:
+    """(K, 3) r_j − r_i of each pair, to the nearest image [length]."""
+    return positions[pairs[:, 1]] - positions[pairs[:, 0]] + nearest_images(positions, cell, pairs)
+
+
+def images_of_length(positions: Array, cell: Cell, pairs: NDArray[np.int64], lengths: Array) -> Array:
+    """(K, 3) lattice vectors [length] for which |r_j − r_i| of each pair is closest to its length. Up to half the cell
+    these are the nearest images. Raises ValueError for a length that reaches over more than MOST_IMAGES."""
+    translations = nearest_images(positions, cell, pairs)
+    for k in np.flatnonzero(lengths**2 >= cell.safe_distance2):
+        nearest = positions[pairs[k, 1]] - positions[pairs[k, 0]] + translations[k]
+        reach = np.where(cell.pbc, (lengths[k] + np.linalg.norm(nearest)) // cell.heights + 1, 0)
+        n_images = np.prod(2.0 * reach + 1.0)
+        if n_images > MOST_IMAGES:
+            given = f"lengths[{k}] = {lengths[k]:g} reaches over {n_images:.1e} images of the cell"
+            height = f"which is only {cell.heights[cell.pbc].min():.3g} high"
+            raise ValueError(f"{given}, {height}; at most {MOST_IMAGES} images are possible: reduce the length")
+        steps = np.meshgrid(*(np.arange(-n, n + 1) for n in reach), indexing="ij")
+        others = np.stack(steps, axis=-1).reshape(-1, 3) @ cell.lattice
+        translations[k] += others[np.argmin(np.abs(np.linalg.norm(nearest + others, axis=1) - lengths[k]))]
+    return translations
+
+
+def _as_matrix(vectors: ArrayLike | None) -> Array:
+    if vectors is None:
+        return np.zeros((3, 3))
+    if isinstance(vectors, list | tuple) and any(one is None for one in vectors):
+        raise ValueError(f"cell must hold numbers; cell = {shown(vectors)}: {OPEN}")
+    wanted = "one length, three lengths or a (3, 3) array of rows"
+    array = checked_numbers("cell", vectors, wanted)
+    if array.ndim == 0 or array.shape == (3,):
+        if (array < 0.0).any():
+            raise ValueError(f"lengths of a cell must not be negative; cell = {array.tolist()}")
+        array = np.diag(np.broadcast_to(array, 3)).copy()
+    if array.shape != (3, 3):
+        raise ValueError(f"cell must be {wanted}; its shape is {array.shape}: {OPEN}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"cell must be finite; cell = {array.tolist()}: {OPEN}")
+    return array
+
+
+def _as_flags(pbc: ArrayLike) -> NDArray[np.bool_]:
+    """(3,) bool; 0 and 1 count as bools."""
+    array = checked_array("pbc", pbc, "one bool or three", "bi")
+    if array.shape not in ((), (3,)) or not np.isin(array, (0, 1)).all():
+        raise ValueError(f"pbc must be one bool or three; pbc = {shown(pbc)}")
+    return np.array(np.broadcast_to(array.astype(bool), 3))
+
+
+def _check_independent(vectors: Array, pbc: NDArray[np.bool_]) -> None:
+    given = vectors.any(axis=1)
+    for k in np.flatnonzero(pbc & ~given):
+        leave = f"leave it open: pbc={tuple((pbc & given).tolist())}"
+        raise ValueError(f"pbc[{k}] is True but cell[{k}] is zero; give a lattice vector there, or {leave}")
+    rows = vectors[pbc]
+    if rows.size == 0:
+        return
+    largest = np.abs(rows).max(axis=1)
+    if largest.min() < SMALLEST or largest.max() > LARGEST:
+        wanted = f"between {SMALLEST:g} and {LARGEST:g} long"
+        raise ValueError(f"lattice vectors must be {wanted}; take other units: they are {rows.tolist()}")
+    if EPS * largest.max() > largest.min():
+        most = f"a factor of {1.0 / EPS:.1g}"
+        raise ValueError(f"lengths of lattice vectors must not differ by more than {most}; they are {rows.tolist()}")
+    unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    if np.linalg.svd(unit, compute_uv=False).min() < FLAT:
+        raise ValueError(f"the periodic lattice vectors must be linearly independent; they are {rows.tolist()}: {OPEN}")
+
+
+def _reduced(vectors: Array, pbc: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int64]]:
+    """Minkowski-reduced periodic rows, completed to three dimensions; and the integers that make them from vectors."""
+    periodic = np.flatnonzero(pbc)
+    steps = np.eye(len(periodic), dtype=np.int64)
+    while (shorter := _shorter(steps, vectors[periodic])) is not None:
+        steps[shorter[0]] = shorter[1]
+    lattice, reduction = np.zeros((3, 3)), np.zeros((3, 3), dtype=np.int64)
+    reduction[np.ix_(periodic, periodic)] = steps
+    lattice[periodic] = steps @ vectors[periodic]
+    if len(periodic) < 3:  # open rows: unit vectors perpendicular to the periodic ones and to each other
+        directions = np.linalg.svd(lattice[pbc])[2] if len(periodic) else np.eye(3)
+        lattice[~pbc] = directions[len(periodic) :]
+    return lattice, reduction
+
+
+def _shorter(steps: NDArray[np.int64], rows: Array) -> tuple[int, NDArray[np.int64]] | None:
+    """Which vector of steps @ rows can be replaced by a shorter one of the same lattice, and its steps; or None.
+    Candidates: the vector plus multiples of the others, once the rounded projection (Gauss), then all of −1, 0, 1
+    (Minkowski's conditions)."""
+    current = steps @ rows
+    length2 = (current**2).sum(axis=1)
+    for i in np.argsort(-length2).tolist():
+        near, gauss = [steps[i].copy()], []
+        for j in (j for j in range(len(steps)) if j != i):
+            gauss.append(steps[i] - int(np.rint(current[i] @ current[j] / length2[j])) * steps[j])
+            near = [step + a * steps[j] for step in near for a in (-1, 0, 1)]
+        for candidate in gauss + near:
+            if ((candidate @ rows) ** 2).sum() < SHORTER * length2[i]:
+                return i, candidate
+    return None

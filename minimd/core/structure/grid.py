@@ -1,0 +1,141 @@
+"""The grid of fixed-point dynamics: the steps of which positions, momenta and energies are whole multiples."""
+
+from dataclasses import dataclass
+from math import frexp, isfinite, ldexp, log2
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from minimd.core.compiled.fixed_point import FARTHEST, MOST, Steps
+from minimd.core.console.display import Displayed, Rows
+from minimd.core.console.words import shown
+from minimd.core.structure.cell import Cell
+from minimd.core.structure.errors import RangeError
+from minimd.core.structure.observables import Array, largest_component
+from minimd.core.structure.system import System
+
+TRAVEL, FAR_TRAVEL = 64.0, 4096.0  # times the size of the scene: how far atoms can go; in scenes with an open direction
+FASTER = 8.0  # times the momentum of the fastest atom, or of one that falls into DEEP wells: how fast atoms can become
+DEEP = 10.0
+ENERGY_ROOM = 4.0  # times the energy of all atoms
+TOO_LARGE = (
+    "the force between two atoms is beyond the range of fixed-point numbers: they are too close to each other; "
+    "take a shorter time step, or give grid=minimd.Grid(...) with a larger step of momentum"
+)
+NO_SIGN = 0.0  # added to turn −0 into 0
+SLOW = 1e-3  # of the scene in a step, if nothing shows how fast atoms are
+
+
+@dataclass(frozen=True, repr=False)
+class Grid(Displayed):
+    """The steps of fixed-point dynamics, powers of two.
+
+    length : of positions and lattice vectors [length]; they reach to 2⁵² steps.
+    momentum : of momenta, and of the impulse F Δt of each pair [mass length/time]; they reach to 2⁵⁰ steps.
+    energy : of the energies and virials of pairs [energy]; sums reach to 2⁵² steps.
+
+    Positions r and velocities v = p/m are float64; on a grid they stand for whole numbers of steps: r/length is exact,
+    and rounding m v/momentum gives the whole number from which v was made.
+
+    Raises ValueError for a step that is not a positive power of two."""
+
+    length: float
+    momentum: float
+    energy: float
+
+    def __post_init__(self) -> None:
+        for name, step in vars(self).items():
+            if not (isinstance(step, float) and isfinite(step) and step > 0.0 and frexp(step)[0] == 0.5):
+                wanted = f"the step of {name} of a Grid must be a power of two, such as 2.0**-40"
+                raise ValueError(f"{wanted}; {name} = {shown(step)}")
+
+    def __repr__(self) -> str:
+        return "Grid(" + ", ".join(f"{name}=2.0**{log2(step):.0f}" for name, step in vars(self).items()) + ")"
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        return [(f"step of {name}", f"2^{log2(step):.0f}") for name, step in vars(self).items()]
+
+    @classmethod
+    def of_scene(cls, system: System, timestep: float, depth: float) -> "Grid":
+        """Steps that leave room for the motion of this scene, and round as little as they can. timestep : [time].
+        depth : of the deepest well of a pair [energy]."""
+        cell = system.cell
+        longest = float(np.linalg.norm(cell.vectors[cell.pbc], axis=1).max(initial=0.0))
+        size = max(largest_component(system.positions), float(np.ptp(system.positions, axis=0).max()), longest)
+        heaviest, lightest, timestep = float(system.masses.max()), float(system.masses.min()), abs(timestep)
+        fastest = float(np.abs(system.masses[:, None] * system.velocities).max())
+        momentum = max(fastest, (2.0 * heaviest * DEEP * depth) ** 0.5) or heaviest * SLOW * (size or 1.0) / timestep
+        energy = len(system) * (DEEP * depth + momentum**2 / lightest)
+        reach = (size or momentum * timestep / lightest) * (TRAVEL if cell.pbc.all() else FAR_TRAVEL)
+        length = _power_of_two(reach) / FARTHEST
+        return cls(length, _power_of_two(momentum * FASTER) / MOST, _power_of_two(energy * ENERGY_ROOM) / FARTHEST)
+
+    def has_room_for(self, system: System) -> bool:
+        """Whether positions and momenta of a system are in the inner half of the range."""
+        momenta = system.masses[:, None] * system.velocities
+        is_near = largest_component(system.positions) <= 0.5 * FARTHEST * self.length
+        return is_near and largest_component(momenta) <= 0.5 * MOST * self.momentum
+
+    def widened(self, other: "Grid") -> "Grid":
+        """The larger steps of two grids."""
+        return Grid(max(self.length, other.length), max(self.momentum, other.momentum), max(self.energy, other.energy))
+
+    def take(self, system: System, inverse_masses: Array) -> None:
+        """Round positions, lattice vectors and momenta of a system to the grid, in place.
+        inverse_masses : (N,), zero for fixed atoms.  Raises RangeError if one of them is beyond its range."""
+        vectors = np.rint(system.cell.vectors / self.length) * self.length
+        if not np.array_equal(vectors, system.cell.vectors):
+            system.cell = Cell(vectors, system.cell.pbc)
+        self.take_positions(system.positions)
+        self.take_velocities(system.velocities, inverse_masses)
+        self.check_positions(system.positions)
+        self.check_momenta(system.velocities, inverse_masses)
+
+    def take_positions(self, positions: Array) -> None:
+        """Round positions (N, 3) to the grid, in place."""
+        positions[:] = np.rint(positions / self.length) * self.length + NO_SIGN
+
+    def take_velocities(self, velocities: Array, inverse_masses: Array) -> None:
+        """Round velocities (N, 3) to those of whole momenta, in place."""
+        velocities[:] = self.velocities(self.momenta(velocities, inverse_masses), inverse_masses)
+
+    def velocities(self, momenta: Array, inverse_masses: Array) -> Array:
+        """Velocities (N, 3) of momenta in steps."""
+        return momenta * (self.momentum * inverse_masses)[:, None]
+
+    def momenta(self, velocities: Array, inverse_masses: Array) -> Array:
+        """Momenta in steps, whole numbers (N, 3), of velocities (N, 3); zero for fixed atoms."""
+        steps = (self.momentum * inverse_masses)[:, None]
+        return np.rint(np.divide(velocities, steps, out=np.zeros_like(velocities), where=steps > 0.0)) + NO_SIGN
+
+    def check_momenta(self, velocities: Array, inverse_masses: Array) -> None:
+        """Raise RangeError if a momentum is beyond the range of the grid."""
+        momenta = self.momenta(velocities, inverse_masses)
+        if not largest_component(momenta) <= MOST:
+            atom = int(np.argmax(np.abs(momenta).max(axis=1)))
+            largest, most = np.abs(momenta).max() * self.momentum, MOST * self.momentum
+            hint = f"grid=minimd.Grid(...) with a larger step of momentum than {self.momentum:.3g}"
+            told = f"the momentum of atom {atom} is {largest:.3g}"
+            raise RangeError(f"{told}, beyond the range of fixed-point numbers, {most:.3g}: give {hint}")
+
+    def check_positions(self, positions: Array) -> None:
+        """Raise RangeError if a position is beyond the range of the grid."""
+        if not largest_component(positions) <= FARTHEST * self.length:
+            atom = int(np.argmax(np.abs(positions).max(axis=1)))
+            largest, most = np.abs(positions).max(), FARTHEST * self.length
+            wrap = "simulation.positions[:] = simulation.system.cell.wrapped(simulation.positions)"
+            hint = f"grid=minimd.Grid(...) with a larger step of length than {self.length:.3g}"
+            told = f"atom {atom} is {largest:.3g} from the origin, beyond the range of fixed-point numbers, {most:.3g}"
+            raise RangeError(f"{told}: give {hint}; or, in a periodic cell, wrap the positions: {wrap}")
+
+
+def steps_of(grid: Grid, units: ArrayLike) -> Steps:
+    """Steps for a kernel.  units : the time over which impulses are computed [time]."""
+    return Steps(np.asarray(units) / grid.momentum, grid.length, grid.momentum, grid.energy, 0.0)
+
+
+def _power_of_two(x: float) -> float:
+    """The smallest power of two that is not below x > 0."""
+    mantissa, exponent = frexp(x)
+    return ldexp(1.0, exponent - 1 if mantissa == 0.5 else exponent)

@@ -1,0 +1,139 @@
+"""Means of correlated series, and their uncertainty. Every error bar of minimd is computed here."""
+
+from collections.abc import Callable
+from functools import cache
+from math import floor, isfinite, log10
+from typing import Any
+
+import numpy as np
+
+from minimd.core.structure.vectors import Array
+
+Weighted = Callable[[int], list[tuple[float, Array]]]
+FEW = 4  # entries or blocks: from fewer, no error can be estimated
+MOST_BLOCKS = 32  # at this number, blocks are joined in pairs: a long run always has 16 to 31
+# of slow correlations, in parts of the run and of the variance of the mean
+TIMES, SHARES = (0.02, 0.05, 0.12, 0.3), (0.7, 0.9, 0.97, 1.0)
+NONE = 0.8  # weight of no correlation; the weights of the 16 correlations add up to the rest
+# parts of a random walk in the variance of the mean of its steps, and their weights
+WALKS = {0.0: 1.0, 0.3: 1.0, 0.6: 1.0, 0.9: 1.0, 1.0: 3.0}
+
+
+def mean_and_error(series: Any) -> tuple[float, float]:
+    """Mean of a correlated series, and the standard error of the mean from its averages over 16 to 31 blocks;
+    NaN for fewer than 4 entries."""
+    values = np.asarray(series, dtype=np.float64)
+    if len(values) < FEW:
+        return float(values.mean()) if len(values) else np.nan, np.nan
+    mean, length = float(values.mean()), len(values) // MOST_BLOCKS + 1
+    # without the mean, whose rounding would hide them
+    blocks = (values - mean)[: len(values) // length * length].reshape(-1, length).mean(axis=1)
+    return mean, float(standard_error(blocks))
+
+
+def standard_error(parts: Array, weighted: Weighted | None = None) -> Array:
+    """The standard error of the mean of K numbers (K, ...), each from the same length of a run, that may be correlated;
+    (...).
+
+        C_ab ∝ w Λ_ab(τ) + (1 − w) δ_ab             Λ: of averages of a process with correlations e^(−t/τ), Σ_b Λ_ab → 1
+        q = xᵀ(C⁻¹ − C⁻¹1 1ᵀC⁻¹/1ᵀC⁻¹1) x / (K − 1)   xᵀx/(K − 1) of deviations x from the mean, if uncorrelated
+        L = (|C| 1ᵀC⁻¹1 q^(K−1))^(−1/2)                                         likelihood of C, whatever mean and scale
+        error = Σ p L √(q 1ᵀC1)/K / Σ p L                                       p: weight of C
+
+    The sums are over covariances C that few numbers can just tell from each other: w = 0, and those of TIMES and
+    SHARES. Correlations that last longer than a sixth of a run are seen in part only: the error is too small then.
+    0 for equal numbers, NaN for fewer than 4.
+    weighted : other covariances and their weights, see correlated and wandering.
+
+    H. D. Patterson, R. Thompson, Biometrika 58, 545 (1971), on L; J. A. Hoeting, D. Madigan, A. E. Raftery, C. T.
+    Volinsky, Statist. Sci. 14, 382 (1999), on averages over models."""
+    n = len(parts)
+    if n < FEW:
+        return np.full(parts.shape[1:], np.nan)
+    logs, variances, forms = (np.array(one) for one in zip(*_forms(weighted or correlated, n), strict=True))
+    with np.errstate(all="ignore"):
+        rest = (parts - parts[0]).reshape(n, -1)  # equal numbers give 0, whatever the rounding of their mean
+        rest -= rest.mean(axis=0)
+        size = np.abs(rest).max(axis=0)
+        x = rest / size
+        q = np.array([((form @ x) * x).sum(axis=0) for form in forms]) / (n - 1.0)
+        log_weights = logs[:, None] - 0.5 * (n - 1.0) * np.log(q)
+        weights = np.exp(log_weights - log_weights.max(axis=0))
+        found = size * (weights * np.sqrt(variances[:, None] * q)).sum(axis=0) / weights.sum(axis=0)
+    return np.where(size == 0.0, 0.0, found).reshape(parts.shape[1:])
+
+
+def correlated(n: int) -> list[tuple[float, Array]]:
+    """Weights p and covariances C, (n, n), of averages that nothing, or a correlation e^(−t/τ), ties to each other;
+    see standard_error."""
+    lags, each = np.abs(np.subtract.outer(np.arange(n), np.arange(n))), (1.0 - NONE) / (len(TIMES) * len(SHARES))
+    found = [(NONE, np.eye(n))]
+    for time in n * np.array(TIMES):
+        ratio = np.exp(-1.0 / time)
+        slow = np.where(lags == 0, 1.0 - time * (1.0 - ratio), 0.5 * time * (1.0 - ratio) ** 2 * ratio ** (lags - 1.0))
+        found += [(each, share * slow + (1.0 - share) * np.eye(n)) for share in SHARES]
+    return found
+
+
+def wandering(n: int) -> list[tuple[float, Array]]:
+    """Weights and covariances, (n, n), of steps between averages of a random walk with noise; see WALKS."""
+    beside = np.eye(n, k=1) + np.eye(n, k=-1)
+    walk, noise = np.eye(n) + 0.25 * beside, 2.0 * np.eye(n) - beside
+    return [(weight, part * walk / walk.sum() + (1.0 - part) * noise / noise.sum()) for part, weight in WALKS.items()]
+
+
+@cache
+def _forms(weighted: Weighted, n: int) -> list[tuple[float, float, Array]]:
+    """For each C: log p (|C| 1ᵀC⁻¹1)^(−1/2), 1ᵀC1/n², and the matrix of (n − 1) q, (n, n); see standard_error."""
+    found = []
+    for weight, covariance in weighted(n):
+        inverse = np.linalg.inv(covariance)
+        sums = inverse.sum(axis=0)
+        log = np.log(weight) - 0.5 * (np.linalg.slogdet(covariance)[1] + np.log(sums.sum()))
+        found.append((float(log), float(covariance.sum()) / n**2, inverse - np.outer(sums, sums) / sums.sum()))
+    return found
+
+
+def independent(rest: Array) -> float:
+    """How many of n correlated numbers are independent: n (1 − ρ)/(1 + ρ), with the correlation ρ of neighbors.
+    rest : (n,), their distances from a straight line, whose fit makes ρ too small by (2 + 4ρ)/n; this is corrected.
+    M. G. Kendall, Biometrika 41, 403 (1954), on the bias."""
+    square, n = float(rest @ rest), len(rest)
+    alike = float(rest[1:] @ rest[:-1]) / square if square > 0.0 else 0.0
+    alike = min(max(0.0, alike + (2.0 + 4.0 * alike) / n), 1.0 - 1.0 / n)
+    return n * (1.0 - alike) / (1.0 + alike)
+
+
+def statistical_inefficiency(series: Any) -> float:
+    """How many entries of a correlated series count as one independent entry: g = T error² / σ²; NaN if the error is,
+    1 for a constant series."""
+    values = np.asarray(series, dtype=np.float64)
+    error, variance = mean_and_error(values)[1], float(values.var(ddof=1)) if len(values) > 1 else 0.0
+    return len(values) * error**2 / variance if variance > 0.0 else 1.0
+
+
+def block_means(series: Array, blocks: int) -> Array:
+    """Averages over the given number of blocks of a series, as equal as its length allows."""
+    return np.array([part.mean() for part in np.array_split(series, blocks)])
+
+
+def replicas(estimate: Callable[[Array], Any], total: Array, parts: Array) -> Array:
+    """Estimates from the sums over a run without one of its blocks, (K, ...), for each of K blocks; see spread.
+    estimate : function of sums (n,), linear or not; returns a number or an array.  total : (n,).  parts : (K, n),
+        of blocks of equal length.
+    This is the jackknife: B. Efron, C. Stein, Ann. Statist. 9, 586 (1981)."""
+    return np.array([estimate(total - part) for part in parts], dtype=np.float64)
+
+
+def spread(without: Array) -> Array:
+    """The standard error that follows from replicas f_k in the order of time, (K, ...): that of the mean of (K − 1)
+    f_k."""
+    return standard_error((len(without) - 1.0) * without)
+
+
+def with_error(mean: float, error: float) -> str:
+    """A mean with two digits of its error, as 1.234 ± 0.056."""
+    if not (isfinite(error) and error > 0.0 and isfinite(mean)):
+        return f"{mean:.6g}"
+    digits = max(0, 1 - floor(log10(error)))
+    return f"{mean:.{digits}f} ± {error:.{digits}f}" if digits < 12 else f"{mean:.12g} ± {error:.1e}"

@@ -1,0 +1,302 @@
+"""The state of a scene: checked once, here, and trusted everywhere afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from minimd.core.compiled.machine import EPS
+from minimd.core.console.display import Displayed, Rows
+from minimd.core.console.words import listed, shown
+from minimd.core.structure import units as unit_systems
+from minimd.core.structure.bond_graph import GROUPS, checked_groups, checked_pairs
+from minimd.core.structure.cell import Cell
+from minimd.core.structure.checks import LARGEST, MOST_ATOMS, check_rows, checked_numbers, checked_sizes
+from minimd.core.structure.constraints import Constraint
+from minimd.core.structure.observables import largest_component
+from minimd.core.structure.units import UnitSystem
+
+if TYPE_CHECKING:
+    import ase
+    import MDAnalysis
+
+AnySystem: TypeAlias = "System | ase.Atoms"
+READ_ONLY = ("masses", "charges", "species_names", "species_index", *GROUPS, "units")
+MOST_BINS = 2**20  # along a lattice vector: their numbers are int64
+RESOLVED = 1e-6  # of a length: the largest rounding error of separations that is allowed
+NEUTRAL = 1e-9  # net charge, relative to the sum of all sizes: below it is rounding
+
+
+class System(Displayed):
+    """N atoms: positions, velocities, masses, species, cell, bonds, angles, dihedrals and impropers.
+
+    Parameters
+    ----------
+    positions : (N, 3) [length]. Never wrapped into the cell, here or later.
+    masses : (N,) or one number [mass]; 1 in reduced units if not given.
+    charges : (N,) [e], or one for each species by its label; zero if not given. Coulomb makes forces of them.
+    velocities : (N, 3) [length/time]; zero if not given.
+    cell : one length, three lengths, or (3, 3) rows = lattice vectors [length]; None for no cell.
+    pbc : one bool or three; by default True where a lattice vector is given.
+    species : N labels (str or int), or one str for all atoms, as "Ar"; all alike if not given.
+    bonds : (B, 2) int, pairs of bonded atoms.  angles : (A, 3) int, triples of atoms with an angle at the second one.
+    dihedrals, impropers : (D, 4), (I, 4) int, quadruples of atoms with an angle between
+        the planes through the first and the last three.
+    units : minimd.units.LJ (reduced, default) or minimd.units.ASE (eV, Å, u).
+    constraints : DistanceConstraints and FixedAtoms that a Simulation keeps unless it is given others.
+
+    Attributes
+    ----------
+    The same names hold the checked arrays, in float64 and in the order in which the atoms were given. Positions and
+    velocities may be changed in place, cell may be replaced, the others are read-only. species_names is the tuple of
+    distinct labels, species_index (N,) the index of each atom's label in it.
+
+    Raises
+    ------
+    ValueError : if a shape does not fit, a number is masked, complex, a bool or not finite, a mass is not positive, a
+        bond, an angle or a dihedral names a missing atom, one atom twice or one pair twice, or a periodic direction has
+        no lattice vector. TypeError : for units or constraints of another kind.
+    """
+
+    def __init__(self, positions: ArrayLike, *, masses: ArrayLike | None = None, velocities: ArrayLike | None = None,
+                 cell: ArrayLike | Cell | None = None, pbc: ArrayLike | None = None,
+                 species: str | Sequence[str] | Sequence[int] | NDArray | None = None, bonds: ArrayLike | None = None,
+                 angles: ArrayLike | None = None, dihedrals: ArrayLike | None = None,
+                 impropers: ArrayLike | None = None, units: UnitSystem = unit_systems.LJ,
+                 constraints: Sequence[Constraint] = (),
+                 charges: ArrayLike | Mapping[Any, float] | None = None) -> None:  # fmt: skip
+        if not isinstance(units, UnitSystem):
+            raise TypeError(f"units must be minimd.units.LJ or minimd.units.ASE; units = {shown(units)}")
+        if not isinstance(constraints, list | tuple) or not all(isinstance(one, Constraint) for one in constraints):
+            wanted = "a list of DistanceConstraints and FixedAtoms"
+            raise TypeError(f"constraints of a System must be {wanted}; got {shown(constraints)}")
+        if masses is None and units is not unit_systems.LJ:
+            raise ValueError(f"masses are missing: give one number or one per atom; {units.name} units have no default")
+        if isinstance(cell, Cell) and pbc is not None:
+            whereas = "give pbc to System only together with lattice vectors"
+            raise ValueError(f"pbc is part of the Cell given: Cell.of(vectors, pbc); {whereas}")
+        self.units, self.constraints, self.positions = units, tuple(constraints), _vectors("positions", positions)
+        n_atoms = len(self.positions)
+        self.masses = checked_sizes("masses", 1.0 if masses is None else masses, n_atoms, "atom")
+        at_rest = np.zeros((n_atoms, 3))
+        self.velocities = at_rest if velocities is None else _vectors("velocities", velocities, n_atoms)
+        self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
+        self.species_names, self.species_index = _species(species, n_atoms)
+        self.charges = _charges(charges, self.species_names, self.species_index)
+        self.bonds = checked_pairs("bonds", bonds, n_atoms)
+        self.angles = checked_groups("angles", angles, GROUPS["angles"], n_atoms)
+        self.dihedrals = checked_groups("dihedrals", dihedrals, GROUPS["dihedrals"], n_atoms)
+        self.impropers = checked_groups("impropers", impropers, GROUPS["impropers"], n_atoms)
+        self.__setstate__({})
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """What may not be changed is read-only, in a copy too, where NumPy forgets it."""
+        self.__dict__.update(state)
+        for fixed in (self.masses, self.charges, self.species_index, *self.groups().values()):
+            fixed.setflags(write=False)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """New positions and velocities are copied into the existing arrays, which a running simulation uses.
+        Raises AttributeError for a read-only attribute.  TypeError for a cell that is no Cell."""
+        if name in ("positions", "velocities") and name in self.__dict__:
+            self.__dict__[name][:] = _vectors(name, value, len(self))
+        elif name in READ_ONLY and name in self.__dict__:
+            raise AttributeError(f"{name} of a System cannot be changed; make a new System")
+        elif name == "cell" and not isinstance(value, Cell):
+            raise TypeError(f"the cell of a System can be replaced by a Cell, as Cell.of(10.0); got {shown(value)}")
+        else:
+            super().__setattr__(name, value)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @property
+    def n_atoms(self) -> int:
+        """N, as len(system)."""
+        return len(self)
+
+    def __repr__(self) -> str:
+        names, where = ", ".join(map(str, self.species_names)), f"periodic {self.cell.pbc.tolist()}"
+        joined = ", ".join(f"{len(one)} {name}" for name, one in self.groups().items() if name == "bonds" or len(one))
+        return f"System({len(self)} atoms of {names}; {joined}; {where}; {self.units.name} units)"
+
+    @property
+    def composition(self) -> str:
+        """How many atoms there are of each species, in words."""
+        counts = zip(np.bincount(self.species_index), self.species_names, strict=True)
+        return ", ".join(f"{n} {name}" for n, name in counts)
+
+    def groups(self) -> dict[str, NDArray[np.int64]]:
+        """Bonds, angles, dihedrals and impropers, by these names."""
+        return {name: getattr(self, name) for name in GROUPS}
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        units, rows = self.units, [("atoms", f"{len(self)}: {self.composition}")]
+        for name, words in self.cell.display_rows():
+            told = f"{words} {units.volume}" if name == "volume" else words.replace(")", f") {units.length}")
+            rows.append((name, told))
+        if self.volume is not None:
+            density, is_ase = self.masses.sum() / self.volume, units is unit_systems.ASE
+            in_grams = f"{density / unit_systems.GRAM_PER_CM3:.6g} g/cm³"
+            of_mass = in_grams if is_ase else f"{density:.6g} mass/{units.length}³"
+            rows.append(("density", f"{len(self) / self.volume:.6g} atoms/{units.length}³, {of_mass}"))
+        if self.charges.any():
+            words = f"net charge {self.net_charge:.6g} e, at most {np.abs(self.charges).max():.6g} e on an atom"
+            rows.append(("charges", words))
+        rows += [(name, str(len(one))) for name, one in self.groups().items() if len(one)]
+        rows += [("constraints", ", ".join(map(repr, self.constraints)))] if self.constraints else []
+        return [*rows, ("units", f"{units.name}: {units.length}, {units.energy}, {units.time}")]
+
+    @property
+    def species(self) -> NDArray:
+        """Label of each atom, (N,)."""
+        return np.array(self.species_names)[self.species_index]
+
+    @property
+    def volume(self) -> float | None:
+        """Volume of the cell [length³]; None unless all three directions are periodic."""
+        return self.cell.volume
+
+    @property
+    def net_charge(self) -> float:
+        """The sum of all charges [e]; 0 if it is rounding."""
+        net = float(self.charges.sum())
+        return net if abs(net) > NEUTRAL * float(np.abs(self.charges).sum()) else 0.0
+
+    def copy(self) -> System:
+        """An independent copy."""
+        return changed(self)
+
+    @classmethod
+    def from_ase(cls, atoms: ase.Atoms, bonds: ArrayLike | None = None, angles: ArrayLike | None = None,
+                 dihedrals: ArrayLike | None = None, impropers: ArrayLike | None = None) -> System:  # fmt: skip
+        """A system in ASE's units from an ase.Atoms: see minimd.core.structure.ase_atoms.system_arguments.
+        bonds, angles, dihedrals, impropers : as for System. If bonds is not given, those that ASE read from a file:
+            atoms.arrays["bonds"] and so on; bonds=() for none of them.
+        FixCom sets the total momentum to zero and is then forgotten. To have a Simulation refuse to move the center of
+        mass, give it the atoms themselves."""
+        from minimd.core.structure.ase_atoms import system_arguments
+
+        return cls(**system_arguments(atoms, bonds, angles=angles, dihedrals=dihedrals, impropers=impropers))
+
+    @classmethod
+    def from_mdanalysis(cls, universe: MDAnalysis.Universe | MDAnalysis.AtomGroup, *,
+                        units: UnitSystem = unit_systems.ASE, bonds: ArrayLike | None = None,
+                        angles: ArrayLike | None = None, dihedrals: ArrayLike | None = None,
+                        impropers: ArrayLike | None = None, pbc: ArrayLike | None = None) -> System:  # fmt: skip
+        """A system from the present frame of an MDAnalysis universe, or of a group of its atoms: all that System takes,
+        except constraints. MDAnalysis holds positions, velocities and cell in float32, the cell as lengths and angles.
+        Species are its types.
+
+        Parameters
+        ----------
+        units : minimd.units.ASE, to which Å, Å/ps and u are converted; or minimd.units.LJ, for numbers taken unchanged.
+        bonds, angles, dihedrals, impropers : as for System; those of the universe if not given, () for none.
+        pbc : as for System.
+
+        Raises
+        ------
+        TypeError : for anything but a universe or a group.  ValueError : as System, or if MDAnalysis has no masses.
+        """
+        from minimd.core.structure.mdanalysis_atoms import universe_arguments
+
+        groups = {"bonds": bonds, "angles": angles, "dihedrals": dihedrals, "impropers": impropers}
+        return cls(**universe_arguments(universe, units, groups, pbc))
+
+    def to_ase(self) -> ase.Atoms:
+        """An ase.Atoms with the same positions, momenta, masses, charges, cell, species, bonds and constraints:
+        see minimd.ase.atoms_from_system."""
+        from minimd.core.structure.ase_atoms import atoms_from_system
+
+        return atoms_from_system(self)
+
+
+def changed(system: System, **changes: Any) -> System:
+    """A copy of a system with other arguments."""
+    names = ("positions", "masses", "charges", "velocities", "cell", "species", *GROUPS, "units", "constraints")
+    return System(**{name: getattr(system, name) for name in names} | changes)
+
+
+def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArray[np.float64]:
+    """A fresh contiguous (N, 3) float64 array, or a sentence about what is wrong with it."""
+    array = checked_numbers(name, values, "an (N, 3) array of numbers")
+    if array.ndim != 2 or array.shape[1] != 3 or not 0 < array.shape[0] <= MOST_ATOMS:
+        raise ValueError(f"{name} must be an (N, 3) array with N > 0, at most {MOST_ATOMS}; its shape is {array.shape}")
+    if n_atoms is not None and len(array) != n_atoms:
+        raise ValueError(f"{name} must have one row for each of the {n_atoms} atoms; it has {len(array)}")
+    check_rows(name, "finite", np.isfinite(array).all(axis=1), array)
+    if (largest := largest_component(array)) > LARGEST:
+        raise ValueError(f"{name} must be below {LARGEST:g}; the largest is {largest:g}: take other units")
+    return array
+
+
+def _charges(charges: Any, species_names: tuple, species_index: NDArray[np.int64]) -> NDArray[np.float64]:
+    n_atoms = len(species_index)
+    if charges is None:
+        return np.zeros(n_atoms)
+    if isinstance(charges, Mapping):
+        if set(charges) != set(species_names):
+            wanted = f"must have a number for each species, {listed(species_names)}"
+            raise ValueError(f"charges {wanted}; they have one for {listed(charges)}")
+        by_name = checked_numbers("charges", [charges[name] for name in species_names], "one number for each species")
+        charges = by_name[species_index]
+    checked = checked_numbers("charges", charges, "one number for each atom")
+    if checked.shape != (n_atoms,):
+        raise ValueError(f"charges must be {n_atoms} numbers, one for each atom; their shape is {checked.shape}")
+    check_rows("charges", f"finite and below {LARGEST:g}", np.abs(checked) <= LARGEST, checked)
+    return checked
+
+
+def _species(species: str | Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, NDArray[np.int64]]:
+    wanted = f"species must be {n_atoms} labels, one for each atom, or one str for all"
+    one = np.zeros(n_atoms, dtype=np.int64)  # pages of zeros that nobody writes to need no memory
+    if species is None:
+        return ("X",), one
+    if np.ma.is_masked(species):
+        raise ValueError("species must be labels; some are masked: fill them")
+    if isinstance(species, np.ndarray) and species.shape != (n_atoms,):
+        raise ValueError(f"{wanted}; their shape is {species.shape}")
+    try:
+        labels = np.asarray([species] * n_atoms if isinstance(species, str) else species, dtype=object)
+    except ValueError as error:
+        raise ValueError(f"{wanted}: {error}") from None
+    if labels.shape != (n_atoms,):
+        raise ValueError(f"{wanted}; their shape is {labels.shape}")
+    kinds = (str, int | np.integer)
+    if not any(all(isinstance(label, kind) and not isinstance(label, bool) for label in labels) for kind in kinds):
+        raise ValueError(f"species must be all strings or all whole numbers; they are {shown(labels[:3].tolist())} ...")
+    names, index = np.unique(labels.tolist(), return_inverse=True)
+    if strange := [name for name in names.tolist() if not str(name).isprintable()]:
+        raise ValueError(f"species must be labels of printable characters; one is {shown(strange[0])}")
+    return tuple(names.tolist()), one if len(names) == 1 else index.astype(np.int64)
+
+
+def check_resolution(system: System, length: float, name: str) -> None:
+    """Raise ValueError if separations of atoms have rounding errors of more than RESOLVED of a length.  name :
+    of the length, in words."""
+    farthest = largest_component(system.positions)
+    if EPS * farthest > RESOLVED * length:
+        error, most = f"{EPS * farthest:.1g}, more than a millionth of {name}, {length:.3g}", RESOLVED * length / EPS
+        given = f"the largest is {farthest:.1e}, where rounding moves atoms by {error}"
+        raise ValueError(f"positions must be below {most:.1e} in this scene; {given}: shift them towards the origin")
+
+
+def local_density(positions: NDArray[np.float64], cell: Cell, width: float) -> float:
+    """The density around an atom, in the mean over all atoms, at least N/V [1/length³].
+
+        ρ = Σ n (n − 1) / (N V_b)   over bins of volume V_b with n atoms: −1, because no atom is its own neighbor
+
+    positions : (N, 3) [length].  width : of a bin, or somewhat less than that of it [length].
+    Open directions count as far as there are atoms, or with the width if that is more."""
+    s = np.einsum("ij,jk->ik", positions, cell.inverse)  # not @: see observables
+    s -= np.where(cell.pbc, np.floor(s), s.min(axis=0))
+    extent = np.where(cell.pbc, 1.0, np.maximum(width / cell.heights, s.max(axis=0)))
+    counts = np.clip(np.floor(extent * cell.heights / width), 1, MOST_BINS).astype(np.int64)
+    bins = np.minimum((s / extent * counts).astype(np.int64), counts - 1)
+    n = np.unique((bins[:, 0] * counts[1] + bins[:, 1]) * counts[2] + bins[:, 2], return_counts=True)[1]
+    around = float((n * (n - 1)).sum()) / len(s) * float(counts.prod())
+    return max(len(s), around) / float(abs(np.linalg.det(cell.lattice)) * extent.prod())

@@ -1,1 +1,0 @@
-"""Scene files (TOML), checked by pydantic: what they describe, without running it."""

@@ -1,0 +1,229 @@
+"""Laws of the ensembles: each a row of a table, with its measure in a run, and what a wrong number means."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+from scipy import stats
+from scipy.special import polygamma
+
+from minimd.judge.findings import Law, Measured, nearest
+from minimd.judge.scenes import SOFT, Array, Frames, Scene, joined
+
+LEAST = 0.2  # mean of a measure, for its error
+ACTED, NEVER = 0.2, 1e-6  # of the energy, or the volume, is new at the end of a run, at least; if nothing acts
+
+
+class Seen:
+    """What was seen of a scene.  has : features of the scene.  rate : of false alarms, of each law.  is_still : whether
+    the total momentum is kept at zero.  all : frames of all runs.  pressure : [eV/Å³]."""
+
+    def __init__(self, scene: Scene, runs: list[Frames], is_still: bool, pressure: float, rate: float) -> None:
+        self.scene, self.runs, self.is_still, self.pressure, self.rate = scene, runs, is_still, pressure, rate
+        self.has, self.all, self.kt = {*scene.has.split()}, joined(runs), runs[0].kt
+        self.masses, self.n = self.all.masses, 3 * len(self.all.masses)
+        self.shares = 1.0 - is_still * self.masses / self.masses.sum() - scene.rigid  # <p²/m>/kT of a component
+        self.n_free = round(3.0 * float(self.shares.sum()))
+        # a body at rest whose momenta change with the volume; other than by moves of a Monte Carlo method, some of
+        # which are rejected: those of a barostat that acts every few steps are at regular distances
+        moved = np.diff(self.all.volumes.reshape(len(runs), -1), axis=1) != 0.0
+        gaps = np.concatenate([np.diff(np.flatnonzero(row)) for row in moved])
+        n, has_moves = scene.n_bodies, bool(gaps.size and np.ptp(gaps) > 1)
+        self.n_volume = n + 1 - (is_still and not has_moves)  # P<V>/kT
+        self.excess = self.n_volume - (n - is_still)  # (P<V> − <P_int V>)/kT
+        self.heat = float(self.all.kinetic.sum(axis=1).mean()) / self.n_free
+        self.runs_p2 = (self.all.p**2).mean(axis=(0, 2))
+        self.log_volume = float(np.log(self.all.volumes).mean())
+
+    def over_runs(self, measure: Measure, said: Said, spare: float) -> Measured:
+        """The mean of a measure over the runs, and how far it is off beside its error; of several, the worst. The
+        spread of runs goes with the mean: where the mean is small by chance, the spread is too small."""
+        values = np.array([np.atleast_1d(measure(one, self)) for one in self.runs])
+        means, errors = values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(len(values))
+        quantile = stats.t.isf(0.5 * self.rate / len(means), len(values) - 1)
+        limits = quantile * errors / np.clip(means, LEAST, 1.0) + spare + self.scene.error
+        k = int(np.argmax(np.abs(means - 1.0) / limits))
+        mean, error, limit = float(means[k]), float(errors[k]), float(limits[k])
+        return Measured(mean, (mean - 1.0) / limit, said(means, self), error, limit)
+
+    def acted(self) -> Measured:
+        """How much of the energy, or of the volume, is new at the end of a run."""
+        ends = self.all.ends[:, :, int("volume" in self.has)]
+        found = float(((ends[:, 1] - ends[:, 0]) ** 2).mean()) / max(2.0 * float(ends.var()), 1e-300)
+        few = ": too little to judge; take a shorter relaxation time, or more steps=" * bool(found < ACTED)
+        return Measured(min(found, 1.0), 1.0 if found < NEVER else np.nan if few else 0.0, few)
+
+
+Measure: TypeAlias = Callable[[Frames, Seen], Any]
+Said: TypeAlias = Callable[[Array, Seen], str]
+
+
+def temperature_said(means: Array, seen: Seen) -> str:
+    """What a wrong temperature means."""
+    free, ratio = seen.n_free, float(means[0])
+    table = {
+        0.25: "the noise is half as strong as the friction demands: a momentum needs √(2 γ kT m Δt)",
+        0.5: "the noise is too weak by a factor √2, or the friction acts twice per step",
+        2.0: "the noise is too strong by a factor √2, or the friction acts for half a step only",
+        4.0: "the noise is twice as strong as the friction demands",
+        (free - 3.0) / free: f"{free - 3} degrees of freedom are counted where {free} move: three are subtracted twice",
+    }
+    n_rigid = round(3.0 * float(seen.scene.rigid.sum()))
+    if n_rigid:
+        table[1.0 + n_rigid / free] = (
+            f"{free + n_rigid} degrees of freedom are counted where {free} move: bonds are rigid"
+        )
+    at_rest = ", since the total momentum is kept at zero" if seen.is_still else ""
+    counted = free + 3 * (1 if seen.is_still else -1)
+    table[counted / free] = f"{counted} degrees of freedom are counted where {free} move{at_rest}"
+    return f"the temperature is {ratio:.3f} times what was asked for" + nearest(ratio, table, 0.04)
+
+
+def masses_said(means: Array, seen: Seen) -> str:
+    """What a temperature that depends on the mass means."""
+    masses = np.unique(seen.masses)
+    power = float(np.polyfit(np.log(masses), np.log(np.maximum(means, 1e-9)), 1)[0])
+    each = ", ".join(f"{mean:.2f} ({mass:g} amu)" for mean, mass in zip(means, masses, strict=True))
+    noise = f"; the temperature goes as m^{power:.1f}: momenta need noise as √m, velocities as 1/√m"
+    return f"atoms of different masses have different temperatures, relative to the mean: {each}" + noise * (
+        abs(power) > 0.3
+    )
+
+
+def volume_said(means: Array, seen: Seen) -> str:
+    """What a wrong mean volume means."""
+    n, found = seen.scene.n_bodies, float(means[0]) * seen.n_volume
+    table = {float(k): f"p(V) goes as V^{k - 1} exp(−PV/kT)" for k in (n - 1, n, n + 1)}
+    table |= {2.0 * k: "this is the value of free atoms: is the virial in the pressure?" for k in (n, n + 0.5)}
+    table |= {3.0 * k: "the kinetic energy counts twice in the pressure" for k in (n, n + 1 / 3)}
+    return f"P<V>/kT of {n} molecules is {found:.2f}, not {seen.n_volume}" + nearest(found, table, 0.07)
+
+
+def pressure_said(means: Array, seen: Seen) -> str:
+    """What a wrong balance of the pressures means."""
+    found = (float(means[0]) - 1.0) * seen.n_volume + seen.excess
+    table = {
+        seen.excess - 1.0: "p(V) lacks one power of V: N where N + 1 is right",
+        seen.excess + 1.0: "p(V) has one power of V too many: N + 2 where N + 1 is right",
+        0.0: "the mean pressure is driven to P: add kT/V to P_int − P (in Martyna, Tobias, Klein a factor 1 + 3/N_f "
+        "of the kinetic energy); a Monte Carlo move of ln V needs the power N + 1 of V for N particles, not N",
+    }
+    near = min(table, key=lambda one: abs(found - one))
+    return f"P<V> − <P_int V> is {found:.2f} kT, not {seen.excess} kT" + f": {table[near]}" * (abs(found - near) < 0.3)
+
+
+def spread_said(means: Array, seen: Seen) -> str:
+    """What a wrong fluctuation of the volume means."""
+    why = "the volume is driven toward a pressure, and not drawn from its distribution"
+    if means[0] > 1.0:
+        why = "the volume moves too fast: do momenta shrink as it grows, and is its noise √(2 γ W kT)?"
+    return f"the variance of ln V is {means[0]:.2f} times that of the ensemble: {why}"
+
+
+def kinetic_said(means: Array, seen: Seen) -> str:
+    """What a wrong fluctuation of the kinetic energy means."""
+    why = ": velocities are scaled toward a temperature, and not drawn from its distribution" * bool(means[0] < 1.0)
+    return f"the variance of the kinetic energy is {means[0]:.2f} times the canonical one{why}"
+
+
+def of_masses(run: Frames, seen: Seen) -> Array:
+    """Kinetic temperatures of atoms of each mass, over that of all."""
+    each = run.kinetic.mean(axis=0) / (3.0 * seen.shares * seen.heat)
+    return np.array([each[seen.masses == one].mean() for one in np.unique(seen.masses)])
+
+
+def of_directions(run: Frames, seen: Seen) -> Array:
+    """Kinetic temperatures along x, y and z, over that of all."""
+    energies = (run.p**2 / (seen.kt * seen.masses)[:, None]).mean(axis=0).sum(axis=0)
+    return energies * 3.0 / (seen.heat * seen.n_free)
+
+
+def of_positions(run: Frames, seen: Seen) -> Array:
+    """<|∇U|²>/(kT <∇²U>) of each atom."""
+    curvature = np.mean([seen.scene.calculator.curvature(x) for x in run.x[::4]], axis=0)
+    return (run.f**2).sum(axis=2).mean(axis=0) / (curvature * seen.kt)
+
+
+def of_pairs(run: Frames, seen: Seen) -> float:
+    """1 + the correlation of momenta of different atoms, less that of a body at rest."""
+    u, root = run.p / np.sqrt(seen.heat * seen.kt * seen.masses)[:, None], np.sqrt(seen.masses)
+    pairs = (u.sum(axis=1) ** 2).sum(axis=1).mean() - (u**2).sum(axis=(1, 2)).mean()
+    at_rest = -3.0 * seen.is_still * (root.sum() ** 2 - seen.masses.sum()) / seen.masses.sum()
+    return 1.0 + float(pairs - at_rest) / seen.n
+
+
+def of_noise(run: Frames, seen: Seen) -> float:
+    """1 + the correlation of one change of the total momentum with the next."""
+    jumps = np.diff(run.p.sum(axis=1), axis=0)
+    size = float((jumps**2).sum())
+    if seen.is_still:
+        return 1.0
+    return 1.0 + (float((jumps[1:] * jumps[:-1]).sum()) / size if size > 1e-20 * seen.kt * seen.masses.sum() else 1.0)
+
+
+def of_kinetic(run: Frames, seen: Seen) -> float:
+    """The variance of the kinetic energy over that at its mean."""
+    each, mean = run.kinetic.sum(axis=1), seen.heat * seen.n_free
+    return float(((each - mean) ** 2).mean()) * seen.n_free / (2.0 * mean**2)
+
+
+def of_pressure(run: Frames, seen: Seen) -> float:
+    """1 + P<V> − <P_int V> less its value, in units of P<V>;  P_int V = (2 K + Σ r·F)/3."""
+    d, e, _ = zip(*(seen.scene.calculator.bonds(x) for x in run.x), strict=True)
+    virial = -np.einsum("fbd,fbd,b->f", d, e, seen.scene.calculator.k)
+    inner = (run.kinetic.sum(axis=1) + virial / seen.kt) / 3.0
+    return 1.0 + float((run.volumes * seen.pressure / seen.kt - inner).mean() - seen.excess) / seen.n_volume
+
+
+def row(name: str, words: str, measure: Measure, said: Said, needs: str, spare: float = 0.0) -> Law:
+    """A law of an ensemble.
+
+    words : what is measured.  measure : of a run, a number or one of each group; 1 if the law holds.  said : what other
+    numbers (G,) mean.  spare : what is allowed beside the error, since the distribution of the measure is skew.
+    """
+    told = f"{words}: {{0:.3f}} ± {{3:.3f}} (finds errors of {{4:.1%}})"
+    return Law(name, lambda seen: seen.over_runs(measure, said, spare), 1.0, told, "{2}", needs)
+
+
+BONDS = "lengths, and velocities along bonds, are off by {0:.1e}"
+BONDS_FAULT = "rigid bonds change their lengths, by {0:.1e}"
+# fmt: off
+LAWS = (  # of what a scene has
+    Law("constant volume", lambda seen: float(np.ptp(seen.all.volumes) > 0.0), 0.5, "changed in {0:g} of 1",
+        "the volume changes: give pressure= to have it judged as NPT", "fixed"),
+    Law("the bath acts", Seen.acted, 0.5, "{0:.0%} of the energy is new at the end of a run{2}",
+        "the energy never changes: nothing acts on it", "fixed"),
+    Law("the barostat acts", Seen.acted, 0.5, "{0:.0%} of the volume is new at the end of a run{2}",
+        "the volume never changes: nothing acts on it", "volume"),
+    row("temperature by mass", "that of atoms of one mass over that of all atoms", of_masses, masses_said, "masses"),
+    row("temperature by direction", "that along x, y or z over the mean", of_directions,
+        lambda means, _: f"motion along x, y, z has {', '.join(f'{mean:.2f}' for mean in means)} times the mean "
+        "temperature: do all three get noise and friction?", "ring"),
+    row("temperature", "kinetic energy over its share of kT",
+        lambda run, seen: float(run.kinetic.sum(axis=1).mean()) / seen.n_free, temperature_said, ""),
+    row("temperature of positions", "<|∇U|²>/(kT <∇²U>) of atoms", of_positions, lambda means, _:
+        f"positions of atoms have {means.min():.3f} to {means.max():.3f} times the temperature asked for", "places"),
+    row("fluctuation of the kinetic energy", "its variance over that of the canonical ensemble", of_kinetic,
+        kinetic_said, "spread", 0.05),
+    row("normal momenta", "<u⁴>/3<u²>² of momenta",
+        lambda run, seen: float((run.p**4 / (3.0 * seen.runs_p2**2)[:, None]).mean()),
+        lambda means, _: f"momenta are not normally distributed: <u⁴>/3<u²>² is {means[0]:.3f}", "ring", 0.03),
+    row("independent momenta", "1 + correlation of momenta of different atoms", of_pairs, lambda means, _: "momenta of "
+        f"different atoms are correlated, by {means[0] - 1.0:+.2f}: each atom needs noise of its own", "ring", 0.05),
+    row("new noise", "1 + correlation of a change of the total momentum with the next", of_noise, lambda *_: "the "
+        "noise of one step is that of the step before: is the generator seeded anew in each step?", "ring", 0.3),
+    row("mean volume", "P<V>/kT over its value",
+        lambda run, seen: float(run.volumes.mean()) * seen.pressure / (seen.kt * seen.n_volume), volume_said, "volume"),
+    row("balance of pressures", "1 + the error of P<V> − <P_int V>, over P<V>", of_pressure, pressure_said, "volume"),
+    row("fluctuation of the volume", "the variance of ln V over that of the ensemble", lambda run, seen:
+        float(((np.log(run.volumes) - seen.log_volume) ** 2).mean() / polygamma(1, seen.n_volume)), spread_said,
+        "volume", 0.03),
+    Law("rigid bonds", lambda seen: seen.scene.calculator.softness(seen.all), SOFT, BONDS, BONDS_FAULT, "rigid"),
+    row("energy of the liquid", "over that of NIST", lambda run, seen: float(run.u.mean()) / seen.scene.wanted,
+        lambda means, _: f"the energy of the liquid is {means[0]:.4f} times that of NIST", "liquid"),
+    row("density of the liquid", "V over that of NIST", lambda run, seen: float(run.volumes.mean()) / seen.scene.wanted,
+        lambda means, _: f"the volume of the liquid is {means[0]:.4f} times that of NIST", "pressed"),
+)
+# fmt: on

@@ -1,0 +1,149 @@
+"""The contents of a grade: findings with a tick, a cross or a question mark, the faults in words, and a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from math import isfinite, isnan, log, nan
+from typing import Any, NamedTuple
+
+from minimd.core.console.display import Displayed, Rows
+
+TICKS = {True: "✓", False: "✗", None: "?"}
+EXACT, DENOMINATOR = 2e-6, 24  # coefficients that differ by less are equal; the largest denominator in their fractions
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One law that was tested.
+
+    Attributes
+    ----------
+    name : of the law.  passed : True, False, or None if the reader has to judge.  words : what was measured.
+    value : the measured number, dimensionless unless the words give a unit; NaN if there is none.
+    limit : the largest difference of value from 1 that passes, for laws of dynamics; else NaN.
+    cause : what is wrong in general if the law does not hold.
+    """
+
+    name: str
+    passed: bool | None
+    words: str
+    value: float = nan
+    cause: str = ""
+    limit: float = nan
+
+
+class Measured(NamedTuple):
+    """A number, how far it is off, what is wrong; its statistical error, and the largest difference from 1 that
+    passes."""
+
+    value: float
+    off: float
+    said: str = ""
+    error: float = nan
+    limit: float = nan
+
+
+class Law(NamedTuple):
+    """One law.  measure : of what is judged; a number, or a number, how far it is off, and what else the words need.
+    bound : the law holds if the number is off by less; if that is NaN, the reader has to judge.  words, cause : formats
+    of a Finding.  needs : what must be there."""
+
+    name: str
+    measure: Callable[[Any], Any]
+    bound: float
+    words: str
+    cause: str = ""
+    needs: str = ""
+
+    def finding(self, answer: Any) -> Finding:
+        """The finding from what was measured."""
+        numbers = answer if isinstance(answer, tuple) else (answer, answer)
+        passed = None if isnan(numbers[1]) else bool(abs(numbers[1]) < self.bound)
+        words, cause = self.words.format(*numbers), self.cause.format(*numbers)
+        limit = numbers.limit if isinstance(numbers, Measured) else nan
+        return Finding(self.name, passed, words, float(numbers[0]), cause, limit)
+
+
+def judged(laws: Iterable[Law], one: Any) -> list[Finding]:
+    """The findings of the laws of which all needs are in one.has."""
+    return [law.finding(law.measure(one)) for law in laws if one.has >= {*law.needs.split()}]
+
+
+def causes(findings: Iterable[Finding]) -> list[str]:
+    """The causes of laws that do not hold."""
+    return [one.cause for one in findings if one.passed is False and one.cause]
+
+
+@dataclass(frozen=True)
+class Grade(Displayed):
+    """The laws that a student's function obeys and those that it does not, with the reasons. print() shows a table.
+
+    Attributes
+    ----------
+    function : how it was called.  findings : the laws that were tested, each with the measured number.
+    faults : what is wrong, one sentence each, the most important first; empty if nothing was found.
+    method : name of the method or law that was recognized; empty if none was.
+    """
+
+    function: str
+    findings: tuple[Finding, ...] = ()
+    faults: tuple[str, ...] = ()
+    method: str = ""
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether every tested law holds and no fault was found."""
+        return not self.faults and all(finding.passed is not False for finding in self.findings)
+
+    def __iter__(self) -> Iterator[Finding]:
+        """The findings, in their order."""
+        return iter(self.findings)
+
+    def __getitem__(self, name: str) -> Finding:
+        """The finding of a law, such as grade["order"].  Raises KeyError with the names that exist."""
+        by_name = {finding.name: finding for finding in self.findings}
+        if name not in by_name:
+            raise KeyError(f"no law {name!r} was tested; the laws tested are {', '.join(by_name)}")
+        return by_name[name]
+
+    @property
+    def verdict(self) -> str:
+        """The result in one sentence."""
+        failed, n = [finding.name for finding in self.findings if finding.passed is False], len(self.faults)
+        kept = f"laws that do not hold: {', '.join(failed)}" if failed else "all laws that were tested hold"
+        found = f"{n} fault{'s' * (n != 1)} found; {kept}" if n else kept
+        return "nothing wrong was found" if self.passed else found
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        rows = [("called as", self.function)]
+        rows += [("recognized", self.method)] if self.method else []
+        rows += [(finding.name, f"{TICKS[finding.passed]} {finding.words}") for finding in self.findings]
+        rows += [("fault" if k == 0 else "", sentence) for k, sentence in enumerate(self.faults)]
+        rows += [("remark" if k == 0 else "", sentence) for k, sentence in enumerate(self.remarks)]
+        return [*rows, ("verdict", self.verdict)]
+
+
+def coefficient(value: float) -> str:
+    """A number as a simple fraction, such as 1/2, if it equals one; else with seven digits."""
+    near = Fraction(value if isfinite(value) else 0).limit_denominator(DENOMINATOR)
+    return str(near) if is_near(value, float(near)) else f"{value:.7g}"
+
+
+def is_near(value: float, other: float) -> bool:
+    """Whether two coefficients are the same number."""
+    return abs(value - other) < EXACT * max(1.0, abs(other))
+
+
+def first_of(*rows: tuple[object, str]) -> list[str]:
+    """The first sentence whose condition holds; none if no condition does."""
+    return [sentence for condition, sentence in rows if condition][:1]
+
+
+def nearest(found: float, table: dict[float, str], within: float) -> str:
+    """: and the meaning of the number in a table that is nearest, if it is near."""
+    best = min(table, key=lambda one: abs(log(max(found, 1e-9) / one)))
+    return f": {table[best]}" if abs(found / best - 1.0) < within else ""

@@ -1,0 +1,143 @@
+"""The name of a step: the numbers of which it consists are measured, and compared with those of known methods.
+
+    x₁ = x + Δt v + Δt² Σ β_k a_k,  v₁ = v + Δt Σ b_k a_k,  where a_k is F/m at x + c_k Δt v + Δt² Σ α_kl a_l
+
+Without forces, the places at which the force is evaluated show c. If only the k-th evaluation returns a force, they
+show the column k of α, and the end of the step β_k and b_k. Kicks and drifts in turn have α_jk = b_k (c_j − c_k) and
+β_k = b_k (1 − c_k); a Runge-Kutta method with the matrix A has α = A² and β = b A.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from minimd.judge.calling import StudentStep
+from minimd.judge.findings import coefficient
+from minimd.judge.problems import Array, Problem
+
+if TYPE_CHECKING:
+    from minimd.core.integrators.substeps import Substep, Substeps
+
+SAME, CLOSE, MANY = 1e-7, 1e-3, 6  # of weights: equal, meant to be; substeps of a method that may be nearly another
+ROUNDING, MOST, STEP = 1e-9, 60, 0.1  # of v; evaluations of the force in one step; time step
+RUNGE_KUTTA: dict[str, tuple[list[float], ...]] = {  # rows of the matrix from the second one on, and the weights
+    "RK2, midpoint": ([1 / 2], [0, 1]),
+    "RK2, Heun": ([1], [1 / 2, 1 / 2]),
+    "RK2, Ralston": ([2 / 3], [1 / 4, 3 / 4]),
+    "RK3, Kutta": ([1 / 2], [-1, 2], [1 / 6, 2 / 3, 1 / 6]),
+    "RK4, the classical Runge-Kutta method": ([1 / 2], [0, 1 / 2], [0, 0, 1], [1 / 6, 1 / 3, 1 / 3, 1 / 6]),
+    "RK4, the 3/8 rule": ([1 / 3], [-1 / 3, 1], [1, -1, 1], [1 / 8, 3 / 8, 3 / 8, 1 / 8]),
+}
+IN_TURN = ("atoms are moved one after another: the force on each is computed when those before it have moved already. "
+           "Compute all forces first, then move all atoms")  # fmt: skip
+
+
+class Numbers(NamedTuple):
+    """The numbers of a step with n evaluations.  places : c, (n + 1,), the last one that of the end.  pushes : α,
+    (n + 1, n), the last row β.  weights : b, (n,)."""
+
+    places: Array
+    pushes: Array
+    weights: Array
+
+    def is_same(self, matrix: Array, b: Array) -> bool:
+        """Whether these are the numbers of a Runge-Kutta method."""
+        if not len(self.weights) == len(b) == len(matrix):
+            return False
+        right = np.append(matrix.sum(axis=1), 1.0), np.vstack([matrix @ matrix, b @ matrix]), b
+        return all(np.allclose(one, two, 0.0, SAME) for one, two in zip(self, right, strict=True))
+
+    @property
+    def substeps(self) -> Substeps:
+        """Kicks and drifts in turn; empty if the step is not such a sequence."""
+        from minimd.core.integrators.substeps import Drift, Kick, merged
+
+        c, b = self.places, self.weights
+        if np.abs(self.pushes - np.tril(b * (c[:, None] - c[:-1]), -1)).max() > SAME:
+            return ()
+        parts: list[Substep] = [Drift(float(c[0]))]
+        for length, weight in zip(np.diff(c), b, strict=True):
+            parts += [Kick(float(weight)), Drift(float(length))]
+        return merged(one for one in parts if abs(one.coefficient) > SAME)
+
+
+class Recorded(Problem):
+    """A problem that records where its force is evaluated, and returns it in one call only, that at the start."""
+
+    places: list[Array]
+    only: int
+
+    def force(self, x: Array) -> Array:
+        """The force at the start in the call with the number `only`, else zero."""
+        self.places.append(np.array(x))
+        return super().force(self.x) if len(self.places) - 1 == self.only else np.zeros_like(self.x)
+
+
+def numbers_of(step: StudentStep, where: Problem) -> Numbers | str | None:
+    """The numbers of a step; None if it is not made of such, or the fault of one that moves atoms one after another."""
+    a, drift = where.force(where.x) / where.mass, STEP * where.v
+
+    def end_with(only: int) -> tuple[Array, Array]:
+        one = Recorded(*where)
+        one.places, one.only = [], only
+        x, v = step(one, where.x, where.v, STEP)
+        return np.array([*one.places, x]), v - where.v
+
+    def along(change: Array, unit: Array) -> float:
+        return float(np.sum(change * unit) / np.sum(unit * unit))
+
+    free, change = end_with(-1)
+    if len(free) == 1:
+        return None
+    n, moved = len(free) - 1, np.round((free - where.x) / drift, 6)
+    if where.x.ndim and np.isin(moved, (0.0, 1.0)).all() and np.ptp(moved[:-1].reshape(n, -1), axis=1).any():
+        return IN_TURN
+    pushes, weights = np.zeros((n + 1, n)), np.zeros(n)
+    for k in range(n):
+        places, v = end_with(k)
+        if len(places) != n + 1 or np.abs(change).max() > ROUNDING or n > MOST:
+            return None
+        pushes[:, k] = [along(one, a) / STEP**2 for one in places - free]
+        weights[k] = along(v, a) / STEP
+    return Numbers(np.array([along(x - where.x, drift) for x in free]), pushes, weights)
+
+
+def named(own: Numbers) -> tuple[str, str]:
+    """The name of a method, or what it consists of; the fault of a step that is nearly a known method."""
+    parts, near = own.substeps, list[tuple[int, str]]()
+    kinds, mine = [type(one).__name__.lower() for one in parts], np.array([one.coefficient for one in parts])
+    from minimd.core.integrators.table import SPLITTINGS  # the names of methods
+
+    for name, method in SPLITTINGS.items():
+        if [type(one) for one in method.substeps] == [type(one) for one in parts]:
+            right = np.array([one.coefficient for one in method.substeps])
+            wrong = np.flatnonzero(np.abs(mine - right) > SAME)
+            if not len(wrong):
+                return name, ""
+            told = [f"substep {k + 1}, a {kinds[k]}, is {mine[k]:.10g} where {right[k]:.10g} is needed" for k in wrong]
+            if len(parts) >= MANY and (len(wrong) <= len(parts) // 2 or np.abs(mine - right).max() < CLOSE):
+                near.append((len(wrong), f"the step is nearly {name}, but {', '.join(told)}"))
+    if parts:
+        weights = [f"{kind} {coefficient(one)}" for kind, one in zip(kinds, mine, strict=True)]
+        return ", ".join(weights), min(near, default=(0, ""))[1]
+    for name, (*rows, last) in RUNGE_KUTTA.items():
+        n, b, words = len(last), np.array(last), f"the step is nearly {name}, but its"
+        matrix = np.array([[*row, *[0.0] * (n - len(row))] for row in ([], *rows)])
+        if own.is_same(matrix, b):
+            return name, ""
+        if n > 2 and own.is_same(matrix, own.weights):
+            return "", f"{words} weights are {told_row(own.weights)} where {told_row(b)} are needed"
+        for j in range(1, n if 2 < n == len(own.weights) else 0):  # the stage that makes β = b A right
+            other = matrix.copy()
+            other[j] += (own.pushes[-1] - b @ matrix) / b[j]
+            if own.is_same(other, b):
+                own_row, row = told_row(other[j, :j]), told_row(matrix[j, :j])
+                return "", f"{words} stage {j + 1} has the weights {own_row} where {row} are needed"
+    return "", ""
+
+
+def told_row(numbers: Array) -> str:
+    """Weights in words."""
+    return ", ".join(coefficient(float(one)) for one in numbers)

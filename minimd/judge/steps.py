@@ -1,0 +1,189 @@
+"""The grade of a step: its order, its symmetries, and what it conserves. All is measured on a few particles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from minimd.judge.calling import FORCES, StudentStep, understood
+from minimd.judge.faults import faults_of, hidden
+from minimd.judge.findings import Finding, Grade, Law, causes, judged
+from minimd.judge.methods import Numbers, named, numbers_of
+from minimd.judge.problems import Array, Problem, difference
+
+STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}  # needed to distinguish all terms, by the shape of x
+DURATION, COUNTS = 0.8, (8, 16, 32, 64)  # errors are compared after this time, made in these numbers of steps
+ORDER_OFF, HIGH = 0.25, 2.5  # of the slope from the order; a step of higher order has the right terms up to dt²
+PACE, BACK, SOME, LONG = 0.05, 10, 20, 1000  # time step of runs; steps back and forth, for momenta, for the energy
+DELTA, NOISE, EXACTLY = 2e-3, 1e-13, 1e-13  # of differences; of a step in float64; of an energy that is rescaled
+TOO_LARGE, SYMPLECTIC = 1e6, 1e-9  # an energy; JᵀΩJ − Ω
+LENGTHS = np.arange(0.01, 6.001, 0.01)  # ω dt at which stability is tested
+
+
+class Measured:
+    """A step and what is measured on it: see Law.measure."""
+
+    def __init__(self, step: StudentStep, where: Problem, expected: int) -> None:
+        self.step, self.where, self.expected = step, where, expected
+        line = [np.ravel(step(where, where.x * (1.0 + 1e-6 * k), where.v, 0.1)[0]) for k in range(12)]
+        self.noise = float(np.abs(np.diff(line, n=3, axis=0)).max() / 8.0 / np.abs(where.x).max())
+        self.fuzz = max(1.0, self.noise / NOISE)
+        self.has = {"atoms", "vectors"} if where.x.ndim == 2 else {"atoms"} if where.x.ndim else set[str]()
+        self.has = set() if where.stiffness else self.has  # springs to the origin conserve no momenta
+        self.has |= {"force"} if step.takes(*FORCES) else set()
+
+    def run(self, h: float, n: int, x: Array | None = None, v: Array | None = None) -> tuple[Array, Array]:
+        """x and v after n steps."""
+        x, v = self.where.x if x is None else x, self.where.v if v is None else v
+        for _ in range(n):
+            x, v = self.step(self.where, x, v, h)
+        return x, v
+
+    def order(self) -> tuple[float, float, str]:
+        """The slope, in a logarithmic plot, of the error after a fixed time against the time step."""
+        right, counts = np.array(self.where.flow(DURATION)), np.array(COUNTS)
+        errors = np.array([np.linalg.norm(np.array(self.run(DURATION / n, n)) - right) for n in COUNTS])
+        kept = np.flatnonzero(errors > 1e-11)[-3:]
+        kept = kept if len(kept) == 3 else np.arange(2)
+        is_finite, logs = np.isfinite(errors).all(), np.log(np.maximum(errors[kept], 1e-300))
+        slope = float(-np.polyfit(np.log(counts[kept]), logs, 1)[0]) if is_finite else 0.0
+        off = np.inf if slope < ORDER_OFF else max(self.expected - slope, 0.0)  # the error does not decrease with dt
+        told = f"{self.expected} expected; error {errors[-1]:.1e} at t = {DURATION:g}, dt = {DURATION / counts[-1]:g}"
+        return slope, off, f"{max(slope, 0.0):.2f} measured, {told}"
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """∂(x₁, p₁)/∂(x, p) at Δt = 0.1."""
+        where, start = self.where, np.array([self.where.x, self.where.mass * self.where.v])
+
+        def end(y: Array) -> Array:
+            x, p = y.reshape(start.shape)
+            x, v = self.step(where, x, p / where.mass, 0.1)
+            return np.ravel([x, where.mass * v])
+
+        return np.array([difference(end, start.ravel(), DELTA * unit) / DELTA for unit in np.eye(start.size)]).T
+
+    @cached_property
+    def form(self) -> float:
+        """The largest element of JᵀΩJ − Ω."""
+        omega = np.kron([[0.0, 1.0], [-1.0, 0.0]], np.eye(self.where.x.size))
+        return float(np.abs(self.jacobian.T @ omega @ self.jacobian - omega).max()) / self.fuzz
+
+    def reversal(self) -> tuple[float, float, float]:
+        """The distance from the start after steps forwards and as many back, and the way."""
+        x, v = self.run(PACE, BACK)
+        way = float(np.abs(x - self.where.x).max())
+        x, v = self.run(PACE, BACK, x, -v)
+        back = float(max(np.abs(x - self.where.x).max(), np.abs(v + self.where.v).max()))
+        return back, back / self.fuzz / max(1.0, way), way
+
+    def momentum(self, of: Callable[[Array, Array], Array]) -> float:
+        """The relative change of Σ of(x, mv) in some steps."""
+        before, after = (of(x, self.where.mass * v) for x, v in (self.where[:2], self.run(PACE, SOME)))
+        return float(np.abs((after - before).sum(axis=0)).max() / np.abs(before).sum()) / self.fuzz
+
+    def energy(self) -> tuple[float, float, str]:
+        """Drift of the total energy per step in a long run; a symplectic step has none, only slow oscillations."""
+        (x, v), energies, times = self.where[:2], list[tuple[float, float]](), np.arange(LONG)
+        while len(energies) < LONG:
+            x, v = self.step(self.where, x, v, PACE)
+            energies.append((float(0.5 * np.sum(self.where.mass * v * v)), self.where.at(x)[1]))
+            if not abs(sum(energies[-1])) < TOO_LARGE:
+                return np.inf, np.inf, f"grows beyond {TOO_LARGE:g} in {len(energies)} steps of {PACE:g}"
+        series, k = np.sum(energies, axis=1), float(np.mean(energies, axis=0)[0])
+        slope, start = np.polyfit(times, series / k, 1)
+        oscillation = float(np.std(series / k - slope * times - start))
+        if oscillation < EXACTLY:
+            return 0.0, np.inf, "constant to rounding: no explicit step has this property by itself"
+        off = float(abs(slope) * LONG / max(1e-9, oscillation)) if self.form > SYMPLECTIC else 0.0
+        words = f"changes by {slope:.1e} of the kinetic energy per step" if off > 1.0 else "does not drift"
+        return float(slope), off, f"{words}; it oscillates by {oscillation:.1e} (dt = {PACE:g})"
+
+    def oscillator(self) -> tuple[float, float, str]:
+        """The step as a matrix, for x″ = −x: its determinant, the quadratic form that it conserves, and the longest
+        stable step."""
+        omega = np.sqrt(self.step.stiffness or 1.0)
+        where = self.step.problem(1, stiffness=float(omega**2))
+        one, where = np.ones_like(where.x), where._replace(m=np.ones_like(where.m))
+
+        def matrix(h: float) -> Array:
+            ends = [self.step(where, x * one, v * one, h / omega) for x, v in ((1.0, 0.0), (0.0, omega))]
+            return np.array([(np.ravel(x)[0], np.ravel(v)[0] / omega) for x, v in ends]).T
+
+        m, off = matrix(0.5), float(np.linalg.det(matrix(0.5))) - 1.0
+        if not abs(off) <= 1e-7:
+            return off, np.inf, f"at ω dt = 0.5 the energy changes by the factor {1.0 + off:.4g} in each step"
+        skew, stiffness = (m[1, 1] - m[0, 0]) / m[0, 1], -m[1, 0] / m[0, 1]
+        stable = next((k for k, h in enumerate(LENGTHS) if abs(np.trace(matrix(h))) > 2.0 + 1e-9), len(LENGTHS))
+        mixed = f" {skew:+.4g} ω x v" if abs(skew) > 1e-9 else ""
+        words = f"at ω dt = 0.5 it conserves v² {stiffness:+.6g} ω² x²{mixed}"
+        return 0.01 * stable, 0.0 if stable else np.inf, f"{words}; stable up to ω dt = {0.01 * stable:.2f}"
+
+    def cost(self) -> tuple[int, float, str]:
+        """The number of force evaluations in one step."""
+        self.step.n_evaluations = 0
+        self.run(PACE, 1)
+        n = self.step.n_evaluations
+        more = "; one is enough if the force at the end of a step is kept for the next step" if n == 2 else ""
+        return n, 0.0 if n == 1 else np.nan, more
+
+
+PHASE_SPACE = ("the step, like Runge-Kutta methods and thermostats, shrinks or stretches phase space, or is not a "
+               "product of kicks and drifts (see the laws symplectic and volume): the energy drifts")  # fmt: skip
+LAWS = (
+    Law("order", Measured.order, ORDER_OFF, "{2}", "the terms up to dt² are right, but the measured order is {0:.2f}"),
+    Law("symplectic", lambda s: s.form, SYMPLECTIC, "at dt = 0.1 JᵀΩJ − Ω is {0:.1e}", PHASE_SPACE),
+    Law("volume", lambda s: (np.linalg.det(s.jacobian) - 1.0) / s.fuzz, 1e-8, "det J − 1 is {0:.1e}", PHASE_SPACE),
+    Law("reversible", Measured.reversal, 1e-11, f"{BACK} steps and as many back miss the start by {{0:.1e}} on a way "
+        "of {2:.2g}", "the step is not symmetric: kicks and drifts do not read the same forwards and backwards"),
+    Law("momentum", lambda s: s.momentum(lambda x, p: p), 1e-11, f"changes by {{0:.1e}} of Σ|mv| in {SOME} steps",
+        "the total momentum changes: the forces of a step are not all computed at the same positions", "atoms"),
+    Law("angular momentum", lambda s: s.momentum(lambda x, p: x[:, :, None] * p[:, None] - x[:, None] * p[:, :, None]),
+        1e-11, f"changes by {{0:.1e}} of Σ|r × mv| in {SOME} steps", "the total angular momentum changes", "vectors"),
+    Law("energy", Measured.energy, 1.0, "{2}", "the energy drifts"),
+    Law("oscillator", Measured.oscillator, 1.0, "{2}", "the energy of an oscillator is kept at no time step"),
+    Law("cost", Measured.cost, 0.5, "{0} force evaluations per step{2}", "", "force"),
+)  # fmt: skip
+REMARKS = (
+    (lambda step: step.swapped, "the step returns v before x; the usual order is x, v"),
+    (lambda step: step.in_place, "the step changes the arrays that it is given; copy them if you need the old ones"),
+    (lambda step: step.masses == "(N, 1)", "masses must have shape (N, 1) in this step, not (N,)"),
+    (lambda step: step.takes("half"), "velocities are at half steps: the test adds half a kick before and after"),
+    (lambda step: step.takes("old"), "a recursion of two positions; the test takes v = (x₁ − x₀)/dt + ½ dt F/m"),
+    (lambda step: step.takes("before"), "a step that takes the force of the previous step is not a map of x and v, and "
+                                        "is not judged as one"),
+)  # fmt: skip
+NO_MAP = {"reversible", "symplectic", "volume", "angular momentum", "energy", "oscillator"}  # open if it is none
+RUNGE_KUTTA = "a Runge-Kutta method: it is not symplectic, and its energy drifts at any order"
+
+
+def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
+    """See grade."""
+    step = understood(function)
+    problems = [step.problem(seed) for seed in range(STATES[step.shape])]
+    where, remarks = problems[0], [words for is_so, words in REMARKS if is_so(step)]
+    with np.errstate(all="ignore"):
+        if faults := hidden(step, where):
+            return Grade(step.told, (Finding("a map of x and v", False, faults[0]),), tuple(faults), "", tuple(remarks))
+        one = Measured(step, where, order)
+        laws = {finding.name: finding for finding in judged(LAWS, one)}
+        reached, is_right, is_symplectic = laws["order"].value, laws["order"].passed, laws["symplectic"].passed
+        numbers = None if step.takes("before") else numbers_of(step, where)
+        method, near = named(numbers) if isinstance(numbers, Numbers) else ("", numbers or "")
+        is_low = is_symplectic and order == 1  # and asked for
+        n_powers = 2 if reached > HIGH or is_low else 3
+        faults = [near] * bool(near) or faults_of(step, problems, one.noise, n_powers, laws["energy"].value == 0.0)
+        is_open = NO_MAP if step.takes("before") else set[str]()
+        if is_symplectic and is_right and (reached > HIGH or is_low):  # as Ruth's method of order 3, which is right
+            is_open = {"reversible"}
+        elif isinstance(numbers, Numbers) and not numbers.substeps and not is_symplectic and not faults:
+            if is_right and abs(reached - order) < 0.5 and (order > 2 or method):
+                is_open, remarks = {name for name, law in laws.items() if law.passed is False}, [*remarks, RUNGE_KUTTA]
+            else:
+                faults = [f"{RUNGE_KUTTA}. If it is meant, ask for its order: md.grade(step, order={round(reached)})"]
+    laws |= {name: replace(laws[name], passed=None) for name in is_open if name in laws}
+    return Grade(step.told, (*laws.values(),), tuple(faults or causes(laws.values())[:1]), method, tuple(remarks))

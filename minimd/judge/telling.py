@@ -1,0 +1,87 @@
+"""A grade for others: as JSON, as a picture, and its laws as tests of another suite."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from runpy import run_path
+from typing import Any
+
+import numpy as np
+
+from minimd.judge.findings import Finding, Grade
+from minimd.judge.grading import grade
+
+COLORS = {True: "tab:green", False: "tab:red", None: "tab:gray"}
+
+
+def as_dict(one: Grade) -> dict[str, Any]:
+    """A grade for json.dumps: its fields, passed and verdict; numbers that are not finite are None."""
+    found = asdict(one) | {"passed": one.passed, "verdict": one.verdict}
+    for row in found["findings"]:
+        row.update({name: row[name] if np.isfinite(row[name]) else None for name in ("value", "limit")})
+    return found
+
+
+def draw(one: Grade, file: Path) -> None:
+    """A picture of a grade of dynamics: each measured number, and what would pass."""
+    from matplotlib.figure import Figure
+
+    if not (rows := [row for row in one.findings if np.isfinite(row.limit)][::-1]):
+        raise ValueError(f"a picture shows laws with a limit, as NVT and NPT have them; {one.function} has none")
+    figure = Figure(figsize=(7.0, 1.2 + 0.32 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    for k, row in enumerate(rows):
+        axes.barh(k, 2.0 * row.limit, left=1.0 - row.limit, color="0.9")
+        axes.plot(row.value, k, "o", color=COLORS[row.passed])
+    axes.axvline(1.0, color="0.5", linewidth=1.0)
+    axes.set_yticks(range(len(rows)), [row.name for row in rows])
+    axes.set_xlabel("measured / right; gray: passes")
+    axes.set_title(f"{one.function}\n{one.verdict if len(one.verdict) < 60 else 'faults were found'}", fontsize=9)
+    figure.savefig(file, dpi=120)
+
+
+def named(place: str) -> Callable[..., Any]:
+    """What "module:name" or "file.py:name" names.  Raises ValueError if it is not there."""
+    module, _, name = place.partition(":")
+    try:
+        return (run_path(module) if module.endswith(".py") else vars(import_module(module)))[name]
+    except (ImportError, OSError, KeyError, SyntaxError, TypeError, ValueError) as error:
+        wanted = "module:class, as ase.md.langevin:Langevin, or file.py:class"
+        said = f"{module} has no {name!r}" if isinstance(error, KeyError) else error
+        raise ValueError(f"dynamics must be {wanted}; got {place!r}: {said}") from error
+
+
+def laws_of(dynamics: Callable[..., Any], **options: Any) -> list[Any]:
+    """The laws of a class of dynamics as tests, for pytest.mark.parametrize: law() raises AssertionError with a cause.
+
+        @pytest.mark.parametrize("law", laws_of(MyThermostat, temperature_K=300.0), ids=repr)
+        def test_law(law):
+            law()
+
+    All laws are measured together when the first one is called.  options : of md.grade.
+    """
+    from minimd.judge.dynamics import names_of
+
+    graded = cache(lambda: grade(dynamics, kind="dynamics", **options))
+    return [LawOf(name, graded) for name in names_of(dynamics, options)]
+
+
+class LawOf:
+    """One law of a class of dynamics."""
+
+    def __init__(self, name: str, graded: Callable[[], Grade]) -> None:
+        self.name, self._graded = name, graded
+
+    def __repr__(self) -> str:
+        return self.name
+
+    def __call__(self) -> Finding:
+        """Its finding.  Raises AssertionError if the law does not hold, or was not reached."""
+        answer = self._graded()
+        finding = next((one for one in answer if one.name == self.name), Finding(self.name, False, "was not reached"))
+        assert finding.passed is not False, f"{finding.words}; {'; '.join(answer.faults)}"
+        return finding

@@ -1,5 +1,0 @@
-"""Which atoms are near each other: binning, search, lists with a skin."""
-
-from minimd.neighbors.queries import neighbor_list
-
-__all__ = ["neighbor_list"]

@@ -1,0 +1,1 @@
+"""The bridge to OpenMM: its systems as systems and potentials of minimd, so any force field that it reads."""

@@ -1,0 +1,205 @@
+"""The past of a run in fixed-point arithmetic: any of its steps is made again, to the last bit, from the nearest frame.
+
+In this arithmetic a frame is all that the steps to come depend on, so a file with few frames holds all steps.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from minimd.core.console.display import Displayed, Rows
+from minimd.core.console.progress import progress_of
+from minimd.core.engine.engine import Snapshot
+from minimd.core.engine.observation import observe
+from minimd.core.engine.record import Frame, Record
+from minimd.core.simulation.resuming import Potentials
+from minimd.core.simulation.simulation import Observer, Simulation
+from minimd.core.structure.checks import COUNTS, checked_count
+
+if TYPE_CHECKING:
+    from minimd.core.files.h5md_reader import H5MDContents
+
+SAME_PACE = 1e-6  # relative: times in a file are rounded
+TELLS = 100  # of a progress bar
+BEFORE = "; earlier steps were made with another method, barostat or state"
+
+
+class Past(Displayed):
+    """The past of a run in fixed-point arithmetic: any of its steps, made again to the last bit.
+
+        past = md.Past("run.h5md")
+        sim = past.at(123_456)                                   # the simulation, as it was
+        record = past.observe([observer], 123_000, 124_000)      # as if it had been attached then
+        other = past.branch(123_456)                             # to change something there, and go on
+
+    A step is made from the nearest frame: forwards from one before it, or backwards from one after it. Steps of baths
+    are made forwards only, with the noise of the run. So a step costs at most the steps between two frames, half of
+    them if there is a way back: with n frames, 1/n or 1/2n of the run. print(past) tells it.
+
+    The way from frame to frame is that of the run if no observer has changed its state in between: observe compares
+    energies with those of all frames that it looks at. Of a run continued with another method, bath or state, only the
+    steps since then can be made again.
+
+    Parameters
+    ----------
+    file : .h5md file of a run, finished or interrupted, or its archive (see archive).
+    potentials, threads : as for Simulation.resume.
+
+    Attributes
+    ----------
+    steps : (A,) int, steps that cost nothing: those of the frames, and the last one.  goes_back : whether steps are
+        also made backwards.  worst : the largest cost of a step, in steps.  contents : H5MDContents.
+
+    Raises
+    ------
+    ValueError : for a run in float64, with rigid bonds, or with several time steps; and as Simulation.resume.
+    FileNotFoundError, OSError : as Simulation.resume, for files that do not exist or are damaged.
+    """
+
+    def __init__(self, file: str | Path, potentials: Potentials = None, *, threads: int | None = None) -> None:
+        from minimd.core.files.h5md_reader import read_file  # h5py is slow to load
+
+        self._last = Simulation.resume(file, potentials, threads=threads)
+        self.file, self.contents = Path(file), read_file(file)
+        check_is_fixed(file, self.contents)
+        record, end = self.contents.record, self.contents.step
+        paces, last = np.diff(record.time) / np.diff(record.step), self.contents.timestep
+        if (others := paces[~np.isclose(paces, last, rtol=SAME_PACE, atol=0.0)]).size:
+            several = f"the run in {str(file)!r} has several time steps, {others[0]:g} and {last:g}"
+            raise ValueError(f"{several}: the file keeps only the last one; steps of others cannot be made again")
+        known = np.unique(np.append(record.step, max(end, record.step[-1])))
+        self.steps = known[known >= min(self.contents.since, known[-1])]
+        self._n_bytes = self.file.stat().st_size
+        self.goes_back = self._last.method.is_symmetric
+        gap = int(np.diff(self.steps).max(initial=1))
+        self.worst = gap // 2 if self.goes_back else gap - 1
+
+    def __repr__(self) -> str:
+        reach = f"steps {self.steps[0]} to {self.steps[-1]}"
+        return f"Past({str(self.file)!r}, {reach}, each by making at most {self.worst})"
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        first, last, n_frames = self.steps[0], self.steps[-1], self.contents.n_frames
+        size, share = self._n_bytes / 1e6, self.worst / max(1, last - first)
+        ways = f"from the nearest frame, forwards{' or backwards' if self.goes_back else ''}"
+        return [
+            ("past", f"{self.file}: {n_frames} frames, {size:.3g} MB"),
+            *self.contents.scene_in_words(),
+            ("steps", f"{first} to {last}, each of them to the last bit"),
+            ("cost", f"at most {self.worst} steps, {100.0 * share:.2g} % of the run, made {ways}"),
+        ]
+
+    def cost(self, step: int) -> int:
+        """The number of steps that at(step) makes; below zero if it makes them backwards.
+
+        Raises ValueError for a step outside the run.
+        """
+        step, first, last = checked_count("step", step, 0), self.steps[0], self.steps[-1]
+        if not first <= step <= last:
+            can = f"the steps of {str(self.file)!r} that can be made again{BEFORE * (self.contents.since > 0)}"
+            raise ValueError(f"step must be from {first} to {last}, {can}; step = {step}")
+        ways = step - self.steps
+        return int(ways[np.argmin(np.where((ways >= 0) | self.goes_back, np.abs(ways), COUNTS - 1))])
+
+    def at(self, step: int, *, progress: bool | None = None) -> Simulation:
+        """A simulation in the state of a step; each call makes a new one. Its next steps are those of the run.
+
+        progress : show a progress bar; if not given, on a terminal and in a notebook.
+
+        Raises
+        ------
+        ValueError : for a step outside the run; if the energy of the frame is not that of the file, as with other
+            potentials than those of the run.
+        """
+        n = self.cost(step)
+        simulation, frame = copy.copy(self._last), int(np.searchsorted(self.contents.record.step, step - n))
+        if frame < self.contents.n_frames:
+            go_to(simulation, self.file, self.contents, frame)
+        make = simulation.run_back if n < 0 else simulation.make_steps
+        block = max(simulation.guard.block, abs(n) // TELLS)
+        with progress_of(abs(n), f"making step {step} again", progress) as tell:
+            for done in range(0, abs(n), block):
+                make(min(block, abs(n) - done))
+                tell(min(done + block, abs(n)))
+        return simulation
+
+    def branch(self, step: int, *, progress: bool | None = None) -> Simulation:
+        """The same simulation as at(step), with a title that tells where it comes from: to change something, and go
+        on with a file of its own.
+
+            other = past.branch(123_456)
+            other.velocities[7] *= -1.0
+            other.run(10_000, trajectory="other.h5md")
+
+        The file of the past stays as it is. If nothing is changed, the branch is the run, also with the noise of its
+        bath: for other noise give other.method another seed.  Raises as at.
+        """
+        simulation = self.at(step, progress=progress)
+        simulation.engine.notes["title"] += f", branched from step {step} of {self.file.name}"
+        return simulation
+
+    def observe(
+        self, observers: Sequence[Observer], start: int, stop: int, every: int = 1, *, progress: bool | None = None
+    ) -> Record:
+        """Let observers look at the steps from start to stop, as if they had been attached then, and return the record.
+
+        The numbers are those of a run in which they were attached, to the last bit. It costs at(start), and the steps
+        from start to stop.  every : as for Simulation.run; observers of minimd.observers have their own steps.
+
+        Raises
+        ------
+        ValueError : for steps outside the run; if energies are not those in the file, as after an observer that changes
+            the state: for that, take a branch.
+        """
+        self.cost(checked_count("stop", stop, checked_count("start", start, 0)))
+        simulation, those = self.at(start, progress=progress), self.contents.record
+        record = simulation.run(
+            until_step=stop, every=every, observers=observers, progress=progress, crash_report=False
+        )
+        steps, here, there = np.intersect1d(record.step, those.step, return_indices=True)
+        if len(other := steps[record.total_energy[here] != those.total_energy[there]]):
+            _refuse(self.file, other[0])
+        return record
+
+
+def check_is_fixed(file: str | Path, contents: H5MDContents) -> None:
+    """Raise ValueError for a run in float64, or with rigid bonds: its steps go on from velocities before they were
+    projected."""
+    if contents.restart.grid is None:
+        only = "only runs with precision='fixed-point' can be made again to the last bit from any of their frames"
+        raise ValueError(f"{only}; the run in {str(file)!r} was made with precision={contents.precision!r}")
+    if contents.restart.images is not None:
+        why = "its steps cannot be made again to the last bit from a frame, only from its restart"
+        raise ValueError(f"the run in {str(file)!r} has rigid bonds: {why}")
+
+
+def go_to(simulation: Simulation, file: str | Path, contents: H5MDContents, frame: int) -> Frame:
+    """Put a simulation into the state of a frame, and observe it.
+
+    Raises ValueError if its energy is not the one in the file.
+    """
+    from minimd.core.files.h5md_reader import frames_of
+
+    record, engine, reservoir = contents.record, simulation.engine, 0.0
+    if "conserved_energy" in record:
+        reservoir = float(record.total_energy[frame] - record.conserved_energy[frame])
+    [at] = frames_of(file, [frame], engine.system.units)
+    engine.restore(Snapshot(at.step, at.time, at.positions, at.velocities, reservoir, contents.restart.state.clock))
+    if (grid := engine.interactions.grid) is not None:
+        grid.take(engine.system, engine.constraint_set.inverse_masses)  # takes off the rounding of the units of files
+    engine.is_whole = True
+    engine.leave()
+    if (found := observe(engine)).observables["total_energy"] != record.total_energy[frame]:
+        _refuse(file, at.step)
+    return found
+
+
+def _refuse(file: str | Path, step: int) -> None:
+    what = f"the energy of step {step} of {str(file)!r} is different when it is computed again"
+    raise ValueError(f"{what}: give the potentials of the run, and observers that change nothing")

@@ -1,0 +1,203 @@
+"""A scene file: its text, checked, and what it describes: atoms, potentials, method, bath, observers, files."""
+
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from minimd.core.integrators.barostats import StochasticCellRescaling
+from minimd.core.integrators.splitting import Splitting
+from minimd.core.structure import units
+from minimd.core.structure.lattice import constant_from_density, crystal
+from minimd.core.structure.system import System, changed
+from minimd.observers import Accumulator
+from minimd.scene.problems import problems
+from minimd.scene.section import Reading
+from minimd.scene.sections import Numbers, SceneSections, TabulatedSection, as_sections, read_table
+
+D = TypeVar("D", bound="Document")
+Made = TypeVar("Made")
+DEEP_KEY = re.compile(r"(?:[\w\"'-]+\s*\.\s*){64}")  # of tables in tables, for which tomllib would take gigabytes
+
+
+@dataclass(frozen=True)
+class Document:
+    """A checked scene file.
+    path : the file; paths of structure files are relative to its folder.  text : of the file.
+    sections : its content, checked, in the units of the engine."""
+
+    path: Path
+    text: str
+    sections: SceneSections
+
+    @property
+    def units(self) -> units.UnitSystem:
+        """The unit system of all numbers."""
+        return units.SYSTEMS[self.sections.units]
+
+    def system(self) -> System:
+        """The atoms at the start, with their constraints.
+        Raises ValueError, OSError, with the name of the file, for a structure that cannot be read or is impossible,
+        or for impossible constraints."""
+        structure, water = self.sections.structure, self.sections.water
+        with blamed_on(f"{self.path}: {'structure' if water is None else 'water'}"):
+            made = self._from_lattice if structure.file is None else self._from_file
+            system = made() if water is None else water.system()
+            system = changed(system, **structure.model_dump(include={"species", "charges"}, exclude_none=True))
+        return self.constrained(system)
+
+    def potentials(self) -> list[Any]:
+        """The potentials, those of water first, in the order of the file.
+        Raises ValueError with the name of the file and the entry."""
+        with blamed_on(f"{self.path}: water"):
+            first: list[Any] = [] if self.sections.water is None else self.sections.water.potentials()
+        return [*first, *self._each(lambda one: one.potential(*[self._table] * isinstance(one, TabulatedSection)))]
+
+    def tables(self) -> dict[str, Numbers]:
+        """The numbers of all tables of tabulated laws, by name.  Raises ValueError as potentials."""
+        each = self._each(lambda one: [(name, self._table(name)) for name in getattr(one, "files", ())])
+        return dict(table for tables in each for table in tables)
+
+    def _each(self, made: Callable[[Any], Made]) -> Iterator[Made]:
+        """What is made of each section of a potential; errors are blamed on the section."""
+        for index, section in enumerate(self.sections.potential):
+            with blamed_on(f"{self.path}: potential[{index}]"):
+                yield made(section)
+
+    def whole_text(self) -> str:
+        """The text of the scene with all tables added to it: no other files are needed to make the potentials again."""
+        elsewhere = {name: numbers for name, numbers in self.tables().items() if name not in self.sections.tables}
+        return self.text + as_sections(elsewhere, self.sections.units)
+
+    def method(self) -> Splitting:
+        """The integrator with its time step and its bath.  Raises ValueError, with the name of the file."""
+        with blamed_on(f"{self.path}: dynamics"):
+            return self.sections.dynamics.integrator()
+
+    def barostat(self) -> StochasticCellRescaling | None:
+        """The barostat of the scene, or None."""
+        section, temperature = self.sections.barostat, self.sections.dynamics.temperature
+        return None if section is None or temperature is None else section.barostat(temperature)
+
+    def observers(self) -> list[Accumulator]:
+        """New observers as described in the scene.  Raises ValueError, with the file, if two have the same name."""
+        made = [section.observer() for section in self.sections.observer]  # type: ignore[attr-defined]
+        if len({one.name for one in made}) < len(made):
+            raise ValueError(f"{self.path}: two observers have the same name; give one of them another name")
+        return made
+
+    def trajectories(self, instead: Path | None = None) -> list[Path]:
+        """The trajectory files, relative to the current folder.  instead : one file in place of those of the scene."""
+        named = self.sections.output.trajectory if instead is None else instead
+        several = [self.path.stem + ".h5md"] if named is None else named if isinstance(named, list) else [named]
+        return [Path(name) for name in several]
+
+    def named_outputs(self, instead: Path | None = None) -> list[Path]:
+        """Files that must not exist unless they may be replaced: trajectories, and a picture whose name is given."""
+        plot = self.sections.output.plot
+        return self.trajectories(instead) + ([Path(plot)] if isinstance(plot, str) and instead is None else [])
+
+    def plot_name(self, trajectories: list[Path], *, beside: bool = False) -> Path | None:
+        """The picture that the scene asks for; None if it asks for none.
+        beside : the trajectories replace those of the scene; then it is named after the first .h5md, None without one.
+        Raises ValueError if no trajectory ends in .h5md, from which a picture is drawn, unless beside."""
+        plot, drawn = self.sections.output.plot, h5md_files(trajectories)
+        if plot is False or (beside and not drawn):
+            return None
+        if not drawn:
+            raise ValueError(f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = "
+                             f"{list(map(str, trajectories))}")  # fmt: skip
+        picture = Path(plot) if isinstance(plot, str) else drawn[0].with_suffix(".png")
+        return drawn[0].with_suffix(picture.suffix) if beside else picture
+
+    def _table(self, name: str) -> Numbers:
+        """The numbers of a table.  Raises ValueError as read_table."""
+        inside = self.sections.tables.get(name)
+        return read_table(self.path.parent / name) if inside is None else Numbers(inside.r, inside.u)
+
+    def constrained(self, system: System) -> System:
+        """Set the constraints of the scene, if it has a section for them, in place; return the same system.
+        Raises ValueError, with the name of the file, for impossible ones."""
+        section = self.sections.constraints
+        if section is not None:
+            with blamed_on(f"{self.path}: constraints"):
+                system.constraints = section.constraints(system.bonds.tolist(), system.constraints)
+        return system
+
+    def _from_lattice(self) -> System:
+        structure = self.sections.structure
+        lattice, element, mass = structure.lattice or "", structure.element, 1.0
+        if self.units is units.ASE:
+            from minimd.core.files.structure_file import atomic_mass
+
+            mass = atomic_mass(element or "")
+        edge = structure.lattice_constant or constant_from_density(lattice, structure.density or 0.0, mass)
+        positions, edges = crystal(lattice, structure.repeat or [], edge)
+        given: dict[str, Any] = {"species": element and [element] * len(positions), "bonds": structure.bonds}
+        return System(positions, masses=mass, cell=edges, pbc=structure.pbc, **given, units=self.units)
+
+    def _from_file(self) -> System:
+        from minimd.core.files.structure_file import system_from_file
+
+        structure = self.sections.structure
+        named: dict[str, Any] = {"format": structure.format, "bonds": structure.bonds, "units": self.units}
+        return system_from_file(self.path.parent / (structure.file or ""), structure.cell, structure.pbc, **named)
+
+
+def h5md_files(files: Iterable[Path]) -> list[Path]:
+    """The files that end in .h5md, which minimd can resume, check and plot."""
+    return [file for file in files if file.suffix.lower() == ".h5md"]
+
+
+def stored(kind: type[D], text: str, file: Path) -> D:
+    """The scene in the file of a run, which others may have made: no other file is read for it.
+    Raises ValueError as parsed, and if it names a table that is not in it."""
+    document = parsed(kind, text, file)
+    for index, section in enumerate(document.sections.potential):
+        for name in section.files if isinstance(section, TabulatedSection) else ():
+            if name not in document.sections.tables:
+                raise ValueError(f"{file}: potential[{index}] of the stored scene needs the table {name!r}, which the "
+                                 "scene does not hold")  # fmt: skip
+    return document
+
+
+def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Any]:
+    """The potentials of a scene, given as its text.  words, file : the potentials of the run in words, and its file,
+    for the messages.  Raises ValueError if there is no scene, or as stored."""
+    if scene:
+        return stored(Document, scene, file).potentials()
+    remedy = "pass the potentials of the script, as in md.Simulation.resume(file, [...]); or give a --scene"
+    raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; "
+                     f"{remedy}")  # fmt: skip
+
+
+def parsed(kind: type[D], text: str, path: Path) -> D:
+    """Check the text of a scene file.  kind : Document, or Scene.  path : see Document.
+    Raises ValueError, with one line for each problem: the file, the place, the value and what is expected."""
+    try:
+        if DEEP_KEY.search(text):
+            raise RecursionError
+        reading = Reading(tomllib.loads(text))
+        return kind(path, text, SceneSections.model_validate(reading.document, context=reading))
+    except tomllib.TOMLDecodeError as error:
+        place = re.search(r"at line (\d+)", str(error))  # without it the message says "at end of document"
+        line = text.split("\n")[int(place[1]) - 1] if place else text.rstrip().rpartition("\n")[2]
+        raise ValueError(f"{path}: this is not valid TOML: {error}, in {line!r}") from None
+    except RecursionError:
+        raise ValueError(f"{path}: its tables are nested too deeply for a scene file") from None
+    except ValidationError as error:
+        raise ValueError("\n".join(f"{path}: {sentence}" for sentence in problems(reading, error))) from None
+
+
+@contextmanager
+def blamed_on(place: str) -> Iterator[None]:
+    """Begin the message of an error with the place in the scene that caused it."""
+    try:
+        yield
+    except (ValueError, TypeError, NotImplementedError) as error:
+        raise ValueError(f"{place}: {error}") from None

@@ -1,0 +1,441 @@
+"""The sections of a scene file: one class for each section, one line for each key.
+
+Tables of tabulated laws are files with two columns, or the same numbers in the scene itself. A scene that is stored in
+the file of its run needs no other files: [tables."argon.dat"] at its end holds the numbers of argon.dat.
+"""
+
+import json
+from collections import ChainMap
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, create_model
+
+from minimd.core.console.quiet import quiet
+from minimd.core.console.words import printable
+from minimd.core.forces.options import Precision
+from minimd.core.integrators.barostats import COUPLINGS, StochasticCellRescaling
+from minimd.core.integrators.splitting import Splitting
+from minimd.core.integrators.table import SPLITTINGS, THERMOSTATS
+from minimd.core.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
+from minimd.core.potentials.pair import FEWEST, MIXING, LennardJones, Tabulated
+from minimd.core.potentials.term import OwnPotential
+from minimd.core.potentials.truncation import TRUNCATIONS
+from minimd.core.structure.checks import checked_count
+from minimd.core.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
+from minimd.core.structure.lattice import BASES
+from minimd.core.structure.system import MOST_ATOMS, System, changed
+from minimd.core.structure.units import GRAM_PER_CM3
+from minimd.observers import KINDS, Accumulator, arguments
+from minimd.scene.force_sections import ForceSection
+from minimd.scene.section import KEY_UNITS, Dimension, NotNegative, PairOfAtoms, Positive, Section, Three, one_of
+from minimd.scene.water import ModelName, water, water_potentials
+
+Column = Annotated[list[FiniteFloat], Field(min_length=FEWEST)]
+
+
+class Numbers(NamedTuple):
+    """r : distances [length].  u : energies [energy], one for each distance."""
+
+    r: list[float]
+    u: list[float]
+
+
+class TableSection(Section):
+    """[tables.NAME]: a table in the scene, in place of a file with this name."""
+
+    r: Annotated[Column, Dimension("length")]
+    u: Annotated[Column, Dimension("energy")]
+
+
+def read_table(path: Path) -> Numbers:
+    """The two columns of a text file, in the units of the scene; '#' begins a comment.  Raises ValueError,
+    with the path, for anything else."""
+    if path.exists() and not path.is_file():
+        raise ValueError(f"table {str(path)!r} is not a regular file")
+    try:
+        with quiet():  # NumPy warns of an empty file, which is refused
+            columns = np.loadtxt(path, ndmin=2, encoding="utf-8")
+    except FileNotFoundError:
+        raise ValueError(f"table {str(path)!r} does not exist; its path is taken relative to the scene file") from None
+    except OSError as error:
+        raise ValueError(f"table {str(path)!r} cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u: {error}") from None
+    if columns.shape[1:] != (2,) or not len(columns):
+        raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} "
+                         f"lines of {columns.shape[1]}")  # fmt: skip
+    return Numbers(*columns.T.tolist())
+
+
+def as_sections(tables: Mapping[str, Numbers], units: str) -> str:
+    """The text that adds these tables to a scene, to the last bit.  units : of the scene, "ASE" or "LJ"."""
+    # the units of the engine, of size 1: the first of lengths, the last of energies
+    (length, *_), (*_, energy) = KEY_UNITS[units]["length"], KEY_UNITS[units]["energy"]
+    return "".join(
+        f"\n[tables.{json.dumps(name, ensure_ascii=False)}]\nr{length} = {one.r}\nu{energy} = {one.u}\n"
+        for name, one in tables.items()
+    )
+
+
+PLOT_SUFFIXES = (".png", ".pdf", ".svg")
+METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
+
+
+class StructureSection(Section):
+    """[structure]: a file that ASE or MDAnalysis reads, or a block of a cubic crystal.
+    format : name of the format, for a file whose suffix does not show it.  bonds : pairs of atoms; "file" for the
+        bonds, angles and dihedrals in the file; or the name of another file that holds them."""
+
+    file: str | None = None
+    lattice: Annotated[str, one_of(BASES)] | None = None
+    element: str | None = None
+    repeat: Annotated[list[PositiveInt], Three] | None = None
+    density: Annotated[Positive | None, Dimension("density")] = None
+    lattice_constant: Annotated[Positive | None, Dimension("length")] = None
+    cell: Annotated[Annotated[list[NotNegative], Three] | None, Dimension("length")] = None
+    pbc: bool | Annotated[list[bool], Three] | None = None
+    species: list[str] | None = None
+    charges: list[FiniteFloat] | dict[str, FiniteFloat] | None = None
+    format: str | None = None
+    bonds: list[PairOfAtoms] | str | None = None
+
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
+        if (self.file is None) == (self.lattice is None):
+            yield "must have either file or lattice"
+        of_files, of_lattices = ("cell", "format"), ("element", "repeat", "density", "lattice_constant")
+        made, others = ("lattice", of_files) if self.file is None else ("file", of_lattices)
+        yield from (f"cannot have {name} together with {made}" for name in others if name in self.model_fields_set)
+        if self.file is not None:
+            return
+        if isinstance(self.bonds, str):
+            yield "cannot have bonds from a file together with lattice; list the pairs, or give the structure as a file"
+        needed = ("repeat", "element") if units == "ASE" else ("repeat",)
+        yield from (f"must have {name} together with lattice" for name in needed if name not in self.model_fields_set)
+        if (self.density is None) == (self.lattice_constant is None):
+            density, edge = self.key("density", units), self.key("lattice_constant", units)
+            yield f"must have either {density} or {edge} together with lattice"
+
+
+class WaterSection(Section):
+    """[water]: rigid water instead of [structure], with its potentials and constraints: see minimd.scene.water."""
+
+    model: ModelName = "SPC/E"
+    molecules: Annotated[PositiveInt, Field(le=MOST_ATOMS // 3)] = 512
+    density: Annotated[Positive, Dimension("density")] = 0.997 * GRAM_PER_CM3
+    cutoff: Annotated[Positive | None, Dimension("length")] = None
+    accuracy: Positive = 1e-5
+    seed: NonNegativeInt = 0
+
+    def system(self) -> System:
+        """The molecules, held rigid.  Raises ValueError as water."""
+        given = self.model, self.molecules, self.density / GRAM_PER_CM3
+        system, _, rigid = water(*given, cutoff=self.cutoff, seed=self.seed)
+        return changed(system, constraints=(rigid,))
+
+    def potentials(self) -> list[OwnPotential]:
+        """Its potentials, also of a run in a file, without making molecules.  Raises ValueError as water."""
+        return water_potentials(self.model, self.molecules, self.density / GRAM_PER_CM3, self.cutoff, self.accuracy)
+
+
+class ConstraintsSection(Section):
+    """[constraints]: lengths and atoms that are held fixed.
+    Constraints that it does not mention are those of the structure file."""
+
+    pairs: list[PairOfAtoms] | Literal["bonds"] | None = None
+    lengths: Annotated[Positive | list[Positive] | None, Dimension("length")] = None
+    fixed: list[NonNegativeInt] | None = None
+    tolerance: Positive | None = None
+    solver: SolverName | None = None
+
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
+        key, n = self.key("lengths", units), len(self.lengths) if isinstance(self.lengths, list) else None
+        if self.lengths is not None and not self.pairs:
+            yield f"must have pairs together with {key}"
+        if n is not None and isinstance(self.pairs, list) and n != len(self.pairs):
+            yield f"must have one number as {key}, or one for each of its {len(self.pairs)} pairs; it has {n}"
+
+    def constraints(self, bonds: list[list[int]], known: Sequence[Constraint]) -> tuple[Constraint, ...]:
+        """The constraints of a system whose file, of structure or run, may hold some already.
+        bonds : of the structure.  known : constraints of the file; they hold where the section says nothing,
+            lengths only if the pairs are the same.
+        Raises ValueError for impossible constraints."""
+        fixed: list[Constraint] = [one for one in known if isinstance(one, FixedAtoms)]
+        if self.fixed is not None:
+            fixed = [FixedAtoms(self.fixed)] if self.fixed else []
+        held = next((one for one in known if isinstance(one, DistanceConstraints)), None)
+        pairs = bonds if self.pairs == "bonds" else self.pairs
+        if pairs is None and held is not None:
+            pairs = held.pairs.tolist()
+        if not pairs:
+            if self.tolerance is not None or self.solver is not None:
+                remedy = "give pairs, or leave tolerance and solver out"
+                raise ValueError(f"tolerance and solver are for lengths, and no lengths are held; {remedy}")
+            return tuple(fixed)
+        if held is None or held.pairs.tolist() != pairs:
+            held = DistanceConstraints(pairs)
+        lengths, solved = held.lengths if self.lengths is None else self.lengths, self.solver or held.solver
+        return (*fixed, DistanceConstraints(pairs, lengths, self.tolerance or held.tolerance, solved))
+
+
+class SpeciesSection(Section):
+    """[potential.species.X]: Lennard-Jones parameters of one species."""
+
+    epsilon: Annotated[NotNegative, Dimension("energy")]
+    sigma: Annotated[Positive, Dimension("length")]
+
+
+class PairSection(SpeciesSection):
+    """An entry of pairs: Lennard-Jones parameters of two species, in place of those of the mixing rule."""
+
+    species: Annotated[list[str], Field(min_length=2, max_length=2)]
+
+
+class LennardJonesSection(Section):
+    """[[potential]] of type "lennard-jones"."""
+
+    type: Literal["lennard-jones"]
+    epsilon: Annotated[NotNegative | None, Dimension("energy")] = None
+    sigma: Annotated[Positive | None, Dimension("length")] = None
+    species: dict[str, SpeciesSection] | None = None
+    pairs: list[PairSection] = Field([])
+    mixing: Annotated[str, one_of(MIXING)] = "lorentz-berthelot"
+    cutoff: Annotated[Positive | None, Dimension("length")] = None
+    truncation: Annotated[str, one_of(TRUNCATIONS)] = "shifted"
+    switch_start: Annotated[Positive | None, Dimension("length")] = None
+    bonded_scale: Annotated[list[FiniteFloat], Three] = Field([1.0, 1.0, 1.0])
+    tail_correction: bool = False
+
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
+        if (self.epsilon is None) != (self.sigma is None) or (self.epsilon is None) == (self.species is None):
+            yield "must have either epsilon and sigma, or a table of species with both"
+
+    def potential(self) -> LennardJones:
+        """The potential that the section describes."""
+        species: Any = {name: (one.epsilon, one.sigma) for name, one in (self.species or {}).items()}
+        pairs: Any = {tuple(one.species): (one.epsilon, one.sigma) for one in self.pairs}
+        others = self.model_dump(exclude={"type", "epsilon", "species", "pairs"})
+        return LennardJones(species if self.epsilon is None else self.epsilon, pairs=pairs, **others)
+
+
+class PairTableSection(Section):
+    """An entry of pairs: the table of two species."""
+
+    species: Annotated[list[str], Field(min_length=2, max_length=2)]
+    file: str
+
+
+class TabulatedSection(Section):
+    """[[potential]] of type "tabulated": one table for all atoms, or one for each pair of species, all at the same r.
+    file : two columns, r and u in the units of the scene, with a path relative to the scene file;
+        or a name in [tables]."""
+
+    type: Literal["tabulated"]
+    file: str | None = None
+    pairs: Annotated[list[PairTableSection] | None, Field(min_length=1)] = None
+    cutoff: Annotated[Positive | None, Dimension("length")] = None
+    truncation: Annotated[str, one_of(TRUNCATIONS)] = "shifted"
+    switch_start: Annotated[Positive | None, Dimension("length")] = None
+    bonded_scale: Annotated[list[FiniteFloat], Three] = Field([1.0, 1.0, 1.0])
+
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
+        if (self.file is None) == (self.pairs is None):
+            yield "must have either file, the table of all atoms, or pairs, each with its species and file"
+
+    @property
+    def files(self) -> list[str]:
+        """The names of its tables, without repetition."""
+        return [self.file] if self.file is not None else list(dict.fromkeys(one.file for one in self.pairs or ()))
+
+    def potential(self, table_of: Callable[[str], Numbers]) -> Tabulated:
+        """The potential that the section describes.  table_of : returns the numbers of a table.
+        Raises ValueError for tables that do not fit."""
+        tables = {name: table_of(name) for name in self.files}
+        first = self.files[0]
+        if others := [name for name, table in tables.items() if table.r != tables[first].r]:
+            raise ValueError(f"the tables of one potential must have the same r; those of {others[0]!r} and {first!r} "
+                             "differ")  # fmt: skip
+        by_pair: Any = {tuple(one.species): tables[one.file].u for one in self.pairs or ()}
+        options = self.model_dump(exclude={"type", "file", "pairs"})
+        return Tabulated(tables[first].r, by_pair or tables[first].u, **options)
+
+
+class DynamicsSection(Section):
+    """[dynamics]: method and length of the run. Without a temperature, velocities are those of the structure."""
+
+    method: Annotated[str, one_of(METHODS)] = "velocity-verlet"
+    timestep: Annotated[Positive, Dimension("time")]
+    steps: NonNegativeInt
+    temperature: Annotated[NotNegative | None, Dimension("temperature")] = None
+    relaxation_time: Annotated[Positive | None, Dimension("time")] = None
+    seed: NonNegativeInt = 1
+    threads: PositiveInt | None = None
+    precision: Precision = "double"
+
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
+        missing = [self.key(name, units) for name in ("temperature", "relaxation_time") if getattr(self, name) is None]
+        if self.method in THERMOSTATS and missing:
+            yield f"must have {' and '.join(missing)} with method {self.method!r}"
+        if self.method not in THERMOSTATS and self.relaxation_time is not None:
+            yield (f"cannot have {self.key('relaxation_time', units)} with method {self.method!r}, which has no "
+                   f"relaxation time; {', '.join(THERMOSTATS)} have one")  # fmt: skip
+
+    def integrator(self) -> Splitting:
+        """The method with its time step; a thermostat with its bath."""
+        if self.method not in THERMOSTATS:
+            return SPLITTINGS[self.method](self.timestep)
+        return THERMOSTATS[self.method].with_relaxation_time(self.timestep, self.temperature, self.relaxation_time,
+                                                             self.seed)  # fmt: skip
+
+
+class BarostatSection(Section):
+    """[barostat]: constant pressure by stochastic cell rescaling, at the temperature of the dynamics."""
+
+    pressure: Annotated[FiniteFloat, Dimension("pressure")]
+    compressibility: Annotated[Positive, Dimension("compressibility")]
+    relaxation_time: Annotated[Positive, Dimension("time")]
+    coupling: Annotated[str, one_of(COUPLINGS)] = "isotropic"
+    every: PositiveInt = 50
+    seed: NonNegativeInt = 1
+
+    def barostat(self, temperature: float) -> StochasticCellRescaling:
+        """The barostat that the section describes."""
+        return StochasticCellRescaling(**self.model_dump(), temperature=temperature)
+
+
+class MinimizationSection(Section):
+    """[minimization]: first of all, atoms move to a nearby minimum of the potential energy. The table may be empty."""
+
+    force_tolerance: Annotated[Positive, Dimension("force")] = FORCE_TOLERANCE
+    max_steps: NonNegativeInt = MAX_STEPS
+    max_step_length: Annotated[Positive, Dimension("length")] = MAX_STEP_LENGTH
+
+
+class EquilibrationSection(Section):
+    """[equilibration]: steps before the run, with velocities rescaled to a temperature; if not given,
+    that of [dynamics]."""
+
+    steps: NonNegativeInt
+    temperature: Annotated[Positive | None, Dimension("temperature")] = None
+    rescale_every: PositiveInt = 10
+
+
+class OfObservers(Section):
+    """[[observer]]: a quantity that is measured during the run by an observer of minimd.observers, with its
+    arguments."""
+
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
+        takes, kind = KINDS[self.kind].declared, self.kind  # type: ignore[attr-defined]
+        for one in self._given():
+            if one not in takes:
+                known = ", ".join(self.key(name, units) for name in type(self).model_fields if name in takes)
+                yield f"cannot have {self.key(one, units)} with kind {kind!r}, which takes {known}"
+        self.observer()  # raises ValueError if the observer refuses its arguments
+
+    def _given(self) -> dict[str, Any]:
+        return {name: value for name, value in self if name != "kind" and value is not None}
+
+    def observer(self) -> Accumulator:
+        """A new observer of this kind.  Raises ValueError if it refuses the arguments."""
+        return KINDS[self.kind](**self._given())  # type: ignore[attr-defined]
+
+
+ARGUMENTS: dict[Any, Any] = {  # of observers, by what they must be
+    checked_count: PositiveInt, arguments.levels: PositiveInt, arguments.positive: Positive, arguments.identifier: str,
+    arguments.axis_name: Annotated[str, one_of(arguments.AXES)],
+    arguments.interval: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)],
+}  # fmt: skip
+
+
+def _argument(name: str) -> tuple[Any, None]:
+    """Type and default of a field, from the declaration of the observers that take this argument."""
+    taken = {kind: made.declared[name] for kind, made in KINDS.items() if name in made.declared}
+    check, words, dimension = next(iter(taken.values()))
+    if len(taken) < len(KINDS):
+        words = f"of {', '.join(f'`{kind}`' for kind in taken)}: {words}"
+    marks = [Field(description=words), *([Dimension(dimension)] if dimension else [])]
+    return Annotated[ARGUMENTS[check] | None, *marks], None
+
+
+KIND_OF_OBSERVER = Field(description="what is measured during the run, see [observers](observers.md)")
+ObserverSection = create_model(  # type: ignore[call-overload]
+    "ObserverSection", __base__=OfObservers, __module__=__name__, __doc__=OfObservers.__doc__,
+    kind=(Annotated[str, one_of(KINDS), KIND_OF_OBSERVER], ...),
+    **{one: _argument(one) for one in ("every", "name", *chain(*(made.declared for made in KINDS.values())))},
+)  # fmt: skip
+
+
+def _plot_name(value: bool | str) -> bool | str:
+    if isinstance(value, str) and not value.lower().endswith(PLOT_SUFFIXES):
+        raise ValueError(f"must be true, false or a name that ends in one of {', '.join(PLOT_SUFFIXES)}")
+    return value
+
+
+class OutputSection(Section):
+    """[output]: files in the current folder; if no name is given, the trajectory is named after the scene.
+    shadow_energy, stress : whether to record these observables too."""
+
+    trajectory: str | list[str] | None = None
+    every: PositiveInt = 100
+    forces: bool = False
+    shadow_energy: bool = False
+    stress: bool = False
+    plot: Annotated[bool | str, AfterValidator(_plot_name)] = False
+
+    @property
+    def extra_observables(self) -> list[str]:
+        """The names of the extra observables that are recorded."""
+        return [name for name in ("shadow_energy", "stress") if getattr(self, name)]
+
+
+PotentialSection = Annotated[
+    LennardJonesSection | TabulatedSection | ForceSection,  # type: ignore[valid-type]
+    Field(discriminator="type"),
+]
+
+
+class SceneSections(Section):
+    """A whole scene file."""
+
+    title: Annotated[str, AfterValidator(printable)] = ""
+    units: Literal["ASE", "LJ"] = "ASE"
+    structure: StructureSection = StructureSection.model_construct()
+    water: WaterSection | None = None
+    constraints: ConstraintsSection | None = None
+    potential: Annotated[list[PotentialSection], Field(min_length=1)] = Field([])
+    dynamics: DynamicsSection
+    barostat: BarostatSection | None = None
+    minimization: MinimizationSection | None = None
+    equilibration: EquilibrationSection | None = None
+    tables: dict[str, TableSection] = Field({})
+    observer: list[ObserverSection] = Field([])  # type: ignore[valid-type]
+    output: OutputSection = OutputSection.model_construct()
+
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
+        given, temperature = self.model_fields_set, f"dynamics.{DynamicsSection.key('temperature', units)}"
+        pairs, is_cold = self.constraints and self.constraints.pairs, self.dynamics.temperature is None
+        named = {name for one in self.potential if isinstance(one, TabulatedSection) for name in one.files}
+        unused = ", tables.".join(repr(name) for name in self.tables if name not in named)
+        faults = {
+            "structure is missing; give it, or water in its place": not given & {"structure", "water"},
+            "potential is missing; give it": not given & {"potential", "water"},
+            "structure and water both give all atoms; leave one of them out": given >= {"structure", "water"},
+            "constraints.pairs would replace those of water; leave them out": self.water and pairs is not None,
+            f'water needs units = "ASE"; units = "{units}"': self.water and units != "ASE",
+            f"equilibration needs {temperature}, at which first velocities are drawn": self.equilibration and is_cold,
+            f"barostat needs {temperature}, the temperature of its noise": self.barostat and is_cold,
+            'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs': pairs == "bonds"
+            and not self.structure.bonds,
+            f"no tabulated potential uses tables.{unused}; name it as the file of a potential, or leave it out": unused,
+        }  # fmt: skip
+        yield from (fault for fault, is_there in faults.items() if is_there)

@@ -1,0 +1,327 @@
+"""Differential-algebraic equations in Hessenberg form, of index 1, 2 and 3, and constrained mechanics.
+
+    index 1     y′ = f(t, y, z)                             0 = g(t, y, z)    gives z
+    index 2     y′ = f(t, y, z)                             0 = g(t, y)       0 = dg/dt = g_t + g_y f gives z
+    index 3     y′ = f(t, y, z),  z′ = k(t, y, z, u)        0 = g(t, y)       0 = dg/dt is hidden, 0 = d²g/dt² gives u
+    mechanics   q′ = v,  M(q) v′ = f(t, q, v) − G(q)ᵀ λ     0 = g(t, q)       hidden: 0 = G v + g_t; 0 = d²g/dt² gives λ
+
+The state holds its parts one after the other. A start that violates one of these constraints is refused, with the
+reason. E. Hairer, G. Wanner, Solving ODEs II (1996), VI.1, VII.1.
+"""
+
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from minimd.core.console.words import shown
+from minimd.core.integrators.method import Array
+from minimd.textbook.dae.implicit import ADVICE
+from minimd.textbook.ode.functions import (
+    CENTRAL,
+    Function,
+    derivative,
+    forward_differences,
+    remark_on_differences,
+    taking,
+    time_derivative,
+    unit_of_time,
+)
+from minimd.textbook.ode.newton import WIDE, Newton, are_independent, nearest_root
+from minimd.textbook.ode.problems import DifferentialAlgebraic
+
+__all__ = ["Hessenberg1", "Hessenberg2", "Hessenberg3", "Mechanical"]
+
+Parts = tuple[Array, ...]
+KEPT = 1e-11  # relative moves below which a start is left as it is: the accuracy of the derivatives
+REFUSED = 1e-8  # and above which it is refused as inconsistent; moves between the two are made without a warning
+
+
+class Hessenberg(DifferentialAlgebraic):
+    """What the forms have in common: parts of the state, and a chain of constraints, each of which determines one of
+    the last parts.  functions : of the user, in the order in which they are named, each of t and of its first parts."""
+
+    names: ClassVar[tuple[str, ...]]  # of the parts
+    functions: ClassVar[tuple[tuple[str, int], ...]]  # one for each part: its name, of how many parts it is a function
+    chain: ClassVar[tuple[str, ...]]  # what is zero, from g on; the last one determines the algebraic variables
+    regular: ClassVar[str]  # the matrix that must have full rank for this
+    _slices: tuple[slice, ...] = ()
+
+    def __init__(self, solver: Newton, *functions: Function) -> None:
+        super().__init__(solver)
+        asked = [(name, " ".join(("t", *self.names[:n]))) for name, n in self.functions]
+        self._functions = [taking(one, names, name) for one, (name, names) in zip(functions, asked, strict=True)]
+        self.f, self.g = self._functions[0], self._functions[-1]
+
+    def begin(self, start: Any, t0: float = 0.0) -> Array:
+        """The start as a state, its algebraic variables solved for.
+        start : the parts, such as (q, v); algebraic variables may be left out; if given they are a first guess.
+        Raises ValueError for a start that violates a constraint, given or hidden; corrected gives one that does not."""
+        return self._consistent(start, t0, KEPT, REFUSED)
+
+    def corrected(self, start: Any, t0: float = 0.0) -> Array:
+        """The consistent state nearest to a start, found part by part."""
+        return self._consistent(start, t0, 0.0, np.inf)
+
+    def parts(self, y: ArrayLike) -> Parts:
+        """Views of the parts of a state, or of many: y may be (n,), or (n_times, n) as in a solution."""
+        y = np.asarray(y)
+        return tuple(y[..., part] for part in self._slices)
+
+    def residual(self, t: float, y: Array, slope: Array) -> Array:
+        """(y′ − f, g), or (y′ − f, z′ − k, g)."""
+        *rates, g = self._answers(t, *self.parts(y))
+        return np.concatenate([*(own - rate for own, rate in zip(self.parts(slope), rates, strict=False)), g])
+
+    def field(self, t: float, y: Array) -> Array:
+        """(f, 0), or (f, k, 0): zero for the algebraic variables."""
+        *rates, g = self._answers(t, *self.parts(y))
+        return np.concatenate([*rates, np.zeros(g.size)])
+
+    def constraint(self, k: int, t: float, *parts: Array) -> Array:
+        """dᵏg/dtᵏ along the solution, from central differences: zero on solutions."""
+        y = parts[0]
+        if k == 0:
+            return self.g(t, *parts[: self.functions[-1][1]])
+        rate = self.f(t, *parts[:2])
+        second = self._highest_derivative(t, *parts) if k == 2 else np.zeros_like(rate)
+        unit = unit_of_time(y, rate, second)
+        return time_derivative(lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), k, unit)
+
+    def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
+        """1 for the differential variables, 0 for the algebraic ones."""
+        n_differential = self._slices[-1].start
+        return np.diag(np.repeat([1.0, 0.0], [n_differential, y.size - n_differential]))
+
+    def _consistent(self, start: Any, t: float, kept: float, refused: float) -> Array:
+        """The state whose parts are roots of the constraints that determine them.  kept, refused : moves of a part,
+        relative to its size, up to which it stays as it is, and above which the start is refused."""
+        parts = self._begun(start, t)
+        last = len(self.chain) - 1
+        for k, chained in enumerate(self.chain):
+            i, step = len(parts) - len(self.chain) + k, WIDE if k > 0 else CENTRAL
+
+            def violation(x: Array) -> Array:
+                return self.constraint(k, t, *parts[:i], x, *parts[i + 1 :])
+
+            sizes = [float(np.abs(part).max()) for part in parts]
+            own = sizes[i] if sizes[i] > KEPT * max(sizes) else max(sizes)  # else it is only rounding
+            own = self._size_of_algebraic(t, parts) if k == last else own
+            if not are_independent(violation, parts[i], step, own):
+                what = f"the constraints 0 = {chained} do not determine {self.names[i]}"
+                when = f"at the start, t = {t:g}, or the index is higher than {self.index}"
+                raise ValueError(f"{self.regular} must have full rank {when}: {what}")
+            root = nearest_root(violation, parts[i], step, size=own)
+            move, size = np.abs(root - parts[i]).max(), max(own, np.abs(root).max())
+            if k < last and move > refused * size:
+                off = violation(parts[i])
+                worst = int(np.argmax(np.abs(off)))
+                found = f"its element {worst} is {off[worst]:.2e} at t = {t:g}"
+                needed = f"{self.names[i]} would have to move by {move:.1e}"
+                name = f"{'hidden ' if k else ''}constraint 0 = {chained}"
+                raise ValueError(f"the start violates the {name}: {found}, and {needed}; {ADVICE}")
+            if k == last or move > kept * size:
+                parts[i] = root
+        return np.concatenate(parts)
+
+    def _size_of_algebraic(self, t: float, parts: list[Array]) -> float:
+        """Size of algebraic variables that would change the highest derivative of the path by its own size."""
+        *others, algebraic = parts
+        here = self._highest_derivative(t, *parts)
+        response = np.abs(self._highest_derivative(t, *others, algebraic + 1.0) - here).max()
+        wanted = np.abs(here).max() or np.abs(parts[0]).max()
+        return float(wanted / response) if wanted > 0.0 < response else 1.0
+
+    def _highest_derivative(self, t: float, *parts: Array) -> Array:
+        """The derivative of y in the last constraint of the chain: it depends on the algebraic variables."""
+        return parts[-1]
+
+    def _begun(self, start: Any, t: float) -> list[Array]:
+        """The parts of a start, with zeros for algebraic variables that are not given; sizes are remembered."""
+        names, is_guess_needed = self.names, self.functions[-1][1] == len(self.names)  # as g depends on it
+        if not isinstance(start, tuple) or not len(names) - (not is_guess_needed) <= len(start) <= len(names):
+            last = f"{names[-1]} {'as a guess, because g depends on it' if is_guess_needed else 'may be left out'}"
+            raise ValueError(f"the start must be a tuple of {', '.join(names)} ({last}); got {shown(start)}")
+        parts = [np.array(part, dtype=float).reshape(-1) for part in start]
+        if len(parts) < len(names):
+            parts.append(np.zeros(self.constraint(0, t, *parts).size))
+        for name, part in zip(names, parts, strict=True):
+            if part.size == 0 or not np.isfinite(part).all():
+                raise ValueError(f"{name} of the start must have at least one element, and finite ones; got {part}")
+        sizes = [part.size for part in parts]
+        self._slices = tuple(slice(end - size, end) for end, size in zip(np.cumsum(sizes).tolist(), sizes, strict=True))
+        self.levels = np.repeat(np.maximum(np.arange(len(parts)) + self.index - len(parts), 0), sizes)
+        for (name, _), answer, part in zip(self.functions, self._answers(t, *parts), parts, strict=True):
+            if answer.size != part.size:
+                needed = f"as many numbers as it has variables, {part.size} as in the start"
+                raise ValueError(f"{name} must answer with {needed}; got {answer.size}")
+        return parts
+
+    def _answers(self, t: float, *parts: Array) -> Parts:
+        """The values of the functions, in the order of the parts."""
+        return tuple(f(t, *parts[:n]) for f, (_, n) in zip(self._functions, self.functions, strict=True))
+
+
+class Hessenberg1(Hessenberg):
+    """y′ = f(t, y, z), 0 = g(t, y, z), with g_z regular: index 1.
+
+    Parameters
+    ----------
+    f, g : functions of t, y, z, or of some of them under these names.
+
+    The start is (y, z), with a guess of z.
+    """
+
+    index, names, functions, chain, regular = 1, ("y", "z"), (("f", 2), ("g", 2)), ("g",), "g_z"
+
+    def __init__(self, f: Function, g: Function, solver: Newton = Newton()) -> None:
+        super().__init__(solver, f, g)
+
+
+class Hessenberg2(Hessenberg):
+    """y′ = f(t, y, z), 0 = g(t, y), with g_y f_z regular: index 2.
+
+    Parameters
+    ----------
+    f : function of t, y, z.  g : of t, y; or of some of them under these names.
+
+    The start is (y,), or (y, z) with a guess of z.
+    """
+
+    index, names, functions, regular = 2, ("y", "z"), (("f", 2), ("g", 1)), "g_y f_z"
+    chain = ("g", "dg/dt = g_t + g_y f")
+
+    def __init__(self, f: Function, g: Function, solver: Newton = Newton()) -> None:
+        super().__init__(solver, f, g)
+
+    def _highest_derivative(self, t: float, *parts: Array) -> Array:
+        return self.f(t, *parts)
+
+
+class Hessenberg3(Hessenberg):
+    """y′ = f(t, y, z), z′ = k(t, y, z, u), 0 = g(t, y), with g_y f_z k_u regular: index 3.
+
+    Parameters
+    ----------
+    f : function of t, y, z.  k : of t, y, z, u.  g : of t, y; or of some of them under these names.
+
+    The start is (y, z), or (y, z, u) with a guess of u.
+    """
+
+    index, names, functions, regular = 3, ("y", "z", "u"), (("f", 2), ("k", 3), ("g", 1)), "g_y f_z k_u"
+    chain = ("g", "dg/dt = g_t + g_y f", "d²g/dt²")
+
+    def __init__(self, f: Function, k: Function, g: Function, solver: Newton = Newton()) -> None:
+        super().__init__(solver, f, k, g)
+        self.k = self._functions[1]
+
+    def _highest_derivative(self, t: float, *parts: Array) -> Array:
+        """y″ = f_t + f_y f + f_z k."""
+        y, z, _ = parts
+        rate, z_rate = self.f(t, y, z), self.k(t, *parts)
+        unit = min(unit_of_time(y, rate), unit_of_time(z, z_rate))
+        return time_derivative(lambda e: self.f(t + e, y + e * rate, z + e * z_rate), 1, unit)
+
+
+class Mechanical(Hessenberg):
+    """Constrained mechanics, for methods that solve its equations together: index 3.
+
+        q′ = v        M(q) v′ = f(t, q, v) − G(t, q)ᵀ λ        0 = g(t, q)        G = ∂g/∂q
+
+    The hidden constraints are 0 = G v + g_t and 0 = G v′ + (G v + g_t)_q v + …, which determines λ. The mass matrix and
+    the force are arbitrary, and constraints may depend on time. For particles and forces that do not depend on v,
+    RATTLE on a Holonomic problem is cheaper, and symplectic. Hairer, Wanner (1996), VII.1, eq. 1.46.
+
+    Parameters
+    ----------
+    mass : number, (n,) diagonal, (n, n) matrix, or a function of q that answers with one of them [mass].
+    force : function of t, q, v, or of some of them under these names [force].
+    g : (m,) constraints, function of t, q.  jacobian : (m, n) G = ∂g/∂q, a function of the same; by differences of
+        order 6 if not given.
+
+    The start is (q, v), or (q, v, λ) with a guess of λ; the force of the constraints is −Gᵀ λ. An error of G is one of
+    this force: for all digits of λ and v′ give the jacobian. The message of a solution says how large the error is.
+    """
+
+    index, names, functions, regular = 3, ("q", "v", "λ"), (("q′", 2), ("force", 2), ("g", 1)), "G M⁻¹ Gᵀ"
+    chain = ("g", "dg/dt = G v + g_t", "d²g/dt²")
+
+    def __init__(self, mass: ArrayLike | Function, force: Function, g: Function, jacobian: Function | None = None,
+                 solver: Newton = Newton()) -> None:  # fmt: skip
+        super().__init__(solver, lambda v: v, force, g)
+        self._force = self._functions[1]
+        self._jacobian = jacobian if jacobian is None else taking(jacobian, "t q", "jacobian")
+        self._mass = taking(mass if callable(mass) else lambda: mass, "q", "mass")
+
+    def begin(self, start: Any, t0: float = 0.0) -> Array:
+        """See Hessenberg."""
+        y = super().begin(start, t0)
+        self.remark = remark_on_differences("G = ∂g/∂q", partial(self.g, t0), self._jacobian, self.parts(y)[0])
+        return y
+
+    def residual(self, t: float, y: Array, slope: Array) -> Array:
+        """q′ − v, M v′ − f + Gᵀ λ and g."""
+        q, v, multipliers = self.parts(y)
+        q_slope, v_slope, _ = self.parts(slope)
+        momentum = np.dot(self.mass(q), v_slope) - self._pull(t, q, v, multipliers)
+        return np.concatenate([q_slope - v, momentum, self.g(t, q)])
+
+    def field(self, t: float, y: Array) -> Array:
+        """v, M⁻¹ (f − Gᵀ λ), and zero for λ."""
+        parts = self.parts(y)
+        return np.concatenate([parts[1], self._highest_derivative(t, *parts), np.zeros(parts[2].size)])
+
+    def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
+        """∂F/∂y, by blocks: ∂(q′ − v)/∂v = −1, G and Gᵀ; the others by finite differences."""
+        q, v, multipliers = self.parts(y)
+        v_slope = self.parts(slope)[1]
+        of_q, of_v, of_multipliers = self._slices
+
+        def momentum(q: Array, v: Array) -> Array:
+            return np.dot(self.mass(q), v_slope) - self._pull(t, q, v, multipliers)
+
+        here, jacobian, matrix = momentum(q, v), self.jacobian(t, q), np.zeros((y.size, y.size))
+        matrix[of_q, of_v] = -np.eye(q.size)
+        matrix[of_v, of_q] = forward_differences(lambda x: momentum(x, v), q, here)
+        matrix[of_v, of_v] = forward_differences(lambda x: momentum(q, x), v, here)
+        matrix[of_v, of_multipliers], matrix[of_multipliers, of_q] = jacobian.T, jacobian
+        return matrix
+
+    def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
+        """∂F/∂y′ = diag(1, M, 0)."""
+        matrix = super().slope_jacobian(t, y, slope)
+        of_q, of_v, _ = self._slices
+        matrix[of_v, of_v] = self.mass(y[of_q])
+        return matrix
+
+    def constraint(self, k: int, t: float, *parts: Array) -> Array:
+        """g, dg/dt or d²g/dt² = G q″ + ∂²g(t + ε, q + ε v)/∂ε²."""
+        if k < 2:
+            return super().constraint(k, t, *parts)
+        q, v, _ = parts
+        q_second = self._highest_derivative(t, *parts)
+        turning = time_derivative(lambda e: self.g(t + e, q + e * v), 2, unit_of_time(q, v, q_second))
+        return self.jacobian(t, q) @ q_second + turning
+
+    def mass(self, q: Array) -> Array:
+        """M(q), (n, n)."""
+        mass, n = self._mass(q), q.size
+        if mass.size not in (1, n, n * n):
+            needed = f"one number, {n} or {n} × {n}, as q has {n} elements"
+            raise ValueError(f"mass must be {needed}; got {mass.size} numbers")
+        return mass.reshape(n, n) if mass.size == n * n else np.eye(n) * mass
+
+    def jacobian(self, t: float, q: Array) -> Array:
+        """G(t, q), (m, n)."""
+        return derivative(partial(self.g, t), self._jacobian and partial(self._jacobian, t), q)
+
+    def _pull(self, t: float, q: Array, v: Array, multipliers: Array) -> Array:
+        return self._force(t, q, v) - multipliers @ self.jacobian(t, q)
+
+    def _highest_derivative(self, t: float, *parts: Array) -> Array:
+        """q″ = M⁻¹ (f − Gᵀ λ)."""
+        try:
+            return np.asarray(np.linalg.solve(self.mass(parts[0]), self._pull(t, *parts)))
+        except np.linalg.LinAlgError:
+            raise ValueError(f"the mass matrix must be regular; it is singular at q = {parts[0]}") from None

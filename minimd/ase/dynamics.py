@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 import ase.md.verlet
 import numpy as np
@@ -22,6 +22,8 @@ from minimd.core.potentials.term import CalculatorTerm, calculators_said
 from minimd.core.structure.ase_atoms import fixes_center, same_scene
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
+
+T = TypeVar("T", bound=MolecularDynamics)
 
 
 class MinimdSteps(MolecularDynamics):
@@ -142,13 +144,24 @@ class MinimdSteps(MolecularDynamics):
         return self._guard
 
 
-class VelocityVerlet(MinimdSteps, ase.md.verlet.VelocityVerlet):
+def named_as_in_ase(dynamics: type[T]) -> type[T]:
+    """A class under the name of the class of ASE from which it derives, as trajectories, logs and scripts know it.
+    In sources it has another one, for the methods of minimd have those names."""
+    dynamics.__name__ = dynamics.__qualname__ = dynamics.__bases__[-1].__name__
+    return dynamics
+
+
+@named_as_in_ase
+class VelocityVerletDynamics(MinimdSteps, ase.md.verlet.VelocityVerlet):
     """ase.md.verlet.VelocityVerlet with the steps made by minimd: the same motion, to rounding.
     Parameters, attach, irun, get_time and everything else are those of ASE. Raises : see MinimdSteps."""
 
     def method(self) -> Splitting:
         """Velocity Verlet."""
         return Method(self.dt)
+
+
+VelocityVerlet = VelocityVerletDynamics
 
 
 def _momenta(engine: Engine) -> NDArray[np.float64]:

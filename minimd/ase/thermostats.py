@@ -14,7 +14,7 @@ from ase.md import andersen, bussi, langevin, langevinbaoab, nose_hoover_chain, 
 from ase.md.md import MolecularDynamics
 
 from minimd.ase.baths import AndersenBath, BerendsenBath, BussiBath, Chain, LangevinBath, NoseHooverBath
-from minimd.ase.dynamics import MinimdSteps
+from minimd.ase.dynamics import MinimdSteps, named_as_in_ase
 from minimd.core.console.words import shown
 from minimd.core.integrators.rows import VelocityVerlet
 from minimd.core.integrators.splitting import Splitting
@@ -82,7 +82,8 @@ class Langevin(MinimdSteps, Noisy, langevin.Langevin):
         return LangevinBath(self.dt, temperature, self.fr, self.noise_seed(), keeps_center)
 
 
-class LangevinBAOAB(MinimdSteps, Noisy, langevinbaoab.LangevinBAOAB):
+@named_as_in_ase
+class LangevinBAOABDynamics(MinimdSteps, Noisy, langevinbaoab.LangevinBAOAB):
     """ase.md.langevinbaoab.LangevinBAOAB for a constant cell; without temperature_K it is velocity Verlet.
 
     Raises NotImplementedError for externalstress, with which the cell would change.
@@ -103,6 +104,9 @@ class LangevinBAOAB(MinimdSteps, Noisy, langevinbaoab.LangevinBAOAB):
         if self.temperature_K is None:
             return VelocityVerlet(self.dt)
         return LangevinBath(self.dt, self.temperature_K, self.gamma, self.noise_seed(), fixes_center(self.atoms))
+
+
+LangevinBAOAB = LangevinBAOABDynamics
 
 
 class Bussi(MinimdSteps, Noisy, bussi.Bussi):

@@ -76,7 +76,7 @@ ARGON = 18  # asap3 needs a chemical element; the masses are those of the scene
 
 
 @dataclass
-class Engine:
+class LoadedEngine:
     """An engine that has loaded a scene.
     threads : their number.  precision : "double", "mixed" or "single".  potential_energy, total_energy : U and U + K
         [ε] of the present state.
@@ -92,7 +92,7 @@ class Engine:
     forces: Any = None
 
 
-class Minimd(Engine):
+class Minimd(LoadedEngine):
     """minimd as a user calls it.  every : steps between observations; if not given, only start and end of a run are
     observed.  trajectory : file to write, replaced by each run."""
 
@@ -114,7 +114,7 @@ class Minimd(Engine):
 
 
 def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool = True, rigid: str = "rattle",
-           skins: Mapping[str, float] = SKINS) -> Engine:  # fmt: skip
+           skins: Mapping[str, float] = SKINS) -> LoadedEngine:  # fmt: skip
     """LAMMPS, with styles of one package or of none, on the scene as minimd.lammps translates it.
 
     suffix : "", "opt" (one thread) or "omp".  checked : True to rebuild the list when an atom has moved by half the
@@ -154,9 +154,11 @@ def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool =
         program.command("run 0 post no")
         return float(program.get_thermo(quantity)) * program.get_natoms()
 
-    # goes on from the last run, with its list
-    return Engine(", ".join(filter(None, words)), threads, "double", partial(thermo, "pe"), partial(thermo, "etotal"),
-                  lambda n_steps: program.command(f"run {n_steps} pre no post no"), forces)  # fmt: skip
+    def run(n_steps: int) -> None:
+        program.command(f"run {n_steps} pre no post no")  # goes on from the last run, with its list
+
+    name = ", ".join(filter(None, words))
+    return LoadedEngine(name, threads, "double", partial(thermo, "pe"), partial(thermo, "etotal"), run, forces)
 
 
 def _motion(scene: BenchScene) -> list[str]:
@@ -171,7 +173,7 @@ def _motion(scene: BenchScene) -> list[str]:
     return ["fix motion all nve"]
 
 
-def openmm(scene: BenchScene, threads: int) -> Engine:
+def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
     """OpenMM's CPU platform, with nm, u and kJ/mol as σ, m and ε.
     OpenMM gives each step to a thread pool, even if the pool has one thread. Such a thread is bound here to the core of
     the caller, where it wakes up sooner: for 500 atoms steps are 1.7 times as fast."""
@@ -224,7 +226,7 @@ def openmm(scene: BenchScene, threads: int) -> Engine:
             context.getState(getEnergy=True)  # waits for the last step
 
     energies = partial(energy, is_total=False), partial(energy, is_total=True)
-    return Engine("OpenMM CPU", threads, "single", *energies, run, forces)
+    return LoadedEngine("OpenMM CPU", threads, "single", *energies, run, forces)
 
 
 @contextlib.contextmanager
@@ -241,7 +243,7 @@ def _on_one_core(threads: int) -> Iterator[None]:
         os.sched_setaffinity(0, cores)
 
 
-def ase(scene: BenchScene, _threads: int) -> Engine:
+def ase(scene: BenchScene, _threads: int) -> LoadedEngine:
     """ASE's calculator LennardJones and its VelocityVerlet; Å, eV, u and ASE's unit of time stand for σ, ε, m and τ."""
     from ase.calculators.lj import LennardJones
     from ase.md.verlet import VelocityVerlet
@@ -255,7 +257,7 @@ def ase(scene: BenchScene, _threads: int) -> Engine:
     return _on_ase("ASE (serial)", atoms, VelocityVerlet(atoms, scene.method.timestep), shift)
 
 
-def asap3(scene: BenchScene, _threads: int) -> Engine:
+def asap3(scene: BenchScene, _threads: int) -> LoadedEngine:
     """asap3's calculator LennardJones and its compiled VelocityVerlet, in the units of ase; ASE's VelocityVerlet with
     this calculator takes twice as long."""
     import asap3
@@ -271,14 +273,14 @@ def asap3(scene: BenchScene, _threads: int) -> Engine:
     return _on_ase("asap3 (serial)", atoms, VelocityVerlet_Asap(atoms, scene.method.timestep), lambda: 0.0)
 
 
-def _on_ase(name: str, atoms: Any, dynamics: Any, shift: Callable[[], float]) -> Engine:
+def _on_ase(name: str, atoms: Any, dynamics: Any, shift: Callable[[], float]) -> LoadedEngine:
     """An engine on ASE's atoms.  shift : to be added to the potential energy."""
     potential: Callable[[], float] = lambda: float(atoms.get_potential_energy()) + shift()  # noqa: E731
     total: Callable[[], float] = lambda: potential() + float(atoms.get_kinetic_energy())  # noqa: E731
-    return Engine(name, 1, "double", potential, total, dynamics.run)
+    return LoadedEngine(name, 1, "double", potential, total, dynamics.run)
 
 
-def gromacs(scene: BenchScene, threads: int) -> Engine:
+def gromacs(scene: BenchScene, threads: int) -> LoadedEngine:
     """GROMACS' leapfrog in mixed precision, with a list that is as safe as minimd's; nm, u, ps and kJ/mol stand for σ,
     m, τ and ε. Each run is a process. The seconds are those of GROMACS' own clock, without the start of the program."""
     from MDAnalysis import Universe
@@ -329,10 +331,10 @@ def gromacs(scene: BenchScene, threads: int) -> Engine:
     (place / "run.top").write_text(GROMACS_TOPOLOGY.format(n_atoms=len(lines)), encoding="utf-8")
     (place / "run.gro").write_text("\n".join(structure), encoding="utf-8")
     call("grompp", "-f", "run.mdp", "-p", "run.top", "-c", "run.gro", "-o", "run.tpr", "-maxwarn", "9")
-    return Engine(f"GROMACS, buffer {BUFFER:g}", threads, "mixed", lambda: energies()[0], total_energy, run)
+    return LoadedEngine(f"GROMACS, buffer {BUFFER:g}", threads, "mixed", lambda: energies()[0], total_energy, run)
 
 
-Load = Callable[[BenchScene, int], Engine]  # a scene, and a number of threads
+Load = Callable[[BenchScene, int], LoadedEngine]  # a scene, and a number of threads
 
 
 class Peer(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.bench import outcome
-from minimd.bench.engines import PEERS, Engine, Load, Minimd
+from minimd.bench.engines import PEERS, Load, LoadedEngine, Minimd
 from minimd.bench.outcome import spread, summary, table, tell, threads_text
 from minimd.bench.scaling import bytes_per_atom
 from minimd.bench.scenes import EXACT, MELT, SCENES, WATER_CUTOFFS, BenchScene, equilibrated
@@ -221,14 +221,14 @@ def _beside(name: str, n: int, options: PeersOptions, threads: Sequence[int],
     return [best[k] for k in sorted(best)]
 
 
-def _accurate(asked: Sequence[tuple[Load, int]], scene: BenchScene) -> list[dict[int, Engine]]:
+def _accurate(asked: Sequence[tuple[Load, int]], scene: BenchScene) -> list[dict[int, LoadedEngine]]:
     """For each cutoff that the cell has room for, the engines that are asked for, by their places: each with the least
     accuracy whose measured error is allowed, without those that do not reach it."""
     groups = []
     for cutoff in [one for one in WATER_CUTOFFS if 2.0 * one <= scene.edges.min()] or [scene.law.cutoff]:
         exact = scene.cut(cutoff, EXACT)
         forces, of_charges = (Minimd(exact._replace(potentials=exact.potentials[k:])).forces for k in (0, 1))
-        groups.append(dict[int, Engine]())
+        groups.append(dict[int, LoadedEngine]())
         for k, (load, count) in enumerate(asked):
             for accuracy in scene.error * LADDER:
                 engine = load(scene.cut(cutoff, accuracy), count)
@@ -241,7 +241,7 @@ def _accurate(asked: Sequence[tuple[Load, int]], scene: BenchScene) -> list[dict
     return groups
 
 
-def _load(name: str, scene: BenchScene, threads: int) -> Engine:
+def _load(name: str, scene: BenchScene, threads: int) -> LoadedEngine:
     """A peer that has loaded the scene.  Raises ValueError for any failure of the peer."""
     try:
         return PEERS[name].load(scene, threads)

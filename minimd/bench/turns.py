@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.bench.engines import Engine
+from minimd.bench.engines import LoadedEngine
 from minimd.bench.outcome import tell, threads_text
 from minimd.bench.scenes import BenchScene
 from minimd.core.compiled.machine import available_cores
@@ -26,7 +26,7 @@ SECONDS_A_TURN = 0.5
 STEPS_A_TURN, LONGEST_TURN = 40, 5.0
 
 
-def check_agreement(engines: Sequence[Engine], scene: BenchScene) -> None:
+def check_agreement(engines: Sequence[LoadedEngine], scene: BenchScene) -> None:
     """Check that all engines have loaded the same scene and make the same steps; for this they make some steps.
     The total energy alone does not show a wrong time step, because it is conserved. The potential energy of a melting
     crystal does.  Raises HandOverError if an engine differs from the first."""
@@ -46,12 +46,12 @@ def check_agreement(engines: Sequence[Engine], scene: BenchScene) -> None:
     compare(f"total energy {when}", [engine.total_energy() / n_atoms for engine in engines], 0.0, allowed)
 
 
-def in_turns(engines: Sequence[Engine], repeats: int, n_atoms: int) -> NDArray[np.float64]:
+def in_turns(engines: Sequence[LoadedEngine], repeats: int, n_atoms: int) -> NDArray[np.float64]:
     """Steps per second of each engine in each turn, (E, repeats), after a warm-up."""
     return take_turns(engines, warm_up(engines, n_atoms), repeats, n_atoms)
 
 
-def warm_up(engines: Sequence[Engine], n_atoms: int) -> list[int]:
+def warm_up(engines: Sequence[LoadedEngine], n_atoms: int) -> list[int]:
     """Run each engine several times, each twice as long as the one before; returns the number of steps in its turns."""
     n_steps = []
     for engine in engines:
@@ -65,7 +65,9 @@ def warm_up(engines: Sequence[Engine], n_atoms: int) -> list[int]:
     return n_steps
 
 
-def take_turns(engines: Sequence[Engine], n_steps: Sequence[int], repeats: int, n_atoms: int) -> NDArray[np.float64]:
+def take_turns(
+    engines: Sequence[LoadedEngine], n_steps: Sequence[int], repeats: int, n_atoms: int
+) -> NDArray[np.float64]:
     """Steps per second of each engine in each turn, (E, repeats).
     The engines take turns because the speed of a machine drifts: so the drift affects all of them.  n_steps : (E,),
     of a turn."""
@@ -82,7 +84,7 @@ def steps_in_a_turn(seconds_per_step: float) -> int:
     return max(1, int(min(max(in_time, STEPS_A_TURN), at_most)))
 
 
-def label(engine: Engine) -> str:
+def label(engine: LoadedEngine) -> str:
     """The description of an engine."""
     return f"{engine.name}, {engine.precision}, {threads_text(engine.threads)}"
 

@@ -213,7 +213,9 @@ def _path(scene: BenchScene, method: type[Splitting], cost: float) -> NDArray[np
     return engine.positions
 
 
-def measured(scene: BenchScene, steps: int, make: Callable[[], engines.Engine], repeats: int, distance: float) -> Point:
+def measured(
+    scene: BenchScene, steps: int, make: Callable[[], engines.LoadedEngine], repeats: int, distance: float
+) -> Point:
     """Measure one run of a new engine; if it fails, its errors are infinite.  The observations count in the time of
     minimd, which makes them in its run, and not in that of a peer."""
     method = scene.method

@@ -41,7 +41,7 @@ class SpawnedProcesses(Executor):
 
     def __init__(self, n_workers: int) -> None:
         self._threads = ThreadPoolExecutor(n_workers, thread_name_prefix="minimd worker")
-        self._own, self._workers, self._is_stopped = threading.local(), list[Worker](), False
+        self._own, self._workers, self._is_stopped = threading.local(), list[WorkerProcess](), False
 
     def submit(self, function: Callable, /, *args: Any, **kwargs: Any) -> Future:
         """Call function(*args, **kwargs) in one of the processes; function and arguments must be picklable."""
@@ -72,13 +72,13 @@ class SpawnedProcesses(Executor):
                 raise WorkerStopped from None
             raise
 
-    def _ready_worker(self) -> "Worker":
+    def _ready_worker(self) -> "WorkerProcess":
         """A new worker of this thread; if it is killed while it starts, another one.
 
         Raises WorkerNeverBegan, WorkerStopped.
         """
         for _ in range(STARTS):
-            worker = Worker()
+            worker = WorkerProcess()
             self._workers.append(worker)
             if worker.is_ready():
                 self._own.worker = worker
@@ -91,7 +91,7 @@ class SpawnedProcesses(Executor):
         raise WorkerNeverBegan(worker.ending())
 
 
-class Worker:
+class WorkerProcess:
     """A process that does one job after the other."""
 
     def __init__(self) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from minimd.judge.problems import SHAPES, Array, Problem, problem
+from minimd.judge.problems import SHAPES, Array, TrialProblem, problem
 
 PLACES = ("x", "v", "force", "m", "dt")
 Names = tuple[tuple[str, str], ...]  # role, and pattern of the name in lower case without underscores: the first counts
@@ -139,12 +139,12 @@ class StudentStep:
         """Whether one of these words is in the roles of the parameters."""
         return not self.words.isdisjoint(words)
 
-    def problem(self, seed: int, stiffness: float = 0.0) -> Problem:
+    def problem(self, seed: int, stiffness: float = 0.0) -> TrialProblem:
         """A state in the shape of the step; masses are 1 if the step takes neither masses nor accelerations."""
         one = problem(self.shape, seed, self.masses == "one number", stiffness or self.stiffness)
         return one if self.takes("m", "acceleration") else one._replace(m=np.ones_like(one.m))
 
-    def __call__(self, where: Problem, x: Array, v: Array, h: float) -> tuple[Array, Array]:
+    def __call__(self, where: TrialProblem, x: Array, v: Array, h: float) -> tuple[Array, Array]:
         """One step.  Raises what the function raises, and ValueError for results that are not x and v."""
         roles, one = self.roles, float if x.ndim == 0 else np.array
         m: Any = {"(N,)": where.m, "(N, 1)": where.m.reshape(-1, 1), "one number": where.m.flat[0]}[self.masses]
@@ -178,7 +178,7 @@ class StudentStep:
         push = 0.5 * h * where.force(new_x) / where.mass if of_v in ("half", "old") else 0.0
         return new_x, (new_v / where.mass if of_v == "p" else new_v + push)
 
-    def _force(self, role: str, where: Problem) -> Callable[..., Any]:
+    def _force(self, role: str, where: TrialProblem) -> Callable[..., Any]:
         def force(x: Any, *_: Any) -> Any:
             self.n_evaluations += 1
             x = np.array(x, dtype=float)

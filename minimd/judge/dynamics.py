@@ -20,7 +20,7 @@ from tqdm import tqdm
 from minimd.core.console.words import shown
 from minimd.core.structure.checks import checked_choice, checked_count, checked_flag, checked_number
 from minimd.judge import ensembles
-from minimd.judge.findings import Finding, Grade, Law, Measured, causes, judged
+from minimd.judge.findings import Finding, Grade, Law, Measurement, causes, judged
 from minimd.judge.scenes import SCENES, SOFT, Array, Frames, Make, ends_of, run, started
 
 ENSEMBLES = {"NVE": "constant energy", "NVT": "constant temperature", "NPT": "constant temperature and pressure"}
@@ -92,17 +92,21 @@ class Motion:
             self.make(atoms, state).run(n)
         return atoms.positions
 
-    def again(self) -> Measured:
+    def again(self) -> Measurement:
         """Whether numbers can be had again."""
         same = np.array_equal(self.path(OF_PATHS), self.path(OF_PATHS))
-        return Measured(0.0, 0.0, "the same") if same else Measured(0.0, np.nan, "other numbers: take noise from rng")
+        return (
+            Measurement(0.0, 0.0, "the same")
+            if same
+            else Measurement(0.0, np.nan, "other numbers: take noise from rng")
+        )
 
-    def restart(self) -> Measured:
+    def restart(self) -> Measurement:
         """Whether all that a step needs is in the atoms."""
         once, parted = self.path(OF_PATHS), self.path(OF_PATHS // 2, OF_PATHS // 2)
         off = float(np.abs(once - parted).max() / np.ptp(once))
         kept = ": a step needs more than the atoms hold, or random numbers differ" * (off >= SAME)
-        return Measured(off, 0.0 if off < SAME else np.nan, kept)
+        return Measurement(off, 0.0 if off < SAME else np.nan, kept)
 
     def center(self) -> tuple[float, float]:
         """The way of the center of mass over P t/M; open if the momentum is taken away."""
@@ -142,19 +146,19 @@ class Motion:
         off = slopes.mean() / (stats.t.isf(0.5 * RATE, len(slopes) - 1) * error)
         return float(slopes.mean()), float(off) if np.isfinite(off) else np.inf, float(error), whole.shape[1]
 
-    def order(self) -> Measured:
+    def order(self) -> Measurement:
         """The order of the error of the energy."""
         whole, half = self.energies
         order = float(np.log2(whole.std(axis=1).mean() / half.std(axis=1).mean()))
         if not np.isfinite(order):
-            return Measured(0.0, 1.0, "the energy grows without bound")
+            return Measurement(0.0, 1.0, "the energy grows without bound")
         if not order > LEAST_ORDER and not abs(self.drift()[1]) < 1.0:
             said = "look for friction, or for a force at other positions than the new ones"
         elif order > 0.5:
             said = "do positions and velocities belong to one time, and the force to the new positions?"
         else:
             said = "the force is not minus the gradient of the energy (is the force capped?), or x and p use two masses"
-        return Measured(order, 0.0 if order > LEAST_ORDER else 1.0, said)
+        return Measurement(order, 0.0 if order > LEAST_ORDER else 1.0, said)
 
     def softness(self) -> float:
         """How far rigid bonds are off."""

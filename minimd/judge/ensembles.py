@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 from scipy.special import polygamma
 
-from minimd.judge.findings import Law, Measured, nearest
+from minimd.judge.findings import Law, Measurement, nearest
 from minimd.judge.scenes import SOFT, Array, Frames, Scene, joined
 
 LEAST = 0.2  # mean of a measure, for its error
@@ -37,7 +37,7 @@ class Seen:
         self.runs_p2 = (self.all.p**2).mean(axis=(0, 2))
         self.log_volume = float(np.log(self.all.volumes).mean())
 
-    def over_runs(self, measure: Measure, said: Said, spare: float) -> Measured:
+    def over_runs(self, measure: Measure, said: Said, spare: float) -> Measurement:
         """The mean of a measure over the runs, and how far it is off beside its error; of several, the worst. The
         spread of runs goes with the mean: where the mean is small by chance, the spread is too small."""
         values = np.array([np.atleast_1d(measure(one, self)) for one in self.runs])
@@ -46,14 +46,14 @@ class Seen:
         limits = quantile * errors / np.clip(means, LEAST, 1.0) + spare + self.scene.error
         k = int(np.argmax(np.abs(means - 1.0) / limits))
         mean, error, limit = float(means[k]), float(errors[k]), float(limits[k])
-        return Measured(mean, (mean - 1.0) / limit, said(means, self), error, limit)
+        return Measurement(mean, (mean - 1.0) / limit, said(means, self), error, limit)
 
-    def acted(self) -> Measured:
+    def acted(self) -> Measurement:
         """How much of the energy, or of the volume, is new at the end of a run."""
         ends = self.all.ends[:, :, int("volume" in self.has)]
         found = float(((ends[:, 1] - ends[:, 0]) ** 2).mean()) / max(2.0 * float(ends.var()), 1e-300)
         few = ": too little to judge; take a shorter relaxation time, or more steps=" * bool(found < ACTED)
-        return Measured(min(found, 1.0), 1.0 if found < NEVER else np.nan if few else 0.0, few)
+        return Measurement(min(found, 1.0), 1.0 if found < NEVER else np.nan if few else 0.0, few)
 
 
 Measure: TypeAlias = Callable[[Frames, Seen], Any]

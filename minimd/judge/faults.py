@@ -15,7 +15,7 @@ import numpy as np
 
 from minimd.judge.calling import FORCES, StudentStep
 from minimd.judge.findings import coefficient, first_of, is_near
-from minimd.judge.problems import Array, Problem, difference
+from minimd.judge.problems import Array, TrialProblem, difference
 
 SINGLE, ROUNDING = 1e-8, 1e-9  # a step with more noise uses float32; smaller relative differences are rounding
 SHORT, CHANGED = 1e-7, 1e-4  # a time step so short that nothing should change, and a change
@@ -58,7 +58,7 @@ SECOND_ORDER = (  # coefficients of Δt² F/m in x, and of Δt² J v in v, times
 # fmt: on
 
 
-def hidden(step: StudentStep, where: Problem) -> list[str]:
+def hidden(step: StudentStep, where: TrialProblem) -> list[str]:
     """The reason why the step is not a function of x and v, such as noise or memory; empty if it is one."""
     first, state, step.n_evaluations = np.array(step(where, where.x, where.v, 0.1)), np.random.get_state(), 0
     off = float(np.abs(np.array(step(where, where.x, where.v, 0.1)) - first).max())
@@ -72,7 +72,7 @@ def hidden(step: StudentStep, where: Problem) -> list[str]:
 
 
 def faults_of(
-    step: StudentStep, problems: list[Problem], noise: float, n_powers: int, is_energy_kept: bool
+    step: StudentStep, problems: list[TrialProblem], noise: float, n_powers: int, is_energy_kept: bool
 ) -> list[str]:
     """The faults that single steps and the first powers of Δt show."""
     faults = first_of(
@@ -90,7 +90,7 @@ def faults_of(
                               f"{off:.1%}): the next step would begin with an old force"))  # fmt: skip
 
 
-def limited(step: StudentStep, where: Problem) -> list[str]:
+def limited(step: StudentStep, where: TrialProblem) -> list[str]:
     """The fault of positions that are wrapped, found by starts farther and farther away (the forces of the test have no
     cell), or of velocities that are limited."""
     new, fast = step(where, where.x, where.v, 0.02)[0], step(where, where.x, FASTER * where.v, SHORT)[1]
@@ -103,7 +103,7 @@ def limited(step: StudentStep, where: Problem) -> list[str]:
     return first_of((off > CHANGED * FASTER, f"velocities above {most:.4g} are cut off: they are limited (clipped)"))
 
 
-def series(step: StudentStep, where: Problem) -> Array:
+def series(step: StudentStep, where: TrialProblem) -> Array:
     """Coefficients of Δt⁰, Δt¹, Δt² of x₁ − x and of v₁ − v, (3, 2, *shape)."""
     times = SPACING * np.arange(1, N_STEPS + 1)
     ends = np.array([np.array(step(where, where.x, where.v, h)) - np.array(where[:2]) for h in times])
@@ -111,7 +111,7 @@ def series(step: StudentStep, where: Problem) -> Array:
     return np.asarray((powers / times[-1] ** np.arange(3)[:, None]).reshape(3, 2, *where.x.shape))
 
 
-def terms(where: Problem) -> dict[str, Array]:
+def terms(where: TrialProblem) -> dict[str, Array]:
     """The terms of which the series may consist."""
     force, m, v = where.force(where.x), where.mass, where.v
     turning = difference(where.force, where.x, DIFFERENCE * v) / DIFFERENCE
@@ -127,7 +127,7 @@ def fit(known: list[dict[str, Array]], names: list[str], target: list[Array]) ->
     return found, float(np.linalg.norm(right - matrix @ found) / max(np.linalg.norm(right), 0.1 * np.sqrt(right.size)))
 
 
-def explained(step: StudentStep, problems: list[Problem], n_powers: int) -> list[str]:
+def explained(step: StudentStep, problems: list[TrialProblem], n_powers: int) -> list[str]:
     """The faults that the first powers of Δt show in several states at once, so that no two terms are alike."""
     measured, known = [series(step, one) for one in problems], [terms(one) for one in problems]
     found, rests = dict[tuple[int, int], dict[str, float]](), dict[tuple[int, int], float]()

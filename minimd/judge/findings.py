@@ -34,7 +34,7 @@ class Finding:
     limit: float = nan
 
 
-class Measured(NamedTuple):
+class Measurement(NamedTuple):
     """A number, how far it is off, what is wrong; its statistical error, and the largest difference from 1 that
     passes."""
 
@@ -62,7 +62,7 @@ class Law(NamedTuple):
         numbers = answer if isinstance(answer, tuple) else (answer, answer)
         passed = None if isnan(numbers[1]) else bool(abs(numbers[1]) < self.bound)
         words, cause = self.words.format(*numbers), self.cause.format(*numbers)
-        limit = numbers.limit if isinstance(numbers, Measured) else nan
+        limit = numbers.limit if isinstance(numbers, Measurement) else nan
         return Finding(self.name, passed, words, float(numbers[0]), cause, limit)
 
 

@@ -28,7 +28,7 @@ SHIFTS = np.array([[0.013, -0.007, 0.021], [0.002, 0.001, 0.003]])
 CURE = "use dx − L · round(dx/L)"
 
 
-class Forces:
+class Probe:
     """A student's forces, and what is measured on them: see Law.measure.
 
     has : what laws may need: atoms (many), pairs, field or nofield, cell or free, energy or noenergy, known, cutoff.
@@ -297,38 +297,38 @@ def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
 LAWS = (  # the most telling first
     Law("finite", lambda s: float(np.count_nonzero(~np.isfinite([*s.forces.flat, *s.values]))), 0.5, "{0:g} are not",
         "forces are not finite: an atom meets itself (i = j, r = 0), or two atoms coincide"),
-    Law("parameters", Forces.without_effect, 0.5, "{0} have no effect", "{2}"),
+    Law("parameters", Probe.without_effect, 0.5, "{0} have no effect", "{2}"),
     Law("central", lambda s: float(np.linalg.norm(np.cross(s.skew, SKEW)) / np.linalg.norm(s.skew)), 1e-9,
         "F × r_ij is {0:.1e} of F r", "the force of the pair does not point along r_ij", "pair"),
-    Law("nearest image", Forces.images, 0.5, "atoms across {0} faces are no neighbors", "{2}", "forces pairs cell"),
+    Law("nearest image", Probe.images, 0.5, "atoms across {0} faces are no neighbors", "{2}", "forces pairs cell"),
     Law("rotation", lambda s: s.off(s.x @ s.turn, s.forces @ s.turn), SAME, "turned forces differ by {0:.1e}",
         "forces do not turn with atoms: a component is missing, or r is not √(x² + y² + z²)", "forces nofield free"),
-    Law("a gradient", Forces.curl, 1e-4, "∂F_i/∂x_j − ∂F_j/∂x_i is {0:.1e} of the largest element", "the forces are "
+    Law("a gradient", Probe.curl, 1e-4, "∂F_i/∂x_j − ∂F_j/∂x_i is {0:.1e} of the largest element", "the forces are "
         "not the gradient of any energy (∂F_i/∂x_j and ∂F_j/∂x_i differ): no energy is conserved", "forces noenergy"),
-    Law("sum over pairs", Forces.sum_of_pairs, SAME, "F − Σ of single pairs is {0:.1e} of F", "{2}", "forces pairs"),
-    Law("sum of forces", Forces.reaction, ROUNDING, "|Σ F| is {0:.1e} of F", "Σ F is not zero{2}", "forces nofield"),
-    Law("not capped", Forces.cap, 0.5, "the force follows its law down to r = 0.3", "the force is capped at close "
+    Law("sum over pairs", Probe.sum_of_pairs, SAME, "F − Σ of single pairs is {0:.1e} of F", "{2}", "forces pairs"),
+    Law("sum of forces", Probe.reaction, ROUNDING, "|Σ F| is {0:.1e} of F", "Σ F is not zero{2}", "forces nofield"),
+    Law("not capped", Probe.cap, 0.5, "the force follows its law down to r = 0.3", "the force is capped at close "
         "distances (r = {0:.3f} and below), where it no longer follows its law", "pairs"),
-    Law("powers of r", Forces.of_powers, 0.5, "F = {3}", "{2}", "pairs"),
+    Law("powers of r", Probe.of_powers, 0.5, "F = {3}", "{2}", "pairs"),
     Law("force = −∇U", lambda s: s.like(s.slopes(s.r), "−du/dr of the energy"), 0.5, "F is {0:.6g} times −du/dr", "{2}",
         "pairs energy"),
     Law("as minimd's", lambda s: s.like(s.known, "minimd's force"), 0.5, "F is {0:.6g} times it", "{2}", "pairs known"),
-    Law("cutoff", Forces.ending, 1e-300, "the largest force beyond it is {0:.2g}", "the cutoff {2:g} is not applied, "
+    Law("cutoff", Probe.ending, 1e-300, "the largest force beyond it is {0:.2g}", "the cutoff {2:g} is not applied, "
         "or acts on the components, not on the distance: the largest force beyond it is {0:.3g}", "pairs cutoff"),
-    Law("force continuous", Forces.end, 0.5, "{2}", "the force ends at r = {0:.6g}, where it should not: is r² "
+    Law("force continuous", Probe.end, 0.5, "{2}", "the force ends at r = {0:.6g}, where it should not: is r² "
         "compared with the cutoff, not with its square?", "pairs"),
-    Law("energy continuous", Forces.jump, 1e-300, "first jump: {0:+.4g}", "the energy jumps at the cutoff by {0:+.4g} "
+    Law("energy continuous", Probe.jump, 1e-300, "first jump: {0:+.4g}", "the energy jumps at the cutoff by {0:+.4g} "
         "whenever a pair crosses r = {2:.6g}; subtract u(r_c) = {3:.4g} from the energy of a pair", "pairs energy"),
 )
 GENERAL = (  # told if no other law says why; of two translations, one may take a pair across a jump
-    Law("all forces = −∇U", Forces.all_slopes, EQUAL, "off by {0:.1e}", "the forces are not −∇U{2}", "forces energy"),
+    Law("all forces = −∇U", Probe.all_slopes, EQUAL, "off by {0:.1e}", "the forces are not −∇U{2}", "forces energy"),
     Law("exchange", lambda s: s.off(s.x[s.order], s.forces[s.order]), ROUNDING, "renumbered forces differ by {0:.1e}",
         "forces depend on the numbering of atoms: pairs are left out, or forces overwritten (=)", "forces"),
     Law("translation", lambda s: min(s.off(s.x + shift[: s.d], s.forces) for shift in SHIFTS), SAME,
         "shifted forces differ by {0:.1e}", "the forces change if all atoms are shifted", "forces nofield"),
     Law("periodic", lambda s: s.off(s.x + np.sign(s.x - s.x.mean()) * s.lengths, s.forces), SAME, "in other cells "
         "forces differ by {0:.1e}", f"forces on atoms outside the cell differ: {CURE}", "forces nofield cell"),
-    Law("all atoms as minimd's", Forces.all_beside, ROUNDING, "off by {0:.1e}", "against minimd {2}", "forces known"),
+    Law("all atoms as minimd's", Probe.all_beside, ROUNDING, "off by {0:.1e}", "against minimd {2}", "forces known"),
     Law("external field", lambda s: np.nan, 0.5, "a single atom feels a force", "", "field"),
 )
 # fmt: on
@@ -355,9 +355,9 @@ def grade_forces(
     lengths = np.full(3, BOX) if "box" in call.takes and lengths is None else lengths
     cutoff = cutoff or CUTOFF if "cutoff" in call.takes else cutoff
     with np.errstate(all="ignore"):
-        one = Forces(call, lengths, cutoff, given, potential)
+        one = Probe(call, lengths, cutoff, given, potential)
         if edge := one.period():
-            one = Forces(call, np.full(3, edge), cutoff, given, potential)
+            one = Probe(call, np.full(3, edge), cutoff, given, potential)
             one.remarks.append(
                 f"forces are periodic along x with the period {edge:.6g}, taken as the edge of a cubic cell"
             )

@@ -15,7 +15,7 @@ import numpy as np
 
 from minimd.judge.calling import StudentStep
 from minimd.judge.findings import coefficient
-from minimd.judge.problems import Array, Problem
+from minimd.judge.problems import Array, TrialProblem
 
 if TYPE_CHECKING:
     from minimd.core.integrators.substeps import Substep, Substeps
@@ -63,7 +63,7 @@ class Numbers(NamedTuple):
         return merged(one for one in parts if abs(one.coefficient) > SAME)
 
 
-class Recorded(Problem):
+class Recorded(TrialProblem):
     """A problem that records where its force is evaluated, and returns it in one call only, that at the start."""
 
     places: list[Array]
@@ -75,7 +75,7 @@ class Recorded(Problem):
         return super().force(self.x) if len(self.places) - 1 == self.only else np.zeros_like(self.x)
 
 
-def numbers_of(step: StudentStep, where: Problem) -> Numbers | str | None:
+def numbers_of(step: StudentStep, where: TrialProblem) -> Numbers | str | None:
     """The numbers of a step; None if it is not made of such, or the fault of one that moves atoms one after another."""
     a, drift = where.force(where.x) / where.mass, STEP * where.v
 

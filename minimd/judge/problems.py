@@ -34,7 +34,7 @@ def multiple_of(f: Array, g: Array, within: float) -> float:
     return c if np.abs(f - c * g).max() < within * np.abs(g).max() else np.nan
 
 
-class Problem(NamedTuple):
+class TrialProblem(NamedTuple):
     """Positions x and velocities v of one shape, (N, d), (N,) or (), and masses of shape (N,) or ().  stiffness : if it
     is not zero, of springs to the origin, which replace all other forces."""
 
@@ -83,9 +83,9 @@ class Problem(NamedTuple):
         return np.asarray(x), np.asarray(v)
 
 
-def problem(shape: tuple[int, ...], seed: int, same_mass: bool, stiffness: float) -> Problem:
+def problem(shape: tuple[int, ...], seed: int, same_mass: bool, stiffness: float) -> TrialProblem:
     """A random state.  same_mass : the same mass for all particles; it depends on the seed."""
     random = np.random.default_rng(seed)
     x, v, masses = random.uniform(0.5, 2.5, shape), random.normal(0.0, 0.6, shape), np.roll(MASSES, seed)[:1]
     m = masses * np.ones(shape[:1]) if same_mass or not shape else np.roll(MASSES, seed)
-    return Problem(np.asarray(x), np.asarray(v), m if shape else m[0] * np.ones(()), stiffness)
+    return TrialProblem(np.asarray(x), np.asarray(v), m if shape else m[0] * np.ones(()), stiffness)

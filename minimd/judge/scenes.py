@@ -36,7 +36,7 @@ CUTOFF, PACE, SIDE = 2.5, 0.004, 3  # of the liquids [σ], their time step [σ �
 MELTING = 1500  # steps in which that becomes a liquid
 
 
-class Springs(GetPropertiesMixin):
+class AnharmonicSprings(GetPropertiesMixin):
     """A calculator: bonds with ½ k r² + ¼ q r⁴ of the displacement from their length.
 
     first, second : (B,) int.  k, q : (B,).  lengths : (B, 3) of a crystal, whose bonds keep their direction, or (B,).
@@ -84,7 +84,7 @@ class Springs(GetPropertiesMixin):
         return found
 
 
-class Rigid(Springs):
+class Rigid(AnharmonicSprings):
     """Springs between rigid bonds of one length, of atoms 0 and 1, 2 and 3, …"""
 
     length = 1.0
@@ -131,7 +131,7 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
     k = np.minimum(MASSES[first], MASSES[second]) * (scale * STIFF * np.tile([1.0, 1.5], n // 2) / timestep) ** 2
     angles = 2.0 * np.pi * first / n
     places = 50.0 + 10.0 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
-    springs = Springs(first, second, k, QUARTIC * k**2 / kt, places[second] - places[first])
+    springs = AnharmonicSprings(first, second, k, QUARTIC * k**2 / kt, places[second] - places[first])
     hessian = np.zeros((n, n))
     for i, j, one in zip(first, second, k, strict=True):
         hessian[[i, j, i, j], [i, j, j, i]] += one * np.array([1.0, 1.0, -1.0, -1.0])
@@ -214,7 +214,9 @@ def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
     n, masses = MOLECULES, np.tile([4.0, 12.0], MOLECULES)
     k = 3.0 * (OF_MOLECULES / timestep) ** 2
     length = STRETCH * np.sqrt(kt / k)
-    springs = Springs(np.arange(0, 2 * n, 2), np.arange(1, 2 * n, 2), np.full(n, k), np.zeros(n), np.full(n, length))
+    springs = AnharmonicSprings(
+        np.arange(0, 2 * n, 2), np.arange(1, 2 * n, 2), np.full(n, k), np.zeros(n), np.full(n, length)
+    )
     r = np.linspace(0.05, 2.5, 4000) * length
     weights = np.cumsum(r**2 * np.exp(-0.5 * k * (r - length) ** 2 / kt))
 

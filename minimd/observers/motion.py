@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.console.display import Rows
-from minimd.core.engine.cell_rescaling import Molecules
+from minimd.core.engine.cell_rescaling import StrainedBodies
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
 from minimd.core.structure.cell import Cell
@@ -154,7 +154,7 @@ class CellMotion:
     def __init__(self) -> None:
         self._carried: Array | None = None  # the displacements, (N, 3)
         self._before: tuple[Cell, Array] | None = None  # cell and positions at the last look
-        self._molecules: Molecules | None = None
+        self._molecules: StrainedBodies | None = None
 
     def taken_off(self, engine: Engine) -> Array:
         """The present positions without it, (N, 3)."""
@@ -176,7 +176,7 @@ class CellMotion:
         if bonds is None:
             return old @ strain - old
         if self._molecules is None:
-            self._molecules = Molecules(engine.system, engine.constraint_set)
+            self._molecules = StrainedBodies(engine.system, engine.constraint_set)
         # translations that join the atoms of a molecule; they change with the cell
         images = self._molecules.whole(bonds)
         images_before = images.copy()

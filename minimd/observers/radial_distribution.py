@@ -38,7 +38,7 @@ SPACINGS = 4.0  # in r_max if not given: four shells of neighbors
 R_MAX = "largest distance; if not given, the smaller of 4 (V/N)^(1/3) and half the smallest height of the initial cell"
 
 
-class Counting(ByAddress, namedtuple("Counting", "arrays species kinds per_width beyond counts")):
+class PairCounting(ByAddress, namedtuple("PairCounting", "arrays species kinds per_width beyond counts")):
     """arrays : ClusterArrays of a list whose cutoff is r_max.  species : (slots,) int, of the atoms in clusters.
     kinds : (S, S) int, the number of each pair of species.  per_width : 1/Δr [1/length].
     beyond : (n,) columns, one for each lane, of pairs farther away: a single one would wait for itself at each of them.
@@ -130,7 +130,7 @@ class RadialDistribution(Accumulator):
         counts = np.zeros((found.n_domains, len(self._pairs), self.n_bins + lanes.size), dtype=np.int64)
         beyond = self.n_bins + lanes.astype(np.float64)
         of_slots = species[found.clusters.atom[: found.n_clusters * lanes.size]]
-        counting = Counting(found.arrays, of_slots, self._kinds, self.n_bins / self.reach, beyond, counts)
+        counting = PairCounting(found.arrays, of_slots, self._kinds, self.n_bins / self.reach, beyond, counts)
         count_all = operation(calls, count_pairs, counting, len(counts))
         Program(lambda: [count_all], lambda: 0, pool).run()
         return counts.sum(axis=0) / n.prod()

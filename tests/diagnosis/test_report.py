@@ -15,7 +15,7 @@ from wrong_calls import answered
 
 import minimd as md
 from minimd.commands import main as cli
-from minimd.core.diagnosis.report import Drift, conservation_report, drift, drift_of_walk
+from minimd.core.diagnosis.report import DriftRate, conservation_report, drift, drift_of_walk
 from minimd.core.diagnosis.run_report import cutoff_lines
 from minimd.core.engine.record import SERIES, Record
 from minimd.core.files.h5md_reader import read_file
@@ -120,7 +120,7 @@ def test_few_correlated_series_seem_to_drift(correlation, n, most):
 def test_a_drift_that_is_there_is_found():
     rng, t = np.random.default_rng(3), np.arange(51.0)
     assert all(drift(t, one + 0.3 * t).is_significant for one in processes(20, 51, 0.5, rng).T)
-    found = drift(t, np.exp(0.01 * t)), drift(t, 2.0 * t), drift(t, np.ones(51)), Drift(0.0, 0.0)
+    found = drift(t, np.exp(0.01 * t)), drift(t, 2.0 * t), drift(t, np.ones(51)), DriftRate(0.0, 0.0)
     assert [one.is_significant for one in found] == [True, True, False, False]  # the first is smooth, and no line
     for slope in (drift, drift_of_walk):
         assert slope(t, np.where(t == 20.0, np.nan, 1.0)).is_significant

@@ -19,7 +19,7 @@ import minimd as md
 from minimd.core.forces.options import Options
 from minimd.core.structure.errors import Interrupted
 from minimd.ensemble.running import EnsembleError
-from minimd.ensemble.workers import STARTS, SpawnedProcesses, ThisProcess, Worker
+from minimd.ensemble.workers import STARTS, SpawnedProcesses, ThisProcess, WorkerProcess
 
 ONE = {"parameters": {"temperature": [0.5]}, "steps": 5}
 
@@ -66,7 +66,7 @@ def test_a_law_of_the_users_works_in_spawned_workers(executor, tmp_path):
 
 @pytest.mark.slow
 def test_a_worker_that_is_killed_while_it_starts_is_replaced_unless_all_are(done, tmp_path, monkeypatch):
-    start, left = Worker.__init__, [np.inf]
+    start, left = WorkerProcess.__init__, [np.inf]
 
     def start_and_kill(worker):
         start(worker)
@@ -74,7 +74,7 @@ def test_a_worker_that_is_killed_while_it_starts_is_replaced_unless_all_are(done
             left[0] -= 1
             os.kill(worker.process.pid, signal.SIGKILL)
 
-    monkeypatch.setattr(Worker, "__init__", start_and_kill)
+    monkeypatch.setattr(WorkerProcess, "__init__", start_and_kill)
     with pytest.raises(EnsembleError, match="SIGKILL"):
         members.run(tmp_path, workers=1)
     left[0] = STARTS - 1

@@ -77,6 +77,16 @@ def test_importing_minimd_loads_few_lines():
     assert sum(sources("minimd")[place].count("\n") for place in loaded_with("minimd").values()) <= MOST_LINES_OF_FACE
 
 
+def test_no_class_of_the_core_shares_its_name_with_one_in_another_file():
+    places = defaultdict(set)
+    for place, text in sources("minimd").items():
+        for node in nodes_of(text):
+            if isinstance(node, ast.ClassDef):
+                places[node.name].add(place)
+    shared = {name for name, found in places.items() if len(found) > 1 and any("core" in one.parts for one in found)}
+    assert shared == set()
+
+
 def test_lines_files_and_functions_keep_to_their_size():
     texts = sources("minimd", "tests", "examples")
     assert [place for place, text in texts.items() if max(map(len, text.splitlines()), default=0) > WIDEST] == []

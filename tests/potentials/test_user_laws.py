@@ -14,7 +14,7 @@ from references import liquid
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.core.compiled.snapshot import Snapshot
+from minimd.core.compiled.snapshot import FunctionSnapshot
 from minimd.core.potentials.bonded import Bond
 from minimd.core.potentials.declared import NOT_NEGATIVE, POSITIVE, declared, each, groups
 from minimd.core.potentials.law import evaluate_law, is_recognized, is_user_law, user_law
@@ -84,7 +84,7 @@ def names_of(source, file="law.py"):
 
 
 def digest_of(source, file="law.py"):
-    return Snapshot(names_of(source, file)["law"]).digest
+    return FunctionSnapshot(names_of(source, file)["law"]).digest
 
 
 def on_a_pair(md, law):
@@ -140,7 +140,7 @@ def test_the_digest_tells_what_changes_the_code_and_nothing_else():
     assert len({law, *map(digest_of, others)}) == 1 + len(others)
     # a function that calls itself
     source = "import numba\n@numba.njit\ndef law(r2, n):\n    return 1.0 if n < 1.0 else r2 * law(r2, n - 1.0)\n"
-    snapshot = Snapshot(names_of(source)["law"])
+    snapshot = FunctionSnapshot(names_of(source)["law"])
     assert snapshot.digest == digest_of(source) != digest_of(source.replace("1.0 if", "2.0 if"))
     assert snapshot.function(3.0, 2.0) == snapshot.python(3.0, 2.0) == 9.0
 

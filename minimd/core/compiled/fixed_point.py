@@ -54,7 +54,7 @@ def as_float(whole):
     return (lambda whole: as_floats(whole)) if isinstance(whole, Vector) else lambda whole: np.float64(whole)
 
 
-class Steps(namedtuple("Steps", "per_force length momentum energy limit2")):
+class GridSteps(namedtuple("GridSteps", "per_force length momentum energy limit2")):
     """The steps of a grid for a kernel.
     per_force : (P,) impulses of P kicks, in steps of momentum, per unit of force: duration / momentum [length/energy].
     length, momentum, energy : the steps [length], [mass length/time], [energy].

@@ -29,14 +29,14 @@ TAIL = numpys.ziggurat_nor_r  # where the lowest layer ends and the tail of the 
 UNIT = 2.0**-53
 
 
-class Stream(namedtuple("Stream", "key counter words place")):
+class NoiseStream(namedtuple("NoiseStream", "key counter words place")):
     """Random words.  key : (2,), counter : (4,), words : (4,) uint64, of it.  place : (1,) int, how many are used."""
 
 
 @inlined
 def new_stream(key):
     """A stream with this key, (2,) uint64; start_stream must be called before its first number."""
-    return Stream(key, np.zeros(4, dtype=np.uint64), np.zeros(4, dtype=np.uint64), np.zeros(1, dtype=np.int64))
+    return NoiseStream(key, np.zeros(4, dtype=np.uint64), np.zeros(4, dtype=np.uint64), np.zeros(1, dtype=np.int64))
 
 
 @scalar

@@ -31,7 +31,7 @@ CODE_FIELDS = ("co_code", "co_exceptiontable", "co_names", "co_varnames", "co_fr
 COUNTS = ("co_argcount", "co_posonlyargcount", "co_kwonlyargcount")
 
 
-class Snapshot:
+class FunctionSnapshot:
     """A function as it is now.
 
     Parameters

@@ -72,7 +72,7 @@ class Bonds(namedtuple("Bonds", "first second offsets lengths2 tolerance")):
     tolerance : of |r² − d²|/d²."""
 
 
-class Molecules(namedtuple("Molecules", "atoms offsets shapes sides")):
+class TriatomicMolecules(namedtuple("TriatomicMolecules", "atoms offsets shapes sides")):
     """atoms : three of (M,), a, b, c.  offsets : two of (M, 3), of b and c from a [length].  shapes : some of (M,), see
     each solver.  sides : the constraints with a target and a multiplier, (M,) int or three of them, ab, ac, bc."""
 

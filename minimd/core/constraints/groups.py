@@ -23,8 +23,8 @@ from minimd.core.compiled.program import CANNOT_KEEP, GO_ON, Operation, operatio
 from minimd.core.compiled.simd.vector import lanes_for
 from minimd.core.compiled.threads import MOST_CHUNKS
 from minimd.core.constraints import closed_forms, networks
-from minimd.core.constraints.closed_forms import Atoms, Bonds, Molecules
-from minimd.core.constraints.networks import Memory, dependent_constraint
+from minimd.core.constraints.closed_forms import Atoms, Bonds, TriatomicMolecules
+from minimd.core.constraints.networks import NetworkScratch, dependent_constraint
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -164,7 +164,9 @@ class Networks:
         n_chunks = max(1, min(self.n_components, k // CONSTRAINTS_IN_A_CHUNK, MOST_CHUNKS))
         self.answers, self.most = np.zeros((2, n_chunks), dtype=np.int64)
         self._calls: defaultdict[Any, DirectCalls] = defaultdict(DirectCalls)
-        self.memory = Memory(np.empty((k, 3)), np.empty((k, 3)), np.empty(k), np.zeros(k), np.empty(n), np.empty(n))
+        self.memory = NetworkScratch(
+            np.empty((k, 3)), np.empty((k, 3)), np.empty(k), np.zeros(k), np.empty(n), np.empty(n)
+        )
         self.multipliers = self.memory.total  # (K,), the last ones
         self.known = self._known(positions)
 
@@ -178,7 +180,7 @@ class Networks:
 
     def offsets(self) -> list[Floats]:
         """All arrays (…, 3) of lattice translations that its solvers read."""
-        of_molecules = (array for one in self.known if isinstance(one, Molecules) for array in one.offsets)
+        of_molecules = (array for one in self.known if isinstance(one, TriatomicMolecules) for array in one.offsets)
         return [self.bonds.offsets, *of_molecules]
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> Operation:
@@ -199,7 +201,7 @@ class Networks:
         return (-1 - int(self.answers[self.answers < 0][0])) * (self.n_each if of_drift else 1)
 
 
-class Pairs(Networks):
+class LoneBonds(Networks):
     """Bonds that share no atom."""
 
     shape, drifter, projector = "bonds of their own", closed_forms.DriftPairs(), closed_forms.ProjectPairs()
@@ -232,7 +234,7 @@ class Triangles(Networks):
         half, heavy, light = 0.5 * np.sqrt(lengths2[base]), 1.0 / self.masses[corners[0]], 1.0 / self.masses[corners[1]]
         height, share = np.sqrt(lengths2[sides[0]] - half * half), light / (heavy + 2.0 * light)
         shapes = 2.0 * share * height, (1.0 - 2.0 * share) * height, half, share
-        return (Molecules(corners, arms, shapes, (*sides, base)),)
+        return (TriatomicMolecules(corners, arms, shapes, (*sides, base)),)
 
 
 class LinearTriatomics(Networks):
@@ -249,7 +251,7 @@ class LinearTriatomics(Networks):
         (middle, b, c), arms, (short, _) = _corners(self.graph, ends, self.bonds.offsets)
         beta = np.sqrt(lengths2[short] / lengths2[ends])
         shapes, offsets = (1.0 - beta, beta, lengths2[ends]), (-arms[0], arms[1] - arms[0])
-        return (Molecules((b, middle, c), offsets, shapes, ends),)
+        return (TriatomicMolecules((b, middle, c), offsets, shapes, ends),)
 
 
 def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
@@ -260,7 +262,7 @@ def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
     starts, sizes = graph.components.starts[:-1], np.diff(graph.components.starts)
     lengths2 = every.lengths[graph.order] ** 2
     if solver == "auto":
-        kinds[starts[sizes == 1]] = Pairs
+        kinds[starts[sizes == 1]] = LoneBonds
     starts = starts[sizes == 3]
     closed = [np.unique(every.pairs[graph.order[start : start + 3]]).size == 3 for start in starts]
     starts = starts[np.array(closed, dtype=bool)]

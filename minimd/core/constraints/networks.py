@@ -28,7 +28,7 @@ LAST = 1e-9
 DEPENDENT = 1e-10  # relative to its diagonal: a smaller pivot is rounding
 
 
-class Memory(namedtuple("Memory", "r s x total lower upper")):
+class NetworkScratch(namedtuple("NetworkScratch", "r s x total lower upper")):
     """Scratch: r, s : (K, 3) separations.  x, total : (K,) multipliers.  lower, upper : factors, in the envelope."""
 
 

@@ -52,7 +52,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Drift:
+class DriftRate:
     """Slope of a straight line through block averages [per time], and its standard error.
 
     With fewer than four blocks, the error is infinite and the slope is that between the ends.
@@ -84,7 +84,7 @@ class Drift:
         return self.is_unsure and not self.is_significant
 
 
-def drift(time: Array, series: Array, blocks: int = BLOCKS, beside: Array | None = None) -> Drift:
+def drift(time: Array, series: Array, blocks: int = BLOCKS, beside: Array | None = None) -> DriftRate:
     """Least-squares slope of a series, with the standard error that follows from its correlated fluctuations.
 
         error² = σ² / ((n − 2) Var t),   n = blocks (1 − ρ)/(1 + ρ)
@@ -100,17 +100,17 @@ def drift(time: Array, series: Array, blocks: int = BLOCKS, beside: Array | None
     on the bias of ρ."""
     blocks = min(blocks, len(series))
     if not np.isfinite([time, series]).all():
-        return Drift(np.nan, np.nan)
+        return DriftRate(np.nan, np.nan)
     if blocks < FEW or np.ptp(time) == 0.0:
         slope = (series[-1] - series[0]) / np.ptp(time) if np.ptp(time) > 0.0 else 0.0
-        return Drift(float(slope), np.inf)
+        return DriftRate(float(slope), np.inf)
     t = block_means(time, blocks)
     slope, rest = _line(t, block_means(series, blocks))
     own = least = independent(rest)
     if beside is not None:
         least = min(own, independent(_line(t, block_means(beside, blocks))[1]))
     variance = rest @ rest / blocks
-    one, safe = (Drift(slope, float(np.sqrt(variance / max(1.0, n - 2.0) / t.var())), n) for n in (own, least))
+    one, safe = (DriftRate(slope, float(np.sqrt(variance / max(1.0, n - 2.0) / t.var())), n) for n in (own, least))
     return replace(safe, is_unsure=own < INDEPENDENT or one.is_significant)
 
 
@@ -120,7 +120,7 @@ def _line(t: Array, y: Array) -> tuple[float, Array]:
     return float(slope), y - slope * t - at_zero
 
 
-def drift_of_walk(time: Array, series: Array, blocks: int = BLOCKS_OF_WALK) -> Drift:
+def drift_of_walk(time: Array, series: Array, blocks: int = BLOCKS_OF_WALK) -> DriftRate:
     """Slope of a series that is the sum of a drift, a random walk and fluctuations,
     and the standard error of the slope.
 
@@ -134,7 +134,7 @@ def drift_of_walk(time: Array, series: Array, blocks: int = BLOCKS_OF_WALK) -> D
     t, y = block_means(time, blocks), block_means(series, blocks)
     steps, rate = np.diff(y), (blocks - 1.0) / np.ptp(t)
     error = float(statistics.standard_error(steps, statistics.wandering)) * rate
-    return Drift(float(steps.mean() * rate), error, blocks / 2.0)
+    return DriftRate(float(steps.mean() * rate), error, blocks / 2.0)
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ class Report(Displayed):
     is_at_rest : whether nothing moves except by rounding; changes of momentum then have no scale to be judged by.
     """
 
-    energy_drift: Drift
+    energy_drift: DriftRate
     energy_oscillation: float
     momentum_change: float | None
     angular_momentum_change: float | None
@@ -207,7 +207,7 @@ class Report(Displayed):
     has_work: bool = False
     constraint_violation: float | None = None
     cost: Cost | None = None
-    shadow_drift: Drift | None = None
+    shadow_drift: DriftRate | None = None
     shadow_oscillation: float = 0.0
     lines: tuple[Line, ...] = ()
     energy_range: float = 0.0
@@ -236,7 +236,7 @@ class Report(Displayed):
         """Whether the shadow energy has no drift, likewise; None if it was not recorded, or in too few frames."""
         return None if self.shadow_drift is None else self._has_no(self.shadow_drift) and not self.not_finite
 
-    def _has_no(self, slope: Drift) -> bool | None:
+    def _has_no(self, slope: DriftRate) -> bool | None:
         if self.n_frames < FEW:
             return None
         if not np.isfinite([slope.slope, slope.error, self.kinetic_energy]).all():
@@ -411,7 +411,7 @@ def _ends(series: Array) -> tuple[float, float]:
     return float(series[:fifth].mean()), float(series[-fifth:].mean())
 
 
-def _oscillation(time: Array, series: Array, slope: Drift) -> float:
+def _oscillation(time: Array, series: Array, slope: DriftRate) -> float:
     """Standard deviation about a line."""
     return float((series - series.mean() - slope.slope * (time - time.mean())).std())
 

@@ -23,7 +23,7 @@ LARGEST_STRAIN = 0.2  # of the cell at once: a bath that strains it more does no
 EVAPORATED = 8.0  # times the volume at the start: a liquid grows by a factor of some 3 up to its critical point
 
 
-class Molecules:
+class StrainedBodies:
     """The bodies that move as a whole when the cell is strained: atoms tied by rigid lengths, and single atoms.
 
     bodies : Bodies.  masses : (B,) of the bodies [mass].
@@ -89,7 +89,7 @@ class CellRescaling:
         self.barostat, self._system, self._interactions, self._constraints = barostat, system, interactions, constraints
         check(system, interactions, constraints)
         self.temperature(method)
-        self._molecules = None if constraints.bonds is None else Molecules(system, constraints)
+        self._molecules = None if constraints.bonds is None else StrainedBodies(system, constraints)
         self._first_volume = float(system.volume or 0.0)
 
     def temperature(self, method: Splitting) -> float:

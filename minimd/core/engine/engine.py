@@ -21,7 +21,7 @@ from minimd.core.forces.options import FIXED_POINT, Options, described
 from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.state import Bath, GridState, State, Surroundings
-from minimd.core.integrators.steps import Evaluation, Moment, Steps, first_unit
+from minimd.core.integrators.steps import ForceSource, Moment, Steps, first_unit
 from minimd.core.integrators.substeps import Drift, mechanical
 from minimd.core.neighbors.verlet_list import Built
 from minimd.core.potentials.term import FORCES, TOTALS
@@ -150,7 +150,7 @@ class Engine:
             forces = self.interactions
             power = (lambda: forces.power) if forces.depend_on_time else None
             work = lambda: forces.version, lambda: forces.pool
-            source = Evaluation(self._forces_at, *work, self._running, power, self._taken)
+            source = ForceSource(self._forces_at, *work, self._running, power, self._taken)
             self._steps, self._steps_of = Steps(self._method, self._state, self.surroundings, source), made_of
         return self._steps
 

@@ -6,7 +6,7 @@ from minimd.core.engine.engine import Engine
 
 
 @runtime_checkable
-class WithSteps(Protocol):
+class PeriodicObserver(Protocol):
     """An observer with steps of its own: those of minimd.observers, or any object with these."""
 
     @property
@@ -28,7 +28,7 @@ class WithSteps(Protocol):
 
 
 @runtime_checkable
-class Accumulator(WithSteps, Protocol):
+class StoredObserver(PeriodicObserver, Protocol):
     """One whose state and results are kept in files."""
 
     name: str

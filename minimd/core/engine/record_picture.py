@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 STYLE: dict[str, Any] = {"lw": 1.1, "solid_joinstyle": "round"}
 
 
-class Series(Protocol):
+class DrawnRecord(Protocol):
     """The parts of a Record that are drawn; see there."""
 
     units: UnitSystem
@@ -54,7 +54,7 @@ def four_panels(more: int = 0) -> tuple[Picture, list[Axes]]:
     return figure, panels
 
 
-def picture_of(record: Series) -> Picture:
+def picture_of(record: DrawnRecord) -> Picture:
     """See Record.plot."""
     if not len(record):
         raise ValueError("there is nothing to plot: the record has no entries")
@@ -68,7 +68,7 @@ def picture_of(record: Series) -> Picture:
     return figure
 
 
-def draw_energy(panel: Axes, times: Array, record: Series) -> Array:
+def draw_energy(panel: Axes, times: Array, record: DrawnRecord) -> Array:
     """Change of the total energy per atom since the start, minus heat of a bath; returned in the unit of the axis."""
     energy, name, formula = record.total_energy, "total energy", "(E − E₀)"
     if "conserved_energy" in record:
@@ -81,7 +81,7 @@ def draw_energy(panel: Axes, times: Array, record: Series) -> Array:
     return change
 
 
-def draw_temperature(panel: Axes, times: Array, record: Series) -> None:
+def draw_temperature(panel: Axes, times: Array, record: DrawnRecord) -> None:
     """The kinetic temperature, and its mean."""
     temperature, unit = record.temperature, record.units.temperature.replace("k_B", "$k_B$")
     panel.plot(times, temperature, color=TEMPERATURE, **STYLE)
@@ -90,7 +90,7 @@ def draw_temperature(panel: Axes, times: Array, record: Series) -> None:
     panel.ticklabel_format(axis="y", useOffset=False)
 
 
-def draw_momentum(panel: Axes, times: Array, record: Series) -> None:
+def draw_momentum(panel: Axes, times: Array, record: DrawnRecord) -> None:
     """Change of the total momentum, as a fraction of Σ|mv|."""
     changes = np.linalg.norm(record.momentum - record.momentum[0], axis=1) / (record.absolute_momentum.max() or 1.0)
     values, factor = scaled(changes)
@@ -99,7 +99,7 @@ def draw_momentum(panel: Axes, times: Array, record: Series) -> None:
     panel.set(ylabel=label, title=f"total momentum   (largest change: {changes.max():.1e})", ylim=(0.0, None))
 
 
-def draw_pressure(panel: Axes, times: Array, record: Series) -> None:
+def draw_pressure(panel: Axes, times: Array, record: DrawnRecord) -> None:
     """The pressure, or the potential energy per atom if there is no pressure."""
     name, values, unit = "potential energy per atom", record.potential_energy / record.n_atoms, record.units.energy
     if "pressure" in record:

@@ -36,7 +36,7 @@ from minimd.core.console.annexes import from_annex
 from minimd.core.console.quiet import outside_minimd
 from minimd.core.console.words import listed, shown
 from minimd.core.engine.engine import Checkpoint, Snapshot
-from minimd.core.engine.observer import Accumulator
+from minimd.core.engine.observer import StoredObserver
 from minimd.core.files.h5_items import NOTHING, REFERENCE, Item, put
 from minimd.core.neighbors.verlet_list import Built
 from minimd.core.structure.cell import Cell
@@ -113,7 +113,7 @@ def write_restart(
     h5: h5py.File,
     checkpoint: Checkpoint,
     n_frames: int,
-    observers: Sequence[Accumulator] = (),
+    observers: Sequence[StoredObserver] = (),
     beside: Mapping[str, np.ndarray] = NOTHING,
 ) -> None:
     """Write the newest restart; the one before becomes the earlier restart.  beside : arrays that are kept with it."""
@@ -190,13 +190,13 @@ def digest_of(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any] = NOT
     return digest
 
 
-def description(observers: Sequence[Accumulator]) -> dict[str, Item]:
+def description(observers: Sequence[StoredObserver]) -> dict[str, Item]:
     """The arguments of the observers."""
     told = {one.name: {"kind": one.kind, "arguments": json.dumps(one.made_with())} for one in observers}
     return {f"{OBSERVERS}/{name}": Item(attributes) for name, attributes in told.items()}
 
 
-def restore_observers(h5: h5py.File, file: str | Path, restart: Restart, observers: Sequence[Accumulator]) -> None:
+def restore_observers(h5: h5py.File, file: str | Path, restart: Restart, observers: Sequence[StoredObserver]) -> None:
     """Give observers that have not looked yet the state that the file holds for them.
 
     Raises ValueError if the file holds an observer of the same name with other arguments, or in a state of another
@@ -215,7 +215,7 @@ def restore_observers(h5: h5py.File, file: str | Path, restart: Restart, observe
         warnings.warn(f"{words}; to continue them, pass them as observers=[...]", stacklevel=outside_minimd())
 
 
-def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
+def write_answers(h5: h5py.File, observers: Sequence[StoredObserver]) -> None:
     """Write the results of the observers that have looked, in place of those in the file."""
     for one in observers:
         group = h5[f"{OBSERVERS}/{one.name}"]
@@ -228,7 +228,7 @@ def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
             group.update({name.replace("/", "_"): series for name, series in result.columns().items()})
 
 
-def observers_of(h5: h5py.File, restart: Restart) -> dict[str, Accumulator]:
+def observers_of(h5: h5py.File, restart: Restart) -> dict[str, StoredObserver]:
     """The observers in an open file, by name, in their state at the restart;
     new ones where the convention of the state is another. A warning tells those of a kind that is not known here."""
     states, found, unknown = restart.states(), {}, list[str]()

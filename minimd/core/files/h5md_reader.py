@@ -28,7 +28,7 @@ from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.quiet import quiet
 from minimd.core.console.words import printable, shown
 from minimd.core.engine.engine import Checkpoint, scene_in_words
-from minimd.core.engine.observer import Accumulator
+from minimd.core.engine.observer import StoredObserver
 from minimd.core.engine.record import SERIES, Frame, Record
 from minimd.core.files import h5md_digest as digest
 from minimd.core.files.claim import end_with, repair
@@ -276,7 +276,7 @@ class H5MDContents(Displayed):
     skin: float | None
     potentials: list[str]
     repaired: str
-    observers: dict[str, Accumulator]
+    observers: dict[str, StoredObserver]
     lacks_results: bool
     barostat: StochasticCellRescaling | None = None
     too_long_a_step: str = ""
@@ -416,7 +416,7 @@ def _record(h5: h5py.File, system: System, n_frames: int) -> Record:
     return Record.of(system.units, len(system), {name: h5[place][:n_frames] for name, place in paths.items()})
 
 
-def read_observers(path: str | Path) -> dict[str, Accumulator]:
+def read_observers(path: str | Path) -> dict[str, StoredObserver]:
     """The observers in an H5MD file by name, in their state at its restart:
     read_observers("run.h5md")["viscosity"].result().
 

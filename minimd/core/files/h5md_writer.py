@@ -21,7 +21,7 @@ from minimd.core.console.quiet import outside_minimd
 from minimd.core.console.words import listed
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import extras_in, recorded
-from minimd.core.engine.observer import Accumulator
+from minimd.core.engine.observer import StoredObserver
 from minimd.core.engine.record import Frame
 from minimd.core.files import h5md_digest as digest, h5md_schema as layout
 from minimd.core.files.claim import Claim, JournaledFile
@@ -55,7 +55,7 @@ class H5MDWriter:
         engine: Engine,
         store_forces: bool,
         every: int = 1,
-        observers: Sequence[Accumulator] = (),
+        observers: Sequence[StoredObserver] = (),
         n_frames: int | None = None,
         bring_others: Callable[[Claim], list[bytes]] = lambda claim: [],
     ) -> None:
@@ -88,7 +88,7 @@ class H5MDWriter:
         engine: Engine,
         store_forces: bool = False,
         every: int = 1,
-        observers: Sequence[Accumulator] = (),
+        observers: Sequence[StoredObserver] = (),
     ) -> "H5MDWriter":
         """A writer that continues a file from its restart; frames after the restart are removed.
 

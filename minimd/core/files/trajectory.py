@@ -15,7 +15,7 @@ from minimd.core.console.quiet import outside_minimd
 from minimd.core.console.whole_file import locked
 from minimd.core.console.words import shown
 from minimd.core.engine.engine import Engine
-from minimd.core.engine.observer import Accumulator
+from minimd.core.engine.observer import StoredObserver
 from minimd.core.engine.record import Frame
 from minimd.core.files.claim import Claim, read_at
 
@@ -67,7 +67,7 @@ def open_trajectories(
     append: bool = False,
     every: int = 1,
     n_steps: int | None = None,
-    observers: Sequence[Accumulator] = (),
+    observers: Sequence[StoredObserver] = (),
 ) -> Iterator[list[Writer]]:
     """Writers for several files: all are checked before the first is opened, and closed at the end;
     if one cannot be opened, none is left behind.

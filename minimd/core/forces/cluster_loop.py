@@ -101,7 +101,7 @@ def looks_ahead(vector):
     return lambda vector: answer
 
 
-class Work(ByAddress, namedtuple("Work", "laws sums")):
+class LoopWork(ByAddress, namedtuple("LoopWork", "laws sums")):
     """What the loop does.
 
     laws : tuple of (law type, SameForAll, ByLane or ChargesByLane).  sums : Sums, TotalSums or ForceSums.

@@ -22,9 +22,9 @@ from minimd.core.forces.cluster_loop import (
     ByLane,
     ChargesByLane,
     ForceSums,
+    LoopWork,
     Sums,
     TotalSums,
-    Work,
     add_forces_of_laws,
     prepare_loop,
 )
@@ -41,7 +41,7 @@ from minimd.core.potentials.term import FORCES, PER_ATOM, TOTALS, PairLaw, Targe
 from minimd.core.structure.system import System
 
 
-class Evaluation(ByAddress, namedtuple("Evaluation", "arrays add prepare work forces steps")):
+class ClusterEvaluation(ByAddress, namedtuple("ClusterEvaluation", "arrays add prepare work forces steps")):
     """What the operations work on.
 
     arrays : ClusterArrays.
@@ -121,7 +121,7 @@ class ClusterTerm(ListTerm):
         self._add_forces, self._prepare_loop = (loop_for(one, *members) for one in (add_forces_of_laws, prepare_loop))
         self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
         self._arranged_for = 0  # which arrays of the list
-        self._memory, self._made = Buffers(), dict[tuple[Any, ...], tuple[Evaluation, Work]]()
+        self._memory, self._made = Buffers(), dict[tuple[Any, ...], tuple[ClusterEvaluation, LoopWork]]()
 
     def suits(self, system: System) -> bool:
         """See ListTerm: a cell without room for the list needs another one."""
@@ -138,7 +138,7 @@ class ClusterTerm(ListTerm):
         yield operation(calls, add_domain, evaluation, n, is_kept=True)
         yield operation(calls, collect_domain, evaluation, n, is_kept=True)
 
-    def _evaluation(self, target: Target) -> Evaluation:
+    def _evaluation(self, target: Target) -> ClusterEvaluation:
         """What operations for a target work on: kept as long as the list is not arranged anew."""
         key = _key(target)
         if key not in self._made:
@@ -147,7 +147,7 @@ class ClusterTerm(ListTerm):
                 steps = target.steps._replace(limit2=(MOST / self._pair_laws.cutoff) ** 2)
             add = calls.address(self._add_forces, 0, arrays, work, steps)
             prepare = calls.address(self._prepare_loop, arrays, work) if self._needs_preparation else 0
-            made = Evaluation(arrays, add, prepare, work.address, target.forces, steps)
+            made = ClusterEvaluation(arrays, add, prepare, work.address, target.forces, steps)
             self._made[key] = made, work
         return self._made[key][0]
 
@@ -175,15 +175,15 @@ class ClusterTerm(ListTerm):
         self._arranged_for = self.list.version
         self._made.clear()
 
-    def _work_of(self, detail: int) -> Work:
+    def _work_of(self, detail: int) -> LoopWork:
         """Work with accumulators: none; of each domain; or of each slot and each lane of a ghost."""
         forces, n_lanes = self.list.memory.forces, self.list.lanes.size
         if detail == FORCES:
-            return Work(self._laws, ForceSums(forces, np.zeros((0, SUMS)), NONE, FORCES))
+            return LoopWork(self._laws, ForceSums(forces, np.zeros((0, SUMS)), NONE, FORCES))
         if detail == TOTALS:
-            return Work(self._laws, TotalSums(forces, np.zeros((APART * self.list.n_domains, SUMS)), NONE, TOTALS))
+            return LoopWork(self._laws, TotalSums(forces, np.zeros((APART * self.list.n_domains, SUMS)), NONE, TOTALS))
         of_lanes = np.zeros(len(self.list.ghosts.parts) * n_lanes * SUMS)
-        return Work(self._laws, Sums(forces, np.zeros((len(self.list.clusters.atom), SUMS)), of_lanes, PER_ATOM))
+        return LoopWork(self._laws, Sums(forces, np.zeros((len(self.list.clusters.atom), SUMS)), of_lanes, PER_ATOM))
 
     def _add_each(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
         """Add the sums of slots and lanes to the energies (N,) and virials (N, 6) of their atoms."""

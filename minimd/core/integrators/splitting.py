@@ -14,7 +14,7 @@ from minimd.core.compiled.program import Operation, in_python
 from minimd.core.integrators.method import ClassProperty, Method, Problem, Step
 from minimd.core.integrators.order_conditions import nystrom_order
 from minimd.core.integrators.state import Bath, State, Surroundings
-from minimd.core.integrators.steps import Evaluation, Moment, Steps
+from minimd.core.integrators.steps import ForceSource, Moment, Steps
 from minimd.core.integrators.substeps import Kick, Substeps, is_palindrome, mechanical, merged
 from minimd.core.structure.observables import kinetic_energy
 
@@ -94,7 +94,7 @@ class Splitting(Method):
 
         around = Surroundings() if surroundings is None else surroundings
         first = 0 if around.bath is None else around.bath.step
-        made = Steps(self, state, around, Evaluation(evaluation)).advance(n_steps, with_energy, first)
+        made = Steps(self, state, around, ForceSource(evaluation)).advance(n_steps, with_energy, first)
         if around.bath is not None:
             around.bath.step += made
         return made

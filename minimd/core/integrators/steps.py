@@ -73,7 +73,7 @@ class Row(Protocol):
         """The operations of a contact with a bath."""
 
 
-class Evaluation(NamedTuple):
+class ForceSource(NamedTuple):
     """Where forces come from.
 
     operations : those that evaluate them, with the energy or without, over a unit of time [time], at a moment.
@@ -109,7 +109,7 @@ Event = Substep | Force | Projection | Beginning
 Events = tuple[Event, ...]
 
 
-class Counting(ByAddress, namedtuple("Counting", "counts")):
+class StepCounting(ByAddress, namedtuple("StepCounting", "counts")):
     """counts : (5,) int, steps MADE and TO_MAKE, the number of the FIRST; those UNTIL_BREATH, and in each BREATH."""
 
 
@@ -144,13 +144,13 @@ def first_unit(method: Row) -> float:
 class Steps:
     """The steps of a method on a state.  around : Surroundings.  forces : Evaluation."""
 
-    def __init__(self, method: Row, state: State, around: Surroundings, forces: Evaluation) -> None:
+    def __init__(self, method: Row, state: State, around: Surroundings, forces: ForceSource) -> None:
         if not all(part.flags.carray for part in (state.positions, state.velocities, state.pushes)):
             raise ValueError("positions, velocities and forces of a State must be contiguous arrays that can be "
                              "written")  # fmt: skip
         self._method, self._state, self._around, self._forces = method, state, around, forces
         self.counts, self._calls = np.zeros(5, dtype=np.int64), DirectCalls()
-        self._counting, self._row = Counting(self.counts), merged(method.substeps)
+        self._counting, self._row = StepCounting(self.counts), merged(method.substeps)
         self._first_unit = first_unit(method)
         self._head, self._rest = self._cut()
         self._last = next((one for one in self._rest[::-1] if isinstance(one, Force | Drift)), None)

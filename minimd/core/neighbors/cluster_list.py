@@ -12,7 +12,7 @@ from minimd.core.compiled.threads import MOST_CHUNKS, ThreadPool
 from minimd.core.neighbors import cluster_build
 from minimd.core.neighbors.buffers import HALF_A_PAGE, SPARE, Buffers, with_room
 from minimd.core.neighbors.cluster_build import Building
-from minimd.core.neighbors.cluster_memory import ClusterArrays, Memory
+from minimd.core.neighbors.cluster_memory import ClusterArrays, ClusterMemory
 from minimd.core.neighbors.cluster_search import AHEAD, BUILDS, GHOST_BITS, IN_USE, LAYERS, Rows
 from minimd.core.neighbors.clusters import DIMENSIONS, Clusters, Columns, make_clusters, make_columns, region_of
 from minimd.core.neighbors.domains import (
@@ -50,7 +50,7 @@ class ClusterList(VerletList):
     clusters: Clusters
     ghosts: GhostClusters
     rows: Rows
-    memory: Memory
+    memory: ClusterMemory
     _columns: Columns
     _bins: Binned
     _entries: NDArray[np.uint32]
@@ -246,7 +246,7 @@ class ClusterList(VerletList):
         forces = memory.array("forces", number, n_forces * n_block, in_page=HALF_A_PAGE, spare=1.0)
         first_sum = memory.array("first sum", np.int64, n_in_windows if self._is_fixed else 0)
         is_out, needed = (np.zeros(n, dtype=np.int64) for n in (self.n_domains * self._is_fixed, self.n_domains))
-        self.memory = Memory(self._coordinates, self._shifts, forces, first_sum, self._far, is_out, needed)
+        self.memory = ClusterMemory(self._coordinates, self._shifts, forces, first_sum, self._far, is_out, needed)
         self._arrange_building()
 
     def _arrange_building(self) -> None:

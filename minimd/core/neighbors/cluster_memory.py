@@ -12,7 +12,7 @@ from minimd.core.compiled.simd.vector import count, loaded
 from minimd.core.neighbors.clusters import DIMENSIONS, offsets_of
 
 
-class Memory(ByAddress, namedtuple("Memory", "coordinates shifts forces first_sum far is_out layers")):
+class ClusterMemory(ByAddress, namedtuple("ClusterMemory", "coordinates shifts forces first_sum far is_out layers")):
     """What the loop reads and writes.
     coordinates, forces : flat, a block for each ghost, and for each ghost in a window.
     shifts : (IMAGES, 3), translations of images [length].

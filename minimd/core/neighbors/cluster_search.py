@@ -50,7 +50,7 @@ class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 l
     After the last entry there is memory for AHEAD more: some read ahead. The loop reads one: it must name a ghost."""
 
 
-class Work(namedtuple("Work", "ahead candidates entries near")):
+class SearchMemory(namedtuple("SearchMemory", "ahead candidates entries near")):
     """Memory for the search of one cluster. Ghosts are numbered as in GhostClusters, but for those in entries.
     ahead : (runs, 2) int, first and last ghost of each run ahead.  candidates, entries : (M,) ghosts, their entries.
     near : flat int64, for each WORD candidates, each layer and each lane of the cluster a number: bit b is set if
@@ -67,7 +67,7 @@ def make_work(layout):
         n = max(n, domains.window[k + 1] - domains.window[k])
     ahead, candidates = np.empty((n_runs, 2), dtype=np.int64), np.empty(n + BOXES, dtype=np.int32)
     entries, near = np.empty(n + WORD + 1, dtype=np.uint32), (n // WORD + 1) * LAYERS * n_lanes
-    return Work(ahead, candidates, entries, np.empty(near, dtype=np.int64))
+    return SearchMemory(ahead, candidates, entries, np.empty(near, dtype=np.int64))
 
 
 @scalar

@@ -17,13 +17,13 @@ FLATTEST = 1e-9  # of the reach: a thinner scene counts as this thick, so that n
 WIDER = 1.0 + 1e-9  # bins are this much wider than the reach, so that rounding never asks for one bin more
 
 
-class Grid(namedtuple("Grid", "counts reach origin extent")):
+class BinGrid(namedtuple("BinGrid", "counts reach origin extent")):
     """counts : (3,) int, bins along each lattice vector.  reach : (3,) int, bins to search on each side.
 
     origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions."""
 
 
-def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
+def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> BinGrid:
     """A grid whose bins are about half the reach wide, wider where there would be many more bins than atoms."""
     fractional = np.einsum("ij,jk->ik", positions, cell.inverse)  # not @: see observables
     origin = np.where(cell.pbc, 0.0, fractional.min(axis=0))
@@ -34,7 +34,7 @@ def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
         counts = np.where(counts == counts.max(), np.ceil(0.5 * counts), counts)
     needed = np.ceil(reach * counts / np.maximum(widths, FLATTEST * reach * counts))
     needed = np.where(cell.pbc, needed, np.minimum(needed, counts - 1.0))
-    return Grid(counts.astype(np.int64), needed.astype(np.int64), origin, extent)
+    return BinGrid(counts.astype(np.int64), needed.astype(np.int64), origin, extent)
 
 
 class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
@@ -113,7 +113,7 @@ class Bins(namedtuple("Bins", "bin_start counts forward crossed translations pbc
     pbc, lattice, inverse, safe_distance2 : of the Cell."""
 
 
-def bins_of(cell: Cell, grid: Grid, bin_start: NDArray[np.int64]) -> Bins:
+def bins_of(cell: Cell, grid: BinGrid, bin_start: NDArray[np.int64]) -> Bins:
     """The bins of a grid, ready for a search."""
     within = _steps(grid.reach)
     forward = within[len(within) // 2 + 1 :].copy()

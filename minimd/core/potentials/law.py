@@ -28,7 +28,7 @@ from numba.extending import overload
 from minimd.core.compiled.kernels import by_type, kernel, scalar, type_of, without_cache
 from minimd.core.compiled.simd import lane, load, total, with_lane
 from minimd.core.compiled.simd.vector import count, lanes_for
-from minimd.core.compiled.snapshot import Snapshot
+from minimd.core.compiled.snapshot import FunctionSnapshot
 from minimd.core.console.words import shown
 
 STEP = 1e-5  # of a central difference, relative to the distance
@@ -113,7 +113,7 @@ def user_law(function: Callable) -> UserLaw:
         raise TypeError(f"a law must be {wanted}; it is {shown(function)}")
     if function in _unrecognized:  # a copy of a law type asks for it again
         return _unrecognized[function]()
-    snapshot = Snapshot(function)
+    snapshot = FunctionSnapshot(function)
     named = _class_named(CLASS_NAME.format(snapshot.digest or uuid4().hex))
     if not hasattr(named, "formula"):
         formula: Any = snapshot.function

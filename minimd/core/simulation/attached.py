@@ -10,7 +10,7 @@ from minimd.core.compiled.kernels import compile_clock
 from minimd.core.console.quiet import outside_minimd
 from minimd.core.console.words import shown
 from minimd.core.engine.engine import Engine
-from minimd.core.engine.observer import Accumulator, WithSteps
+from minimd.core.engine.observer import PeriodicObserver, StoredObserver
 from minimd.core.structure.errors import ConstraintError, NonFiniteError
 
 
@@ -26,9 +26,9 @@ class Attached:
         if not isinstance(observers, list | tuple) or not all(_is_observer(one) for one in observers):
             kinds = "a list of functions of a simulation, and of observers such as md.observers.RadialDistribution()"
             raise TypeError(f"observers must be {kinds}; observers = {shown(observers)}")
-        self.accumulators: Sequence[Accumulator] = [one for one in observers if isinstance(one, Accumulator)]
-        self.functions: Sequence[Callable] = [one for one in observers if not isinstance(one, WithSteps)]
-        self._with_steps: Sequence[WithSteps] = [one for one in observers if isinstance(one, WithSteps)]
+        self.accumulators: Sequence[StoredObserver] = [one for one in observers if isinstance(one, StoredObserver)]
+        self.functions: Sequence[Callable] = [one for one in observers if not isinstance(one, PeriodicObserver)]
+        self._with_steps: Sequence[PeriodicObserver] = [one for one in observers if isinstance(one, PeriodicObserver)]
         names = [one.name for one in self.accumulators]
         if twice := {name for name in names if names.count(name) > 1}:
             several = f"{min(twice)!r} is the name of several: pass another name= to one of them"
@@ -83,4 +83,4 @@ class Attached:
 def _is_observer(one: Any) -> bool:
     """Whether an object can observe a run; a class of observers cannot, but its objects can."""
     is_class = isinstance(one, type) and hasattr(one, "prepare")
-    return not is_class and (isinstance(one, WithSteps) or callable(one))
+    return not is_class and (isinstance(one, PeriodicObserver) or callable(one))

@@ -65,7 +65,7 @@ class EngineAttribute(Generic[T]):
                 raise
 
 
-class Measured(Generic[T]):
+class MeasuredAttribute(Generic[T]):
     """Read-only attribute of a simulation: the observable of this name, of the present state;
     forces are evaluated if they are not current."""
 

@@ -21,7 +21,7 @@ from minimd.core.diagnosis.run_guard import RunGuard
 from minimd.core.diagnosis.run_report import report_of
 from minimd.core.engine.engine import Engine, Snapshot
 from minimd.core.engine.observation import check_extras, observe
-from minimd.core.engine.observer import WithSteps
+from minimd.core.engine.observer import PeriodicObserver
 from minimd.core.engine.record import Frame, Record
 from minimd.core.files.crash_file import crash_file_left, crash_file_place
 from minimd.core.files.trajectory import Writer, first_h5md, named_files, open_trajectories
@@ -31,7 +31,7 @@ from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
 from minimd.core.simulation.attached import Attached
-from minimd.core.simulation.engine_attribute import Closed, EngineAttribute, Measured
+from minimd.core.simulation.engine_attribute import Closed, EngineAttribute, MeasuredAttribute
 from minimd.core.simulation.resuming import last_step, resumed
 from minimd.core.structure.checks import checked_count, checked_flag, checked_number
 from minimd.core.structure.constraints import Constraint
@@ -40,7 +40,7 @@ from minimd.core.structure.observables import Array, maxwell_boltzmann, rescaled
 from minimd.core.structure.system import AnySystem, System
 
 SECONDS_BETWEEN_CHECKPOINTS = 5.0  # for any value of every: no more is lost when the process is killed
-Observer = Callable[["Simulation"], None] | WithSteps
+Observer = Callable[["Simulation"], None] | PeriodicObserver
 
 
 class Simulation(Closed, Displayed):
@@ -98,10 +98,10 @@ class Simulation(Closed, Displayed):
     rigid_bonds = EngineAttribute[ConstraintSolver | None](
         "Lengths that are held, as they are kept in a run; None without.", "constraint_set.bonds"
     )
-    potential_energy = Measured[float]("U [energy].")
-    temperature = Measured[float]("Kinetic temperature.")
-    pressure = Measured[float]("P [energy/length³]; ValueError without a volume.")
-    stress = Measured[Array](
+    potential_energy = MeasuredAttribute[float]("U [energy].")
+    temperature = MeasuredAttribute[float]("Kinetic temperature.")
+    pressure = MeasuredAttribute[float]("P [energy/length³]; ValueError without a volume.")
+    stress = MeasuredAttribute[Array](
         "σ [energy/length³], (3, 3), kinetic part included, positive under tension: P = −tr σ / 3; ValueError without "
         "a volume."
     )

@@ -6,7 +6,7 @@ from math import frexp, isfinite, ldexp, log2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from minimd.core.compiled.fixed_point import FARTHEST, MOST, Steps
+from minimd.core.compiled.fixed_point import FARTHEST, MOST, GridSteps
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import shown
 from minimd.core.structure.cell import Cell
@@ -130,9 +130,9 @@ class Grid(Displayed):
             raise RangeError(f"{told}: give {hint}; or, in a periodic cell, wrap the positions: {wrap}")
 
 
-def steps_of(grid: Grid, units: ArrayLike) -> Steps:
+def steps_of(grid: Grid, units: ArrayLike) -> GridSteps:
     """Steps for a kernel.  units : the time over which impulses are computed [time]."""
-    return Steps(np.asarray(units) / grid.momentum, grid.length, grid.momentum, grid.energy, 0.0)
+    return GridSteps(np.asarray(units) / grid.momentum, grid.length, grid.momentum, grid.energy, 0.0)
 
 
 def _power_of_two(x: float) -> float:

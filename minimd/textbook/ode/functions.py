@@ -71,7 +71,7 @@ def taking(function: Function, names: str, label: str) -> Function:
     return lambda *values: np.array(answer(*values), dtype=float).reshape(-1)
 
 
-class Field:
+class VectorField:
     """A function of t, q and v, or of some of them, called with all three; its answers are fresh flat arrays.
 
     usual : the arguments of a function whose own names cannot be known or are others."""

@@ -35,7 +35,14 @@ from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array, Problem, Step
 from minimd.core.integrators.order_conditions import nystrom_order, separable_order
 from minimd.core.integrators.substeps import COEFFICIENT_ROUNDING, Kick, Substep, Substeps
-from minimd.textbook.ode.functions import Field, Function, check_finite, checked_values, forward_differences, reading
+from minimd.textbook.ode.functions import (
+    Function,
+    VectorField,
+    check_finite,
+    checked_values,
+    forward_differences,
+    reading,
+)
 from minimd.textbook.ode.newton import FixedPoint, Iteration, Newton, checked_solver
 
 __all__ = ["FirstOrder", "Partitioned", "SecondOrder"]
@@ -97,9 +104,9 @@ class Partitioned(Problem):
 
     def __init__(self, g: Function, f: Function, g_q: Function | None = None, f_v: Function | None = None,
                  solver: Newton = Newton()) -> None:  # fmt: skip
-        self.g, self.f = Field(g, "v", "g"), Field(f, "q", "f")
-        self.g_q = g_q if g_q is None else Field(g_q, "t q v", "g_q")
-        self.f_v = f_v if f_v is None else Field(f_v, "t q v", "f_v")
+        self.g, self.f = VectorField(g, "v", "g"), VectorField(f, "q", "f")
+        self.g_q = g_q if g_q is None else VectorField(g_q, "t q v", "g_q")
+        self.f_v = f_v if f_v is None else VectorField(f_v, "t q v", "f_v")
         self.solver = checked_solver(solver)
         self.shape: tuple[int, ...] = ()  # of q and of v, known once there is a start
 
@@ -287,11 +294,11 @@ class EulerStep:
                 v = v + duration * self._value(problem.f, t, q, v)
         return np.concatenate([q, v])
 
-    def _value(self, field: Field, t: float, q: Array, v: Array) -> Array:
+    def _value(self, field: VectorField, t: float, q: Array, v: Array) -> Array:
         self.nfev, shape = self.nfev + (field is self._problem.f), self._problem.shape
         return field(t, q.reshape(shape), v.reshape(shape))
 
-    def _solved(self, field: Field, jacobian: Field | None, x0: Array, place: Place, duration: float,
+    def _solved(self, field: VectorField, jacobian: VectorField | None, x0: Array, place: Place, duration: float,
                 iteration: Iteration) -> Array:  # fmt: skip
         """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one is constant.  place : (t, q, v)
         with this x."""

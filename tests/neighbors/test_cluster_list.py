@@ -85,7 +85,8 @@ def lump(edge, pbc=True):
 
 @pytest.mark.parametrize("pbc", [True, (True, False, True), False])
 def test_columns_cover_a_droplet_and_go_along_with_it(pbc):
-    """Rarely: not with each list. Not across the faces, until an atom stands in the gap."""
+    """Rarely: not with each list. Not across the faces, until an atom stands in the gap. A cluster of half as many
+    atoms fills a smaller cube, so there are more columns."""
     system = lump(40.0, pbc)
     clusters, pairs = cs.both_lists(system, cs.ONE_SPECIES)
     found, laid, velocity = clusters.list, [], np.array([0.21, -0.17, 0.08])
@@ -97,7 +98,7 @@ def test_columns_cover_a_droplet_and_go_along_with_it(pbc):
     assert (found.n_builds, found.n_ghosts) == (60, found.n_clusters)
     assert 60 * 0.21 / (cs.CUTOFF + cs.SKIN) < starts < 15
     assert np.all(columns.extent * system.cell.heights < 6.7 + 2.0 * (cs.CUTOFF + cs.SKIN))
-    assert set(columns.counts[:2].tolist()) <= {3, 4}
+    assert set(columns.counts[:2].tolist()) <= {8: {3, 4}, 4: {4, 5, 6}}[lanes_for().size]
     system.positions[0] = system.positions[1:].mean(axis=0) + np.array([20.0, 17.0, 18.5])
     cs.agree(clusters, pairs, system)
 

@@ -9,16 +9,16 @@ show the column k of α, and the end of the step β_k and b_k. Kicks and drifts 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from minimd.core.integrators import rows as splittings
+from minimd.core.integrators.method import methods_of
+from minimd.core.integrators.substeps import Drift, Kick, Substep, Substeps, merged
 from minimd.judge.calling import StudentStep
 from minimd.judge.findings import coefficient
 from minimd.judge.problems import Array, TrialProblem
-
-if TYPE_CHECKING:
-    from minimd.core.integrators.substeps import Substep, Substeps
 
 SAME, CLOSE, MANY = 1e-7, 1e-3, 6  # of weights: equal, meant to be; substeps of a method that may be nearly another
 ROUNDING, MOST, STEP = 1e-9, 60, 0.1  # of v; evaluations of the force in one step; time step
@@ -52,8 +52,6 @@ class Numbers(NamedTuple):
     @property
     def substeps(self) -> Substeps:
         """Kicks and drifts in turn; empty if the step is not such a sequence."""
-        from minimd.core.integrators.substeps import Drift, Kick, merged
-
         c, b = self.places, self.weights
         if np.abs(self.pushes - np.tril(b * (c[:, None] - c[:-1]), -1)).max() > SAME:
             return ()
@@ -108,9 +106,7 @@ def named(own: Numbers) -> tuple[str, str]:
     """The name of a method, or what it consists of; the fault of a step that is nearly a known method."""
     parts, near = own.substeps, list[tuple[int, str]]()
     kinds, mine = [type(one).__name__.lower() for one in parts], np.array([one.coefficient for one in parts])
-    from minimd.core.integrators.table import SPLITTINGS  # the names of methods
-
-    for name, method in SPLITTINGS.items():
+    for name, method in methods_of(splittings).items():
         if [type(one) for one in method.substeps] == [type(one) for one in parts]:
             right = np.array([one.coefficient for one in method.substeps])
             wrong = np.flatnonzero(np.abs(mine - right) > SAME)

@@ -1,8 +1,8 @@
 """The tables of methods, by name: all public classes of the integrator modules that have an attribute `name`."""
 
 from minimd.core.console.display import Displayed, Rows
-from minimd.core.integrators.method import Method
-from minimd.core.integrators.table import SPLITTINGS, THERMOSTATS, methods_of
+from minimd.core.integrators.method import Method, methods_of
+from minimd.core.integrators.table import SPLITTINGS, THERMOSTATS
 from minimd.textbook.ode import bdf, runge_kutta
 
 __all__ = ["METHODS"]

@@ -2,13 +2,18 @@
 
 from collections.abc import Callable
 from inspect import signature
+from types import ModuleType
 from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from minimd.core.console.display import Displayed, Rows, as_text, call_of
 from minimd.core.structure.checks import checked_number
-from minimd.core.structure.vectors import Array
 
 __all__ = ["Method"]
+
+Array = NDArray[np.float64]
 
 
 class Problem(Protocol):
@@ -109,3 +114,9 @@ class Method(Displayed):
     def order_on(cls, problem: Problem) -> int:
         """Order on this problem, which can be lower than on the problems for which the method was made."""
         return cls.order
+
+
+def methods_of(*modules: ModuleType) -> dict[str, Any]:
+    """The methods that modules define, by name: their public classes that have an attribute `name`."""
+    classes = [value for module in modules for name, value in vars(module).items() if name in module.__all__]
+    return {method.name: method for method in classes if hasattr(method, "name")}

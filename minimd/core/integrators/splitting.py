@@ -7,21 +7,24 @@ Each half is solved exactly, so every composition is symplectic and conserves to
 sequence equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), II.5.
 """
 
-from collections.abc import Callable, Iterable
-from typing import ClassVar
+from __future__ import annotations
 
-from minimd.core.compiled.program import Operation, in_python
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, ClassVar
+
 from minimd.core.integrators.method import ClassProperty, Method, Problem, Step
 from minimd.core.integrators.order_conditions import nystrom_order
-from minimd.core.integrators.state import Bath, State, Surroundings
-from minimd.core.integrators.steps import ForceSource, Moment, Steps
 from minimd.core.integrators.substeps import Kick, Substeps, is_palindrome, mechanical, merged
-from minimd.core.structure.observables import kinetic_energy
+
+if TYPE_CHECKING:
+    from minimd.core.compiled.program import Operation
+    from minimd.core.integrators.state import State, Surroundings
+    from minimd.core.integrators.steps import Moment
 
 __all__ = ["Splitting"]
 
 
-def stages(method: "type[Splitting]") -> int:
+def stages(method: type[Splitting]) -> int:
     """Force evaluations per step of a long run: groups of kicks with no drift between them;
     the last and the first kick form one group."""
     kicks = [isinstance(substep, Kick) for substep in merged(mechanical(method.substeps))]
@@ -89,31 +92,16 @@ class Splitting(Method):
         ConstraintError : if a constrained length cannot be kept.  ValueError : from a thermostat without a bath.
         """
 
-        def evaluation(with_energy: bool, _unit: float, _moment: Moment) -> Iterable[Operation]:
-            yield in_python(lambda: compute_forces(state, with_energy))
+        from minimd.core.integrators import python_steps  # Numba is slow to load, and who names a method needs none
 
-        around = Surroundings() if surroundings is None else surroundings
-        first = 0 if around.bath is None else around.bath.step
-        made = Steps(self, state, around, ForceSource(evaluation)).advance(n_steps, with_energy, first)
-        if around.bath is not None:
-            around.bath.step += made
-        return made
+        return python_steps.advance(self, state, compute_forces, n_steps, with_energy, surroundings)
 
     def contact(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterable[Operation]:
         """Contact with the bath over a duration, at a moment: the operations of a substep Thermalize."""
 
-        def thermalize() -> None:
-            bath = Bath() if around.bath is None else around.bath
-            bath.step, bath.contact, given = moment.step, moment.contact, bath.energy
-            around.project(state)
-            before = kinetic_energy(state.velocities, state.masses)
-            self.thermalize(state, duration, around)
-            around.project(state)
-            if self.is_thermostat:
-                bath.energy = given + kinetic_energy(state.velocities, state.masses) - before
-            state.settle()
+        from minimd.core.integrators import python_steps
 
-        yield in_python(thermalize)
+        return python_steps.contact(self, state, duration, around, moment)
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The same, made once, by Python: velocities are changed in place. They are projected onto constraints before

@@ -1,0 +1,47 @@
+"""Steps whose forces or contacts with a bath are functions in Python, as operations of a program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
+
+from minimd.core.compiled.program import Operation, in_python
+from minimd.core.integrators.state import Bath, State, Surroundings
+from minimd.core.integrators.steps import ForceSource, Moment, Steps
+from minimd.core.structure.observables import kinetic_energy
+
+if TYPE_CHECKING:
+    from minimd.core.integrators.splitting import Splitting
+
+
+def advance(method: Splitting, state: State, compute_forces: Callable[[State, bool], None], n_steps: int,
+            with_energy: bool, surroundings: Surroundings | None) -> int:  # fmt: skip
+    """See Splitting.advance."""
+
+    def evaluation(with_energy: bool, _unit: float, _moment: Moment) -> Iterable[Operation]:
+        yield in_python(lambda: compute_forces(state, with_energy))
+
+    around = Surroundings() if surroundings is None else surroundings
+    first = 0 if around.bath is None else around.bath.step
+    made = Steps(method, state, around, ForceSource(evaluation)).advance(n_steps, with_energy, first)
+    if around.bath is not None:
+        around.bath.step += made
+    return made
+
+
+def contact(method: Splitting, state: State, duration: float, around: Surroundings, moment: Moment
+            ) -> Iterable[Operation]:  # fmt: skip
+    """A contact made once, by the method's thermalize.  See Splitting.contact."""
+
+    def thermalize() -> None:
+        bath = Bath() if around.bath is None else around.bath
+        bath.step, bath.contact, given = moment.step, moment.contact, bath.energy
+        around.project(state)
+        before = kinetic_energy(state.velocities, state.masses)
+        method.thermalize(state, duration, around)
+        around.project(state)
+        if method.is_thermostat:
+            bath.energy = given + kinetic_energy(state.velocities, state.masses) - before
+        state.settle()
+
+    yield in_python(thermalize)

@@ -19,6 +19,7 @@ from minimd.commands.table import Command, flag
 from minimd.core.compiled import kernels as compiling
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.code_cache import is_damaged
+from minimd.core.compiled.kernels import DirectCalls, called_kernel
 from minimd.core.compiled.machine import MISSING, available_cores, processor_name, version
 from minimd.core.compiled.program import GO_ON, Program, operation
 from minimd.core.compiled.threads import thread_pool
@@ -147,7 +148,7 @@ def same_bits() -> Finding:
     on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
     if different:
         return False, f"positions differ {on}: {' and '.join(different)} threads give others than 1 thread"
-    rows = [operation(compiling.DirectCalls(), _nothing, _Nothing(0), 2)]
+    rows = [operation(DirectCalls(), _nothing, _Nothing(0), 2)]
     program = Program(lambda: rows, lambda: 0, thread_pool(available_cores()))
     median = 1e6 * float(np.median(repeat(program.run, number=1, repeat=TASKS_TIMED)))
     takes = f"to give work to all threads takes {median:.1f} µs"
@@ -158,7 +159,7 @@ class _Nothing(ByAddress, namedtuple("_Nothing", "nothing")):
     """No data."""
 
 
-@compiling.called_kernel
+@called_kernel
 def _nothing(_data, _chunk):
     """An empty chunk."""
     return GO_ON

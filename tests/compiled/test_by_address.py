@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from minimd.core.compiled.by_address import ByAddress
-from minimd.core.compiled.kernels import kernel
+from minimd.core.compiled.kernels import DirectCalls, called_kernel, kernel
 from minimd.core.compiled.normal_numbers import new_stream, normal, start_stream, three_normals
+from minimd.core.compiled.program import operation
 
 COPIES = [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one)), lambda one: one._replace(whole=7)]
 
@@ -45,6 +46,22 @@ def test_a_kernel_reads_what_python_reads_and_a_copy_has_its_own_address(copied)
     second.inner.flat[0] += 1.0
     assert read(second) == read.py_func(second)
     assert read(first) == before + (1000.0 if second.inner is first.inner else 0.0)
+
+
+@called_kernel
+def double_first(data, chunk):
+    data.flat[0] *= 2
+    return chunk
+
+
+@pytest.mark.parametrize("other", [np.ones(3, np.int64), np.ones(3, np.float32), np.ones((3, 1)), np.ones(6)[::2]])
+def test_calls_by_address_refuse_data_of_a_second_type(other):
+    """The code of the first would take it for its own, and write beyond the array."""
+    calls, matrix = DirectCalls(), np.ones((2, 2))
+    first, again = operation(calls, double_first, Inner(np.ones(3), matrix)), Inner(np.zeros(7), matrix)
+    assert operation(calls, double_first, again).code == first.code
+    with pytest.raises(TypeError, match=r"double_first .*\(float64, 1, 'C'.*; got"):
+        operation(calls, double_first, Inner(other, matrix))
 
 
 @kernel

@@ -37,6 +37,17 @@ SOURCES = {
     "shapes.py": "Pair = None\n", "structure/__init__.py": "", "structure/units.py": "MASS = 1.0\n",
     "choices.py": "from numba.extending import overload\n", "grade.py": "from minimd.core.law import law\n",
 }  # fmt: skip
+COMPILED_MODULES = """
+import gc, importlib, pkgutil
+from numba.core.dispatcher import Dispatcher
+import minimd
+OPTIONAL = {"minimd.__main__"}
+for module in pkgutil.walk_packages(minimd.__path__, "minimd."):
+    if module.name not in OPTIONAL:
+        importlib.import_module(module.name)
+of_dispatchers = {one.py_func.__module__ for one in gc.get_objects() if isinstance(one, Dispatcher)}
+print(*sorted(name for name in of_dispatchers if name.startswith("minimd.")))
+"""
 DAMAGED = """
 import glob, os, sys
 from minimd.core.compiled.kernels import kernel
@@ -169,6 +180,16 @@ def test_edited_sources_of_kernels_and_no_others_get_another_cache(name, tmp_pat
     before = kernels._source_hash()
     (package / name).write_text(SOURCES[name] + "# edited\n")
     assert (kernels._source_hash() != before) == (name != "grade.py")
+
+
+def test_the_modules_of_all_compiled_functions_are_sources_of_the_key(tmp_path):
+    """With one left out, an edited law would go on with its old machine code."""
+    out, _ = ended(started(tmp_path / "script.py", COMPILED_MODULES))
+    compiled = set(out.split())
+    sources = set(kernels._kernel_sources())
+    assert {"minimd.core.potentials.laws", "minimd.observers.radial_distribution"} <= compiled
+    assert len(compiled) > 30
+    assert compiled <= sources, compiled - sources
 
 
 def folder_of_cache(base, monkeypatch):

@@ -15,7 +15,7 @@ import sys
 import tempfile
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
@@ -174,7 +174,7 @@ def scalar(function):
 
 
 def called_kernel(function):
-    """Compile a kernel that other kernels call by its address, see call_by_address: each is compiled once,
+    """Compile a kernel that other kernels call by its address, see compiled.by_address: each is compiled once,
     whoever calls it. It makes no arrays."""
     return _cached(CalledKernel(function, targetoptions={**NOT_FROM_OUTSIDE, "_nrt": False}))
 
@@ -208,36 +208,47 @@ def type_of(formula: Callable, python: Callable | None = None) -> Callable[[type
     return tie
 
 
+def code_for(kernel: Callable, kinds: tuple[types.Type, ...]) -> Callable:
+    """The machine code of a kernel for arguments of these types, compiled if it is not there yet."""
+    kernel.compile(kinds)  # type: ignore[attr-defined]
+    return kernel.get_overload(kinds)  # type: ignore[attr-defined, no-any-return]
+
+
+def types_of(arguments: Iterable[object]) -> tuple[types.Type, ...]:
+    """The types of arguments, as Numba sees them."""
+    return tuple(numba.typeof(argument) for argument in arguments)
+
+
 class DirectCalls:
-    """Calls of kernels by a caller that always passes arguments of the same types, and arrays of the same layout: their
-    types are examined once; Numba does it in each call, which takes 14 µs for 40 arrays in named tuples."""
+    """Where kernels are, for a caller that passes each of them arguments of one type, and arrays of one layout."""
 
     def __init__(self) -> None:
-        self._codes: dict[Callable, Callable] = {}
-        self._types: dict[Callable, tuple[types.Type, ...]] = {}
-        self._addresses: dict[Callable, int] = {}
-
-    def code(self, kernel: Callable, *arguments: object) -> Callable:
-        """The machine code of a kernel for arguments of these types; compiles it at the first call."""
-        code = self._codes.get(kernel)
-        if code is None:
-            self._types[kernel] = kinds = tuple(numba.typeof(one) for one in arguments)
-            kernel.compile(kinds)  # type: ignore[attr-defined]
-            code = self._codes[kernel] = kernel.get_overload(kinds)  # type: ignore[attr-defined]
-        return code
+        self._found: dict[Callable, tuple[tuple[types.Type, ...], int]] = {}
 
     def address(self, kernel: Callable, *arguments: object) -> int:
-        """Where that machine code is, for call_at."""
-        address = self._addresses.get(kernel)
-        if address is None:
-            self.code(kernel, *arguments)
-            compiled = kernel.overloads[self._types[kernel]]  # type: ignore[attr-defined]
-            address = self._addresses[kernel] = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+        """The address of the machine code of a kernel for arguments of these types, see call_at; it is
+        compiled at the first call.
+
+        Raises TypeError for arguments of other types than at the first call: that code would take them for those."""
+        kinds = types_of(arguments)
+        if kernel not in self._found:
+            code_for(kernel, kinds)
+            compiled = kernel.overloads[kinds]  # type: ignore[attr-defined]
+            place = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+            self._found[kernel] = kinds, place
+        first, address = self._found[kernel]
+        if kinds != first:
+            name = getattr(kernel, "__name__", repr(kernel))
+            raise TypeError(
+                f"a DirectCalls passes {name} arguments of one type, {_said(first)}; got {_said(kinds)}. Take another "
+                "DirectCalls for these"
+            )
         return address
 
-    def __call__(self, kernel: Callable, *arguments: object) -> Any:
-        """kernel(*arguments)."""
-        return self.code(kernel, *arguments)(*arguments)
+
+def _said(kinds: tuple[types.Type, ...]) -> str:
+    """Types in words: those of named tuples with their fields, which their own names may not show."""
+    return ", ".join(f"{kind} {getattr(kind, 'types', '')}".strip() for kind in kinds)
 
 
 @functools.cache
@@ -303,15 +314,16 @@ def announce_compilation() -> Iterator[None]:
 
 def _source_hash() -> str:
     digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__} {numpy.__version__}".encode())
-    for name, source in sorted(_kernel_sources(Path(__file__).parents[2]).items()):
+    for name, source in sorted(_kernel_sources().items()):
         digest.update(name.encode() + source)
     return digest.hexdigest()[:16]
 
 
-def _kernel_sources(package: Path) -> dict[str, bytes]:
+def _kernel_sources() -> dict[str, bytes]:
     """The sources on which machine code depends, by module: files with compiled functions, and those from which they
     import constants or types, which may depend on those of a third file, and so on.
     Imports inside functions do not count: kernels cannot import."""
+    package = Path(__file__).parents[2]  # minimd
     names = {file: ".".join(file.relative_to(package.parent).with_suffix("").parts) for file in package.rglob("*.py")}
     texts = {name.removesuffix(".__init__"): file.read_bytes() for file, name in names.items()}
     needed = set[str]()

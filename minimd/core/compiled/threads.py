@@ -23,7 +23,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import call_at
-from minimd.core.compiled.kernels import DirectCalls, kernel, scalar, shared_kernel
+from minimd.core.compiled.kernels import code_for, kernel, scalar, shared_kernel, types_of
 
 # shared counters: the open phase, see _word; the program it belongs to; the finished chunks of the open phase; what its
 # operation has answered; and for each chunk the last phase in which it was taken
@@ -73,7 +73,7 @@ class ThreadPool:
         """run_operations on this thread, and on the others as soon as they are awake; returns what it returns."""
         if self._code is None:
             worker = Worker(self._counters, 0, self.n_threads)
-            self._code = DirectCalls().code(run_operations, worker, 0, operations, course)
+            self._code = code_for(run_operations, types_of((worker, 0, operations, course)))
         with self._busy:
             first = (int(self._counters[OPEN]) >> 2 * BITS) + 1  # the number of the program: that of its first phase
             if first > MOST_PHASES:

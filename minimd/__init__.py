@@ -4,22 +4,21 @@ Public names are loaded when they are first used; __init__.pyi says where each i
 """
 
 import sys
-from importlib import import_module
-from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
 from minimd.core.console import __version__ as __version__
 from minimd.core.console.annexes import provide
-from minimd.core.console.lazy import lazily
+from minimd.core.console.lazy import lazily, submodule
 from minimd.core.console.words import near
 from minimd.moved import follow_moved_modules
 
 OF_MDANALYSIS = "universe", "radial_distribution", "diffusion_coefficient", "mean_square_displacement", "Turn"
 ROOMS = "integrators", "observers", "lattice", "units"  # in which people look for a name that is not here
+HIDDEN = {"ensemble", "grade", "replay", "view"}  # modules behind functions of these names
 
-_load, _names, __all__ = lazily(__name__, __file__)
-__all__ = sorted(__all__)
+_load, _, _names = lazily(__name__, __file__)
+__all__ = sorted(_names)
 provide("observers by kind", "minimd.observers:KINDS")
 provide("potentials of a scene", "minimd.scene.document:potentials_of_scene")
 follow_moved_modules()
@@ -33,7 +32,6 @@ class Face(ModuleType):
             super().__setattr__(name, value)
 
 
-HIDDEN = {"ensemble", "grade", "replay", "view"}  # behind the functions of these names
 sys.modules[__name__].__class__ = Face
 
 
@@ -41,14 +39,17 @@ def __getattr__(name: str) -> Any:
     """A public name, or a package of minimd, such as the bridge to LAMMPS, loaded when it is first used."""
     if name in __all__:
         return _load(name)
-    if name.isidentifier() and not name.startswith("_") and find_spec(f"minimd.{name}"):
-        return import_module(f"minimd.{name}")
-    places = [
-        room for room in ROOMS if name not in HIDDEN and not isinstance(getattr(_load(room), name, sys), ModuleType)
-    ]
-    places += ["mdanalysis"] * (name in OF_MDANALYSIS)
-    hint = f"; it is minimd.{places[0]}.{name}" if places else near(name, __all__)
-    raise AttributeError(f"module 'minimd' has no attribute {name!r}{hint}")
+    module = submodule(__name__, name)
+    if module is not None:
+        return module
+    raise AttributeError(f"module 'minimd' has no attribute {name!r}{_hint(name)}")
+
+
+def _hint(name: str) -> str:
+    """Where a name is that is not here, or a public name that is nearly the same."""
+    rooms = [room for room in ROOMS if not isinstance(getattr(_load(room), name, sys), ModuleType)]
+    rooms += ["mdanalysis"] * (name in OF_MDANALYSIS)
+    return f"; it is minimd.{rooms[0]}.{name}" if rooms else near(name, __all__)
 
 
 def __dir__() -> list[str]:

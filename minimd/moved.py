@@ -16,6 +16,8 @@ MOVED = {
     "minimd.potentials.openmm_system": "minimd.openmm.openmm_system",
     "minimd.simulation.past": "minimd.past.past",
     "minimd.simulation.archiving": "minimd.past.archiving",
+    "minimd.core.simulation.past": "minimd.past.past",  # from minimd.simulation import past
+    "minimd.core.simulation.archiving": "minimd.past.archiving",
     "minimd.integrators.splitting": "minimd.core.integrators",
     "minimd.integrators.method": "minimd.core.integrators.method",
     "minimd.integrators.methods": "minimd.textbook.methods",
@@ -58,6 +60,8 @@ class Following:
         try:
             module = import_module(new)
         except ModuleNotFoundError as error:
+            if error.name != new:
+                raise
             raise ModuleNotFoundError(f"No module named {spec.name!r}", name=spec.name) from error
         if spec.name not in STAYS:
             warnings.warn(

@@ -15,7 +15,6 @@ import llvmlite.binding
 import numpy as np
 
 import minimd as md
-from minimd.commands.table import Command, flag
 from minimd.core.compiled import kernels as compiling
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.code_cache import is_damaged
@@ -217,7 +216,3 @@ def _liquid(n_cells: int, truncation: Any = "shifted", threads: int | None = Non
 
 TESTS = {"cache folder": cache, "known energy": known_energy, "forces": gradient, "dynamics": conservation,
          "threads": same_bits, "LAMMPS": lammps, "speed": speed}  # fmt: skip
-COMMAND = Command("doctor", "describe this machine and test minimd on it",
-                  "Describe this machine, and test minimd on it: forces, conservation laws, equal bits on all threads, "
-                  "speed.", (flag("--clear-cache", "only remove the compiled kernels, of all versions of minimd"),),
-                  lambda given: clear_cache() if given.clear_cache else examine())  # fmt: skip

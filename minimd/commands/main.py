@@ -9,13 +9,11 @@ from importlib.metadata import entry_points
 from io import StringIO
 from typing import Any
 
-from minimd.commands import doctor
 from minimd.commands.table import COMMANDS, add
 from minimd.core.console import __version__
 from minimd.core.console.signals import Terminated, endings_are_told
 from minimd.core.console.words import printable
-from minimd.core.structure.errors import ConstraintError, HandOverError, NonFiniteError, sentence
-from minimd.ensemble.running import EnsembleError
+from minimd.core.structure.errors import ConstraintError, EnsembleError, HandOverError, NonFiniteError, sentence
 
 OK, FAILED, WRONG_INPUT, BLOWN_UP, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
 CODES: dict[type[BaseException], int] = {
@@ -39,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--version", action="version", version=f"minimd {__version__}")
     commands = parser.add_subparsers(metavar="command", title="commands")
-    for one in (*COMMANDS, *(other.load() for other in entry_points(group="minimd.commands")), doctor.COMMAND):
+    for one in (*COMMANDS, *(other.load() for other in entry_points(group="minimd.commands"))):
         add(commands, one)
     arguments, unknown = parser.parse_known_args(argv)
     if unknown:

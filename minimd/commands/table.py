@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 import minimd as md
-from minimd.ensemble.workers import EXECUTORS
 from minimd.view.viewing import FRAMES
 
 
@@ -256,6 +255,13 @@ def archive(arguments: argparse.Namespace) -> None:
     print(md.archive(file, out, every, potentials_of(arguments), overwrite))
 
 
+def doctor(arguments: argparse.Namespace) -> Any:
+    """minimd doctor"""
+    from minimd.commands.doctor import clear_cache, examine
+
+    return clear_cache() if arguments.clear_cache else examine()
+
+
 def grade(arguments: argparse.Namespace) -> bool:
     """Print the grade of a class of dynamics; True if it passed.  Raises ValueError for one that is not there."""
     from minimd.judge.telling import as_dict, draw, named
@@ -301,7 +307,7 @@ COMMANDS = (
         STEPS,
         Argument("--executor", "who makes the runs: processes of this machine (if not given), threads of this process; "
                  "dask, from the scheduler in DASK_SCHEDULER_ADDRESS, or on this machine; mpi, the processes of the "
-                 "mpiexec that begins the command", more={"choices": EXECUTORS, "default": EXECUTORS[0]}),
+                 "mpiexec that begins the command", metavar="NAME", more={"default": "processes"}),
         Argument("--workers", "number of processes or threads of this machine, one for each core if not given; 0 for "
                  "this process only (dask starts at least one worker)", whole_number, "N"),
         Argument("--members", "make only these runs, from FROM to TO - 1; other commands may make others in the same "
@@ -369,4 +375,7 @@ COMMANDS = (
         Argument("--every", "copy the frames whose step is a multiple of N", whole_number, "N", {"required": True}),
         written_to("FILE", "the archive (.h5md); beside the file if not given"),
     ), archive),
+    Command("doctor", "describe this machine and test minimd on it",
+            "Describe this machine, and test minimd on it: forces, conservation laws, equal bits on all threads, "
+            "speed.", (flag("--clear-cache", "only remove the compiled kernels, of all versions of minimd"),), doctor),
 )  # fmt: skip

@@ -30,7 +30,7 @@ from minimd.core.console.signals import (
 from minimd.core.console.words import shown
 from minimd.core.simulation.simulation import Simulation
 from minimd.core.structure.checks import checked_count, checked_flag
-from minimd.core.structure.errors import Interrupted, sentence
+from minimd.core.structure.errors import EnsembleError, Interrupted, sentence
 from minimd.ensemble.folder import ENTROPIES, Asked, EnsembleFolder, name_of
 from minimd.ensemble.member import DONE, FAILED, Job, Member, Plan, Row, checked_parameters, work_through
 from minimd.ensemble.table import EnsembleTable, written_table
@@ -46,10 +46,6 @@ OUTSIDE = f"If the script calls md.ensemble outside of functions, {BELOW}"
 ANOTHER = "Make the same call again to go on, with a new executor: the old one may have given up because a process died"
 # seconds between requests to stop, repeated because a member that is between two runs does not notice one
 BETWEEN_REQUESTS = 0.02
-
-
-class EnsembleError(RuntimeError):
-    """All members have failed, with the traceback of the first in the notes; or members cannot be run at all."""
 
 
 Parameters = int | Mapping[str, Sequence[Any]] | Sequence[Mapping[str, Any]]

@@ -17,6 +17,7 @@ from typing import Any, cast
 
 from minimd.core.compiled.machine import available_cores
 from minimd.core.console.signals import endings_are_told
+from minimd.core.console.words import shown
 from minimd.core.files.claim import end_with
 
 EXECUTORS = ("processes", "threads", "dask", "mpi")
@@ -183,9 +184,11 @@ def named_executor(name: str, workers: int | None) -> Iterator[dict[str, Any] | 
     for another.
 
     workers : number of processes or threads of this machine, one for each core if None.
-    Raises ValueError if a package is missing, there is no other process of MPI, or workers is given where others
-    choose it.
+    Raises ValueError for another name, if a package is missing, there is no other process of MPI, or workers is given
+    where others choose it.
     """
+    if name not in EXECUTORS:
+        raise ValueError(f"--executor must be {', '.join(EXECUTORS[:-1])} or {EXECUTORS[-1]}; --executor {shown(name)}")
     try:
         if name == "dask":
             from dask import config

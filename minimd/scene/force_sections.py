@@ -61,7 +61,7 @@ class OfForces(Section):
 
 MADE: dict[str, type[law.Declared]] = {  # by type
     re.sub("(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", name).lower(): made
-    for name, made in ((name, getattr(potentials, name)) for name in potentials.__all__)
+    for name, made in ((name, getattr(potentials, name)) for name in potentials.__all__ if name[0].isupper())
     if isinstance(made, type) and issubclass(made, law.Declared) and not {law.own_law, law.given} & made.kinds()
 }
 ForceSection = functools.reduce(operator.or_, (

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from minimd.core.console.display import NAME_WIDTH
 from minimd.core.console.signals import Terminated
@@ -17,11 +17,13 @@ from minimd.core.files.h5md_schema import other_potentials
 from minimd.core.files.trajectory import FORMATS, checked_output
 from minimd.core.simulation.simulation import Simulation
 from minimd.core.structure.errors import ConstraintError, NonFiniteError, sentence
-from minimd.lammps import HandOver, check_hand_over, hand_over
 from minimd.observers import Accumulator
 from minimd.scene.document import h5md_files, stored
 from minimd.scene.scene import Scene
 from minimd.scene.sections import PLOT_SUFFIXES
+
+if TYPE_CHECKING:
+    from minimd.lammps import HandOver
 
 Tell = Callable[[str], None]
 OF_THE_START = ("structure.", "water.seed", "minimization.", "equilibration.")
@@ -263,13 +265,15 @@ def hand_over_scene(
     overwrite: bool = False,
     progress: bool | None = None,
     tell: Tell = print,
-) -> HandOver:
+) -> "HandOver":
     """Build a scene, minimize and equilibrate it, and let LAMMPS run it.
 
     folder : for all files.  steps : in place of those of the scene.
         Other arguments and errors are those of minimd.lammps.hand_over.
     Raises ValueError, OSError also for a scene that cannot be built.
     """
+    from minimd.lammps import check_hand_over, hand_over  # a run by minimd needs none of it
+
     output, n_steps = scene.sections.output, scene.sections.dynamics.steps if steps is None else steps
     simulation = scene.simulation()
     for line in description(scene, simulation, n_steps):

@@ -5,6 +5,7 @@ import ast
 import sys
 from collections.abc import Callable
 from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 
@@ -15,20 +16,35 @@ def places_of(package_file: str) -> dict[str, str]:
     return {alias.name: node.module or "" for node in imports for alias in node.names if alias.name[0] != "_"}
 
 
+def submodule(package: str, name: str) -> ModuleType | None:
+    """The module of this name in a package, loaded; None if there is none."""
+    full_name = f"{package}.{name}"
+    if name.startswith("_") or not name.isidentifier():
+        return None
+    try:
+        return import_module(full_name)
+    except ModuleNotFoundError as error:
+        if error.name != full_name:  # it is there, but another one that it needs is not
+            raise
+        return None
+
+
 def lazily(package: str, package_file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """__getattr__, __dir__ and __all__ of a package with a stub."""
+    """__getattr__, __dir__ and __all__ of a package with a stub.  Modules in the package are attributes, too."""
     places = places_of(package_file)
 
     def load(name: str) -> Any:
-        if name not in places:
+        value = loaded(name) if name in places else submodule(package, name)
+        if value is None:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        try:
-            place = sys.modules[package] if places[name] == package else import_module(places[name])
-            is_there = name in vars(place) or (place is not sys.modules[package] and hasattr(place, name))
-            value = getattr(place, name) if is_there else import_module(f"{places[name]}.{name}")
-        except AttributeError as error:  # raised by a module that was loaded: import would say "cannot import name"
-            raise ImportError(f"{places[name]} cannot be loaded: {error}") from error
         setattr(sys.modules[package], name, value)
         return value
+
+    def loaded(name: str) -> Any:
+        try:
+            members = vars(import_module(places[name]))
+            return members[name] if name in members else submodule(places[name], name)
+        except AttributeError as error:  # raised by a module that was loaded: import would say "cannot import name"
+            raise ImportError(f"{places[name]} cannot be loaded: {error}") from error
 
     return load, lambda: [*places, "__all__", "__doc__"], list(places)

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
+from typing import ClassVar, Protocol
 
 from minimd.core.compiled.program import Operation, in_python
 from minimd.core.integrators.state import Bath, State, Surroundings
-from minimd.core.integrators.steps import ForceSource, Moment, Steps
+from minimd.core.integrators.steps import ForceSource, Moment, Row, Steps
 from minimd.core.structure.observables import kinetic_energy
 
-if TYPE_CHECKING:
-    from minimd.core.integrators.splitting import Splitting
+
+class RowInPython(Row, Protocol):
+    """A method whose bath is a function in Python; see Splitting."""
+
+    is_thermostat: ClassVar[bool]
+
+    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
+        """A contact with the bath."""
 
 
-def advance(method: Splitting, state: State, compute_forces: Callable[[State, bool], None], n_steps: int,
+def advance(method: Row, state: State, compute_forces: Callable[[State, bool], None], n_steps: int,
             with_energy: bool, surroundings: Surroundings | None) -> int:  # fmt: skip
     """See Splitting.advance."""
 
@@ -29,7 +35,7 @@ def advance(method: Splitting, state: State, compute_forces: Callable[[State, bo
     return made
 
 
-def contact(method: Splitting, state: State, duration: float, around: Surroundings, moment: Moment
+def contact(method: RowInPython, state: State, duration: float, around: Surroundings, moment: Moment
             ) -> Iterable[Operation]:  # fmt: skip
     """A contact made once, by the method's thermalize.  See Splitting.contact."""
 

@@ -40,6 +40,10 @@ class HandOverError(RuntimeError):
     """Another program that was given a scene disagrees with minimd, or has failed."""
 
 
+class EnsembleError(RuntimeError):
+    """All members have failed, with the traceback of the first in the notes; or members cannot be run at all."""
+
+
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C in a computation that has a partial result.  result : that result."""
 

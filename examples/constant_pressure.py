@@ -22,7 +22,7 @@ liquid.run(n_equilibration, every=n_equilibration)
 
 fluctuations = md.observers.Fluctuations(every=every)
 record = liquid.run(n_steps, every=every, observers=[fluctuations])
-density, found = md.structure.statistics.mean_and_error(record.n_atoms / record.volume), fluctuations.result()
+density, found = md.mean_and_error(record.n_atoms / record.volume), fluctuations.result()
 for name, (value, error), known in [
     ("ρ*", density, 0.776),
     ("κ*", (found.compressibility, found.compressibility_error), 0.126),

@@ -19,7 +19,7 @@ pressed.set_temperature(temperature, seed=3)
 pressed.run(n_equilibration, every=1000)
 volume = pressed.run(n_pressure, every=20).volume
 mass = system.masses.sum() / md.units.GRAM_PER_CM3
-density, error = md.structure.statistics.mean_and_error(mass / volume)
+density, error = md.mean_and_error(mass / volume)
 print(f"density {density:.4f} ± {error:.4f} g/cm³")
 
 system, potentials, rigid = md.water("SPC/E", n_molecules, density, cutoff=8.3, accuracy=1e-4)

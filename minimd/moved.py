@@ -2,11 +2,13 @@
 
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.machinery import ModuleSpec  # importlib.abc loads fifteen modules
 from types import ModuleType
 from typing import Any
+
+from minimd.core.console.lazy import submodule
 
 MOVED = {
     **{f"minimd.{room}": f"minimd.core.{room}" for room in (
@@ -64,15 +66,35 @@ class Following:
                 raise
             raise ModuleNotFoundError(f"No module named {spec.name!r}", name=spec.name) from error
         if spec.name not in STAYS:
-            warnings.warn(
-                f"{spec.name} is {new} now; the old name goes with the next release", DeprecationWarning, stacklevel=2
-            )
+            _warn(f"{spec.name} is {new} now; the old name goes with the next release")
         self._specs[new] = module.__spec__
+        vars(module).setdefault("__getattr__", attributes_of(new))
         return module
 
     def exec_module(self, module: ModuleType) -> None:
         """Nothing is to be run again; import has replaced the spec."""
         module.__spec__ = self._specs[module.__name__]
+
+
+def attributes_of(package: str) -> Callable[[str], ModuleType]:
+    """The __getattr__ of a package whose modules are its attributes, as they were when an import loaded them all."""
+
+    def load(name: str) -> ModuleType:
+        module = submodule(package, name)
+        if module is None:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return module
+
+    return load
+
+
+def _warn(message: str) -> None:
+    """Warn at the line of the user, below the frames of minimd and of import."""
+    frame: Any = sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("minimd", "importlib"):
+        frame = frame.f_back
+    place = frame.f_code.co_filename, frame.f_lineno, frame.f_globals.get("__name__", "")
+    warnings.warn_explicit(message, DeprecationWarning, *place)
 
 
 def follow_moved_modules() -> None:

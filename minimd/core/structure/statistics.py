@@ -20,8 +20,16 @@ WALKS = {0.0: 1.0, 0.3: 1.0, 0.6: 1.0, 0.9: 1.0, 1.0: 3.0}
 
 
 def mean_and_error(series: Any) -> tuple[float, float]:
-    """Mean of a correlated series, and the standard error of the mean from its averages over 16 to 31 blocks;
-    NaN for fewer than 4 entries."""
+    """Mean of a correlated series, and the standard error of the mean from its averages over 16 to 31 blocks.
+
+    Parameters
+    ----------
+    series : (T,) array, as record.pressure: equally spaced in time, after the equilibration.
+
+    Returns
+    -------
+    mean, error : in the unit of the series; the error is NaN for fewer than 4 entries, the mean for none.
+    """
     values = np.asarray(series, dtype=np.float64)
     if len(values) < FEW:
         return float(values.mean()) if len(values) else np.nan, np.nan

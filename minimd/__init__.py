@@ -4,21 +4,22 @@ Public names are loaded when they are first used; __init__.pyi says where each i
 """
 
 import sys
+from importlib import import_module
 from types import ModuleType
 from typing import Any
 
 from minimd.core.console import __version__ as __version__
 from minimd.core.console.annexes import provide
-from minimd.core.console.lazy import lazily, submodule
+from minimd.core.console.lazy import LazyNames, submodule
 from minimd.core.console.words import near
 from minimd.moved import follow_moved_modules
 
-OF_MDANALYSIS = "universe", "radial_distribution", "diffusion_coefficient", "mean_square_displacement", "Turn"
 ROOMS = "integrators", "observers", "lattice", "units"  # in which people look for a name that is not here
+OF_MDANALYSIS = "universe", "radial_distribution", "diffusion_coefficient", "mean_square_displacement", "Turn"
 HIDDEN = {"ensemble", "grade", "replay", "view"}  # modules behind functions of these names
 
-_load, _, _names = lazily(__name__, __file__)
-__all__ = sorted(_names)
+_names = LazyNames(__name__)
+__all__ = sorted(_names.places)
 provide("observers by kind", "minimd.observers:KINDS")
 provide("potentials of a scene", "minimd.scene.document:potentials_of_scene")
 follow_moved_modules()
@@ -31,25 +32,34 @@ class Face(ModuleType):
         if not (isinstance(value, ModuleType) and name in HIDDEN):
             super().__setattr__(name, value)
 
+    def __reduce__(self) -> Any:
+        """For cloudpickle, which knows modules by their type, and else would copy what functions of a script use."""
+        return import_module, (self.__name__,)
+
 
 sys.modules[__name__].__class__ = Face
 
 
 def __getattr__(name: str) -> Any:
     """A public name, or a package of minimd, such as the bridge to LAMMPS, loaded when it is first used."""
-    if name in __all__:
-        return _load(name)
+    if name in _names.places:
+        return _names.load(name)
     module = submodule(__name__, name)
     if module is not None:
         return module
-    raise AttributeError(f"module 'minimd' has no attribute {name!r}{_hint(name)}")
+    hint = "" if name.startswith("_") else _hint(name)
+    raise AttributeError(f"module 'minimd' has no attribute {name!r}{hint}")
 
 
 def _hint(name: str) -> str:
     """Where a name is that is not here, or a public name that is nearly the same."""
-    rooms = [room for room in ROOMS if not isinstance(getattr(_load(room), name, sys), ModuleType)]
-    rooms += ["mdanalysis"] * (name in OF_MDANALYSIS)
-    return f"; it is minimd.{rooms[0]}.{name}" if rooms else near(name, __all__)
+    if name in OF_MDANALYSIS:
+        return f"; it is minimd.mdanalysis.{name}"
+    for room in ROOMS:
+        module = _names.load(room)
+        if name in getattr(module, "__all__", dir(module)):
+            return f"; it is minimd.{room}.{name}"
+    return near(name, __all__)
 
 
 def __dir__() -> list[str]:

@@ -75,5 +75,3 @@ from minimd.past.past import Past as Past
 from minimd.past.replay import replay as replay
 from minimd.scene.water import water as water
 from minimd.view.viewing import view as view
-
-__all__: list[str]

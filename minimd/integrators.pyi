@@ -84,5 +84,3 @@ from minimd.textbook.ode.runge_kutta import (
     gauss as gauss,
     radau_iia as radau_iia,
 )
-
-__all__: list[str]

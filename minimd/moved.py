@@ -1,14 +1,11 @@
 """Modules that have moved, under their old names, with a warning: for one release."""
 
 import sys
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from importlib.machinery import ModuleSpec  # importlib.abc loads fifteen modules
 from types import ModuleType
 from typing import Any
-
-from minimd.core.console.lazy import submodule
 
 MOVED = {
     **{f"minimd.{room}": f"minimd.core.{room}" for room in (
@@ -30,6 +27,7 @@ MOVED = {
     "minimd.analysis": "minimd.view",
     "minimd.document": "minimd.scene",
     "minimd.grade": "minimd.judge",
+    "minimd_bench": "minimd.bench",
 }  # fmt: skip
 STAYS = {"minimd.grade"}  # no warning: it is the public name
 HERE = {"minimd.potentials"}  # a module of its own; what was in the folder has moved
@@ -38,8 +36,9 @@ HERE = {"minimd.potentials"}  # a module of its own; what was in the folder has 
 def new_name(name: str) -> str | None:
     """The new name of a module; None if it has not moved."""
     parts = name.split(".") if name not in HERE else []
-    for k in range(len(parts), 1, -1):
-        if (new := MOVED.get(".".join(parts[:k]))) is not None:
+    for k in range(len(parts), 0, -1):
+        new = MOVED.get(".".join(parts[:k]))
+        if new is not None:
             return ".".join([new, *parts[k:]])
     return None
 
@@ -58,6 +57,8 @@ class Following:
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         """The module itself."""
+        from minimd.old_names import attributes_of, warn  # few scripts need them
+
         new = spec.origin or ""
         try:
             module = import_module(new)
@@ -66,35 +67,14 @@ class Following:
                 raise
             raise ModuleNotFoundError(f"No module named {spec.name!r}", name=spec.name) from error
         if spec.name not in STAYS:
-            _warn(f"{spec.name} is {new} now; the old name goes with the next release")
-        self._specs[new] = module.__spec__
+            warn(f"{spec.name} is {new} now; the old name goes with the next release")
+        self._specs.setdefault(new, module.__spec__)
         vars(module).setdefault("__getattr__", attributes_of(new))
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        """Nothing is to be run again; import has replaced the spec."""
+        """Nothing is run again. Import has given the module the spec of its old name: put its own back."""
         module.__spec__ = self._specs[module.__name__]
-
-
-def attributes_of(package: str) -> Callable[[str], ModuleType]:
-    """The __getattr__ of a package whose modules are its attributes, as they were when an import loaded them all."""
-
-    def load(name: str) -> ModuleType:
-        module = submodule(package, name)
-        if module is None:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return module
-
-    return load
-
-
-def _warn(message: str) -> None:
-    """Warn at the line of the user, below the frames of minimd and of import."""
-    frame: Any = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("minimd", "importlib"):
-        frame = frame.f_back
-    place = frame.f_code.co_filename, frame.f_lineno, frame.f_globals.get("__name__", "")
-    warnings.warn_explicit(message, DeprecationWarning, *place)
 
 
 def follow_moved_modules() -> None:

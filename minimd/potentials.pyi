@@ -31,5 +31,3 @@ from minimd.core.potentials.pair import (
 from minimd.core.potentials.term import FORCES as FORCES, PER_ATOM as PER_ATOM, TOTALS as TOTALS, Term as Term
 from minimd.openmm.openmm_system import from_openmm as from_openmm
 from minimd.scene.water import water as water
-
-__all__: list[str]

@@ -256,7 +256,7 @@ def archive(arguments: argparse.Namespace) -> None:
 
 
 def doctor(arguments: argparse.Namespace) -> Any:
-    """minimd doctor"""
+    """Print what is found about this machine; False if a test of it fails."""
     from minimd.commands.doctor import clear_cache, examine
 
     return clear_cache() if arguments.clear_cache else examine()

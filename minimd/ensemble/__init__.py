@@ -1,6 +1,7 @@
 """Many runs: the members of an ensemble are run by any executor, each with its own file;
 a table holds their averages."""
 
-from minimd.core.console.lazy import lazily
+from minimd.core.console.lazy import LazyNames
 
-__getattr__, __dir__, __all__ = lazily(__name__, __file__)
+_names = LazyNames(__name__)
+__getattr__, __dir__, __all__ = _names.load, _names.listed, [*_names.places]

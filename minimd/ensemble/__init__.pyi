@@ -4,5 +4,3 @@ a table holds their averages."""
 from minimd.ensemble.member import Member as Member
 from minimd.ensemble.running import ensemble as ensemble
 from minimd.ensemble.table import EnsembleTable as EnsembleTable
-
-__all__: list[str]

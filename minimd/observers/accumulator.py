@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from inspect import cleandoc
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from minimd.core.console.display import Displayed, Rows, call_of
 from minimd.core.engine.engine import Engine
+from minimd.core.engine.observer import StoredObserver
 from minimd.core.structure.statistics import MOST_BLOCKS, replicas, spread
 from minimd.core.structure.units import SYSTEMS, UnitSystem
 from minimd.observers.arguments import Argument, argument, label, steps
@@ -213,7 +214,7 @@ class Result(Displayed):
 
 
 @dataclass_transform(field_specifiers=(argument, steps, label, field))
-class Accumulator(ABC, Displayed):
+class Accumulator(StoredObserver, Displayed):
     """An observer that looks at a run at regular steps, keeps sums, and computes a result from them.
 
         observer = md.observers.RadialDistribution(every=100)
@@ -233,8 +234,6 @@ class Accumulator(ABC, Displayed):
     n_looks : number of looks.  last_step : the step of the last look, −1 if there is none.
     """
 
-    kind: ClassVar[str]  # its name in scene files and H5MD files
-    needs_energy: ClassVar[bool] = False  # whether it needs energies or the virial
     convention: ClassVar[int] = 1  # of its sums; those of another cannot go on
     declared: ClassVar[dict[str, Argument]]  # all arguments
     arguments: ClassVar[tuple[str, ...]]  # with which, and with its name, it can be made again

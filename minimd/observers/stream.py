@@ -19,6 +19,7 @@ from minimd.core.console.quiet import outside_minimd
 from minimd.core.console.words import shown
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
+from minimd.core.engine.observer import PeriodicObserver
 from minimd.core.structure.checks import checked_count, checked_flag
 
 # types of messages
@@ -33,7 +34,7 @@ PATIENCE = 60.0  # seconds with a reader that takes nothing and has not asked fo
 FAREWELL = 2.0  # seconds for the reader to take the last frames, after the run
 
 
-class Stream:
+class Stream(PeriodicObserver):
     """Sends a run to a reader while it goes on, by the protocol IMDv3 of the package imdclient: with MDAnalysis,
 
         sim.run(100_000, observers=[md.observers.Stream(every=10)])

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from minimd.core.console.annexes import from_annex
 from minimd.core.console.whole_file import write_picture
 from minimd.core.diagnosis.crash_report import CrashReport
 from minimd.core.files.crash_file import SUFFIX, read_crash_report
 from minimd.core.forces.forces import Potential
 from minimd.core.neighbors.queries import closest_pair
+from minimd.core.simulation.resuming import stored_potentials
 from minimd.core.simulation.simulation import Simulation
 from minimd.core.structure.errors import ConstraintError, NonFiniteError
 from minimd.core.structure.observables import longest
@@ -112,9 +112,7 @@ def replay(
     frames, drawing = (
         _output(one, Path(file), end, overwrite) for one, end in ((trajectory, "h5md"), (picture, "png"))
     )
-    acting = (
-        from_annex("potentials of a scene")(run.scene, run.potentials, Path(file)) if potentials is None else potentials
-    )
+    acting = stored_potentials(run, file) if potentials is None else potentials
     options: dict[str, Any] = {"precision": run.precision, "skin": run.skin, "grid": run.restart.grid}
     simulation = Simulation(run.system, acting, run.integrator(), barostat=run.barostat, **options)
     simulation.restore(past.start)

@@ -2,5 +2,3 @@
 
 from minimd.scene.running import resume_run as resume_run, run_scene as run_scene
 from minimd.scene.scene import Scene as Scene, load_scene as load_scene, parse_scene as parse_scene
-
-__all__: list[str]

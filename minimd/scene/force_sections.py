@@ -7,13 +7,16 @@ another quantity that is not zero by default must be given, since units differ b
 import functools
 import operator
 import re
+from collections.abc import Iterator
 from dataclasses import MISSING, fields
+from importlib import import_module
 from math import inf
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat, NonNegativeInt, create_model
 
 from minimd import potentials
+from minimd.core.console.lazy import places_of
 from minimd.core.potentials import declared as law
 from minimd.core.potentials.bonded import Bonded
 from minimd.scene.section import Atoms, Dimension, NotNegative, PairOfAtoms, Positive, Section, Vector
@@ -59,11 +62,16 @@ class OfForces(Section):
         return MADE[self.type](**given)  # type: ignore[attr-defined]
 
 
-MADE: dict[str, type[law.Declared]] = {  # by type
-    re.sub("(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", name).lower(): made
-    for name, made in ((name, getattr(potentials, name)) for name in potentials.__all__ if name[0].isupper())
-    if isinstance(made, type) and issubclass(made, law.Declared) and not {law.own_law, law.given} & made.kinds()
-}
+def declared_laws() -> Iterator[tuple[str, type[law.Declared]]]:
+    """The public potentials whose arguments are all numbers, texts and atoms, with their types."""
+    for name, place in places_of(potentials.__name__).items():
+        potential: Any = getattr(import_module(place), name) if place.startswith("minimd.core.") else None
+        is_declared = isinstance(potential, type) and issubclass(potential, law.Declared)
+        if is_declared and not {law.own_law, law.given} & potential.kinds():
+            yield re.sub("(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", name).lower(), potential
+
+
+MADE = dict(declared_laws())
 ForceSection = functools.reduce(operator.or_, (
     create_model(  # type: ignore[call-overload]
         f"{made.__name__}Section", __base__=OfForces, __module__=__name__, type=(Literal[kind], ...),

@@ -1,5 +1,6 @@
 """What is made of the file of a run: its page with atoms in motion, its pictures, its check."""
 
-from minimd.core.console.lazy import lazily
+from minimd.core.console.lazy import LazyNames
 
-__getattr__, __dir__, __all__ = lazily(__name__, __file__)
+_names = LazyNames(__name__)
+__getattr__, __dir__, __all__ = _names.load, _names.listed, [*_names.places]

@@ -4,11 +4,15 @@ import pickle
 import subprocess
 import sys
 import warnings
+from importlib import import_module
+from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 
 import minimd as md
-from minimd import moved
+from minimd import moved, old_names
+from minimd.core.diagnosis.report import DriftRate
 
 HEAVY = "numpy numba scipy h5py ase MDAnalysis matplotlib pydantic tqdm"
 LOADED = f"""
@@ -96,7 +100,7 @@ def test_each_public_name_is_there(name):
 
 @pytest.mark.parametrize("package", ["integrators", "potentials", "view", "scene", "ensemble"])
 def test_each_name_of_a_stub_is_where_it_says(package):
-    module = sys.modules[f"minimd.{package}"] if package in ("view", "ensemble") else getattr(md, package)
+    module = import_module(f"minimd.{package}")
     assert module.__all__
     assert all(getattr(module, name) is not None for name in module.__all__)
     with pytest.raises(AttributeError, match="no_such_name"):
@@ -138,11 +142,76 @@ def test_all_old_modules_are_the_new_ones():
             import minimd.structure.no_such_module  # noqa: F401
 
 
-def test_a_pickle_of_old_names_is_read():
-    """Those of version 0.2.0 name modules as they were."""
-    new = pickle.dumps(md.System([[0.0, 0.0, 0.0]]), protocol=0)
-    old = new.replace(b"minimd.core.structure", b"minimd.structure")
-    assert old != new
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        assert type(pickle.loads(old)) is md.System
+def test_pickles_with_old_names_are_read():
+    """Those of version 0.2.0 name modules and classes as they were."""
+    renames = [("minimd.core.structure", "minimd.structure"), ("minimd.core.diagnosis", "minimd.diagnosis"),
+               ("DriftRate", "Drift")]  # fmt: skip
+    for one in (md.System([[0.0, 0.0, 0.0]]), DriftRate(1.0, 0.5)):
+        old = pickle.dumps(one, protocol=0)
+        for new_name, old_name in renames:
+            old = old.replace(new_name.encode(), old_name.encode())
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)
+            assert type(pickle.loads(old)) is type(one)
+
+
+def test_renamed_classes_are_found_under_their_old_names():
+    for module, names in old_names.RENAMED.items():
+        there, find = vars(import_module(module)), old_names.attributes_of(module)
+        assert [find(old) for old in names] == [there[new] for new in names.values()]
+
+
+IN_THREADS = """
+from threading import Barrier, Thread
+import minimd as md
+names = ["Simulation", "view", "water", "ensemble", "LangevinBAOAB", "Coulomb", "Past", "advise_timestep"]
+barrier, found = Barrier(len(names)), []
+def load(name):
+    barrier.wait()
+    found.append(getattr(md, name))
+threads = [Thread(target=load, args=(name,)) for name in names]
+[thread.start() for thread in threads]
+[thread.join() for thread in threads]
+print(len(found))
+"""
+
+
+def test_threads_may_load_names_at_once():
+    assert answer(IN_THREADS) == "8"
+
+
+def test_a_function_of_a_script_that_uses_minimd_is_sent_to_other_processes():
+    code = """
+import cloudpickle, pickle
+import minimd as md
+def build():
+    return md.System([[0.0, 0.0, 0.0]])
+print(len(pickle.loads(cloudpickle.dumps(build))()))
+"""
+    assert answer(code) == "1"
+
+
+@pytest.mark.parametrize("name", ["__wrapped__", "_repr_html_", "__test__"])
+def test_a_private_name_is_refused_without_loading_anything(name):
+    assert answer(f"import minimd\nprint(hasattr(minimd, {name!r}), *loaded())").split() == ["False"]
+
+
+def test_names_that_are_elsewhere_or_misspelt_are_hinted_at():
+    for name, hint in (("RadialDistribution", "minimd.observers."), ("LennardJone", "LennardJones"), ("BDF2", "integr"),
+                       ("universe", "minimd.mdanalysis.universe"), ("fs", "units")):  # fmt: skip
+        with pytest.raises(AttributeError, match=hint):
+            getattr(md, name)
+
+
+def test_minimd_runs_from_a_zip(tmp_path):
+    archive = tmp_path / "minimd.zip"
+    folder = Path(md.__file__).parent
+    with ZipFile(archive, "w") as packed:
+        for file in [*folder.glob("*.py*"), *(folder / "core").rglob("*.py*")]:
+            packed.write(file, file.relative_to(folder.parent))
+    code = f"""
+sys.path.insert(0, {str(archive)!r})
+import minimd as md
+print(md.__file__, len(md.System([[0.0, 0.0, 0.0]])))
+"""
+    assert answer(code) == f"{archive}/minimd/__init__.py 1"

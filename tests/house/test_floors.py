@@ -50,6 +50,7 @@ def imports(path, when_imported=False):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: imports are absolute"
             names = (f"{node.module}.{alias.name}" for alias in node.names)
             yield from (name if name in MODULES else node.module for name in names)
 
@@ -153,14 +154,18 @@ def test_arrows_of_the_core_lead_to_its_inner_rings():
 
 
 def test_annexes_on_the_ground_do_not_use_each_other():
+    """Neither through the face."""
     for annex in GROUND:
         others = tuple(f"minimd.{other}." for other in GROUND if other != annex)
         for module, found in rooms_of("minimd", annex):
+            assert "minimd" not in found, module
             assert not [other for other in found if f"{other}.".startswith(others)], module
 
 
-def test_the_core_asks_annexes_for_two_things_by_name():
+def test_the_core_and_nobody_else_asks_annexes_for_two_things_by_name():
     """An arrow by name is still an arrow: what is asked for is counted, and the face provides each."""
+    asking = [module for module, path in MODULES.items() if "from_annex" in path.read_text(encoding="utf-8")]
+    assert all(module.startswith("minimd.core.") for module in asking), asking
     calls = [node for path in MODULES.values() for node in nodes_of(path) if isinstance(node, ast.Call)]
 
     def named(function):

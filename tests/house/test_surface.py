@@ -5,14 +5,15 @@ import re
 from collections import defaultdict
 from pathlib import Path
 
+import minimd as md
 from minimd.core.console.lazy import places_of
 
 REPOSITORY = Path(__file__).parents[2]
 PACKAGE = REPOSITORY / "minimd"
 PAGE = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
 TABLE = PAGE[PAGE.index("### The surface") : PAGE.index("## One run")]
-STUBS = ["__init__.py", "integrators.py", "potentials.py"]
-PUBLIC = {(place, name) for stub in STUBS for name, place in places_of(str(PACKAGE / stub)).items()}
+STUBS = [md, md.integrators, md.potentials]
+PUBLIC = {(place, name) for module in STUBS for name, place in places_of(module.__name__).items()}
 PUBLIC_MODULES = {"minimd.core.structure.lattice", "minimd.core.structure.units"}  # md.lattice, md.units
 MOST_NAMES, MOST_DEBTS = 80, 130
 

@@ -223,7 +223,7 @@ class DirectCalls:
     """Where kernels are, for a caller that passes each of them arguments of one type, and arrays of one layout."""
 
     def __init__(self) -> None:
-        self._found: dict[Callable, tuple[tuple[types.Type, ...], int]] = {}
+        self._codes: dict[Callable, tuple[tuple[types.Type, ...], int]] = {}
 
     def address(self, kernel: Callable, *arguments: object) -> int:
         """The address of the machine code of a kernel for arguments of these types, see call_at; it is
@@ -231,22 +231,20 @@ class DirectCalls:
 
         Raises TypeError for arguments of other types than at the first call: that code would take them for those."""
         kinds = types_of(arguments)
-        if kernel not in self._found:
+        if kernel not in self._codes:
             code_for(kernel, kinds)
             compiled = kernel.overloads[kinds]  # type: ignore[attr-defined]
             place = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
-            self._found[kernel] = kinds, place
-        first, address = self._found[kernel]
+            self._codes[kernel] = kinds, place
+        first, address = self._codes[kernel]
         if kinds != first:
             name = getattr(kernel, "__name__", repr(kernel))
-            raise TypeError(
-                f"a DirectCalls passes {name} arguments of one type, {_said(first)}; got {_said(kinds)}. Take another "
-                "DirectCalls for these"
-            )
+            one_type = f"a DirectCalls passes {name} arguments of one type, {_in_words(first)}"
+            raise TypeError(f"{one_type}; got {_in_words(kinds)}: take another DirectCalls for these")
         return address
 
 
-def _said(kinds: tuple[types.Type, ...]) -> str:
+def _in_words(kinds: tuple[types.Type, ...]) -> str:
     """Types in words: those of named tuples with their fields, which their own names may not show."""
     return ", ".join(f"{kind} {getattr(kind, 'types', '')}".strip() for kind in kinds)
 

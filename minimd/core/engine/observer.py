@@ -1,61 +1,77 @@
 """What a run asks of an observer, and a file of one that keeps a state."""
 
-from typing import Any, Protocol, runtime_checkable
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar
 
 from minimd.core.engine.engine import Engine
 
 
-@runtime_checkable
-class PeriodicObserver(Protocol):
-    """An observer with steps of its own: those of minimd.observers, or any object with these."""
+class PeriodicObserver(ABC):
+    """Base class of observers with steps of their own, which look at an engine rather than at a simulation.
 
-    @property
-    def every(self) -> int:
-        """Steps between two looks."""
+    Attributes
+    ----------
+    every : steps between two looks.  needs_energy : whether the next looks need energies or the virial.
+    """
 
-    @property
-    def needs_energy(self) -> bool:
-        """Whether it needs energies or the virial."""
+    every: int
+    needs_energy: Any = False
 
+    @abstractmethod
     def prepare(self, engine: Engine) -> None:
-        """The run begins."""
+        """A run begins.  Raises ValueError if it cannot be observed."""
 
+    @abstractmethod
     def observe(self, engine: Engine) -> None:
-        """Look at the present state."""
+        """Look at the present state, of a step that is a multiple of every."""
 
+    @abstractmethod
     def end(self, engine: Engine) -> None:
         """The run has ended."""
 
 
-@runtime_checkable
-class StoredObserver(PeriodicObserver, Protocol):
-    """One whose state and results are kept in files."""
+class StoredObserver(PeriodicObserver):
+    """Base class of those whose sums and results are kept in files; see minimd.observers.accumulator.Accumulator.
 
+    Attributes
+    ----------
+    kind : its name in scene files and H5MD files.  name : of this one among the observers of a run.
+    last_step : the step of the last look, −1 if there is none.
+    """
+
+    kind: ClassVar[str]
     name: str
-    n_looks: int
     last_step: int
 
     @property
-    def kind(self) -> str:
-        """Its name among kinds of observers."""
+    @abstractmethod
+    def n_looks(self) -> int:
+        """The number of looks."""
 
+    @abstractmethod
     def made_with(self) -> dict[str, Any]:
-        """The arguments with which it was made."""
+        """The arguments with which it was made, for JSON."""
 
+    @abstractmethod
     def state(self) -> dict[str, Any]:
-        """For restore."""
+        """What restore needs: arrays, and numbers and texts for JSON."""
 
+    @abstractmethod
     def can_restore(self, state: dict[str, Any]) -> bool:
-        """Whether restore takes it."""
+        """Whether a state is one of such an observer."""
 
+    @abstractmethod
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a state."""
+        """Take the sums of a state, and go on from there."""
 
+    @abstractmethod
     def interrupt(self) -> None:
-        """Steps are missing."""
+        """Steps are missing: do not correlate later looks with earlier ones."""
 
+    @abstractmethod
     def break_off(self, step: int) -> int:
-        """The run has failed at a step; the number of later states that were seen."""
+        """A run has failed; step is its last good one. Returns the number of later looks, which remain in the sums."""
 
+    @abstractmethod
     def result(self) -> Any:
-        """Its answer."""
+        """The result of all looks.  Raises ValueError before the first."""

@@ -82,5 +82,5 @@ class Attached:
 
 def _is_observer(one: Any) -> bool:
     """Whether an object can observe a run; a class of observers cannot, but its objects can."""
-    is_class = isinstance(one, type) and hasattr(one, "prepare")
+    is_class = isinstance(one, type) and issubclass(one, PeriodicObserver)
     return not is_class and (isinstance(one, PeriodicObserver) or callable(one))

@@ -5,13 +5,16 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from minimd.core.console.annexes import from_annex
 from minimd.core.console.quiet import outside_minimd
 from minimd.core.engine.observation import extras_in
 from minimd.core.forces.forces import Potential
 from minimd.core.structure.checks import checked_count
+
+if TYPE_CHECKING:
+    from minimd.core.files.h5md_reader import H5MDContents
 
 Potentials = Potential | Sequence[Potential] | None
 
@@ -24,7 +27,7 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
     verify_frames(file)  # a child process reads it first
     contents = read_file(file)
     if potentials is None:
-        potentials = from_annex("potentials of a scene")(contents.scene, contents.potentials, Path(file))
+        potentials = stored_potentials(contents, file)
     options = {name: getattr(contents, name) for name in ("precision", "skin", "barostat")}
     simulation = kind(contents.system, potentials, contents.integrator(), threads=threads, **options)
     simulation.extra_observables = extras_in(contents.record)
@@ -37,6 +40,11 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
     if contents.repaired:
         warnings.warn(contents.repaired, stacklevel=outside_minimd())
     return simulation
+
+
+def stored_potentials(contents: H5MDContents, file: str | Path) -> Any:
+    """The potentials of the scene in a file.  Raises ValueError if it has no scene."""
+    return from_annex("potentials of a scene")(contents.scene, contents.potentials, Path(file))
 
 
 def last_step(step: int, n_steps: int | None, until_step: int | None) -> int:

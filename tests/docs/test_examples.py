@@ -26,7 +26,7 @@ SHORTENED = [path for path in [*SCRIPTS, LESSONS[0]] if path.stem not in IN_FULL
 EACH = [pytest.param(one, marks=[pytest.mark.slow] * (one.stem not in QUICK), id=one.name) for one in SHORTENED]
 TITLES = {  # last line of a cell: the title of its table, and a word in it
     "system": ("System", "108: 108 X"), "system.cell": ("Cell", "volume"), "lj": ("LennardJones", "switch_start"),
-    "sim": ("Simulation", "VelocityVerlet(timestep=0.003)"), "sim.report()": ("Report", "verdict"),
+    "sim": ("Simulation", "velocity-verlet, timestep 0.003 τ"), "sim.report()": ("Report", "verdict"),
     "sim.method": ("VelocityVerlet", "order 2, symmetric, symplectic"), "table": ("Tabulated", "truncation"),
     "md.advise_timestep(system, lj)": ("StepAdvice", "recommended"),
     "record": ("Record", "21 entries of 108 atoms, step 0 to 200"),

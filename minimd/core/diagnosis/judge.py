@@ -22,7 +22,7 @@ from minimd.core.potentials.pair import Nonbonded
 from minimd.core.structure.bond_graph import among
 from minimd.core.structure.checks import LARGEST
 from minimd.core.structure.constraints import DistanceConstraints
-from minimd.core.structure.observables import absolute_momentum, kinetic_energy, largest_component, longest, temperature
+from minimd.core.structure.observables import absolute_momentum, largest_component, longest
 from minimd.core.structure.system import System, changed
 from minimd.core.structure.units import ASE, BAR
 from minimd.core.structure.vectors import Array
@@ -418,15 +418,17 @@ def too_hot(evidence: Evidence) -> Verdict | None:
     pairs = [one for one in evidence.found if one.ratio and not one.is_bond]
     if not pairs:
         return None
-    velocities, dt, units = evidence.failure.start.velocities, evidence.timestep, evidence.units
+    engine, dt, units = evidence.engine, evidence.timestep, evidence.units
+    velocities = evidence.failure.start.velocities
     sigma = min(one.distance / one.ratio for one in pairs if one.ratio)
     fast = sigma * max(HOT_STEP / dt, FAST * max(one.rest_frequency or 0.0 for one in pairs))
     squares = np.einsum("ij,ij->i", velocities, velocities)
-    atom, n_others = int(np.argmax(squares)), max(1, len(squares) - 1)
-    speed, mean, others = np.sqrt([squares[atom], squares.mean(), (squares.sum() - squares[atom]) / n_others])
+    atom, n_moving = int(np.argmax(squares)), len(squares) - engine.constraint_set.n_fixed
+    total, n_others = squares.sum(), max(1, n_moving - 1)
+    speed, mean, others = np.sqrt([squares[atom], total / n_moving, (total - squares[atom]) / n_others])
     passes = f"atom {atom} moves {speed * dt / sigma:.2g} σ in a step"
     if mean > fast and speed <= HOT_SPOT * others:
-        hot = temperature(kinetic_energy(velocities, evidence.system.masses), velocities.size, units.k_B)
+        hot = engine.constraint_set.temperature(velocities, evidence.system, engine.conserves_momentum)
         passes = f"at {hot:.3g} {units.temperature} {passes}"
     elif speed > max(fast, HOT_SPOT * others):
         passes += f", {speed / others:.2g} times as fast as the others" if others > 0.0 else ", the only one in motion"

@@ -282,8 +282,8 @@ class Accumulator(StoredObserver, Displayed):
         return {name: getattr(self, name) for name in (*self.arguments, "name")}
 
     def prepare(self, engine: Engine) -> None:
-        """Prepare for a run of an engine, or for a look.  Raises ValueError if it cannot be observed, or is another scene
-        than the one observed before."""
+        """Prepare for a run of an engine, or a look.  Raises ValueError if it cannot be observed, or is another scene than
+        the one observed before."""
         scene = ObservedRun.of(engine, self.every)
         if self.scene is None:
             self._begin(engine)

@@ -84,7 +84,7 @@ class Profile(Accumulator):
     def result(self) -> ProfileResult:
         """The profiles so far, with standard errors.  Raises ValueError before the first look."""
         scene, n = self.answered(), self.n_bins
-        k_B = scene.unit_system.k_B  # noqa: N806
+        k_B = scene.unit_system.k_B
 
         def law(sums: Array) -> Array:
             *densities, shares, squares = sums[HEAD:].reshape(-1, n)

@@ -2,9 +2,10 @@
 
 import warnings
 
-import minimd as md
 import numpy as np
 import pytest
+
+import minimd as md
 from minimd.core.constraints.constraint_set import ConstraintSet
 
 RNG = np.random.default_rng(5)
@@ -134,8 +135,7 @@ def test_a_blow_up_tells_the_temperature_of_the_atoms_that_move():
     sim = md.Simulation(md.System(places, cell=edges), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.02),
                         md.FixedAtoms(np.arange(0, len(places), 2)))  # fmt: skip
     sim.set_temperature(300.0, seed=1)
-    with warnings.catch_warnings(), pytest.raises(md.NonFiniteError) as blown:
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"), pytest.raises(md.NonFiniteError) as blown:
         sim.run(2000, crash_report=False)
     cause = str(blown.value)
     assert "hot" in cause, cause

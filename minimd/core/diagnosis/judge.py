@@ -22,7 +22,7 @@ from minimd.core.potentials.pair import Nonbonded
 from minimd.core.structure.bond_graph import among
 from minimd.core.structure.checks import LARGEST
 from minimd.core.structure.constraints import DistanceConstraints
-from minimd.core.structure.observables import absolute_momentum, largest_component, longest
+from minimd.core.structure.observables import absolute_momentum, largest_component, leaves_out_center, longest
 from minimd.core.structure.system import System, changed
 from minimd.core.structure.units import ASE, BAR
 from minimd.core.structure.vectors import Array
@@ -33,6 +33,8 @@ CRUSHING = 0.5  # eV/Å³: 80 GPa, far more than a Lennard-Jones solid is good f
 USUAL = (8.0 * OSCILLATION) ** 0.5  # Δt·ω of 20 steps a period: velocity Verlet's energy oscillates by (Δt·ω)²/8
 TOO_SHORT = 0.001  # of the usual step
 MEANT = 1e-30  # likewise: a step below this is no error of the unit, somebody wants atoms that stand still
+FLAT = 1e-10  # of the extent of the atoms: positions, and moves in a step, that are smaller are rounding
+SEEN = 1000  # atoms and their velocities, which show the plane
 MOVING = 1e-6  # of Σ|mv|: a smaller total momentum is rounding, of files with six digits or in single precision
 TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
 # during
@@ -279,6 +281,31 @@ def moving_center(evidence: Evidence) -> Verdict | None:
     return Verdict(cause, "stop it with sim.velocities -= sim.drift")
 
 
+def flat_motion(evidence: Evidence) -> Verdict | None:
+    """Atoms that lie and move in one plane, or on one line: fewer degrees of freedom move than are counted."""
+    engine, dt, inverse_masses = evidence.engine, evidence.timestep, evidence.engine.constraint_set.inverse_masses
+    moving = inverse_masses > 0.0
+    n_atoms = int(moving.sum())
+    if n_atoms < 3 or not engine.velocities.any():
+        return None
+    accelerations = engine.forces[moving] * inverse_masses[moving, None]
+    places = engine.positions[moving] - engine.positions[moving][0]
+    moves = places, dt * engine.velocities[moving], dt * dt * accelerations
+    stride = 1 + n_atoms // SEEN
+    rows = np.concatenate([part[::stride] / (largest_component(np.abs(part)) or 1.0) for part in moves[:2]])
+    axes = np.linalg.svd(rows, full_matrices=False)[2]
+    most = np.max([np.abs(np.einsum("ij,kj->ik", part, axes)).max(axis=0) for part in moves], axis=0)
+    n_flat, n_dof = int((most <= FLAT * most.max()).sum()), engine.n_dof
+    n_moving = n_dof - n_flat * (n_atoms - leaves_out_center(n_atoms, engine.conserves_momentum))
+    if not n_flat or n_moving <= 0:
+        return None
+    where = "in one plane" if n_flat == 1 else "on one line"
+    counted = f"{n_moving} of the {n_dof} degrees of freedom that are counted in three dimensions"
+    times = f"{n_dof / n_moving:.4g}"
+    cause = f"all atoms lie and move {where}, with {counted}: their temperature is {times} times the one shown"
+    return Verdict(cause, f"multiply temperatures by {times}, or give the atoms velocities in all directions")
+
+
 def not_numbers(evidence: Evidence) -> Verdict | None:
     """Positions or velocities that are not finite."""
     system = evidence.system
@@ -484,6 +511,7 @@ RULES = (
     Rule(BEFORE, "long step", longer_than_collisions), Rule(BEFORE, "short step", short_step),
     Rule(BEFORE, "reach", no_pair_in_reach), Rule(BEFORE, "barostat", slow_barostat),
     Rule(BEFORE, "pressure", crushing_pressure), Rule(BEFORE, "center", moving_center),
+    Rule(BEFORE, "plane", flat_motion),
     Rule(START, "start", thrown_at_start), Rule(DURING, "number", not_numbers),
     Rule(DURING, "neighbors", past_neighbors), Rule(AFTER, "law", law_without_number),
     Rule(AFTER, "overlap", overlap_at_start), Rule(AFTER, "overlap", one_place), Rule(AFTER, "barostat", barostat),

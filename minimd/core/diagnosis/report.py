@@ -17,6 +17,7 @@ SIGNIFICANT = 3.0  # standard errors, if these are well known: chance exceeds th
 MOST_SIGNIFICANT = 6.0  # standard errors, if these are poorly known: no fluctuation looks so straight
 INDEPENDENT = 4.0  # entries: with fewer, a series is too short to judge
 LARGEST_RANGE = 0.5  # of the kinetic energy
+RECURS = 0.5  # of the range of the energy: each half of a run has more of it if it oscillates, and not if it jumps once
 RANGE_OF_ROUNDING = 1e-11  # of the potential energy
 NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
 # of the potential energy: a smaller kinetic energy comes from rounding of the forces, and is of its square
@@ -139,8 +140,8 @@ def drift_of_walk(time: Array, series: Array, blocks: int = BLOCKS_OF_WALK) -> D
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run cost: steps, seconds, list builds, force evaluations; and in words its lists,
-    its constraints and the work it did not need.
+    """What a run cost: steps, seconds, list builds, force evaluations (not those that only observations need, of a
+    method that begins with a drift); and in words its lists, its constraints and the work it did not need.
     peak_memory : bytes that the process has held at most so far, or None if that is unknown.
     observing : seconds that observers of minimd.observers took besides those of the steps."""
 
@@ -188,6 +189,8 @@ class Report(Displayed):
     temperatures, volumes : means of the first and of the last fifth of the run; volumes of zero if they are unknown.
     not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if none has.
     lines : results that need no run: see diagnosis.run_report.
+    oscillates : whether the range of the energy is seen in both halves of the run.
+    bath : temperature of the thermostat, and how far below it the time step keeps that of the velocities; or None.
     too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown.
     is_at_rest : whether nothing moves except by rounding; changes of momentum then have no scale to be judged by.
     """
@@ -216,6 +219,8 @@ class Report(Displayed):
     not_finite: str = ""
     temperature_error: float = np.nan
     is_at_rest: bool = False
+    oscillates: bool = False
+    bath: tuple[float, float] | None = None
     too_long_a_step: str = ""
 
     @property
@@ -225,11 +230,13 @@ class Report(Displayed):
 
         An energy that varies by more than half the kinetic energy is not conserved, whatever its drift: one bad step is
         no drift. Nothing is conserved if an observable is not finite."""
-        if self.not_finite:
-            return False
-        if not self.has_bath and self.energy_range > LARGEST_RANGE * self.kinetic_energy:
+        if self.not_finite or self._varies_too_much:
             return False
         return self._has_no(self.energy_drift)
+
+    @property
+    def _varies_too_much(self) -> bool:
+        return not self.has_bath and self.energy_range > LARGEST_RANGE * self.kinetic_energy
 
     @property
     def shadow_is_conserved(self) -> bool | None:
@@ -312,6 +319,10 @@ class Report(Displayed):
         rows += [(line.name, f"{line.summary}: {line.verdict}") for line in self.lines]
         spread = "of one frame" if only else f"on average, standard deviation {self.temperature_deviation:.2g} {heat}"
         rows.append(("temperature", f"{with_error(self.mean_temperature, self.temperature_error)} {heat} {spread}"))
+        if self.bath is not None:
+            asked, deficit = self.bath
+            slow = f"; in steps of this length velocities have {asked - deficit:.4g} {heat}, positions do not"
+            rows.append(("", f"{asked:.4g} {heat} asked for{slow if deficit > self.temperature_error else ''}"))
         return [*rows, *(self.cost.rows() if self.cost is not None else ()), ("verdict", self.verdict)]
 
     @property
@@ -343,6 +354,12 @@ class Report(Displayed):
         if self.energy_is_conserved:
             but = f"does not drift, BUT {self.too_long_a_step}"
             return f"the {name} {but if self.too_long_a_step else 'is conserved'}"
+        if self._varies_too_much and self._has_no(self.energy_drift) is not False:
+            times = f"BY {self.energy_range / self.kinetic_energy:.2g} TIMES THE KINETIC ENERGY"
+            if self.oscillates:
+                cause = self.too_long_a_step or "the time step is near the limit of stability"
+                return f"THE {name.upper()} OSCILLATES {times}, without a drift: {cause}; reduce it"
+            return f"THE {name.upper()} JUMPS {times}: reduce the time step or smooth the cutoff"
         (first, last), swollen, causes = self.temperatures, "", [self.too_long_a_step] * bool(self.too_long_a_step)
         if self.is_settling:
             went = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}"
@@ -391,6 +408,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * (potential / n).max())),
         temperatures=_ends(heat), volumes=_ends(volume), not_finite=_not_finite(record),
         temperature_error=mean_and_error(heat)[1],
+        oscillates=min(map(np.ptp, np.array_split(energy, 2))) > RECURS * np.ptp(energy) if len(energy) > 1 else False,
         is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * potential.max()), too_long_a_step=too_long_a_step,
     )  # fmt: skip
 

@@ -4,6 +4,7 @@ They are about jumps at the cutoff, the number of steps that a list lasts, veloc
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,8 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     cost = Cost(guard.n_steps, guard.seconds, *made, *what, solvers, peak_memory(), guard.observing)
     angular, lines = is_free and not engine.system.cell.is_periodic, static_checks(engine, reversibility)
     lines += pressure_lines(record, float(engine.system.masses.sum()), engine.barostat, is_free)
-    return conservation_report(record, angular, cost, is_free, lines, engine.n_dof, too_long_a_step(engine) or "")
+    report = conservation_report(record, angular, cost, is_free, lines, engine.n_dof, too_long_a_step(engine) or "")
+    return replace(report, bath=guard.bath)
 
 
 def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[Line]:

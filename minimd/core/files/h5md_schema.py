@@ -164,6 +164,12 @@ def of_method(engine: Engine, before: Mapping[str, Any] = NOTHING) -> dict[str, 
     return now | {name: value for name, value in engine.method.parameters.items() if isinstance(value, float)}
 
 
+def parameters_of(engine: Engine) -> tuple[Any, ...]:
+    """What may be replaced within a run: method and barostat, and their parameters."""
+    barostat = engine.barostat
+    return engine.method, engine.method.parameters, barostat, None if barostat is None else barostat.parameters
+
+
 def read_method(group: h5py.Group) -> dict[str, Any]:
     """What of_method told, by the names of H5MDContents; older files have no barostat."""
     return {name: read(group.attrs.get(name, "")) for name, (_, read) in METHOD.items()}

@@ -65,6 +65,16 @@ class EngineAttribute(Generic[T]):
                 raise
 
 
+class EvaluatedAttribute(EngineAttribute[T]):
+    """Attribute that follows from the forces, of the present state; they are evaluated if they are not current."""
+
+    def __get__(self, simulation: Any, owner: type) -> T:
+        if simulation is not None:
+            simulation.engine.catch_up()
+            simulation.engine.evaluate()
+        return super().__get__(simulation, owner)
+
+
 class MeasuredAttribute(Generic[T]):
     """Read-only attribute of a simulation: the observable of this name, of the present state;
     forces are evaluated if they are not current."""

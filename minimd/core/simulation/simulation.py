@@ -31,7 +31,7 @@ from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
 from minimd.core.simulation.attached import Attached
-from minimd.core.simulation.engine_attribute import Closed, EngineAttribute, MeasuredAttribute
+from minimd.core.simulation.engine_attribute import Closed, EngineAttribute, EvaluatedAttribute, MeasuredAttribute
 from minimd.core.simulation.resuming import last_step, resumed
 from minimd.core.structure.checks import checked_count, checked_flag, checked_number
 from minimd.core.structure.constraints import Constraint
@@ -86,7 +86,7 @@ class Simulation(Closed, Displayed):
     )
     positions = EngineAttribute[Array]("(N, 3) [length], never wrapped.")
     velocities = EngineAttribute[Array]("(N, 3) [length/time].")
-    forces = EngineAttribute[Array]("(N, 3) [energy/length], of the last evaluation.")
+    forces = EvaluatedAttribute[Array]("(N, 3) [energy/length].")
     n_dof = EngineAttribute[int]("Degrees of freedom that share the thermal energy.")
     drift = EngineAttribute[Array](
         "Velocity of the center of mass if n_dof leaves it out, else 0 [length/time].", "drift"
@@ -148,6 +148,7 @@ class Simulation(Closed, Displayed):
         file: str | Path,
         potentials: Potential | Sequence[Potential] | None = None,
         *,
+        method: Splitting | None = None,
         threads: int | None = None,
     ) -> Self:
         """The simulation at the restart of an H5MD file.
@@ -159,14 +160,16 @@ class Simulation(Closed, Displayed):
 
         Parameters
         ----------
-        potentials : those of the run; if not given, those of the scene that is stored in the file.  threads : as above.
+        potentials : those of the run; if not given, those of the scene that is stored in the file.
+        method : that of the run, if it is a class of a script; if not given, the one that is stored in the file.
+        threads : as above.
 
         Raises
         ------
         FileNotFoundError, OSError, ValueError : for a file that does not exist, is damaged or not of minimd, or has no
             scene if no potentials are given.
         """
-        found: Self = resumed(cls, file, potentials, threads)
+        found: Self = resumed(cls, file, potentials, method, threads)
         return found
 
     def run(
@@ -233,7 +236,8 @@ class Simulation(Closed, Displayed):
                 self.record = record = Record(self.system.units, len(self.system), first_h5md(trajectory))
                 guard.begin_run()
                 attached.begin()
-                self._observe([] if append and start % every else writers, attached.functions)
+                is_between = append and start % every  # the run that is continued has not observed this state
+                self._observe(*([], []) if is_between else (writers, attached.functions))
                 checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS
                 while engine.step < end:
                     next_look = engine.step + every - engine.step % every

@@ -172,7 +172,9 @@ def test_times_in_a_dcd_file_are_those_of_its_frames(tmp_path, start):
 
 @pytest.mark.parametrize("places", [[[0.0, 0, 0], [2.2e6, 0, 0]], [[-1.5e6, 0, 0], [1.5e6, 0, 0]]])
 def test_an_xtc_file_refuses_positions_that_it_cannot_hold(tmp_path, places):
-    sim = md.Simulation(md.System(places, units=md.units.ASE), md.LennardJones(0.01, 3.4, 8.0), md.VelocityVerlet(0.1))
+    sim = md.Simulation(
+        md.System(places, masses=40.0, units=md.units.ASE), md.LennardJones(0.01, 3.4, 8.0), md.VelocityVerlet(0.1)
+    )
     with pytest.raises(OSError, match="xtc"):
         sim.run(10, trajectory=tmp_path / "a.xtc")
     sim.run(10, trajectory=tmp_path / "a.trr")

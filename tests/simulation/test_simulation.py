@@ -159,7 +159,7 @@ def test_blow_up_says_at_which_step_which_atoms_and_keeps_the_last_good_state():
 
 @pytest.mark.parametrize("method", [md.VelocityVerlet(0.004), md.PositionVerlet(0.004)])
 def test_forces_are_those_of_the_present_state(argon, method):
-    sim = md.Simulation(argon, LJ, method)
+    sim = argon.simulation(method)
     for move in (0.0, 0.01):
         sim.positions[0] += move
         expected = md.evaluate(sim.system, LJ).forces
@@ -175,7 +175,7 @@ def test_forces_are_those_of_the_present_state(argon, method):
 def test_looks_are_no_force_evaluations_of_the_steps(argon, method):
     counts = []
     for every in (1, 50):
-        sim = md.Simulation(argon, LJ, method)
+        sim = argon.simulation(method)
         sim.run(50, every=every)
         counts.append(sim.report().cost.n_evaluations)
     assert counts[0] == counts[1]

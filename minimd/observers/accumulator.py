@@ -282,7 +282,7 @@ class Accumulator(StoredObserver, Displayed):
         return {name: getattr(self, name) for name in (*self.arguments, "name")}
 
     def prepare(self, engine: Engine) -> None:
-        """Prepare for a run of an engine, or a look.  Raises ValueError if it cannot be observed, or is another scene than
+        """Prepare for a run, or a look.  Raises ValueError if the engine cannot be observed, or is another scene than
         the one observed before."""
         scene = ObservedRun.of(engine, self.every)
         if self.scene is None:

@@ -102,17 +102,8 @@ def test_a_stable_oscillation_near_the_limit_is_no_drift():
     sim.run(4000, every=1)
     report = sim.report()
     assert report.energy_is_conserved is False
-    assert "OSCILLATES" in report.verdict
+    assert "oscillates" in report.verdict
     assert "DRIFT" not in report.verdict
-
-
-def test_one_jump_of_the_energy_is_no_oscillation():
-    times = np.arange(400.0)
-    record = {"kinetic": np.full(400, 10.0), "total": np.where(times < 200, 1.0, 8.0) + np.sin(times)}
-    report = replace(liquid_run(500).report(), energy_range=float(np.ptp(record["total"])), kinetic_energy=10.0,
-                     energy_drift=DriftRate(0.0, 1.0), oscillates=False, has_bath=False)  # fmt: skip
-    assert "JUMPS" in report.verdict
-    assert "OSCILLATES" in replace(report, oscillates=True).verdict
 
 
 @pytest.mark.slow

@@ -77,19 +77,17 @@ class ConstraintSet:
         ⟨m_i v_i²⟩ = g_i k_B T. Atoms of different bodies are projected together.  positions : (N, 3).
         """
         n_atoms = len(self.inverse_masses)
-        rank = np.zeros(n_atoms, dtype=np.int64)  # of each atom in its body
-        if self.bonds is not None:
-            label = bodies_of(self.bonds.pairs, self.inverse_masses).label
-            order = np.argsort(label, kind="stable")
-            rank[order] = np.arange(n_atoms) - np.searchsorted(label[order], label[order])
-        shares = np.zeros(n_atoms)
-        for k in range(rank.max() + 1):
-            atoms = np.flatnonzero(rank == k)
+        left, shares = np.arange(n_atoms), np.zeros(n_atoms)
+        body = left if self.bonds is None else bodies_of(self.bonds.pairs, self.inverse_masses).label
+        while left.size:
+            first = np.unique(body[left], return_index=True)[1]
+            atoms = left[first]
             for axis in range(3):
                 velocities = np.zeros((n_atoms, 3))
                 velocities[atoms, axis] = 1.0
                 self.project(velocities, positions)
                 shares[atoms] += velocities[atoms, axis]
+            left = np.delete(left, first)
         shares[shares < NO_SHARE] = 0.0
         if leaves_out_center(n_atoms, conserves_momentum and not self.n_fixed):
             masses = 1.0 / self.inverse_masses
@@ -98,8 +96,9 @@ class ConstraintSet:
 
     def temperature(self, velocities: Array, system: System, conserves_momentum: bool) -> float:
         """Kinetic temperature of the atoms of a system with these velocities, (N, 3); 0 at rest."""
-        drift = center(velocities, system.masses, conserves_momentum and not self.n_fixed)
-        thermal = thermal_energy(kinetic_energy(velocities, system.masses), drift, system.masses)
+        moving = np.where(self.inverse_masses[:, None] > 0.0, velocities, 0.0)
+        drift = center(moving, system.masses, conserves_momentum and not self.n_fixed)
+        thermal = thermal_energy(kinetic_energy(moving, system.masses), drift, system.masses)
         return thermal and temperature(thermal, self.degrees_of_freedom(conserves_momentum), system.units.k_B)
 
     def fit(self, system: System) -> None:

@@ -33,8 +33,7 @@ CRUSHING = 0.5  # eV/Å³: 80 GPa, far more than a Lennard-Jones solid is good f
 USUAL = (8.0 * OSCILLATION) ** 0.5  # Δt·ω of 20 steps a period: velocity Verlet's energy oscillates by (Δt·ω)²/8
 TOO_SHORT = 0.001  # of the usual step
 MEANT = 1e-30  # likewise: a step below this is no error of the unit, somebody wants atoms that stand still
-FLAT = 1e-10  # of the extent of the atoms: positions, and moves in a step, that are smaller are rounding
-SEEN = 1000  # atoms and their velocities, which show the plane
+FLAT = 1e-10  # of their extent: how far from a plane atoms may lie, and move in a step, by rounding
 MOVING = 1e-6  # of Σ|mv|: a smaller total momentum is rounding, of files with six digits or in single precision
 TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
 # during
@@ -284,26 +283,17 @@ def moving_center(evidence: Evidence) -> Verdict | None:
 def flat_motion(evidence: Evidence) -> Verdict | None:
     """Atoms that lie and move in one plane, or on one line: fewer degrees of freedom move than are counted."""
     engine, dt, inverse_masses = evidence.engine, evidence.timestep, evidence.engine.constraint_set.inverse_masses
-    moving = inverse_masses > 0.0
-    n_atoms = int(moving.sum())
-    if n_atoms < 3 or not engine.velocities.any():
-        return None
-    accelerations = engine.forces[moving] * inverse_masses[moving, None]
-    places = engine.positions[moving] - engine.positions[moving][0]
-    moves = places, dt * engine.velocities[moving], dt * dt * accelerations
-    stride = 1 + n_atoms // SEEN
-    rows = np.concatenate([part[::stride] / (largest_component(np.abs(part)) or 1.0) for part in moves[:2]])
-    axes = np.linalg.svd(rows, full_matrices=False)[2]
-    most = np.max([np.abs(np.einsum("ij,kj->ik", part, axes)).max(axis=0) for part in moves], axis=0)
-    n_flat, n_dof = int((most <= FLAT * most.max()).sum()), engine.n_dof
+    accelerations = engine.forces * inverse_masses[:, None]
+    moves = np.array([engine.positions, dt * engine.velocities, dt * dt * accelerations])[:, inverse_masses > 0.0]
+    moves[0] -= moves[0, 0].copy()
+    n_flat = 3 - int(np.linalg.matrix_rank(moves.reshape(-1, 3), FLAT * np.linalg.norm(moves)))
+    n_atoms, n_dof = moves.shape[1], engine.n_dof
     n_moving = n_dof - n_flat * (n_atoms - leaves_out_center(n_atoms, engine.conserves_momentum))
-    if not n_flat or n_moving <= 0:
+    if n_atoms < 3 or not moves[1].any() or not 0 < n_moving < n_dof:
         return None
-    where = "in one plane" if n_flat == 1 else "on one line"
-    counted = f"{n_moving} of the {n_dof} degrees of freedom that are counted in three dimensions"
-    times = f"{n_dof / n_moving:.4g}"
-    cause = f"all atoms lie and move {where}, with {counted}: their temperature is {times} times the one shown"
-    return Verdict(cause, f"multiply temperatures by {times}, or give the atoms velocities in all directions")
+    where, times = ("in one plane", "on one line")[n_flat - 1], f"{n_dof / n_moving:.4g} times"
+    cause = f"all atoms lie and move {where}: {n_moving} of the {n_dof} degrees of freedom that are counted move"
+    return Verdict(cause, f"their temperature is {times} the one shown; velocities in all directions have all of them")
 
 
 def not_numbers(evidence: Evidence) -> Verdict | None:

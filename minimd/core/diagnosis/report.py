@@ -17,7 +17,6 @@ SIGNIFICANT = 3.0  # standard errors, if these are well known: chance exceeds th
 MOST_SIGNIFICANT = 6.0  # standard errors, if these are poorly known: no fluctuation looks so straight
 INDEPENDENT = 4.0  # entries: with fewer, a series is too short to judge
 LARGEST_RANGE = 0.5  # of the kinetic energy
-RECURS = 0.5  # of the range of the energy: each half of a run has more of it if it oscillates, and not if it jumps once
 RANGE_OF_ROUNDING = 1e-11  # of the potential energy
 NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
 # of the potential energy: a smaller kinetic energy comes from rounding of the forces, and is of its square
@@ -189,7 +188,6 @@ class Report(Displayed):
     temperatures, volumes : means of the first and of the last fifth of the run; volumes of zero if they are unknown.
     not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if none has.
     lines : results that need no run: see diagnosis.run_report.
-    oscillates : whether the range of the energy is seen in both halves of the run.
     bath : temperature of the thermostat, and how far below it the time step keeps that of the velocities; or None.
     too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown.
     is_at_rest : whether nothing moves except by rounding; changes of momentum then have no scale to be judged by.
@@ -219,7 +217,6 @@ class Report(Displayed):
     not_finite: str = ""
     temperature_error: float = np.nan
     is_at_rest: bool = False
-    oscillates: bool = False
     bath: tuple[float, float] | None = None
     too_long_a_step: str = ""
 
@@ -356,10 +353,8 @@ class Report(Displayed):
             return f"the {name} {but if self.too_long_a_step else 'is conserved'}"
         if self._varies_too_much and self._has_no(self.energy_drift) is not False:
             times = f"BY {self.energy_range / self.kinetic_energy:.2g} TIMES THE KINETIC ENERGY"
-            if self.oscillates:
-                cause = self.too_long_a_step or "the time step is near the limit of stability"
-                return f"THE {name.upper()} OSCILLATES {times}, without a drift: {cause}; reduce it"
-            return f"THE {name.upper()} JUMPS {times}: reduce the time step or smooth the cutoff"
+            near = "it oscillates near the limit of stability, or has jumped; reduce the time step"
+            return f"THE {name.upper()} VARIES {times}, without a drift: {self.too_long_a_step or near}"
         (first, last), swollen, causes = self.temperatures, "", [self.too_long_a_step] * bool(self.too_long_a_step)
         if self.is_settling:
             went = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}"
@@ -408,7 +403,6 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * (potential / n).max())),
         temperatures=_ends(heat), volumes=_ends(volume), not_finite=_not_finite(record),
         temperature_error=mean_and_error(heat)[1],
-        oscillates=min(map(np.ptp, np.array_split(energy, 2))) > RECURS * np.ptp(energy) if len(energy) > 1 else False,
         is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * potential.max()), too_long_a_step=too_long_a_step,
     )  # fmt: skip
 

@@ -7,8 +7,6 @@ from math import isfinite
 from time import perf_counter
 from typing import Any, NoReturn
 
-import numpy as np
-
 from minimd.core.compiled.kernels import compile_clock
 from minimd.core.console.quiet import outside_minimd
 from minimd.core.diagnosis.crash_report import examine
@@ -16,10 +14,11 @@ from minimd.core.diagnosis.judge import GROWTH, RUNAWAY, START, Failure, fault_o
 from minimd.core.engine.engine import Engine, Snapshot
 from minimd.core.engine.observation import observe
 from minimd.core.engine.record import Frame
+from minimd.core.integrators.thermostats import Thermostat
 from minimd.core.neighbors.queries import closest_pair
 from minimd.core.potentials.term import PER_ATOM
 from minimd.core.structure.errors import ConstraintError, NonFiniteError, RangeError
-from minimd.core.structure.observables import Array, kinetic_energy, longest
+from minimd.core.structure.observables import Array, longest
 
 # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
 BLOCK = 100
@@ -35,11 +34,13 @@ LEAST_REPLAY = 20  # steps from the snapshot with which a replay begins to the f
 class RunGuard:
     """Makes the steps of an engine, and finds out what went wrong when one fails.
     seconds, n_steps : of the present run, without compilation.  observing : seconds of its observers.
+    baths : temperature of the thermostat, and how far below it that of the velocities is expected, at each look.
     failed_from : Snapshot from which the last failure can be replayed."""
 
     def __init__(self, engine: Engine) -> None:
         self.engine, self.seconds, self.observing, self.n_steps = engine, 0.0, 0.0, 0
         self.failed_from: Snapshot | None = None
+        self.baths: list[tuple[float, float]] = []
         self._first_volume = engine.system.volume
         self._checked_timestep = 0.0  # none yet
         self._judged_by: tuple[Mapping[str, Any] | None, float] = None, RUNAWAY  # of every run: see judge_by
@@ -51,7 +52,6 @@ class RunGuard:
         self._before: Snapshot | None = None  # the start of the last block
         self._snapshots: list[Snapshot] = []  # at least SNAPSHOTS_APART steps apart
         self._first_step = 0  # of the present run
-        self._baths: list[tuple[float, float]] = []  # at each look: temperature of the bath, Σ m a² Δt²
 
     @property
     def block(self) -> int:
@@ -61,7 +61,7 @@ class RunGuard:
     def begin_run(self) -> None:
         """Count from zero: steps, seconds, evaluations, list builds, iterations of constraints."""
         self.seconds, self.observing, self.n_steps = 0.0, 0.0, 0
-        self._baths = []
+        self.baths = []
         self._first, self._growth = self._judged_by
         self.engine.interactions.reset_counts()
         if self.engine.constraint_set.bonds is not None:
@@ -194,35 +194,21 @@ class RunGuard:
         if self._first is None:
             self._first = frame.observables
         self._fail_if(self._fault_of_energy())
-        self._see_bath()
         self._seen = frame.step, float(frame.observables["total_energy"])
         return frame
 
-    def _see_bath(self) -> None:
-        """Remember the temperature of the thermostat, and what the last kick of a step adds to velocities."""
-        engine, method = self.engine, self.engine.method
-        asked = method.parameters.get("temperature") if method.is_thermostat else None
-        if not isinstance(asked, int | float):
-            return
-        kicks = engine.forces * (engine.method.timestep * engine.constraint_set.inverse_masses[:, None])
-        engine.constraint_set.project(kicks, engine.positions)
-        self._baths.append((asked, 2.0 * kinetic_energy(kicks, engine.system.masses)))
+    def see_bath(self, method: Thermostat) -> None:
+        """Remember the temperature of a thermostat, and how far below it that of the velocities is expected now.
 
-    @property
-    def bath(self) -> tuple[float, float] | None:
-        """The temperature of the thermostat in the present run, and how far below it that of the velocities is because
-        of the time step; None without a thermostat, or if its temperature has changed.
-
-            T − ⟨T_kin⟩ = c² Δt² ⟨Σ m a²⟩ / (n_dof k_B)
+            T − T_kin = c² Δt² Σ m a² / (n_dof k_B)
 
         Velocities are in equilibrium with the bath before the last kick, of duration c Δt. After it they do not
-        correlate with a, as at the same time forward and backward; for harmonic forces this is T (ωΔt)² c²."""
-        if len({asked for asked, _ in self._baths}) != 1:
-            return None
-        asked, squares = np.mean(self._baths, axis=0)
-        last_kick = getattr(self.engine.method, "last_kick", 0.0)
-        scale = self.engine.n_dof * self.engine.system.units.k_B
-        return float(asked), float(last_kick**2 * squares / scale)
+        correlate with a, because forward and backward are alike. For harmonic forces the mean is T (ωΔt)² c²."""
+        engine, constraint_set = self.engine, self.engine.constraint_set
+        kicks = method.last_kick * method.timestep * engine.forces * constraint_set.inverse_masses[:, None]
+        constraint_set.project(kicks, engine.positions)
+        deficit = constraint_set.temperature(kicks, engine.system, engine.conserves_momentum)
+        self.baths.append((method.temperature, deficit))
 
     def _fault_of_energy(self) -> str | None:
         """What is wrong with the energies, which must be current; None if they are good."""

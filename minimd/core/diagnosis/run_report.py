@@ -45,7 +45,8 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     angular, lines = is_free and not engine.system.cell.is_periodic, static_checks(engine, reversibility)
     lines += pressure_lines(record, float(engine.system.masses.sum()), engine.barostat, is_free)
     report = conservation_report(record, angular, cost, is_free, lines, engine.n_dof, too_long_a_step(engine) or "")
-    return replace(report, bath=guard.bath)
+    is_steady = len({asked for asked, _ in guard.baths}) == 1
+    return replace(report, bath=tuple(np.mean(guard.baths, axis=0)) if is_steady else None)
 
 
 def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[Line]:

@@ -60,7 +60,6 @@ class H5MDWriter:
         bring_others: Callable[[Claim], list[bytes]] = lambda claim: [],
     ) -> None:
         self.claim, self._engine, self._store_forces = claim, engine, store_forces
-        self._described = layout.parameters_of(engine)
         self._observers, self._n_expected, self._bring_others = observers, n_frames, bring_others
         self._every: int | None = every  # None for a continued file that does not hold it
         self.marks: list[bytes] = []  # of other trajectories, in the restart from which a file is continued
@@ -189,7 +188,7 @@ class H5MDWriter:
                 digest.add_block(self._h5, n_frames, entries)
                 if first == 0:
                     digest.sign(self._h5, self.description | series)
-            if self._described != layout.parameters_of(self._engine):
+            if layout.goes_on_otherwise(self._engine, self._h5["minimd"].attrs):
                 self._describe_method()
             if is_restart:
                 beside = {f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in enumerate(marks)}
@@ -225,7 +224,6 @@ class H5MDWriter:
         """Describe the method again: it, or one of its parameters, may have been replaced."""
         put(self._h5, {"minimd": Item(layout.of_method(self._engine, self._h5["minimd"].attrs))})
         digest.sign(self._h5)
-        self._described = layout.parameters_of(self._engine)
 
     @contextmanager
     def _telling(self, what: str) -> Iterator[None]:

@@ -180,9 +180,8 @@ class MDAnalysisWriter(Writer):
 
     def _write_waiting(self) -> None:
         waiting, self._waiting = self._waiting, []
-        steps = self._every
-        if self._format == "DCD" and len(waiting) > 1 and waiting[0].step % steps:
-            frames = f"leaves out the frame of step {waiting.pop(0).step}: its frames are {steps} steps apart"
+        if self._format == "DCD" and len(waiting) > 1 and waiting[0].step % self._every:
+            frames = f"leaves out the frame of step {waiting.pop(0).step}: its frames are {self._every} steps apart"
             warnings.warn(f"trajectory {self.claim.name!r} {frames}", stacklevel=outside_minimd())
         for frame in waiting:
             try:
@@ -190,7 +189,7 @@ class MDAnalysisWriter(Writer):
                     raise OSError(ENOSPC, "no room on the disk")  # not every format notices that writing failed
                 with quiet():
                     if self._writer is None:
-                        spacing = {"nsavc": steps, "dt": steps * self._timestep, "istart": frame.step}
+                        spacing = {"nsavc": self._every, "dt": self._every * self._timestep, "istart": frame.step}
                         options = OPTIONS | {"DCD": spacing}
                         its = options.get(self._format, {}) | {"n_atoms": len(frame.positions), "format": self._format}
                         self._writer = MDAnalysis.Writer(str(self.claim.stream), **its)
@@ -214,8 +213,7 @@ class MDAnalysisWriter(Writer):
 
     def _check_range(self) -> None:
         """Raise OSError if positions do not fit into an XTC file."""
-        positions = self._universe.trajectory.ts.positions.astype(np.float64)
-        reach = max(np.abs(positions).max(), np.ptp(positions, axis=0).max())
+        reach = np.ptp(np.vstack([self._universe.atoms.positions, np.zeros(3)]), axis=0).max()
         if self._format == "XTC" and reach > LARGEST_XTC:
             holds = f".xtc holds positions, and distances, up to {LARGEST_XTC:.4g} Å; these reach {reach:.4g} Å"
             raise OSError(EOVERFLOW, f"{holds}; write .trr or .h5md")

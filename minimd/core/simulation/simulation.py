@@ -29,9 +29,10 @@ from minimd.core.forces.forces import Potential
 from minimd.core.forces.options import Options, Precision
 from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.integrators.splitting import Splitting
+from minimd.core.integrators.thermostats import Thermostat
 from minimd.core.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
 from minimd.core.simulation.attached import Attached
-from minimd.core.simulation.engine_attribute import Closed, EngineAttribute, EvaluatedAttribute, MeasuredAttribute
+from minimd.core.simulation.engine_attribute import Closed, EngineAttribute, MeasuredAttribute
 from minimd.core.simulation.resuming import last_step, resumed
 from minimd.core.structure.checks import checked_count, checked_flag, checked_number
 from minimd.core.structure.constraints import Constraint
@@ -86,7 +87,7 @@ class Simulation(Closed, Displayed):
     )
     positions = EngineAttribute[Array]("(N, 3) [length], never wrapped.")
     velocities = EngineAttribute[Array]("(N, 3) [length/time].")
-    forces = EvaluatedAttribute[Array]("(N, 3) [energy/length].")
+    forces = EngineAttribute[Array]("(N, 3) [energy/length], of the present state.")
     n_dof = EngineAttribute[int]("Degrees of freedom that share the thermal energy.")
     drift = EngineAttribute[Array](
         "Velocity of the center of mass if n_dof leaves it out, else 0 [length/time].", "drift"
@@ -261,6 +262,8 @@ class Simulation(Closed, Displayed):
         engine, frame = self.engine, self.guard.observe()
         if self.record is not None:
             self.record.append(frame)
+        if isinstance(self.method, Thermostat):
+            self.guard.see_bath(self.method)
         for writer in writers:
             writer.write(frame)
         if observers:

@@ -72,6 +72,18 @@ def test_the_accuracy_that_was_asked_for_is_reached(name):
         assert found.potential_energy == pytest.approx(energy, rel=accuracy)
 
 
+@pytest.mark.parametrize("method", ["waves", "mesh"])
+def test_energies_of_single_ions_in_a_charged_cell_do_not_depend_on_the_cutoff(method):
+    """The background belongs to each ion as its charge times that of the cell."""
+    rng = np.random.default_rng(5)
+    edges = np.array([[9.0, 0.0, 0.0], [1.0, 8.0, 0.0], [0.5, -1.0, 10.0]])
+    charges = (-1.0) ** np.arange(40) + 0.2
+    system = md.System(rng.random((40, 3)) @ edges, cell=edges, charges=charges)
+    near, far = (md.evaluate(system, md.Coulomb(cutoff, 1e-9, method=method)) for cutoff in (2.5, 3.6))
+    assert near.energies.sum() == pytest.approx(near.potential_energy, rel=1e-12)  # rounding
+    assert np.abs(near.energies - far.energies).max() < 1e-7 * np.abs(far.energies).max()  # accuracy
+
+
 def test_a_split_joins_its_parts_smoothly_and_waves_of_its_rest_are_those_of_its_bound():
     """L and L′ at the cutoff are those of 1/r; L̂(k) is the integral of L (its derivative by difference)."""
     split = split_for(2.0, 1e-6)

@@ -282,7 +282,7 @@ class ChargeSum(OwnTerm):
         self._energy = -0.5 * split.at_zero * charges**2  # of each charge with its own smooth part
         self._net = float(charges.sum())
         self._inverse, self._totals = np.zeros((3, 3)), np.zeros((1, 7))
-        self._said = f"relative error of forces at most {split.bound:.1g}"
+        self._said = f"error of forces at most {split.bound:.1g} of their rms, or of that between neighbors"
 
     def _keep(self, system: System) -> None:
         """Take the present cell."""

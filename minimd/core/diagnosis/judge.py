@@ -285,11 +285,13 @@ def flat_motion(evidence: Evidence) -> Verdict | None:
     engine, dt, inverse_masses = evidence.engine, evidence.timestep, evidence.engine.constraint_set.inverse_masses
     accelerations = engine.forces * inverse_masses[:, None]
     moves = np.array([engine.positions, dt * engine.velocities, dt * dt * accelerations])[:, inverse_masses > 0.0]
+    if moves.shape[1] < 3 or not moves[1].any() or not np.isfinite(moves).all():
+        return None
     moves[0] -= moves[0, 0].copy()
     n_flat = 3 - int(np.linalg.matrix_rank(moves.reshape(-1, 3), FLAT * np.linalg.norm(moves)))
     n_atoms, n_dof = moves.shape[1], engine.n_dof
     n_moving = n_dof - n_flat * (n_atoms - leaves_out_center(n_atoms, engine.conserves_momentum))
-    if n_atoms < 3 or not moves[1].any() or not 0 < n_moving < n_dof:
+    if not 0 < n_moving < n_dof:
         return None
     where, times = ("in one plane", "on one line")[n_flat - 1], f"{n_dof / n_moving:.4g} times"
     cause = f"all atoms lie and move {where}: {n_moving} of the {n_dof} degrees of freedom that are counted move"

@@ -188,7 +188,8 @@ class Report(Displayed):
     temperatures, volumes : means of the first and of the last fifth of the run; volumes of zero if they are unknown.
     not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if none has.
     lines : results that need no run: see diagnosis.run_report.
-    bath : temperature of the thermostat, and how far below it the time step keeps that of the velocities; or None.
+    bath : temperature of the thermostat, and how far below it the time step keeps that of the velocities (0 if that is
+    unknown); None without a thermostat.
     too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown.
     is_at_rest : whether nothing moves except by rounding; changes of momentum then have no scale to be judged by.
     """
@@ -318,8 +319,10 @@ class Report(Displayed):
         rows.append(("temperature", f"{with_error(self.mean_temperature, self.temperature_error)} {heat} {spread}"))
         if self.bath is not None:
             asked, deficit = self.bath
-            slow = f"; in steps of this length velocities have {asked - deficit:.4g} {heat}, positions do not"
-            rows.append(("", f"{asked:.4g} {heat} asked for{slow if deficit > self.temperature_error else ''}"))
+            setting = f"the thermostat is set to {asked:.4g} {heat}"
+            if deficit > self.temperature_error:
+                setting += f"; in steps of this length velocities have {asked - deficit:.4g} {heat}, positions do not"
+            rows.append(("", setting))
         return [*rows, *(self.cost.rows() if self.cost is not None else ()), ("verdict", self.verdict)]
 
     @property

@@ -13,7 +13,6 @@ from minimd.core.diagnosis.judge import GROWTH, RUNAWAY, START, Failure, fault_o
 from minimd.core.engine.engine import Engine, Snapshot
 from minimd.core.engine.observation import observe
 from minimd.core.engine.record import Frame
-from minimd.core.integrators.thermostats import Thermostat
 from minimd.core.neighbors.queries import closest_pair
 from minimd.core.potentials.term import PER_ATOM
 from minimd.core.structure.errors import ConstraintError, NonFiniteError, RangeError
@@ -33,13 +32,11 @@ LEAST_REPLAY = 20  # steps from the snapshot with which a replay begins to the f
 class RunGuard:
     """Makes the steps of an engine, and finds out what went wrong when one fails.
     seconds, n_steps : of the present run, without compilation.  observing : seconds of its observers.
-    baths : temperature of the thermostat, and how far below it that of the velocities is expected, at each look.
     failed_from : Snapshot from which the last failure can be replayed."""
 
     def __init__(self, engine: Engine) -> None:
         self.engine, self.seconds, self.observing, self.n_steps = engine, 0.0, 0.0, 0
         self.failed_from: Snapshot | None = None
-        self.baths: list[tuple[float, float]] = []
         self._first_volume = engine.system.volume
         self._checked_timestep = 0.0  # none yet
         self._judged_by: tuple[Mapping[str, Any] | None, float] = None, RUNAWAY  # of every run: see judge_by
@@ -60,7 +57,6 @@ class RunGuard:
     def begin_run(self) -> None:
         """Count from zero: steps, seconds, evaluations, list builds, iterations of constraints."""
         self.seconds, self.observing, self.n_steps = 0.0, 0.0, 0
-        self.baths = []
         self._first, self._growth = self._judged_by
         self.engine.interactions.reset_counts()
         if self.engine.constraint_set.bonds is not None:
@@ -195,19 +191,6 @@ class RunGuard:
         self._fail_if(self._fault_of_energy())
         self._seen = frame.step, float(frame.observables["total_energy"])
         return frame
-
-    def see_bath(self, method: Thermostat) -> None:
-        """Remember the temperature of a thermostat, and how far below it that of the velocities is expected now.
-
-            T − T_kin = c² Δt² Σ m a² / (n_dof k_B)
-
-        Velocities are in equilibrium with the bath before the last kick, of duration c Δt. After it they do not
-        correlate with a, because forward and backward are alike. For harmonic forces the mean is T (ωΔt)² c²."""
-        engine, constraint_set = self.engine, self.engine.constraint_set
-        kicks = method.last_kick * method.timestep * engine.forces * constraint_set.inverse_masses[:, None]
-        constraint_set.project(kicks, engine.positions)
-        deficit = constraint_set.temperature(kicks, engine.system, engine.conserves_momentum)
-        self.baths.append((method.temperature, deficit))
 
     def _fault_of_energy(self) -> str | None:
         """What is wrong with the energies, which must be current; None if they are good."""

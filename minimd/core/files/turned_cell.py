@@ -181,7 +181,7 @@ class MDAnalysisWriter(Writer):
         waiting, self._waiting = self._waiting, []
         if self._format == "DCD" and len(waiting) > 1 and waiting[0].step % self._every:
             frames = f"leaves out the frame of step {waiting.pop(0).step}: its frames are {self._every} steps apart"
-            warnings.warn(f"trajectory {self.claim.name!r} {frames}", stacklevel=outside_minimd())
+            warn(f"trajectory {self.claim.name!r} {frames}")
         for frame in waiting:
             try:
                 if disk_usage(self.claim.place.parent).free < frame.positions.nbytes + ROOM:

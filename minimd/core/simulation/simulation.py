@@ -29,7 +29,6 @@ from minimd.core.forces.forces import Potential
 from minimd.core.forces.options import Options, Precision
 from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.integrators.splitting import Splitting
-from minimd.core.integrators.thermostats import Thermostat
 from minimd.core.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
 from minimd.core.simulation.attached import Attached
 from minimd.core.simulation.engine_attribute import Closed, EngineAttribute, MeasuredAttribute
@@ -237,8 +236,7 @@ class Simulation(Closed, Displayed):
                 self.record = record = Record(self.system.units, len(self.system), first_h5md(trajectory))
                 guard.begin_run()
                 attached.begin()
-                is_between = append and start % every  # the run that is continued has not observed this state
-                self._observe(*([], []) if is_between else (writers, attached.functions))
+                self._observe([] if append and start % every else writers, attached.functions)
                 checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS
                 while engine.step < end:
                     next_look = engine.step + every - engine.step % every
@@ -262,8 +260,6 @@ class Simulation(Closed, Displayed):
         engine, frame = self.engine, self.guard.observe()
         if self.record is not None:
             self.record.append(frame)
-        if isinstance(self.method, Thermostat):
-            self.guard.see_bath(self.method)
         for writer in writers:
             writer.write(frame)
         if observers:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
 from minimd.core.structure.checks import checked_count
+from minimd.core.structure.observables import temperature
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import AXES, argument, axis_name, interval, label, steps
 
@@ -84,11 +85,11 @@ class Profile(Accumulator):
     def result(self) -> ProfileResult:
         """The profiles so far, with standard errors.  Raises ValueError before the first look."""
         scene, n = self.answered(), self.n_bins
-        k_B = scene.unit_system.k_B
 
         def law(sums: Array) -> Array:
             *densities, shares, squares = sums[HEAD:].reshape(-1, n)
-            return np.array([*(density / sums[FRAMES] for density in densities), squares / (shares * k_B)])
+            heat = temperature(0.5 * squares, shares, scene.unit_system.k_B)
+            return np.array([*(density / sums[FRAMES] for density in densities), heat])
 
         values, errors = self.sums.estimate(law)
         lower = 0.0 if self.extent is None else self.extent[0]

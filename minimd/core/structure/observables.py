@@ -6,6 +6,7 @@ velocities, positions : (N, 3).  masses : (N,).
 """
 
 from math import sqrt
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from minimd.core.compiled.kernels import kernel, scalar
 from minimd.core.structure.checks import checked_count, checked_number
 from minimd.core.structure.vectors import Array
 
+Numbers = TypeVar("Numbers", float, Array)
 AT_REST = 1e-12  # of the kinetic energy: if less than this is relative to the center of mass, it is only rounding
 
 
@@ -63,8 +65,9 @@ def thermal_energy(kinetic: float, drift: Array, masses: Array) -> float:
     return 0.0 if left <= AT_REST * kinetic else left
 
 
-def temperature(kinetic: float, n_dof: int, k_B: float = 1.0) -> float:
-    """Kinetic temperature T = 2K / (n_dof k_B).  kinetic : see thermal_energy.  n_dof : see degrees_of_freedom."""
+def temperature(kinetic: Numbers, n_dof: Numbers, k_B: float = 1.0) -> Numbers:
+    """Kinetic temperature T = 2K / (n_dof k_B), of numbers or arrays.  kinetic : see thermal_energy.
+    n_dof : see degrees_of_freedom."""
     return 2.0 * kinetic / (n_dof * k_B)
 
 

@@ -21,9 +21,11 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from minimd.core.compiled.kernels import kernel, scalar, type_of
+from minimd.observers.accumulator import stored
 
 Array = NDArray[np.float64]
 RATIO = 2  # of the spacings of two levels
+MOST_TAKEN = 2**62  # entries
 
 
 @scalar
@@ -145,5 +147,11 @@ class MultipleTau:
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Restore a state."""
-        self._rings, self._means = list(np.array(state["rings"])), list(np.array(state["means"]))
-        self._n_taken = np.array(state["taken"])
+        taken = stored(state, "taken", (self._n_levels,), np.int64)
+        n = np.count_nonzero(taken)
+        of_mean = self._shape[1:] if self._averages else (0, 0)
+        shapes = {"rings": (n, *self._shape), "means": (n, *of_mean)} if n else {"rings": (0,), "means": (0,)}
+        if not ((taken >= 0) & (taken < MOST_TAKEN)).all():
+            raise ValueError(f"a correlator cannot have taken {taken.tolist()} entries")
+        self._rings, self._means = (list(stored(state, name, shape)) for name, shape in shapes.items())
+        self._n_taken = taken

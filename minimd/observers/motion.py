@@ -21,7 +21,7 @@ from minimd.core.structure.checks import checked_count, checked_number
 from minimd.core.structure.observables import center
 from minimd.core.structure.statistics import spread, with_error
 from minimd.core.structure.units import UnitSystem
-from minimd.observers.accumulator import ObservedRun, Result, Series, State
+from minimd.observers.accumulator import ObservedRun, Result, Series, State, stored
 from minimd.observers.arguments import argument, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
 from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, Plateau, TimeCorrelation
@@ -111,6 +111,9 @@ class _OfAtoms(TimeCorrelation):
         self.is_cubic = is_cubic(system.cell)
 
     def _laid_out(self, scene: ObservedRun) -> None:
+        are_chosen = min(self.numbers) >= 0 and sum(self.numbers) == len(self.chosen)
+        if not (are_chosen and 0 <= min(self.chosen) <= max(self.chosen) < scene.n_atoms):
+            raise ValueError(f"{self.name} cannot have chosen {self.numbers} of {scene.n_atoms} atoms")
         starts = np.concatenate([[0], np.cumsum(self.numbers)])
         self._order = np.array(self.chosen)
         self._takes_all = np.array_equal(self._order, np.arange(scene.n_atoms))
@@ -148,10 +151,11 @@ class CellMotion:
     """The displacements of atoms that are due to the motion of the cell, which looks take off their positions.
 
     From one look to the next each atom is moved with the cell; of a molecule with lengths held fixed the center is, and
-    the molecule turns as the cell does.
+    the molecule turns as the cell does.  n_atoms : N.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, n_atoms: int) -> None:
+        self._shape = (n_atoms, 3)
         self._carried: Array | None = None  # the displacements, (N, 3)
         self._before: tuple[Cell, Array] | None = None  # cell and positions at the last look
         self._molecules: StrainedBodies | None = None
@@ -198,9 +202,9 @@ class CellMotion:
     def restore(self, state: State) -> None:
         """See Kept."""
         if "positions" in state:
-            cell = Cell(np.array(state["cell"]), np.array(state["pbc"], dtype=bool))
-            self._before = cell, np.array(state["positions"])
-        self._carried = np.array(state["carried"]) if "carried" in state else None
+            cell = Cell(stored(state, "cell", (3, 3)), stored(state, "pbc", (3,), np.int64))
+            self._before = cell, stored(state, "positions", self._shape)
+        self._carried = stored(state, "carried", self._shape) if "carried" in state else None
 
 
 class MeanSquareDisplacement(_OfAtoms):
@@ -218,7 +222,7 @@ class MeanSquareDisplacement(_OfAtoms):
 
     def _laid_out(self, scene: ObservedRun) -> None:
         super()._laid_out(scene)
-        self._of_cell = CellMotion()
+        self._of_cell = CellMotion(scene.n_atoms)
 
     def _vectors(self, look: Look) -> tuple[Array, Array]:
         vectors = self._of_cell.taken_off(look.engine)

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 
+from minimd.core.console.whole_file import temporary
 from minimd.core.console.words import printable, shown
 from minimd.core.diagnosis.crash_report import CrashReport
 from minimd.core.diagnosis.judge import RUNAWAY
@@ -102,7 +103,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     texts = {"findings": json.dumps(asdict(findings)), "words": str(findings), "simulation": json.dumps(known)}
     told = {f"{REPORT}/{name}": Item(data=np.array(text.encode(), TEXT)) for name, text in texts.items()}
 
-    part = path.with_name(f"{path.name}.part")  # so that no incomplete file has the final name
+    part = temporary(path)  # so that no incomplete file has the final name
     claim, every = Claim(part, overwrite=True), max(1, last.state.step - start.step)
     try:
         if claim.path.name != part.name:
@@ -134,7 +135,7 @@ def is_crash_file(path: str | Path) -> bool:
 def read_crash_report(path: str | Path) -> CrashFile:
     """The contents of a crash file.  Raises FileNotFoundError, OSError, ValueError as read_file,
     and ValueError for another file of minimd."""
-    from minimd.core.files.h5md_digest import read_group, unflattened
+    from minimd.core.files.h5md_digest import read_checkpoint
     from minimd.core.files.h5md_reader import damage_told, opened, read_file
 
     contents = read_file(path)
@@ -145,7 +146,7 @@ def read_crash_report(path: str | Path) -> CrashFile:
         with damage_told(path):
             texts = (group[name].asstr()[()] for name in ("simulation", "findings"))
             told, found = (json.loads(text, object_hook=_printable) for text in texts)
-            start = unflattened(*read_group(group["start"])).state
+            start = read_checkpoint(h5, f"{REPORT}/start")[0].state
             system.positions, system.velocities = start.positions, start.velocities
             pair = found["pair"] and Contact(**found["pair"])
             closest = found["closest"] and ClosestPair(*found["closest"])

@@ -38,6 +38,7 @@ from minimd.core.console.words import listed, shown
 from minimd.core.engine.engine import Checkpoint, Snapshot
 from minimd.core.engine.observer import StoredObserver
 from minimd.core.files.h5_items import NOTHING, REFERENCE, Item, put
+from minimd.core.files.stored_fields import check_restart
 from minimd.core.neighbors.verlet_list import Built
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.grid import Grid
@@ -156,12 +157,20 @@ def set_aside_damaged(h5: h5py.File) -> None:
 def _whole(h5: h5py.File, name: str) -> Restart | None:
     """The restart of a name; None if it is damaged."""
     try:
-        arrays, numbers = read_group(h5[name])
-        return Restart(unflattened(arrays, numbers), int(numbers["n_frames"]), arrays, name == EARLIER)
+        checkpoint, arrays, numbers = read_checkpoint(h5, name)
+        return Restart(checkpoint, int(numbers["n_frames"]), arrays, name == EARLIER)
     except MemoryError:
         raise
     except Exception:  # HDF5 and h5py raise almost anything for bytes they do not expect
         return None
+
+
+def read_checkpoint(h5: h5py.File, name: str) -> tuple[Checkpoint, dict[str, np.ndarray], dict[str, Any]]:
+    """The checkpoint in a group, with all its arrays and numbers.  Raises ValueError if they are not those that were
+    written, or not of the kind that is declared."""
+    arrays, numbers = read_group(h5[name])
+    check_restart(arrays, numbers, len(h5["minimd/species_index"]), len(h5.get("minimd/constraints/pairs", ())))
+    return unflattened(arrays, numbers), arrays, numbers
 
 
 def checked(path: str, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> dict[str, Item]:

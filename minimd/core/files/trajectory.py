@@ -52,9 +52,11 @@ FORMATS: dict[str, tuple[str, str, tuple[str, ...]]] = {
 }
 N_FIRST, N_LAST = 128, 256
 MARK = struct.Struct(f"<QQQ{N_FIRST}s{N_LAST}s")
-"""Of a file beside an H5MD file: inode of the H5MD file; inode and size of the file, its first bytes, in which some
-formats count frames, and its last bytes, in which zeros may be replaced later by places of frames (.traj).
+"""Of a file beside an H5MD file: inode of the H5MD file; inode and size of the file, its first and its last bytes.
 Its name follows."""
+COUNTS = {".dcd": ((8, 12), (20, 24)), ".ncdf": ((4, 8),), ".nc": ((4, 8),), ".traj": ((32, 48),)}
+"""Places of the first bytes that a format changes when a frame is added: it counts frames there."""
+INDEXED, SLOT = ".traj", 8  # it has an index of frames at its end: empty places are zero until a frame is added
 
 
 @contextmanager
@@ -154,13 +156,15 @@ def _cut_others_back(writer: Any) -> None:
     """Cut the other trajectories of a continued H5MD file to what they were at its restart; warns of what was cut,
     and what could not be."""
     told = []
-    for mark in writer.marks:
-        path = writer.claim.path.parent / Path(os.fsdecode(mark[MARK.size :])).name
+    marks = {mark[MARK.size :]: mark for mark in writer.marks if len(mark) > MARK.size}
+    is_of_one_file = len(marks) == len(writer.marks) and len({mark[: MARK.size][:8] for mark in writer.marks}) < 2
+    for name, mark in marks.items() if is_of_one_file else ():
+        path = writer.claim.path.parent / Path(os.fsdecode(name)).name
         try:
             words = _cut_back(path, writer.claim.descriptor, *MARK.unpack_from(mark))
         except FileNotFoundError:
             words = ""
-        except (OSError, ValueError, struct.error) as error:
+        except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             words = f"is left as it is, and may hold frames later than the state from which the run goes on: {reason}"
         told += [f"trajectory {str(path)!r} {words}"] if words else []
@@ -172,27 +176,50 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
     """Cut a trajectory to what it was at a restart; returns what was done, in words, empty if it has not grown since.
 
     h5md : descriptor of the file with the restart.  own, inode, size, first, last : as in MARK.
-    Raises OSError, ValueError if one of the two files is not the one that the run has written.
+    Raises OSError, ValueError unless it is certain that the run has written both files: whoever wrote the .h5md file
+    may have meant another file of the user.
     """
-    if path.suffix.lower() not in set(FORMATS) - {".h5md"}:
+    suffix = path.suffix.lower()
+    if suffix not in set(FORMATS) - {".h5md"}:
         raise ValueError("its suffix is not that of a trajectory")
     with open(locked(path), "r+b") as file:
-        there = file.fileno()
-        found = os.fstat(there).st_size
-        is_ours = _has_inode(h5md, own) and _has_inode(there, inode) and found >= size
-        now = read_at(there, *_last_bytes(size)) if is_ours else b""  # a strange mark may have any size
-        if not is_ours or any(was not in (0, byte) for was, byte in zip(last, now, strict=False)):
+        now, restart = os.fstat(file.fileno()), os.fstat(h5md)
+        user = os.geteuid() if hasattr(os, "geteuid") else now.st_uid
+        if not now.st_uid == restart.st_uid == user:
+            raise ValueError("this trajectory, or the .h5md file, belongs to another user")
+        if (now.st_ino, restart.st_ino) != (inode, own) or now.st_size < size:
             raise ValueError("this trajectory, or the .h5md file, is a copy or was changed")
-        file.write(first[:size])
+        if now.st_size == size:
+            return ""
+        if size < N_FIRST + N_LAST:
+            raise ValueError(
+                f"{size} bytes, its size at that state, are too few to tell whether the run has written it"
+            )
+        if not _has_grown(file.fileno(), suffix, now.st_size, size, first, last):
+            raise ValueError("this trajectory, or the .h5md file, is a copy or was changed")
+        file.write(first)
         file.truncate(size)
-        if not size:  # it had no frame, and therefore no name
-            path.unlink()
-            return f"of {found} bytes was removed: it had no frame at the step from which the run goes on"
-    return f"was cut to {size} bytes, its size at the step from which the run goes on" if found > size else ""
+    return f"was cut to {size} bytes, its size at the step from which the run goes on"
 
 
-def _has_inode(descriptor: int, inode: int) -> bool:
-    return os.fstat(descriptor).st_ino == inode
+def _has_grown(file: int, suffix: str, n_bytes: int, size: int, first: bytes, last: bytes) -> bool:
+    """Whether a file of n_bytes bytes begins with one of size bytes, whose first and last bytes are known, but for what
+    its format changes when frames are added."""
+    head = bytearray(read_at(file, N_FIRST, 0))
+    for start, end in COUNTS.get(suffix, ()):
+        head[start:end] = first[start:end]
+    if head != first:
+        return False
+    _, begin = _last_bytes(size)
+    for place in range(begin - begin % SLOT, size, SLOT):
+        slot = read_at(file, SLOT, place)
+        low, high = max(begin, place), min(size, place + SLOT)
+        recorded = last[low - begin : high - begin]
+        is_same = slot[low - place : high - place] == recorded
+        names_later_frame = suffix == INDEXED and not any(recorded) and size <= int.from_bytes(slot, "little") < n_bytes
+        if not (is_same or names_later_frame):
+            return False
+    return True
 
 
 def _last_bytes(size: int) -> tuple[int, int]:

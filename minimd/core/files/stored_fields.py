@@ -1,0 +1,119 @@
+"""What a minimd file holds of a run: one declaration of the type, shape and range of each array and number of a restart,
+and of each series of frames.
+
+Whoever writes a file can make its checksums right, and kernels index arrays without looking at their ends. Therefore
+everything is compared with this declaration before it is used. What is not declared is damage, and so is what is missing.
+"""
+
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from minimd.core.structure.cell import Cell
+from minimd.core.structure.checks import LARGEST, SMALLEST
+
+REAL, WHOLE, BYTE = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.uint8)
+MOST_STEPS = 2.0**62  # so that steps can still be added
+ANY = -1  # any length along an axis
+NUMBERED = re.compile(r"(?<=list_)\d+|(?<=^beside\.)\d+")  # lists, and other trajectories
+OF_OBSERVER = re.compile(r"observer\.[^.]+\.[^.]+")
+
+
+class Field(NamedTuple):
+    """What an array or a number must be.
+
+    kind : its type; a single number may be of either type of NumPy's numbers.
+    shape : with N for atoms, K for rigid bonds, L for lists.  least, most : of its elements, all of them finite.
+    is_needed : whether a file without it is damaged.
+    """
+
+    kind: np.dtype
+    shape: tuple[int | str, ...] = ()
+    least: float = -LARGEST
+    most: float = LARGEST
+    is_needed: bool = False
+
+    def problem(self, value: Any, sizes: Mapping[str, int]) -> str:
+        """What is wrong with a value, in words; empty if nothing is."""
+        array = np.asarray(value)
+        shape = [sizes[length] if isinstance(length, str) else length for length in self.shape]
+        kinds = (self.kind,) if self.shape else (REAL, WHOLE)
+        if array.dtype not in kinds or array.ndim != len(shape):
+            return f"is of type {array.dtype} and shape {array.shape}"
+        if any(length not in (ANY, there) for length, there in zip(shape, array.shape, strict=True)):
+            return f"is of shape {array.shape}"
+        if not ((array >= self.least) & (array <= self.most)).all():
+            return "is out of range"
+        return "is no whole number" if self.kind == WHOLE and (array % 1 != 0).any() else ""
+
+
+PLACES = Field(REAL, ("N", 3), is_needed=True)
+LATTICE, COMBINATIONS = Field(REAL, (3, 3)), Field(WHOLE, (3, 3), -1e9, 1e9)
+NUMBER, SIZE = Field(REAL, is_needed=True), Field(REAL, (), 0.0, is_needed=True)
+STEP, COUNT = Field(WHOLE, (), -MOST_STEPS, MOST_STEPS, True), Field(WHOLE, (), 0.0, MOST_STEPS, True)
+ARRAYS = {  # of a restart; observers look at their own
+    "positions": PLACES,
+    "velocities": PLACES,
+    "images": Field(REAL, ("K", 3)),
+    "cell": LATTICE,
+    "cell_reduction": COMBINATIONS,
+    "list_#": Field(REAL, ("N", 3)),
+    "cell_of_list_#": LATTICE,
+    "cell_of_list_#_reduction": COMBINATIONS,
+    "region_of_list_#": Field(REAL, (7,)),
+    "beside.#": Field(BYTE, (ANY,), 0, 255),
+}
+NUMBERS = {  # of a restart; older files have no work
+    "step": STEP,
+    "time": NUMBER,
+    "reservoir_energy": NUMBER,
+    "work": Field(REAL),
+    "displacement": SIZE,
+    "equilibrated": COUNT,
+    "clock_step": STEP,
+    "clock_time": NUMBER,
+    "tolerance": Field(REAL, (), 0.0, 1.0, True),
+    "skins": Field(REAL, ("L",), 0.0, is_needed=True),
+    "grid": Field(REAL, (3,), SMALLEST),
+    "n_frames": Field(WHOLE, (), 0.0, MOST_STEPS),  # the start of a crash file has none
+}
+
+
+def check_restart(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any], n_atoms: int, n_bonds: int) -> None:
+    """Raise ValueError unless a restart is of the kind that is declared.  n_bonds : lengths that are held fixed."""
+    sizes = {"N": n_atoms, "K": n_bonds, "L": np.size(numbers.get("skins", ()))}
+    _check_declared({name: one for name, one in arrays.items() if not OF_OBSERVER.fullmatch(name)}, ARRAYS, sizes)
+    _check_declared(numbers, NUMBERS, sizes)
+    if ("images" in arrays) != (n_bonds > 0):
+        raise ValueError(f"it has {n_bonds} rigid bonds, and images of {len(arrays.get('images', ()))}")
+    cells = {name.removesuffix("_reduction") for name in arrays if name.startswith("cell")}
+    for name in sorted(cells):
+        _check_cell(name, arrays[name], arrays[f"{name}_reduction"])
+    for name, region in arrays.items():
+        if name.startswith("region_of_list_") and not (region[3:] >= SMALLEST).all():
+            raise ValueError(f"{name} is out of range")
+
+
+def _check_declared(values: Mapping[str, Any], fields: Mapping[str, Field], sizes: Mapping[str, int]) -> None:
+    """Raise ValueError unless values are all that fields declare, and nothing else."""
+    missing = [name for name, field in fields.items() if field.is_needed and name not in values]
+    problems = [f"{name} is missing" for name in missing]
+    for name, value in values.items():
+        field = fields.get(NUMBERED.sub("#", name))
+        is_list = "list_" in name
+        is_beyond = is_list and int(NUMBERED.findall(name)[0]) >= sizes["L"]
+        problem = "is not known" if field is None or is_beyond else field.problem(value, sizes)
+        problems += [f"{name} {problem}"] if problem else []
+    if problems:
+        raise ValueError(problems[0])
+
+
+def _check_cell(name: str, vectors: np.ndarray, reduction: np.ndarray) -> None:
+    """Raise ValueError unless the vectors span a cell, and the reduction gives its reduced lattice."""
+    Cell(vectors, np.ones(3, dtype=bool))
+    reduced = Cell.of_reduction(vectors, reduction).strained(vectors)
+    spans_lattice = round(abs(np.linalg.det(reduction))) == 1
+    if not (spans_lattice and np.array_equal(reduced.reduction, reduction)):
+        raise ValueError(f"{name}_reduction does not give the reduced lattice of {name}")

@@ -37,8 +37,9 @@ from minimd.core.console.quiet import outside_minimd
 from minimd.core.console.words import listed, shown
 from minimd.core.engine.engine import Checkpoint, Snapshot
 from minimd.core.engine.observer import StoredObserver
+from minimd.core.engine.record import SERIES
 from minimd.core.files.h5_items import NOTHING, REFERENCE, Item, put
-from minimd.core.files.stored_fields import check_restart
+from minimd.core.files.stored_fields import check_frames, check_restart
 from minimd.core.neighbors.verlet_list import Built
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.grid import Grid
@@ -304,9 +305,11 @@ def sign(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> None:
 
 
 def check_description(h5: h5py.File) -> None:
-    """Raise ValueError unless the description is the one that was signed."""
+    """Raise ValueError unless the description is the one that was signed, and frames are of the declared shapes."""
     if h5["minimd"].attrs.get(DIGEST) != _digest_of_description(h5):
         raise ValueError("the checksum of the stored description of the run does not match")
+    if BLOCKS in h5:
+        check_frames({path: h5[path] for path in h5[BLOCKS].attrs["series"]}, len(h5["minimd/species_index"]), SERIES)
 
 
 def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> int:

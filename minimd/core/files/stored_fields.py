@@ -6,7 +6,7 @@ everything is compared with this declaration before it is used. What is not decl
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,13 +15,14 @@ from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import LARGEST, SMALLEST
 
 REAL, WHOLE, BYTE = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.uint8)
+VECTOR, TENSOR = (3,), (3, 3)
 MOST_STEPS = 2.0**62  # so that steps can still be added
 ANY = -1  # any length along an axis
 NUMBERED = re.compile(r"(?<=list_)\d+|(?<=^beside\.)\d+")  # lists, and other trajectories
 OF_OBSERVER = re.compile(r"observer\.[^.]+\.[^.]+")
 
 
-class Field(NamedTuple):
+class Stored(NamedTuple):
     """What an array or a number must be.
 
     kind : its type; a single number may be of either type of NumPy's numbers.
@@ -49,35 +50,42 @@ class Field(NamedTuple):
         return "is no whole number" if self.kind == WHOLE and (array % 1 != 0).any() else ""
 
 
-PLACES = Field(REAL, ("N", 3), is_needed=True)
-LATTICE, COMBINATIONS = Field(REAL, (3, 3)), Field(WHOLE, (3, 3), -1e9, 1e9)
-NUMBER, SIZE = Field(REAL, is_needed=True), Field(REAL, (), 0.0, is_needed=True)
-STEP, COUNT = Field(WHOLE, (), -MOST_STEPS, MOST_STEPS, True), Field(WHOLE, (), 0.0, MOST_STEPS, True)
+PLACES = Stored(REAL, ("N", 3), is_needed=True)
+LATTICE, COMBINATIONS = Stored(REAL, (3, 3)), Stored(WHOLE, (3, 3), -1e9, 1e9)
+NUMBER, SIZE = Stored(REAL, is_needed=True), Stored(REAL, (), 0.0, is_needed=True)
+STEP, COUNT = Stored(WHOLE, (), -MOST_STEPS, MOST_STEPS, True), Stored(WHOLE, (), 0.0, MOST_STEPS, True)
 ARRAYS = {  # of a restart; observers look at their own
     "positions": PLACES,
     "velocities": PLACES,
-    "images": Field(REAL, ("K", 3)),
+    "images": Stored(REAL, ("K", 3)),
     "cell": LATTICE,
     "cell_reduction": COMBINATIONS,
-    "list_#": Field(REAL, ("N", 3)),
+    "list_#": Stored(REAL, ("N", 3)),
     "cell_of_list_#": LATTICE,
     "cell_of_list_#_reduction": COMBINATIONS,
-    "region_of_list_#": Field(REAL, (7,)),
-    "beside.#": Field(BYTE, (ANY,), 0, 255),
+    "region_of_list_#": Stored(REAL, (7,)),
+    "beside.#": Stored(BYTE, (ANY,), 0, 255),
 }
 NUMBERS = {  # of a restart; older files have no work
     "step": STEP,
     "time": NUMBER,
     "reservoir_energy": NUMBER,
-    "work": Field(REAL),
+    "work": Stored(REAL),
     "displacement": SIZE,
     "equilibrated": COUNT,
     "clock_step": STEP,
     "clock_time": NUMBER,
-    "tolerance": Field(REAL, (), 0.0, 1.0, True),
-    "skins": Field(REAL, ("L",), 0.0, is_needed=True),
-    "grid": Field(REAL, (3,), SMALLEST),
-    "n_frames": Field(WHOLE, (), 0.0, MOST_STEPS),  # the start of a crash file has none
+    "tolerance": Stored(REAL, (), 0.0, 1.0, True),
+    "skins": Stored(REAL, ("L",), 0.0, is_needed=True),
+    "grid": Stored(REAL, (3,), SMALLEST),
+    "n_frames": Stored(WHOLE, (), 0.0, MOST_STEPS),  # the start of a crash file has none
+}
+
+FRAMES = {  # of a frame: its arrays, and observables that are no single number
+    **{f"particles/trajectory/{name}/value": ("N", 3) for name in ("position", "velocity", "force")},
+    "particles/trajectory/box/edges/value": TENSOR,
+    **{f"observables/{name}/value": VECTOR for name in ("momentum", "angular_momentum")},
+    **{f"observables/{name}/value": TENSOR for name in ("cell", "stress")},
 }
 
 
@@ -96,7 +104,7 @@ def check_restart(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any], 
             raise ValueError(f"{name} is out of range")
 
 
-def _check_declared(values: Mapping[str, Any], fields: Mapping[str, Field], sizes: Mapping[str, int]) -> None:
+def _check_declared(values: Mapping[str, Any], fields: Mapping[str, Stored], sizes: Mapping[str, int]) -> None:
     """Raise ValueError unless values are all that fields declare, and nothing else."""
     missing = [name for name, field in fields.items() if field.is_needed and name not in values]
     problems = [f"{name} is missing" for name in missing]
@@ -117,3 +125,13 @@ def _check_cell(name: str, vectors: np.ndarray, reduction: np.ndarray) -> None:
     spans_lattice = round(abs(np.linalg.det(reduction))) == 1
     if not (spans_lattice and np.array_equal(reduced.reduction, reduction)):
         raise ValueError(f"{name}_reduction does not give the reduced lattice of {name}")
+
+
+def check_frames(series: Mapping[str, Any], n_atoms: int, known: Collection[str]) -> None:
+    """Raise ValueError unless series of frames, by path, are numbers of the declared shapes.  known : names of
+    observables of minimd; others may have any shape."""
+    for path, values in series.items():
+        is_free = path.startswith("observables/") and path.split("/")[1] not in known
+        shape = tuple(n_atoms if length == "N" else length for length in FRAMES.get(path, ()))
+        if values.dtype not in (REAL, WHOLE) or not (is_free or values.shape[1:] == shape):
+            raise ValueError(f"{path} is of type {values.dtype} and shape {values.shape}")

@@ -138,6 +138,18 @@ def test_no_small_file_is_written_through_a_link(kind, tmp_path):
     assert precious.read_text() == "precious"
 
 
+def test_files_of_the_user_are_no_temporary_files(tmp_path):
+    """Browsers name unfinished downloads so; nobody can know who made them."""
+    names = ["a.csv.part", "a.h5md.begun", "a.h5md.part", "a.xtc.begun", "a.crash.h5md.part", "a.png.part"]
+    for name in names:
+        (tmp_path / name).write_text("mine")
+    simulation().run(10, every=5, trajectory=[tmp_path / "a.h5md", tmp_path / "a.xtc"]).to_csv(tmp_path / "a.csv")
+    write_picture(Figure(), tmp_path / "a.png")
+    blow_up(tmp_path / "a.crash.h5md")
+    assert {name: (tmp_path / name).read_text() for name in names} == dict.fromkeys(names, "mine")
+    assert files_of(tmp_path) == sorted([*names, "a.h5md", "a.xtc", "a.csv", "a.png", "a.crash.h5md"])
+
+
 @pytest.mark.parametrize("fate", ["removed", "replaced", "cut"])
 def test_a_file_that_is_lost_under_the_run_is_told(fate, tmp_path, monkeypatch):
     bring_to_disk_every(0.0, monkeypatch)

@@ -148,7 +148,7 @@ class MultipleTau:
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Restore a state."""
         taken = stored(state, "taken", (self._n_levels,), np.int64)
-        n = np.count_nonzero(taken)
+        n = int(np.count_nonzero(taken))
         of_mean = self._shape[1:] if self._averages else (0, 0)
         shapes = {"rings": (n, *self._shape), "means": (n, *of_mean)} if n else {"rings": (0,), "means": (0,)}
         if not ((taken >= 0) & (taken < MOST_TAKEN)).all():

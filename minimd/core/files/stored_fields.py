@@ -1,8 +1,9 @@
-"""What a minimd file holds of a run: one declaration of the type, shape and range of each array and number of a restart,
-and of each series of frames.
+"""What a minimd file holds of a run: one declaration of the type, shape and range of each array and number of a
+restart, and of each series of frames.
 
 Whoever writes a file can make its checksums right, and kernels index arrays without looking at their ends. Therefore
-everything is compared with this declaration before it is used. What is not declared is damage, and so is what is missing.
+everything is compared with this declaration before it is used. What is not declared is damage, and so is what is
+missing.
 """
 
 import re

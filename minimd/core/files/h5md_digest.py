@@ -37,7 +37,6 @@ from minimd.core.console.quiet import outside_minimd
 from minimd.core.console.words import listed, shown
 from minimd.core.engine.engine import Checkpoint, Snapshot
 from minimd.core.engine.observer import StoredObserver
-from minimd.core.engine.record import SERIES
 from minimd.core.files.h5_items import NOTHING, REFERENCE, Item, put
 from minimd.core.files.stored_fields import check_frames, check_restart
 from minimd.core.neighbors.verlet_list import Built
@@ -309,7 +308,7 @@ def check_description(h5: h5py.File) -> None:
     if h5["minimd"].attrs.get(DIGEST) != _digest_of_description(h5):
         raise ValueError("the checksum of the stored description of the run does not match")
     if BLOCKS in h5:
-        check_frames({path: h5[path] for path in h5[BLOCKS].attrs["series"]}, len(h5["minimd/species_index"]), SERIES)
+        check_frames({path: h5[path] for path in h5[BLOCKS].attrs["series"]}, len(h5["minimd/species_index"]))
 
 
 def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> int:

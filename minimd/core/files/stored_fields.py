@@ -7,7 +7,7 @@ missing.
 """
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,10 +42,9 @@ class Stored(NamedTuple):
         array = np.asarray(value)
         shape = [sizes[length] if isinstance(length, str) else length for length in self.shape]
         kinds = (self.kind,) if self.shape else (REAL, WHOLE)
-        if array.dtype not in kinds or array.ndim != len(shape):
+        lengths = [there if length == ANY else length for length, there in zip(shape, array.shape, strict=False)]
+        if array.dtype not in kinds or array.shape != (*lengths, *shape[array.ndim :]):
             return f"is of type {array.dtype} and shape {array.shape}"
-        if any(length not in (ANY, there) for length, there in zip(shape, array.shape, strict=True)):
-            return f"is of shape {array.shape}"
         if not ((array >= self.least) & (array <= self.most)).all():
             return "is out of range"
         return "is no whole number" if self.kind == WHOLE and (array % 1 != 0).any() else ""
@@ -82,9 +81,11 @@ NUMBERS = {  # of a restart; older files have no work
     "n_frames": Stored(WHOLE, (), 0.0, MOST_STEPS),  # the start of a crash file has none
 }
 
-FRAMES = {  # of a frame: its arrays, and observables that are no single number
+SINGLE = ["potential_energy", "kinetic_energy", "total_energy", "conserved_energy", "temperature", "pressure", "work"]
+FRAMES = {  # of a frame; observables that scripts have registered may be anything
     **{f"particles/trajectory/{name}/value": ("N", 3) for name in ("position", "velocity", "force")},
     "particles/trajectory/box/edges/value": TENSOR,
+    **{f"observables/{name}/value": () for name in SINGLE},
     **{f"observables/{name}/value": VECTOR for name in ("momentum", "angular_momentum")},
     **{f"observables/{name}/value": TENSOR for name in ("cell", "stress")},
 }
@@ -107,16 +108,13 @@ def check_restart(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any], 
 
 def _check_declared(values: Mapping[str, Any], fields: Mapping[str, Stored], sizes: Mapping[str, int]) -> None:
     """Raise ValueError unless values are all that fields declare, and nothing else."""
-    missing = [name for name, field in fields.items() if field.is_needed and name not in values]
-    problems = [f"{name} is missing" for name in missing]
-    for name, value in values.items():
+    for name in {name for name, field in fields.items() if field.is_needed} | set(values):
         field = fields.get(NUMBERED.sub("#", name))
-        is_list = "list_" in name
-        is_beyond = is_list and int(NUMBERED.findall(name)[0]) >= sizes["L"]
-        problem = "is not known" if field is None or is_beyond else field.problem(value, sizes)
-        problems += [f"{name} {problem}"] if problem else []
-    if problems:
-        raise ValueError(problems[0])
+        is_beyond = "list_" in name and int(NUMBERED.findall(name)[0]) >= sizes["L"]
+        if field is None or name not in values or is_beyond:
+            raise ValueError(f"{name} is missing, or unknown")
+        if problem := field.problem(values[name], sizes):
+            raise ValueError(f"{name} {problem}")
 
 
 def _check_cell(name: str, vectors: np.ndarray, reduction: np.ndarray) -> None:
@@ -128,11 +126,10 @@ def _check_cell(name: str, vectors: np.ndarray, reduction: np.ndarray) -> None:
         raise ValueError(f"{name}_reduction does not give the reduced lattice of {name}")
 
 
-def check_frames(series: Mapping[str, Any], n_atoms: int, known: Collection[str]) -> None:
-    """Raise ValueError unless series of frames, by path, are numbers of the declared shapes.  known : names of
-    observables of minimd; others may have any shape."""
+def check_frames(series: Mapping[str, Any], n_atoms: int) -> None:
+    """Raise ValueError unless series of frames, by path, are numbers of the declared shapes."""
     for path, values in series.items():
-        is_free = path.startswith("observables/") and path.split("/")[1] not in known
+        is_free = path.startswith("observables/") and path not in FRAMES
         shape = tuple(n_atoms if length == "N" else length for length in FRAMES.get(path, ()))
-        if values.dtype not in (REAL, WHOLE) or not (is_free or values.shape[1:] == shape):
+        if not is_free and (values.dtype not in (REAL, WHOLE) or values.shape[1:] != shape):
             raise ValueError(f"{path} is of type {values.dtype} and shape {values.shape}")

@@ -157,7 +157,7 @@ def _cut_others_back(writer: Any) -> None:
     and what could not be."""
     told = []
     marks = {mark[MARK.size :]: mark for mark in writer.marks if len(mark) > MARK.size}
-    is_of_one_file = len(marks) == len(writer.marks) and len({mark[: MARK.size][:8] for mark in writer.marks}) < 2
+    is_of_one_file = len(marks) == len(writer.marks) and len({mark[:SLOT] for mark in writer.marks}) < 2
     for name, mark in marks.items() if is_of_one_file else ():
         path = writer.claim.path.parent / Path(os.fsdecode(name)).name
         try:
@@ -191,12 +191,8 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
             raise ValueError("this trajectory, or the .h5md file, is a copy or was changed")
         if now.st_size == size:
             return ""
-        if size < N_FIRST + N_LAST:
-            raise ValueError(
-                f"{size} bytes, its size at that state, are too few to tell whether the run has written it"
-            )
-        if not _has_grown(file.fileno(), suffix, now.st_size, size, first, last):
-            raise ValueError("this trajectory, or the .h5md file, is a copy or was changed")
+        if size < N_FIRST + N_LAST or not _has_grown(file.fileno(), suffix, now.st_size, size, first, last):
+            raise ValueError("this trajectory was changed, or had too few bytes to tell whether the run has written it")
         file.write(first)
         file.truncate(size)
     return f"was cut to {size} bytes, its size at the step from which the run goes on"

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.console.display import Displayed, Rows, call_of
-from minimd.core.console.words import shown
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observer import StoredObserver
 from minimd.core.structure.statistics import MOST_BLOCKS, replicas, spread
@@ -30,23 +29,6 @@ Array = NDArray[np.float64]
 State = dict[str, NDArray[Any]]
 
 
-def stored(state: State, name: str, shape: tuple[int, ...], kind: type = np.float64) -> NDArray[Any]:
-    """A copy of an array of a state.  Raises ValueError if it is missing, or not of this shape and type."""
-    array = state.get(name, np.zeros(0, bool))
-    if array.shape != shape or array.dtype != kind:
-        wanted = f"an array of shape {shape} and type {np.dtype(kind)}"
-        raise ValueError(f"{name} of an observer must be {wanted}; it has shape {array.shape} and type {array.dtype}")
-    return array.copy()
-
-
-def _check_types(owner: str, values: dict[str, Any], declared: type) -> None:
-    """Raise ValueError unless values, by the names of attributes of a class, are of the types that it declares."""
-    kinds = get_type_hints(declared)
-    for name, value in values.items():
-        if not _is_of_type(value, kinds[name]):
-            raise ValueError(f"{name} of {owner} must be of type {kinds[name]}; {name} = {shown(value)}")
-
-
 def _is_of_type(value: Any, kind: Any) -> bool:
     """Whether a value of JSON is of a type, such as float | None or list[list[int]]."""
     parts = get_args(kind)
@@ -55,6 +37,12 @@ def _is_of_type(value: Any, kind: Any) -> bool:
     if parts:
         return any(_is_of_type(value, part) for part in parts)
     return isfinite(value) if kind is float and type(value) in (int, float) else type(value) is kind
+
+
+def _contents(state: State) -> dict[str, tuple[Any, ...]]:
+    """Types, shapes and bytes of the arrays of a state, but for its words, which an older version may have put
+    otherwise."""
+    return {name: (one.dtype, one.shape, one.tobytes()) for name, one in state.items() if name != "words"}
 
 
 class BlockedSums:
@@ -106,11 +94,11 @@ class BlockedSums:
 
     def restore(self, state: State) -> None:
         """Restore a state."""
-        self.n_entries, self._length, self._n_marks = stored(state, "entries", (3,), np.int64).tolist()
-        if self._length < 1 or not 0 <= self._n_marks == self.n_entries // self._length < MOST_BLOCKS:
-            raise ValueError(f"{self.n_entries} looks in {self._n_marks} blocks of {self._length} are impossible")
-        self.total[:] = stored(state, "total", self.total.shape)
-        self._marks[: self._n_marks] = stored(state, "marks", (self._n_marks, self.total.size))
+        self.n_entries, self._length, self._n_marks = map(int, state["entries"])
+        if not 0 <= self._n_marks == self.n_entries // self._length < MOST_BLOCKS:
+            raise ValueError(f"{self._n_marks} blocks of {self._length} do not make {self.n_entries} looks")
+        self.total[:] = state["total"]
+        self._marks[: self._n_marks] = state["marks"]
 
 
 @dataclass(frozen=True)
@@ -400,14 +388,17 @@ class Accumulator(StoredObserver, Displayed):
             other = f"another version of minimd (convention {words.get('convention', 1)}, not {self.convention})"
             advice = "leave this observer out, or give it another name, under which it begins anew"
             raise ValueError(f"observer {self.name} cannot be continued: its sums are of {other}; {advice}")
-        settled = {name: words["settled"][name] for name in self.settled}  # no other, whatever a file says
-        _check_types(self.name, {**settled, "last_step": words["last_step"]}, type(self))
-        self.__dict__.update(settled)
+        for name in self.settled:  # no other attribute, whatever a file says
+            setattr(self, name, words["settled"][name])
         self.scene = ObservedRun(**words["scene"])
-        _check_types("scene", vars(self.scene), ObservedRun)
-        self._laid_out(self.scene)
         self.last_step = words["last_step"]
+        for part, names in ((self, (*self.settled, "last_step")), (self.scene, vars(self.scene))):
+            kinds = get_type_hints(type(part))
+            for name in names:
+                if not _is_of_type(getattr(part, name), kinds[name]):
+                    raise ValueError(f"{name} of the observer {self.name} is not of type {kinds[name]}")
+        self._laid_out(self.scene)
         for part in self._parts():
             part.restore(state)
-        if unknown := set(state) - set(self.state()):
-            raise ValueError(f"the observer {self.name} keeps no {min(unknown)}")
+        if _contents(self.state()) != _contents(state):
+            raise ValueError(f"the arrays of the observer {self.name} are not of the kinds that it keeps")

@@ -21,7 +21,7 @@ from minimd.core.structure.checks import checked_count, checked_number
 from minimd.core.structure.observables import center
 from minimd.core.structure.statistics import spread, with_error
 from minimd.core.structure.units import UnitSystem
-from minimd.observers.accumulator import ObservedRun, Result, Series, State, stored
+from minimd.observers.accumulator import ObservedRun, Result, Series, State
 from minimd.observers.arguments import argument, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
 from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, Plateau, TimeCorrelation
@@ -111,12 +111,12 @@ class _OfAtoms(TimeCorrelation):
         self.is_cubic = is_cubic(system.cell)
 
     def _laid_out(self, scene: ObservedRun) -> None:
-        are_chosen = min(self.numbers) >= 0 and sum(self.numbers) == len(self.chosen)
-        if not (are_chosen and 0 <= min(self.chosen) <= max(self.chosen) < scene.n_atoms):
+        are_atoms = min(self.chosen) >= 0 and max(self.chosen) < scene.n_atoms
+        if not are_atoms or sum(self.numbers) != len(self.chosen) or min(self.numbers) < 0:
             raise ValueError(f"{self.name} cannot have chosen {self.numbers} of {scene.n_atoms} atoms")
         starts = np.concatenate([[0], np.cumsum(self.numbers)])
         self._order = np.array(self.chosen)
-        self._takes_all = np.array_equal(self._order, np.arange(scene.n_atoms))
+        self._takes_all = self.chosen == [*range(len(self.chosen))] and len(self.chosen) == scene.n_atoms
         correlator = MultipleTau(type(self).law, starts, self.n_components, POINTS, self.n_levels, averages=False)
         self._correlate_by(correlator)
 
@@ -155,7 +155,7 @@ class CellMotion:
     """
 
     def __init__(self, n_atoms: int) -> None:
-        self._shape = (n_atoms, 3)
+        self._n_atoms = n_atoms
         self._carried: Array | None = None  # the displacements, (N, 3)
         self._before: tuple[Cell, Array] | None = None  # cell and positions at the last look
         self._molecules: StrainedBodies | None = None
@@ -202,9 +202,14 @@ class CellMotion:
     def restore(self, state: State) -> None:
         """See Kept."""
         if "positions" in state:
-            cell = Cell(stored(state, "cell", (3, 3)), stored(state, "pbc", (3,), np.int64))
-            self._before = cell, stored(state, "positions", self._shape)
-        self._carried = stored(state, "carried", self._shape) if "carried" in state else None
+            cell = Cell(np.array(state["cell"]), np.array(state["pbc"], dtype=bool))
+            self._before = cell, self._of_atoms(state["positions"])
+        self._carried = self._of_atoms(state["carried"]) if "carried" in state else None
+
+    def _of_atoms(self, vectors: Array) -> Array:
+        copy = np.empty((self._n_atoms, 3))
+        copy[:] = vectors
+        return copy
 
 
 class MeanSquareDisplacement(_OfAtoms):

@@ -84,8 +84,8 @@ class ConstraintSet:
         """Take over images of bonds, (K, 3) [length], and the tolerance of another set with the same constraints.
         Raises ValueError for images that are no lattice vectors, or a tolerance far above that of the constraints."""
         cells = offsets @ system.cell.inverse
-        are_lattice_vectors = (np.abs(cells - np.rint(cells) * system.cell.pbc) < WHOLE).all()
-        if not are_lattice_vectors or tolerance > max(WHOLE, self.kept[-1].tolerance):
+        deviation = np.abs(cells - np.rint(cells) * system.cell.pbc).max()
+        if max(deviation, tolerance) > max(WHOLE, self.kept[-1].tolerance):
             raise ValueError(f"images of rigid bonds must be lattice vectors, and lengths be kept to {WHOLE:g}")
         place = system.positions, self.inverse_masses, offsets
         self.bonds, self._cell = ConstraintSolver(self.kept[-1], *place, self._threads, tolerance), system.cell

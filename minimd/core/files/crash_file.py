@@ -135,7 +135,7 @@ def is_crash_file(path: str | Path) -> bool:
 def read_crash_report(path: str | Path) -> CrashFile:
     """The contents of a crash file.  Raises FileNotFoundError, OSError, ValueError as read_file,
     and ValueError for another file of minimd."""
-    from minimd.core.files.h5md_digest import read_checkpoint
+    from minimd.core.files.h5md_digest import read_group, unflattened
     from minimd.core.files.h5md_reader import damage_told, opened, read_file
 
     contents = read_file(path)
@@ -146,7 +146,7 @@ def read_crash_report(path: str | Path) -> CrashFile:
         with damage_told(path):
             texts = (group[name].asstr()[()] for name in ("simulation", "findings"))
             told, found = (json.loads(text, object_hook=_printable) for text in texts)
-            start = read_checkpoint(h5, f"{REPORT}/start")[0].state
+            start = unflattened(*read_group(group["start"])).state
             system.positions, system.velocities = start.positions, start.velocities
             pair = found["pair"] and Contact(**found["pair"])
             closest = found["closest"] and ClosestPair(*found["closest"])

@@ -37,7 +37,7 @@ from minimd.core.console.words import listed, shown
 from minimd.core.engine.engine import Checkpoint, Snapshot
 from minimd.core.engine.observer import StoredObserver
 from minimd.core.files.h5_items import NOTHING, REFERENCE, Item, put
-from minimd.core.files.stored_fields import check_frames, check_restart
+from minimd.core.files.stored_fields import FIELDS, check_fields
 from minimd.core.neighbors.verlet_list import Built
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.grid import Grid
@@ -90,7 +90,12 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
     """The checkpoint with these flattened arrays and numbers."""
 
     def cell(name: str) -> Cell | None:
-        return Cell.of_reduction(arrays[name], arrays[f"{name}_reduction"]) if name in arrays else None
+        if name not in arrays:
+            return None
+        cell = Cell.of_reduction(arrays[name], arrays[f"{name}_reduction"])
+        if round(abs(np.linalg.det(cell.reduction))) != 1:
+            raise ValueError(f"{name}_reduction gives another lattice than {name}")
+        return cell.strained(cell.vectors)  # reduced, whatever the file says
 
     def built(k: int, skin: float) -> Built:
         return Built(skin, arrays.get(f"list_{k}"), cell(f"cell_of_list_{k}"), arrays.get(f"region_of_list_{k}"))
@@ -104,7 +109,7 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
         cell=cell("cell"),
     )
     lists = tuple(built(k, float(skin)) for k, skin in enumerate(numbers["skins"]))
-    images = (arrays["images"], float(numbers["tolerance"])) if "images" in arrays else None
+    images = (arrays["images"], float(numbers["tolerance"])) if len(arrays.get("images", ())) else None
     grid = Grid(*map(float, numbers["grid"])) if "grid" in numbers else None
     return Checkpoint(state, float(numbers["displacement"]), lists, images, int(numbers["equilibrated"]), grid)
 
@@ -156,20 +161,12 @@ def set_aside_damaged(h5: h5py.File) -> None:
 def _whole(h5: h5py.File, name: str) -> Restart | None:
     """The restart of a name; None if it is damaged."""
     try:
-        checkpoint, arrays, numbers = read_checkpoint(h5, name)
-        return Restart(checkpoint, int(numbers["n_frames"]), arrays, name == EARLIER)
+        arrays, numbers = read_group(h5[name])
+        return Restart(unflattened(arrays, numbers), int(numbers["n_frames"]), arrays, name == EARLIER)
     except MemoryError:
         raise
     except Exception:  # HDF5 and h5py raise almost anything for bytes they do not expect
         return None
-
-
-def read_checkpoint(h5: h5py.File, name: str) -> tuple[Checkpoint, dict[str, np.ndarray], dict[str, Any]]:
-    """The checkpoint in a group, with all its arrays and numbers.  Raises ValueError if they are not those that were
-    written, or not of the kind that is declared."""
-    arrays, numbers = read_group(h5[name])
-    check_restart(arrays, numbers, len(h5["minimd/species_index"]), len(h5.get("minimd/constraints/pairs", ())))
-    return unflattened(arrays, numbers), arrays, numbers
 
 
 def checked(path: str, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> dict[str, Item]:
@@ -180,10 +177,12 @@ def checked(path: str, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, A
 
 
 def read_group(group: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays and numbers of a group, as in checked.  Raises ValueError if their digest is wrong."""
+    """Arrays and numbers of a restart, as in checked.  Raises ValueError if their digest is wrong, or if they are not
+    of the kinds that are declared."""
     arrays, numbers = {name: group[name][()] for name in group}, dict(group.attrs)
     if digest_of(arrays, numbers) != numbers.pop(DIGEST, None):
         raise ValueError(f"{group.name} is damaged")
+    check_fields([*arrays.items(), *numbers.items()], group.file["minimd"])
     return arrays, numbers
 
 
@@ -305,8 +304,9 @@ def check_description(h5: h5py.File) -> None:
     """Raise ValueError unless the description is the one that was signed, and frames are of the declared shapes."""
     if h5["minimd"].attrs.get(DIGEST) != _digest_of_description(h5):
         raise ValueError("the checksum of the stored description of the run does not match")
-    if BLOCKS in h5:
-        check_frames({path: h5[path] for path in h5[BLOCKS].attrs["series"]}, len(h5["minimd/species_index"]))
+    series = [(path, h5[path]) for path in FIELDS if path in h5]
+    entries = ((path, np.broadcast_to(np.zeros((), one.dtype), one.shape[1:])) for path, one in series)
+    check_fields(entries, h5["minimd"])
 
 
 def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> int:

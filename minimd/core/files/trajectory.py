@@ -10,6 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from minimd.core.console.quiet import warn
 from minimd.core.console.whole_file import locked
 from minimd.core.console.words import shown
@@ -53,8 +55,7 @@ N_FIRST, N_LAST = 128, 256
 MARK = struct.Struct(f"<QQQ{N_FIRST}s{N_LAST}s")
 """Of a file beside an H5MD file: inode of the H5MD file; inode and size of the file, its first and its last bytes.
 Its name follows."""
-COUNTS = {".dcd": ((8, 12), (20, 24)), ".ncdf": ((4, 8),), ".nc": ((4, 8),), ".traj": ((32, 48),)}
-"""Places of the first bytes that a format changes when a frame is added: it counts frames there."""
+COUNTERS = 16  # of the first bytes a format changes when a frame is added: it counts frames there
 INDEXED, SLOT = ".traj", 8  # it has an index of frames at its end: empty places are zero until a frame is added
 
 
@@ -155,15 +156,14 @@ def _cut_others_back(writer: Any) -> None:
     """Cut the other trajectories of a continued H5MD file to what they were at its restart; warns of what was cut,
     and what could not be."""
     told = []
-    marks = {mark[MARK.size :]: mark for mark in writer.marks if len(mark) > MARK.size}
-    is_of_one_file = len(marks) == len(writer.marks) and len({mark[:SLOT] for mark in writer.marks}) < 2
-    for name, mark in marks.items() if is_of_one_file else ():
-        path = writer.claim.path.parent / Path(os.fsdecode(name)).name
+    are_of_one_file = len({mark[:SLOT] for mark in writer.marks}) == 1  # not guesses
+    for mark in writer.marks if are_of_one_file else ():
+        path = writer.claim.path.parent / Path(os.fsdecode(mark[MARK.size :])).name
         try:
             words = _cut_back(path, writer.claim.descriptor, *MARK.unpack_from(mark))
         except FileNotFoundError:
             words = ""
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, struct.error) as error:
             reason = getattr(error, "strerror", None) or error
             words = f"is left as it is, and may hold frames later than the state from which the run goes on: {reason}"
         told += [f"trajectory {str(path)!r} {words}"] if words else []
@@ -200,26 +200,19 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
 def _has_grown(file: int, suffix: str, n_bytes: int, size: int, first: bytes, last: bytes) -> bool:
     """Whether a file of n_bytes bytes begins with one of size bytes, whose first and last bytes are known, but for what
     its format changes when frames are added."""
-    head = bytearray(read_at(file, N_FIRST, 0))
-    for start, end in COUNTS.get(suffix, ()):
-        head[start:end] = first[start:end]
-    if head != first:
-        return False
-    _, begin = _last_bytes(size)
-    for place in range(begin - begin % SLOT, size, SLOT):
-        slot = read_at(file, SLOT, place)
-        low, high = max(begin, place), min(size, place + SLOT)
-        recorded = last[low - begin : high - begin]
-        is_same = slot[low - place : high - place] == recorded
-        names_later_frame = suffix == INDEXED and not any(recorded) and size <= int.from_bytes(slot, "little") < n_bytes
-        if not (is_same or names_later_frame):
-            return False
-    return True
+    n_changed = sum(was != now for was, now in zip(first, read_at(file, N_FIRST, 0), strict=True))
+    n, begin = _last_bytes(size)
+    was, now = (np.frombuffer(part[:n] + bytes(-n % SLOT), "<u8") for part in (last, read_at(file, n, begin)))
+    names_later_frame = (suffix == INDEXED) & (was == 0) & (now >= size) & (now < n_bytes)
+    return n_changed <= COUNTERS and bool(((was == now) | names_later_frame).all())
 
 
 def _last_bytes(size: int) -> tuple[int, int]:
-    """Number and place of the last bytes of a file that a mark holds; none of them is among the first."""
-    return min(N_LAST, max(0, size - N_FIRST)), max(N_FIRST, size - N_LAST)
+    """Number and place of the last bytes of a file that a mark holds; none of them is among the first,
+    and slots are whole."""
+    begin = max(N_FIRST, size - N_LAST)
+    begin += -begin % SLOT
+    return max(0, size - begin), begin
 
 
 def _is_h5md(file: Path) -> bool:

@@ -249,8 +249,9 @@ class Forces:
         """Take over skins and lists of other Forces of the same scene; choose new ones if their number differs, or for
         skins that are never chosen."""
         lists = _lists(self.terms)
-        widest = [max(one.cutoff, one.skin) for one in lists]
-        fit = len(built) == len(lists) and all(one.skin <= most for one, most in zip(built, widest, strict=True))
+        fit = len(built) == len(lists) and all(
+            one.skin <= max(now.cutoff, now.skin) for one, now in zip(built, lists, strict=True)
+        )
         self.displacement = displacement
         self._plan(self._bound, [one.skin for one in built] if fit else ())
         if fit:

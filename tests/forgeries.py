@@ -17,13 +17,18 @@ from damages import BATH, in_child
 from references import melt_scene
 
 import minimd as md
+from minimd.ase.h5md_format import read_minimd_h5md
 from minimd.commands import main as cli
 from minimd.core.files import h5md_digest as digest
 from minimd.core.files.h5_items import put
-from minimd.core.files.h5md_reader import frames_of, read_file
+from minimd.core.files.h5md_reader import damage, frames_of, read_file
+from minimd.core.files.trajectory import MARK
 from minimd.core.simulation.resuming import stored_potentials
+from minimd.ensemble.member import Member, Plan, work
 from minimd.mdanalysis import universe
+from minimd.scene import load_scene
 
+BYSTANDER, PRECIOUS = "bystander.xyz", b"precious" * 1000
 SECONDS = 10  # of processor time, in which every door must have answered
 OUTPUT = "seed = 3\n[output]\nevery = 5\n"
 LOOKING = "".join(
@@ -110,6 +115,16 @@ def other_text(text, rng):
 CHANGES = (other_kind, other_shape, other_value, other_order, other_scale)
 
 
+def forged_mark(h5md, rng):
+    """The mark of another file, that of the bystander, with all that a stranger can know of it."""
+    victim = h5md.with_name(BYSTANDER)
+    size = int(rng.integers(len(PRECIOUS)))
+    content = [PRECIOUS[:128], PRECIOUS[:size][-256:]] if rng.random() < 0.3 else [bytes(128), bytes(256)]
+    inodes = [one.stat().st_ino if rng.random() < 0.8 else 7 for one in (h5md, victim)]
+    content[rng.integers(2)] = rng.bytes(64)
+    return np.frombuffer(MARK.pack(*inodes, size, *content) + BYSTANDER.encode(), np.uint8)
+
+
 def forge_restart(h5, rng):
     """A field of the restarts, or of one of them."""
     name = None
@@ -126,9 +141,9 @@ def forge_restart(h5, rng):
         elif way < 0.1:
             owner[f"{name}_0"] = owner.pop(name)
         elif way < 0.15:
-            arrays[str(rng.choice(["list_1", "list_7", "images", "cell", "region_of_list_3", "grid"]))] = np.zeros(
-                (4, 3)
-            )
+            arrays[str(rng.choice(["list_1", "list_7", "images", "cell", "region_of_list_3"]))] = np.zeros((4, 3))
+        elif way < 0.2:
+            name, arrays["beside.0"] = "beside.0", forged_mark(Path(h5.filename), rng)
         elif name.endswith(".words"):
             owner[name] = np.frombuffer(other_text(bytes(owner[name]), rng).encode(), np.uint8)
         else:
@@ -205,21 +220,23 @@ def forged(sound, target, seed):
     return name
 
 
-def energy_again(simulation, potentials):
-    """The potential energy of the present state, of a simulation that is made anew."""
-    system = simulation.system.copy()
-    return md.Simulation(system, potentials, md.VelocityVerlet(0.004), threads=1, constraints=[]).potential_energy
+def forces_again(simulation, potentials):
+    """Potential energy and forces of the present state, of a simulation that is made anew."""
+    again = md.Simulation(simulation.system.copy(), potentials, md.VelocityVerlet(0.004), threads=1, constraints=[])
+    return again.potential_energy, again.forces
 
 
 def resumed(file):
-    """Resume by the interface of Python: energies now, and after some steps, are those of a new simulation."""
+    """Resume by the interface of Python: energies and forces, now and after some steps, are those of a new
+    simulation."""
     contents = read_file(file)
     potentials = stored_potentials(contents, file)
     simulation = md.Simulation.resume(file, threads=1)
     for _ in range(2):
-        expected = energy_again(simulation, potentials)
-        close = np.isclose(simulation.potential_energy, expected, rtol=1e-6, atol=1e-6)
-        assert close or not abs(expected) < 1e12, (simulation.potential_energy, expected)
+        energy, forces = forces_again(simulation, potentials)
+        if abs(energy) < 1e12:
+            np.testing.assert_allclose(simulation.potential_energy, energy, rtol=1e-6, atol=1e-6)
+            np.testing.assert_allclose(simulation.forces, forces, rtol=1e-6, atol=1e-6 * np.abs(forces).max())
         for bonds in filter(None, [simulation.engine.constraint_set.bonds]):
             assert simulation.step == contents.step or bonds.violation(simulation.positions).max() < 1e-5
         simulation.run(3, progress=False)
@@ -259,16 +276,42 @@ def by_command(*words):
     return door
 
 
+def as_member(file):
+    """The file of a member of an ensemble, which goes on with it, or begins anew."""
+    scene = load_scene(Path(file).parent.parent / "plain.toml")
+    member = Member(0, {}, 7, 12, Path(file))
+    row = work(Plan(lambda _: scene.simulation(), None, None, 5, "call"), member, False)
+    assert row["status"] == "done", row
+    return RIGHT
+
+
+def digested(file):
+    damage(file)
+    return RIGHT
+
+
+def read_by_ase(file):
+    for atoms in read_minimd_h5md(file, slice(None)):
+        assert atoms.positions.shape == (len(atoms), 3)
+    return RIGHT
+
+
 DOORS = {
     "resume in Python": resumed,
     "append": continued,
     "read": looked_through,
     "check": by_command("check"),
     "resume": by_command("resume", "--steps", "5", "--quiet"),
+    "resume by another scene": by_command("resume", "--steps", "5", "--quiet", "--scene", "../plain.toml"),
     "past": steps_again,
     "view": by_command("view", "--out", "page.html"),
+    "plot": by_command("plot", "--out", "a.png"),
     "frames": by_command("frames", "--at", "5", "--out", "frame.h5md"),
+    "archive": by_command("archive", "--every", "10", "--out", "archive.h5md"),
     "universe": lambda file: [ts.positions.sum() for ts in universe(file).trajectory] and RIGHT,
+    "member of an ensemble": as_member,
+    "digest": digested,
+    "ASE": read_by_ase,
 }
 
 
@@ -290,24 +333,28 @@ def answer(door, file):
 
 def judged(sound, folder, seed, doors):
     """What doors make of a forged copy of a sound file: those that are wrong, in words."""
-    target, bystander = folder / "forged.h5md", folder / "bystander.xyz"
-    bystander.write_text("precious")
-    before = set(os.listdir(folder.parent))
+    target, bystander = folder / "forged.h5md", folder / BYSTANDER
+    bystander.write_bytes(PRECIOUS)
+    before = {file: file.stat().st_mtime_ns for file in (bystander, *folder.parent.glob("*.*"))}
     for door in doors:
         name = forged(sound, target, seed)
         found = answer(door, target)
         if found not in (RIGHT, REFUSED):
             yield seed, sound.name, name, door, found
-        if bystander.read_text() != "precious" or set(os.listdir(folder.parent)) != before:
+        after = {file: file.stat().st_mtime_ns for file in folder.parent.glob("*.*")}
+        if not bystander.exists() or before != {bystander: bystander.stat().st_mtime_ns, **after}:
             yield seed, sound.name, name, door, "another file was changed"
-        for left in set(os.listdir(folder)) - {"bystander.xyz"}:
+        for left in set(os.listdir(folder)) - {BYSTANDER}:
             (folder / left).unlink()
 
 
 def warm(sound, folder):
-    """Open a sound file by the doors that make steps, in this process: children then find kernels loaded."""
-    for door in (resumed, continued, looked_through, DOORS["check"]):
-        copy = folder / f"{id(door)}-{sound.name}"
+    """Open a sound file by all doors, in this process: children then find kernels loaded."""
+    inside = folder / "warm"
+    inside.mkdir()
+    for name, door in DOORS.items():
+        copy = inside / sound.name
         shutil.copy(sound, copy)
-        assert door(copy) == RIGHT
-        copy.unlink()
+        with contextlib.suppress(*REFUSALS):
+            assert door(copy) in (RIGHT, REFUSED), name
+    shutil.rmtree(inside)

@@ -1,5 +1,6 @@
 """What a restart may hold: fields of another kind are damage, and the run goes on from the restart before it."""
 
+import re
 import shutil
 
 import h5py
@@ -8,11 +9,21 @@ import pytest
 from damages import FAILED, SENTENCE, outcome
 from h5md_runs import N_ATOMS, resumed, simulation
 
+from minimd.core.engine.engine import Checkpoint, Snapshot
+from minimd.core.engine.record import SERIES
 from minimd.core.files.h5_items import put
-from minimd.core.files.h5md_digest import EARLIER, RESTART, checked, read_group
+from minimd.core.files.h5md_digest import EARLIER, RESTART, checked, flattened, read_group, sign
 from minimd.core.files.h5md_reader import damage, read_file
+from minimd.core.files.h5md_schema import columns
+from minimd.core.files.stored_fields import FIELDS
+from minimd.core.neighbors.verlet_list import Built
+from minimd.core.structure.cell import Cell
+from minimd.core.structure.grid import Grid
 
 SOUND = np.zeros((N_ATOMS, 3))
+WITH_BATHS = {f"observables/{name}/value" for name in ("conserved_energy", "work", "volume", "cell")}
+SERIES_OF_RUN = {name for name in FIELDS if "/" in name} - WITH_BATHS
+BESIDE = {"beside.#", "n_frames"}  # what files keep with a checkpoint
 FORGED = {  # arrays and numbers in place of those of the run; None: removed
     "a list of other atoms": {"list_0": np.zeros((1000, 3))},
     "a shorter list": {"list_0": SOUND[:-1]},
@@ -21,7 +32,7 @@ FORGED = {  # arrays and numbers in place of those of the run; None: removed
     "a list of another type": {"list_0": SOUND.astype("f4")},
     "a list of whole numbers": {"list_0": SOUND.astype(int)},
     "a list that is not finite": {"list_0": SOUND * np.nan},
-    "a list without a skin": {"list_3": SOUND},
+    "a cell of a list without its reduction": {"cell_of_list_0": np.eye(3) * 3.6},
     "images without bonds": {"images": np.zeros((2, 3))},
     "a region of one number": {"region_of_list_0": np.zeros(1)},
     "a region without extent": {"region_of_list_0": np.zeros(7)},
@@ -55,12 +66,52 @@ def forge(path, changes, restarts):
     with h5py.File(path, "r+") as h5:
         for name in restarts:
             arrays, numbers = read_group(h5[name])
+            numbers = {key: value.tolist() if np.ndim(value) == 0 else value for key, value in numbers.items()}
             for field, value in changes.items():
                 owner = arrays if field.startswith(ARRAYS) else numbers
                 owner.pop(field, None)
                 owner |= {} if value is None else {field: value}
             del h5[name]
             put(h5, checked(name, arrays, numbers))
+
+
+def test_what_is_written_is_what_is_declared():
+    """No field can be forgotten: a checkpoint that has all that one can have, and the series of all observables."""
+    cell = Cell.of(np.eye(3) * 9.0)
+    built = Built(0.1, SOUND, cell, np.ones(7))
+    state = Snapshot(1, 0.1, SOUND, SOUND, 0.1, (1, 0.1), 0.1, cell)
+    everything = Checkpoint(state, 0.1, (built, built), (SOUND, 1e-9), 1, Grid(0.5, 0.5, 0.5))
+    assert not any(value is None for part in (built, state, everything) for value in part)
+    written = {re.sub(r"\d+", "#", name) for part in flattened(everything) for name in part}
+    assert written | BESIDE == {name for name in FIELDS if "/" not in name}
+    series = {column.path for column in columns(simulation().system, list(SERIES), True, 0.1)}
+    assert {name for name in FIELDS if "/" in name} - {"observables/volume/value"} <= series
+    assert all(name.startswith("observables/") for name in series - FIELDS.keys())
+
+
+def test_a_field_that_is_not_declared_is_damage(run, monkeypatch):
+    with h5py.File(run) as h5:
+        names = [*h5[RESTART], *h5[RESTART].attrs]
+    assert "list_0" in names
+    for name in set(names) - {"digest"}:
+        with monkeypatch.context() as other:
+            other.delitem(FIELDS, re.sub(r"\d+", "#", name))
+            with pytest.raises(OSError, match="restart is damaged"):
+                read_file(run)
+
+
+@pytest.mark.parametrize("path", sorted(SERIES_OF_RUN))
+def test_series_of_another_shape_are_damage(path, tmp_path):
+    file, sim = tmp_path / "a.h5md", simulation()
+    sim.extra_observables = ("stress",)
+    sim.run(4, every=2, trajectory=file, store_forces=True)
+    with h5py.File(file, "r+") as h5:
+        values = np.repeat(h5[path][()][..., None], 2, axis=-1)
+        del h5[path]
+        h5.create_dataset(path, data=values, maxshape=(None, *values.shape[1:]), chunks=True)
+        sign(h5)
+    with pytest.raises(OSError, match=r"is damaged: .*, shape"):
+        read_file(file)
 
 
 @pytest.mark.parametrize("kind", FORGED)

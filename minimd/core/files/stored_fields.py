@@ -14,51 +14,55 @@ import numpy as np
 
 from minimd.core.structure.checks import LARGEST, SMALLEST
 
-REAL, WHOLE = np.dtype(np.float64), np.dtype(np.int64)
+REAL = np.dtype(np.float64)
+WHOLE = np.dtype(np.int64)
 MOST_STEPS = 2.0**62  # so that steps can still be added
 
 
-class Field(NamedTuple):
+class Stored(NamedTuple):
     """What an array or a number must be.
 
     shape : with N for atoms, K for rigid bonds, and * for any length.  least, most : of its elements, all of them
     finite.  kind : its type; a single number may be of either type of NumPy's numbers.
     """
 
-    shape: tuple[int | str, ...] = ()
+    shape: tuple[Any, ...] = ()
     least: Any = -LARGEST
     most: float = LARGEST
     kind: np.dtype = REAL
 
 
-NUMBER, SIZE = Field(), Field((), 0.0)
-STEP, COUNT = Field((), -MOST_STEPS, MOST_STEPS, WHOLE), Field((), 0.0, MOST_STEPS, WHOLE)
-VECTOR, TENSOR, VECTORS = Field((3,)), Field((3, 3)), Field(("N", 3))
-UNKNOWN = Field((-1,))  # no array is so
-COMBINATIONS = Field((3, 3), -1e9, 1e9, WHOLE)
+UNKNOWN = Stored((-1,))  # no array is so
+NUMBER = Stored()
+STEP = Stored((), -MOST_STEPS, MOST_STEPS, WHOLE)
+COUNT = Stored((), 0.0, MOST_STEPS, WHOLE)
+VECTOR = Stored((3,))
+VECTORS = Stored(("N", 3))
+TENSOR = Stored((3, 3))
+COMBINATIONS = Stored((3, 3), -1e9, 1e9, WHOLE)
 FIELDS = {
     # a restart
     "positions": VECTORS,
     "velocities": VECTORS,
-    "images": Field(("K", 3)),
+    "images": Stored(("K", 3)),
     "cell": TENSOR,
     "cell_reduction": COMBINATIONS,
     "list_#": VECTORS,
     "cell_of_list_#": TENSOR,
     "cell_of_list_#_reduction": COMBINATIONS,
-    "region_of_list_#": Field((7,), [-LARGEST] * 3 + [SMALLEST] * 4),
-    "beside.#": Field(("*",), 0, 255, np.dtype(np.uint8)),
+    "region_of_list_#": Stored((7,), [-LARGEST] * 3 + [SMALLEST] * 4),
+    "beside.#": Stored(("*",), 0, 255, np.dtype(np.uint8)),
     "step": STEP,
     "time": NUMBER,
     "reservoir_energy": NUMBER,
     "work": NUMBER,
-    "displacement": SIZE,
+    "displacement": Stored((), 0.0),
     "equilibrated": COUNT,
     "clock_step": STEP,
     "clock_time": NUMBER,
-    "tolerance": Field((), 0.0, 1.0),
-    "skins": Field(("*",), 0.0),
-    "grid": Field((3,), SMALLEST),
+    "tolerance": Stored((), 0.0, 1.0),
+    "skins": Stored(("*",), 0.0),
+    "grid": Stored((3,), SMALLEST),
     "n_frames": COUNT,
     # frames; observables of scripts may be anything
     "minimd/time": NUMBER,
@@ -86,7 +90,7 @@ FIELDS = {
 def check_fields(values: Iterable[tuple[str, Any]], scene: h5py.Group) -> None:
     """Raise ValueError unless arrays and numbers, by name, are as declared; observers look at their own.
     scene : the group of minimd."""
-    sizes: dict[Any, int] = {"N": len(scene["species_index"]), "K": len(scene.get("constraints/pairs", ()))}
+    sizes = {"N": len(scene["species_index"]), "K": len(scene.get("constraints/pairs", ()))}
     for name, value in values:
         array, field = np.asarray(value), FIELDS.get(re.sub(r"\d+", "#", name), UNKNOWN)
         kinds = (field.kind,) if field.shape else (REAL, WHOLE)

@@ -269,13 +269,11 @@ def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> N
 def damaged_frames(h5: h5py.File) -> str:
     """The frames that are not as they were written, in words; empty if there are none."""
     series, first = {one: h5[one] for one in h5[BLOCKS].attrs["series"]}, 0
-    lengths = {len(one) for one in series.values()}
     for last, digest in h5[BLOCKS][:].tolist():
-        is_there = first < last <= min(lengths)
-        if not is_there or digest_of({path: one[first:last] for path, one in series.items()}) != digest:
+        if last <= first or digest_of({path: one[first:last] for path, one in series.items()}) != digest:
             return f"frames {first} to {last - 1}"
         first = last
-    return "" if lengths == {first} else f"frames from {first} on"
+    return ""
 
 
 def drop_frames(h5: h5py.File, n_frames: int) -> None:
@@ -301,12 +299,16 @@ def sign(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> None:
 
 
 def check_description(h5: h5py.File) -> None:
-    """Raise ValueError unless the description is the one that was signed, and frames are of the declared shapes."""
+    """Raise ValueError unless the description is the one that was signed, and series of frames have the declared shapes
+    and one length."""
     if h5["minimd"].attrs.get(DIGEST) != _digest_of_description(h5):
         raise ValueError("the checksum of the stored description of the run does not match")
-    series = [(path, h5[path]) for path in FIELDS if path in h5]
-    entries = ((path, np.broadcast_to(np.zeros((), one.dtype), one.shape[1:])) for path, one in series)
+    series = {path: h5[path] for path in FIELDS if path in h5}
+    entries = ((path, np.broadcast_to(np.zeros((), one.dtype), one.shape[1:])) for path, one in series.items())
     check_fields(entries, h5["minimd"])
+    observed = [h5[f"observables/{name}/value"] for name in h5["observables"]]
+    if {len(one) for one in (*observed, *series.values())} - {n_whole_frames(h5)}:
+        raise ValueError("its series of frames differ in length")
 
 
 def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> int:

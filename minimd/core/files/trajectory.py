@@ -56,7 +56,7 @@ MARK = struct.Struct(f"<QQQ{N_FIRST}s{N_LAST}s")
 """Of a file beside an H5MD file: inode of the H5MD file; inode and size of the file, its first and its last bytes.
 Its name follows."""
 COUNTERS = 16  # of the first bytes a format changes when a frame is added: it counts frames there
-INDEXED, SLOT = ".traj", 8  # it has an index of frames at its end: empty places are zero until a frame is added
+SLOT = 8  # bytes of a place in the index of a .traj file, which may be at its end: zero until a frame is added
 
 
 @contextmanager
@@ -203,7 +203,7 @@ def _has_grown(file: int, suffix: str, n_bytes: int, size: int, first: bytes, la
     n_changed = sum(was != now for was, now in zip(first, read_at(file, N_FIRST, 0), strict=True))
     n, begin = _last_bytes(size)
     was, now = (np.frombuffer(part[:n] + bytes(-n % SLOT), "<u8") for part in (last, read_at(file, n, begin)))
-    names_later_frame = (suffix == INDEXED) & (was == 0) & (now >= size) & (now < n_bytes)
+    names_later_frame = (suffix == ".traj") & (was == 0) & (now >= size) & (now < n_bytes)
     return n_changed <= COUNTERS and bool(((was == now) | names_later_frame).all())
 
 

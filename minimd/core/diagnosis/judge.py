@@ -5,7 +5,7 @@ A rule looks at the evidence and gives a verdict, or None. Of the rules of one k
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
-from math import sqrt
+from math import pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from minimd.core.forces.contacts import Contact, contacts
 from minimd.core.integrators.order_conditions import accurate_step, stability_limit
 from minimd.core.neighbors.queries import ClosestPair, closest_pair
 from minimd.core.potentials.bonded import HarmonicBond
+from minimd.core.potentials.coulomb import SUMS, Coulomb
 from minimd.core.potentials.pair import Nonbonded
 from minimd.core.structure.bond_graph import among
 from minimd.core.structure.checks import LARGEST
@@ -33,6 +34,10 @@ CRUSHING = 0.5  # eV/Å³: 80 GPa, far more than a Lennard-Jones solid is good f
 USUAL = (8.0 * OSCILLATION) ** 0.5  # Δt·ω of 20 steps a period: velocity Verlet's energy oscillates by (Δt·ω)²/8
 TOO_SHORT = 0.001  # of the usual step
 MEANT = 1e-30  # likewise: a step below this is no error of the unit, somebody wants atoms that stand still
+EMPTY = 0.25  # of the height of a cell: atoms with a wider gap, in one direction, are a slab
+WIDER = 2.0  # times the second gap: layers of a small crystal are as far apart
+ROUNDING = 1e-12  # of a fractional coordinate
+POLAR = 0.05  # of the rms force: a smaller one, of the images of a slab, is not told
 FLAT = 1e-10  # of their extent: how far from a plane atoms may lie, and move in a step, by rounding
 MOVING = 1e-6  # of Σ|mv|: a smaller total momentum is rounding, of files with six digits or in single precision
 TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
@@ -298,6 +303,32 @@ def flat_motion(evidence: Evidence) -> Verdict | None:
     return Verdict(cause, f"their temperature is {times} the one shown; velocities in all directions have all of them")
 
 
+def polar_slab(evidence: Evidence) -> Verdict | None:
+    """A slab with a dipole, whose periodic images make a field in it: E = 4π k_e |Σ q z| / V (tin-foil)."""
+    engine, system, cell = evidence.engine, evidence.system, evidence.system.cell
+    has_sum = any(isinstance(one, Coulomb) and one.method in SUMS for one in engine.interactions.potentials)
+    if not has_sum or cell.volume is None or system.net_charge:
+        return None
+    inverse = np.linalg.inv(cell.vectors)
+    fractions = np.sort(system.positions @ inverse % 1.0, axis=0)
+    gaps = np.diff(fractions, axis=0, append=fractions[:1] + 1.0)
+    second, widest = np.sort(gaps, axis=0)[-2:]
+    is_open = widest > np.maximum(EMPTY, WIDER * second)
+    if is_open.sum() != 1:
+        return None
+    axis = int(np.argmax(is_open))
+    first = fractions[np.argmax(gaps[:, axis]) - len(system) + 1, axis]  # the atom above the gap
+    heights = (system.positions @ inverse[:, axis] - first + ROUNDING) % 1.0 / np.linalg.norm(inverse[:, axis])
+    dipole = abs(float(system.charges @ heights))
+    field = 4.0 * pi * evidence.units.coulomb * dipole / cell.volume
+    if field * np.linalg.norm(system.charges) <= POLAR * np.linalg.norm(engine.forces):
+        return None
+    normal = f"the normal of the slab, across {'abc'[axis]}"
+    cause = f"the atoms are a slab with a dipole of {dipole:.3g} e {evidence.units.length} along {normal}"
+    share = f"its periodic images make a field of {field:.3g} {evidence.units.energy}/(e {evidence.units.length}) in it"
+    return Verdict(f"{cause}: {share}", "give the slab two like faces, or a second slab, turned over, in the same cell")
+
+
 def not_numbers(evidence: Evidence) -> Verdict | None:
     """Positions or velocities that are not finite."""
     system = evidence.system
@@ -503,7 +534,7 @@ RULES = (
     Rule(BEFORE, "long step", longer_than_collisions), Rule(BEFORE, "short step", short_step),
     Rule(BEFORE, "reach", no_pair_in_reach), Rule(BEFORE, "barostat", slow_barostat),
     Rule(BEFORE, "pressure", crushing_pressure), Rule(BEFORE, "center", moving_center),
-    Rule(BEFORE, "plane", flat_motion),
+    Rule(BEFORE, "plane", flat_motion), Rule(BEFORE, "slab", polar_slab),
     Rule(START, "start", thrown_at_start), Rule(DURING, "number", not_numbers),
     Rule(DURING, "neighbors", past_neighbors), Rule(AFTER, "law", law_without_number),
     Rule(AFTER, "overlap", overlap_at_start), Rule(AFTER, "overlap", one_place), Rule(AFTER, "barostat", barostat),

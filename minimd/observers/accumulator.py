@@ -7,7 +7,8 @@ from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from inspect import cleandoc
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, dataclass_transform
+from math import isfinite
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, dataclass_transform, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,22 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 State = dict[str, NDArray[Any]]
+
+
+def _is_of_type(value: Any, kind: Any) -> bool:
+    """Whether a value of JSON is of a type, such as float | None or list[list[int]]."""
+    parts = get_args(kind)
+    if get_origin(kind) is list:
+        return isinstance(value, list) and all(_is_of_type(element, parts[0]) for element in value)
+    if parts:
+        return any(_is_of_type(value, part) for part in parts)
+    return isfinite(value) if kind is float and type(value) in (int, float) else type(value) is kind
+
+
+def _contents(state: State) -> dict[str, tuple[Any, ...]]:
+    """Types, shapes and bytes of the arrays of a state, but for its words, which an older version may have put
+    otherwise."""
+    return {name: (one.dtype, one.shape, one.tobytes()) for name, one in state.items() if name != "words"}
 
 
 class BlockedSums:
@@ -77,8 +94,10 @@ class BlockedSums:
 
     def restore(self, state: State) -> None:
         """Restore a state."""
-        self.total[:] = state["total"]
         self.n_entries, self._length, self._n_marks = map(int, state["entries"])
+        if not 0 <= self._n_marks == self.n_entries // self._length < MOST_BLOCKS:
+            raise ValueError(f"{self._n_marks} blocks of {self._length} do not make {self.n_entries} looks")
+        self.total[:] = state["total"]
         self._marks[: self._n_marks] = state["marks"]
 
 
@@ -374,7 +393,14 @@ class Accumulator(StoredObserver, Displayed):
         for name in self.settled:  # no other attribute, whatever a file says
             setattr(self, name, words["settled"][name])
         self.scene = ObservedRun(**words["scene"])
-        self._laid_out(self.scene)
         self.last_step = words["last_step"]
+        for part, names in ((self, (*self.settled, "last_step")), (self.scene, vars(self.scene))):
+            kinds = get_type_hints(type(part))
+            for name in names:
+                if not _is_of_type(getattr(part, name), kinds[name]):
+                    raise ValueError(f"{name} of the observer {self.name} is not of type {kinds[name]}")
+        self._laid_out(self.scene)
         for part in self._parts():
             part.restore(state)
+        if _contents(self.state()) != _contents(state):
+            raise ValueError(f"the arrays of the observer {self.name} are not of the kinds that it keeps")

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from minimd.core.compiled.kernels import kernel, scalar, type_of
 
 Array = NDArray[np.float64]
+MOST_TAKEN = 2**62  # entries
 RATIO = 2  # of the spacings of two levels
 
 
@@ -108,8 +109,7 @@ class MultipleTau:
         products = sums[self._n_counts :].reshape(self._sums_shape)
         while True:
             if level == len(self._rings):
-                self._rings.append(np.zeros(self._shape))
-                self._means.append(np.zeros(self._shape[1:] if self._averages else (0, 0)))
+                self._add_level()
             n, ring = int(self._n_taken[level]), self._rings[level]
             slot, first, n_kept = n % self._points, self._points // RATIO if level else 0, min(n + 1, self._points)
             ring[slot] = entry
@@ -129,6 +129,10 @@ class MultipleTau:
             if level == self._n_levels:
                 return
 
+    def _add_level(self) -> None:
+        self._rings.append(np.zeros(self._shape))
+        self._means.append(np.zeros(self._shape[1:] if self._averages else (0, 0)))
+
     def correlations(self, sums: Array) -> tuple[Array, Array]:
         """Numbers of origins, (T,), and mean products of each group, summed over its particles, (T, G, C); NaN for lags
         without origins."""
@@ -145,5 +149,9 @@ class MultipleTau:
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Restore a state."""
-        self._rings, self._means = list(np.array(state["rings"])), list(np.array(state["means"]))
-        self._n_taken = np.array(state["taken"])
+        self.interrupt()
+        self._n_taken[:] = np.clip(state["taken"], 0, MOST_TAKEN)
+        for level in range(np.count_nonzero(self._n_taken)):
+            self._add_level()
+            self._rings[level][:] = state["rings"][level]
+            self._means[level][:] = state["means"][level]

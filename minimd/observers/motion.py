@@ -111,9 +111,12 @@ class _OfAtoms(TimeCorrelation):
         self.is_cubic = is_cubic(system.cell)
 
     def _laid_out(self, scene: ObservedRun) -> None:
+        are_atoms = min(self.chosen) >= 0 and max(self.chosen) < scene.n_atoms
+        if not are_atoms or sum(self.numbers) != len(self.chosen) or min(self.numbers) < 0:
+            raise ValueError(f"{self.name} cannot have chosen {self.numbers} of {scene.n_atoms} atoms")
         starts = np.concatenate([[0], np.cumsum(self.numbers)])
         self._order = np.array(self.chosen)
-        self._takes_all = np.array_equal(self._order, np.arange(scene.n_atoms))
+        self._takes_all = self.chosen == [*range(len(self.chosen))] and len(self.chosen) == scene.n_atoms
         correlator = MultipleTau(type(self).law, starts, self.n_components, POINTS, self.n_levels, averages=False)
         self._correlate_by(correlator)
 
@@ -148,10 +151,11 @@ class CellMotion:
     """The displacements of atoms that are due to the motion of the cell, which looks take off their positions.
 
     From one look to the next each atom is moved with the cell; of a molecule with lengths held fixed the center is, and
-    the molecule turns as the cell does.
+    the molecule turns as the cell does.  n_atoms : N.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, n_atoms: int) -> None:
+        self._n_atoms = n_atoms
         self._carried: Array | None = None  # the displacements, (N, 3)
         self._before: tuple[Cell, Array] | None = None  # cell and positions at the last look
         self._molecules: StrainedBodies | None = None
@@ -199,8 +203,13 @@ class CellMotion:
         """See Kept."""
         if "positions" in state:
             cell = Cell(np.array(state["cell"]), np.array(state["pbc"], dtype=bool))
-            self._before = cell, np.array(state["positions"])
-        self._carried = np.array(state["carried"]) if "carried" in state else None
+            self._before = cell, self._of_atoms(state["positions"])
+        self._carried = self._of_atoms(state["carried"]) if "carried" in state else None
+
+    def _of_atoms(self, vectors: Array) -> Array:
+        copy = np.empty((self._n_atoms, 3))
+        copy[:] = vectors
+        return copy
 
 
 class MeanSquareDisplacement(_OfAtoms):
@@ -218,7 +227,7 @@ class MeanSquareDisplacement(_OfAtoms):
 
     def _laid_out(self, scene: ObservedRun) -> None:
         super()._laid_out(scene)
-        self._of_cell = CellMotion()
+        self._of_cell = CellMotion(scene.n_atoms)
 
     def _vectors(self, look: Look) -> tuple[Array, Array]:
         vectors = self._of_cell.taken_off(look.engine)

@@ -82,7 +82,7 @@ def test_links_to_a_file_are_that_file(tmp_path):
 @EACH
 def test_a_link_at_a_temporary_name_is_not_followed(name, tmp_path, monkeypatch):
     """Whoever can write to the folder can put one there; after the claim, libraries would open its target by name."""
-    path, precious, link = tmp_path / name, tmp_path / "precious", tmp_path / f"{name}.begun"
+    path, precious, link = tmp_path / name, tmp_path / "precious", tmp_path / f"{name}.minimd-unfinished"
     precious.write_text("precious")
 
     def put_link(*_):
@@ -131,11 +131,23 @@ SMALL_FILES = {  # what writes them, given their name
 def test_no_small_file_is_written_through_a_link(kind, tmp_path):
     precious, path = tmp_path / "precious", tmp_path / "a.png"
     precious.write_text("precious")
-    for name in ("a.png", "a.png.part", "a.png.begun", "a.png.part.begun", "a-2.png.part"):
+    for name in ("a.png", *(f"{name}.minimd-unfinished" for name in ("a.png", "a.png.minimd-unfinished", "a-2.png"))):
         (tmp_path / name).symlink_to(precious)
     with suppress(FileExistsError):
         SMALL_FILES[kind](path)
     assert precious.read_text() == "precious"
+
+
+def test_files_of_the_user_are_no_temporary_files(tmp_path):
+    """Browsers name unfinished downloads so; nobody can know who made them."""
+    names = ["a.csv.part", "a.h5md.begun", "a.h5md.part", "a.xtc.begun", "a.crash.h5md.part", "a.png.part"]
+    for name in names:
+        (tmp_path / name).write_text("mine")
+    simulation().run(10, every=5, trajectory=[tmp_path / "a.h5md", tmp_path / "a.xtc"]).to_csv(tmp_path / "a.csv")
+    write_picture(Figure(), tmp_path / "a.png")
+    blow_up(tmp_path / "a.crash.h5md")
+    assert {name: (tmp_path / name).read_text() for name in names} == dict.fromkeys(names, "mine")
+    assert files_of(tmp_path) == sorted([*names, "a.h5md", "a.xtc", "a.csv", "a.png", "a.crash.h5md"])
 
 
 @pytest.mark.parametrize("fate", ["removed", "replaced", "cut"])
@@ -151,7 +163,7 @@ def test_a_file_that_is_lost_under_the_run_is_told(fate, tmp_path, monkeypatch):
 
 
 def test_a_resumed_file_is_claimed_too_and_so_is_a_crash_report(tmp_path):
-    path, old = tmp_path / "a.h5md", Claim(tmp_path / "a.crash.h5md.part")
+    path, old = tmp_path / "a.h5md", Claim(tmp_path / "a.crash.h5md.minimd-unfinished")
     old.appear()
     assert "another run" in blow_up(tmp_path / "a.crash.h5md")
     old.check()

@@ -224,9 +224,9 @@ def test_what_has_a_second_name_is_not_emptied(tmp_path):
     """A run that is killed while its file gets its name may leave both."""
     path, precious = tmp_path / "a.h5md", tmp_path / "precious.h5md"
     simulation().run(10, every=5, trajectory=path)
-    os.link(path, tmp_path / "a.h5md.begun")
+    os.link(path, tmp_path / "a.h5md.minimd-unfinished")
     simulation().run(10, every=5, trajectory=path, overwrite=True)
-    os.link(path, tmp_path / "a.h5md.begun")
+    os.link(path, tmp_path / "a.h5md.minimd-unfinished")
     path.rename(precious)
     simulation().run(10, every=5, trajectory=path)
     assert_same_file(precious, path)

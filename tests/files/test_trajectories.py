@@ -5,6 +5,8 @@ import os
 import shutil
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
+from warnings import catch_warnings
 
 import h5md_runs
 import MDAnalysis
@@ -13,8 +15,10 @@ import pytest
 from h5md_runs import PER_PICOSECOND, at_step, bring_to_disk_every, frames_in, opened, resumed, simulation
 
 import minimd as md
-from minimd.core.files import turned_cell
+from minimd.core.files import trajectory, turned_cell
+from minimd.core.files.claim import Claim
 from minimd.core.files.h5md_reader import read_file
+from minimd.core.files.trajectory import MARK, N_FIRST, N_LAST
 
 FORMATS = {"xtc": 0.5e-3, "dcd": 0.0, "trr": 0.0, "ncdf": 0.0}  # error of a position beyond float32 [Å]
 ALL = [*FORMATS, "extxyz", "traj"]
@@ -112,6 +116,49 @@ def test_a_trajectory_that_is_not_of_the_run_is_left_alone_and_told(tmp_path, ch
     with pytest.warns(UserWarning, match=r"a\.xtc' .*may hold frames"):
         resumed(old).run(4, every=2, trajectory=old, append=True)
     assert path.read_bytes() == content
+
+
+def marked(path, h5md, size, **changes):
+    """The mark of a file at a size, with changes."""
+    content = path.read_bytes()[:size]
+    begin = max(N_FIRST, size - N_LAST)
+    fields = {"own": h5md.stat().st_ino, "inode": path.stat().st_ino, "size": size}
+    fields |= {"first": content[:N_FIRST], "last": content[begin:], "name": os.fsencode(path.name)}
+    *of_mark, name = (fields | changes).values()
+    return MARK.pack(*of_mark) + name
+
+
+FORGED_MARKS = {  # of another file of the user: what its writer does not know is recorded as zero, or as too little
+    "zeros": lambda path, h5md: [marked(path, h5md, 2000, first=bytes(N_FIRST), last=bytes(N_LAST))],
+    "first bytes of the forger": lambda path, h5md: [marked(path, h5md, 2000, first=b"EVIL" * 32)],
+    "last bytes are zero": lambda path, h5md: [marked(path, h5md, 2000, last=bytes(N_LAST))],
+    "nothing": lambda path, h5md: [marked(path, h5md, 0)],
+    "the first bytes alone": lambda path, h5md: [marked(path, h5md, 100)],
+    "another file": lambda path, h5md: [marked(path, h5md, 2000, inode=1)],
+    "many guesses": lambda path, h5md: [marked(path, h5md, 2000, own=k) for k in (1, 2, h5md.stat().st_ino)],
+    "no mark": lambda path, h5md: [b"short"],
+}
+
+
+@pytest.mark.parametrize("suffix", ALL)
+@pytest.mark.parametrize("kind", [*FORGED_MARKS, "another owner"])
+def test_a_forged_mark_changes_no_file(tmp_path, kind, suffix, monkeypatch):
+    path, h5md = tmp_path / f"victim.{suffix}", tmp_path / "a.h5md"
+    path.write_bytes(content := np.random.default_rng(3).bytes(9000))
+    h5md.write_bytes(b"file of a stranger")
+    forged = FORGED_MARKS.get(kind, lambda path, h5md: [marked(path, h5md, 2000)])(path, h5md)
+    claim = Claim(h5md, is_new=False)
+    if kind == "another owner":
+        monkeypatch.setattr(os, "geteuid", lambda: path.stat().st_uid + 1)
+    with catch_warnings(action="ignore"):
+        trajectory._cut_others_back(SimpleNamespace(marks=forged, claim=claim))
+    assert path.read_bytes() == content
+    monkeypatch.undo()
+    trajectory._cut_others_back(SimpleNamespace(marks=[marked(path, h5md, 9000)], claim=claim))  # nothing to cut
+    with pytest.warns(UserWarning, match="was cut to 2000 bytes"):
+        trajectory._cut_others_back(SimpleNamespace(marks=[marked(path, h5md, 2000)], claim=claim))
+    assert path.read_bytes() == content[:2000]
+    claim.release()
 
 
 def test_a_mark_is_read_from_the_file_that_was_claimed(tmp_path, monkeypatch):

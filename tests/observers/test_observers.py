@@ -344,6 +344,45 @@ def test_a_state_sets_what_its_kind_has_and_nothing_else(kind, run):
     assert (other.every, other.made_with(), callable(other.result)) == (made.every, made.made_with(), True)
 
 
+@pytest.mark.parametrize("kind", md.observers.KINDS)
+def test_a_state_of_other_kinds_is_refused(kind, run):
+    """Each array of another type or shape, one that is missing or unknown; each word of another type."""
+    made = run.looking[kind]
+    state = made.state()
+    words = json.loads(bytes(state["words"]))
+
+    def refused(state):
+        with pytest.raises((ValueError, KeyError, IndexError, TypeError)):
+            type(made)(**made.made_with()).restore(state)
+
+    refused(state | {"surprise": np.zeros(3)})
+    for name in state.keys() - {"words"}:
+        array = state[name]
+        refused({key: one for key, one in state.items() if key != name})
+        others = [
+            array.astype("f4"),
+            array[None],
+            array[:-1],
+            array[:1],
+            np.concatenate([array, array]),
+            array[..., None],
+        ]
+        for other in others:
+            if other.size or array.size:
+                refused(state | {name: other})
+    for part in ("scene", "settled"):
+        for key in words[part]:
+            for other in (
+                {},
+                [[[]]],
+                True if key != "is_cubic" else 1,
+                "x" if words[part][key] not in ("LJ", "x") else 1,
+            ):
+                if type(other) is not type(words[part][key]):
+                    changed = words | {part: words[part] | {key: other}}
+                    refused(state | {"words": np.frombuffer(json.dumps(changed).encode(), np.uint8)})
+
+
 @pytest.mark.slow
 def test_sums_of_another_convention_do_not_go_on(tmp_path, monkeypatch):
     """Those of an older version, which gives no number: displacements were not relative to the center of mass."""

@@ -1,7 +1,7 @@
 """Files that are written whole or not at all, under a lock that only one run holds.
 
 Temporary names are those of new files, and never followed as links: whoever can write to the folder could have put
-links there.
+links there. No other program gives such names: what lies there was left by a killed run.
 """
 
 import errno
@@ -27,6 +27,11 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(
 UNLOCKABLE = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of file systems without locks
 
 
+def temporary(path: Path) -> Path:
+    """The name of a file that is not yet whole."""
+    return path.with_name(f"{path.name}.minimd-unfinished")
+
+
 def locked(path: Path, create: bool = False) -> int:
     """A descriptor of a regular file, locked: no other run can lock the file while it is open.  Raises OSError if
     another run holds the lock, or it is not a regular file; a link is none."""
@@ -49,7 +54,7 @@ def new_file(path: Path) -> int:
 def write_whole(file: Path, content: str | bytes, overwrite: bool = True) -> None:
     """Write a file under another name, then rename it: nobody sees it half written, and a link is replaced,
     not followed.  Raises FileExistsError if it may not replace a file, OSError with a message."""
-    part = file.with_name(f"{file.name}.part")
+    part = temporary(file)
     try:
         if file.exists() and not file.is_file():
             raise OSError(errno.EINVAL, "it is not a regular file")

@@ -23,6 +23,7 @@ from minimd.core.structure.observables import (
 )
 from minimd.core.structure.system import System, check_resolution
 
+WHOLE = 1e-6  # largest deviation of images from lattice vectors, and of lengths that is still a tolerance
 NO_SHARE = 1e-9  # degrees of freedom of an atom: fewer are rounding, of an atom that constraints hold in its place
 TOLD = 1e-8  # relative violation above which one is warned of a projection: files of single precision have more
 
@@ -123,7 +124,12 @@ class ConstraintSet:
         self._cell = cell
 
     def restore(self, system: System, offsets: NDArray[np.float64], tolerance: float) -> None:
-        """Take over images of bonds, (K, 3) [length], and the tolerance of another set with the same constraints."""
+        """Take over images of bonds, (K, 3) [length], and the tolerance of another set with the same constraints.
+        Raises ValueError for images that are no lattice vectors, or a tolerance far above that of the constraints."""
+        cells = offsets @ system.cell.inverse
+        deviation = np.abs(cells - np.rint(cells) * system.cell.pbc).max()
+        if max(deviation, tolerance) > max(WHOLE, self.kept[-1].tolerance):
+            raise ValueError(f"images of rigid bonds must be lattice vectors, and lengths be kept to {WHOLE:g}")
         place = system.positions, self.inverse_masses, offsets
         self.bonds, self._cell = ConstraintSolver(self.kept[-1], *place, self._threads, tolerance), system.cell
 

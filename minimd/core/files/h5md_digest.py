@@ -37,6 +37,7 @@ from minimd.core.console.words import listed, shown
 from minimd.core.engine.engine import Checkpoint, Snapshot
 from minimd.core.engine.observer import StoredObserver
 from minimd.core.files.h5_items import NOTHING, REFERENCE, Item, put
+from minimd.core.files.stored_fields import FIELDS, check_fields
 from minimd.core.neighbors.verlet_list import Built
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.grid import Grid
@@ -89,7 +90,12 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
     """The checkpoint with these flattened arrays and numbers."""
 
     def cell(name: str) -> Cell | None:
-        return Cell.of_reduction(arrays[name], arrays[f"{name}_reduction"]) if name in arrays else None
+        if name not in arrays:
+            return None
+        cell = Cell.of_reduction(arrays[name], arrays[f"{name}_reduction"])
+        if round(abs(np.linalg.det(cell.reduction))) != 1:
+            raise ValueError(f"{name}_reduction gives another lattice than {name}")
+        return cell.strained(cell.vectors)  # reduced, whatever the file says
 
     def built(k: int, skin: float) -> Built:
         return Built(skin, arrays.get(f"list_{k}"), cell(f"cell_of_list_{k}"), arrays.get(f"region_of_list_{k}"))
@@ -103,7 +109,7 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
         cell=cell("cell"),
     )
     lists = tuple(built(k, float(skin)) for k, skin in enumerate(numbers["skins"]))
-    images = (arrays["images"], float(numbers["tolerance"])) if "images" in arrays else None
+    images = (arrays["images"], float(numbers["tolerance"])) if len(arrays.get("images", ())) else None
     grid = Grid(*map(float, numbers["grid"])) if "grid" in numbers else None
     return Checkpoint(state, float(numbers["displacement"]), lists, images, int(numbers["equilibrated"]), grid)
 
@@ -171,10 +177,12 @@ def checked(path: str, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, A
 
 
 def read_group(group: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays and numbers of a group, as in checked.  Raises ValueError if their digest is wrong."""
+    """Arrays and numbers of a restart, as in checked.  Raises ValueError if their digest is wrong, or if they are not
+    of the kinds that are declared."""
     arrays, numbers = {name: group[name][()] for name in group}, dict(group.attrs)
     if digest_of(arrays, numbers) != numbers.pop(DIGEST, None):
         raise ValueError(f"{group.name} is damaged")
+    check_fields([*arrays.items(), *numbers.items()], group.file["minimd"])
     return arrays, numbers
 
 
@@ -261,13 +269,11 @@ def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> N
 def damaged_frames(h5: h5py.File) -> str:
     """The frames that are not as they were written, in words; empty if there are none."""
     series, first = {one: h5[one] for one in h5[BLOCKS].attrs["series"]}, 0
-    lengths = {len(one) for one in series.values()}
     for last, digest in h5[BLOCKS][:].tolist():
-        is_there = first < last <= min(lengths)
-        if not is_there or digest_of({path: one[first:last] for path, one in series.items()}) != digest:
+        if last <= first or digest_of({path: one[first:last] for path, one in series.items()}) != digest:
             return f"frames {first} to {last - 1}"
         first = last
-    return "" if lengths == {first} else f"frames from {first} on"
+    return ""
 
 
 def drop_frames(h5: h5py.File, n_frames: int) -> None:
@@ -293,9 +299,16 @@ def sign(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> None:
 
 
 def check_description(h5: h5py.File) -> None:
-    """Raise ValueError unless the description is the one that was signed."""
+    """Raise ValueError unless the description is the one that was signed, and series of frames have the declared shapes
+    and one length."""
     if h5["minimd"].attrs.get(DIGEST) != _digest_of_description(h5):
         raise ValueError("the checksum of the stored description of the run does not match")
+    series = {path: h5[path] for path in FIELDS if path in h5}
+    entries = ((path, np.broadcast_to(np.zeros((), one.dtype), one.shape[1:])) for path, one in series.items())
+    check_fields(entries, h5["minimd"])
+    observed = [h5[f"observables/{name}/value"] for name in h5["observables"]]
+    if {len(one) for one in (*observed, *series.values())} - {n_whole_frames(h5)}:
+        raise ValueError("its series of frames differ in length")
 
 
 def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> int:

@@ -10,6 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from minimd.core.console.quiet import warn
 from minimd.core.console.whole_file import locked
 from minimd.core.console.words import shown
@@ -51,9 +53,10 @@ FORMATS: dict[str, tuple[str, str, tuple[str, ...]]] = {
 }
 N_FIRST, N_LAST = 128, 256
 MARK = struct.Struct(f"<QQQ{N_FIRST}s{N_LAST}s")
-"""Of a file beside an H5MD file: inode of the H5MD file; inode and size of the file, its first bytes, in which some
-formats count frames, and its last bytes, in which zeros may be replaced later by places of frames (.traj).
+"""Of a file beside an H5MD file: inode of the H5MD file; inode and size of the file, its first and its last bytes.
 Its name follows."""
+COUNTERS = 16  # of the first bytes a format changes when a frame is added: it counts frames there
+SLOT = 8  # bytes of a place in the index of a .traj file, which may be at its end: zero until a frame is added
 
 
 @contextmanager
@@ -153,7 +156,8 @@ def _cut_others_back(writer: Any) -> None:
     """Cut the other trajectories of a continued H5MD file to what they were at its restart; warns of what was cut,
     and what could not be."""
     told = []
-    for mark in writer.marks:
+    are_of_one_file = len({mark[:SLOT] for mark in writer.marks}) == 1  # not guesses
+    for mark in writer.marks if are_of_one_file else ():
         path = writer.claim.path.parent / Path(os.fsdecode(mark[MARK.size :])).name
         try:
             words = _cut_back(path, writer.claim.descriptor, *MARK.unpack_from(mark))
@@ -171,32 +175,44 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
     """Cut a trajectory to what it was at a restart; returns what was done, in words, empty if it has not grown since.
 
     h5md : descriptor of the file with the restart.  own, inode, size, first, last : as in MARK.
-    Raises OSError, ValueError if one of the two files is not the one that the run has written.
+    Raises OSError, ValueError unless it is certain that the run has written both files: whoever wrote the .h5md file
+    may have meant another file of the user.
     """
-    if path.suffix.lower() not in set(FORMATS) - {".h5md"}:
+    suffix = path.suffix.lower()
+    if suffix not in set(FORMATS) - {".h5md"}:
         raise ValueError("its suffix is not that of a trajectory")
     with open(locked(path), "r+b") as file:
-        there = file.fileno()
-        found = os.fstat(there).st_size
-        is_ours = _has_inode(h5md, own) and _has_inode(there, inode) and found >= size
-        now = read_at(there, *_last_bytes(size)) if is_ours else b""  # a strange mark may have any size
-        if not is_ours or any(was not in (0, byte) for was, byte in zip(last, now, strict=False)):
+        now, restart = os.fstat(file.fileno()), os.fstat(h5md)
+        user = os.geteuid() if hasattr(os, "geteuid") else now.st_uid
+        if not now.st_uid == restart.st_uid == user:
+            raise ValueError("this trajectory, or the .h5md file, belongs to another user")
+        if (now.st_ino, restart.st_ino) != (inode, own) or now.st_size < size:
             raise ValueError("this trajectory, or the .h5md file, is a copy or was changed")
-        file.write(first[:size])
+        if now.st_size == size:
+            return ""
+        if size < N_FIRST + N_LAST or not _has_grown(file.fileno(), suffix, now.st_size, size, first, last):
+            raise ValueError("this trajectory was changed, or had too few bytes to tell whether the run has written it")
+        file.write(first)
         file.truncate(size)
-        if not size:  # it had no frame, and therefore no name
-            path.unlink()
-            return f"of {found} bytes was removed: it had no frame at the step from which the run goes on"
-    return f"was cut to {size} bytes, its size at the step from which the run goes on" if found > size else ""
+    return f"was cut to {size} bytes, its size at the step from which the run goes on"
 
 
-def _has_inode(descriptor: int, inode: int) -> bool:
-    return os.fstat(descriptor).st_ino == inode
+def _has_grown(file: int, suffix: str, n_bytes: int, size: int, first: bytes, last: bytes) -> bool:
+    """Whether a file of n_bytes bytes begins with one of size bytes, whose first and last bytes are known, but for what
+    its format changes when frames are added."""
+    n_changed = sum(was != now for was, now in zip(first, read_at(file, N_FIRST, 0), strict=True))
+    n, begin = _last_bytes(size)
+    was, now = (np.frombuffer(part[:n] + bytes(-n % SLOT), "<u8") for part in (last, read_at(file, n, begin)))
+    names_later_frame = (suffix == ".traj") & (was == 0) & (now >= size) & (now < n_bytes)
+    return n_changed <= COUNTERS and bool(((was == now) | names_later_frame).all())
 
 
 def _last_bytes(size: int) -> tuple[int, int]:
-    """Number and place of the last bytes of a file that a mark holds; none of them is among the first."""
-    return min(N_LAST, max(0, size - N_FIRST)), max(N_FIRST, size - N_LAST)
+    """Number and place of the last bytes of a file that a mark holds; none of them is among the first,
+    and slots are whole."""
+    begin = max(N_FIRST, size - N_LAST)
+    begin += -begin % SLOT
+    return max(0, size - begin), begin
 
 
 def _is_h5md(file: Path) -> bool:

@@ -246,10 +246,15 @@ class Forces:
             one.build_again(as_it_was, self.system.cell)
 
     def go_on_with(self, displacement: float, built: Sequence[Built]) -> None:
-        """Take over skins and lists of other Forces of the same scene; choose new ones if their number differs."""
+        """Take over skins and lists of other Forces of the same scene; choose new ones if their number differs, or for
+        skins that are never chosen."""
+        lists = _lists(self.terms)
+        fit = len(built) == len(lists) and all(
+            one.skin <= max(now.cutoff, now.skin) for one, now in zip(built, lists, strict=True)
+        )
         self.displacement = displacement
-        self._plan(self._bound, [one.skin for one in built] if len(built) == len(_lists(self.terms)) else ())
-        if len(built) == len(_lists(self.terms)):
+        self._plan(self._bound, [one.skin for one in built] if fit else ())
+        if fit:
             self.build_lists(built)
 
     def reset_counts(self) -> None:

@@ -48,7 +48,8 @@ class Noisy(MolecularDynamics):
             except (TypeError, ValueError):
                 wanted = "a RandomState, a Generator, an int that is not negative, or a SeedSequence"
                 raise TypeError(f"rng must be {wanted} of NumPy; rng = {shown(rng)}") from None
-        self._rng, self._seed = rng, None
+        self._rng = rng
+        self._seed = None
 
     def noise_seed(self) -> int:
         """The seed of the noise, drawn once from rng; the same for all processes of a parallel calculator."""
@@ -72,13 +73,15 @@ class Langevin(MinimdSteps, Noisy, langevin.Langevin):
 
     def method(self) -> Splitting:
         """BAOAB."""
-        keeps_center, temperature = fixes_center(self.atoms), self.temp / units.kB
+        keeps_center = fixes_center(self.atoms)
+        temperature = self.temp / units.kB
         if self.fix_com and _center_is_free(self.atoms):
             n_dof = self.atoms.get_number_of_degrees_of_freedom()
             if n_dof <= 3:
                 given = f"{len(self.atoms)} atoms have {n_dof}: use fixcm=False"
                 raise ValueError(f"fixcm = True needs more than 3 degrees of freedom; {given}")
-            keeps_center, temperature = True, temperature * n_dof / (n_dof - 3)
+            keeps_center = True
+            temperature = temperature * n_dof / (n_dof - 3)
         return LangevinBath(self.dt, temperature, self.fr, self.noise_seed(), keeps_center)
 
 
@@ -171,7 +174,8 @@ class Andersen(MinimdSteps, Noisy, andersen.Andersen):
 
     def method(self) -> Splitting:
         """Collisions between the first kick and the drift of velocity Verlet."""
-        keeps_center, temperature = _keeps_center(self.atoms, self.fix_com), self.temp / units.kB
+        keeps_center = _keeps_center(self.atoms, self.fix_com)
+        temperature = self.temp / units.kB
         return AndersenBath(self.dt, temperature, self.andersen_prob, self.noise_seed(), keeps_center)
 
 

@@ -49,7 +49,8 @@ def _outcome(name: str, given: argparse.Namespace, repeats: int) -> "Outcome":
         cells = given.cells or ((5, 10) if given.quick else (5, 10, 20, 40))
         options = PeersOptions((given.scene,), cells, given.threads, given.peers, repeats)
         if given.scenes is not None:
-            scenes, cells = tuple(dict.fromkeys(given.scenes or SCENES)), given.cells or (10,)
+            scenes = tuple(dict.fromkeys(given.scenes or SCENES))
+            cells = given.cells or (10,)
             peers = given.peers or tuple(name for name in BESIDE_SCENES if {*scenes} & {*PEERS[name].scenes})
             options = options._replace(scenes=scenes, cells=cells, threads=given.threads or (1,), peers=peers)
         return run_peers(options)

@@ -19,12 +19,12 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 import minimd as md
 from minimd.bench import scenes
 from minimd.bench.scenes import CUTOFF, PLANS, SHIFT, SKIN_LAMMPS, WATER, BenchScene, pairs_in_range
 from minimd.core.structure.constraints import lengths_of
+from minimd.core.structure.observables import Array
 from minimd.lammps.model import Model
 from minimd.lammps.program import LIBRARIES
 from minimd.lammps.script import held, write_atoms
@@ -108,7 +108,7 @@ class Minimd(LoadedEngine):
                          simulation.forces.copy())  # fmt: skip
 
     @property
-    def positions(self) -> NDArray[np.float64]:
+    def positions(self) -> Array:
         """(N, 3) [σ], not wrapped."""
         return self.simulation.positions
 
@@ -163,7 +163,8 @@ def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool =
 
 def _motion(scene: BenchScene) -> list[str]:
     """The fixes of LAMMPS that make the steps of a scene; a bath is of the same kind as in minimd, if LAMMPS has it."""
-    method, barostat = scene.method, scene.barostat
+    method = scene.method
+    barostat = scene.barostat
     heat = f"{scene.temperature} {scene.temperature}"
     if barostat is not None and isinstance(method, md.StochasticVelocityRescaling):
         press = f"iso {barostat.pressure} {barostat.pressure} {barostat.relaxation_time}"
@@ -179,9 +180,12 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
     the caller, where it wakes up sooner: for 500 atoms steps are 1.7 times as fast."""
     import openmm
 
-    own, system, timestep = scene.system, openmm.System(), scene.method.timestep
+    own = scene.system
+    system = openmm.System()
+    timestep = scene.method.timestep
     system.setDefaultPeriodicBoxVectors(*np.diag(scene.edges).tolist())
-    force, springs = openmm.NonbondedForce(), openmm.HarmonicBondForce()
+    force = openmm.NonbondedForce()
+    springs = openmm.HarmonicBondForce()
     force.setNonbondedMethod(force.PME if scene.error else force.CutoffPeriodic)
     force.setCutoffDistance(scene.law.cutoff)
     force.setUseDispersionCorrection(False)
@@ -202,7 +206,8 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
     system.addForce(force)
     if springs.getNumBonds():
         system.addForce(springs)
-    integrator, platform = openmm.VerletIntegrator(timestep), openmm.Platform.getPlatformByName("CPU")
+    integrator = openmm.VerletIntegrator(timestep)
+    platform = openmm.Platform.getPlatformByName("CPU")
     with _on_one_core(threads):
         context = openmm.Context(system, integrator, platform, {"Threads": str(threads)})
     context.setPositions(own.positions)
@@ -286,8 +291,10 @@ def gromacs(scene: BenchScene, threads: int) -> LoadedEngine:
     from MDAnalysis import Universe
 
     folder = tempfile.TemporaryDirectory(prefix="minimd-gromacs-")  # removed with the engine
-    edges, timestep = scene.edges, scene.method.timestep
-    place, environment = Path(folder.name), os.environ | {"GMX_MAXBACKUP": "-1", "GMX_SUPPRESS_DUMP": "1"}
+    edges = scene.edges
+    timestep = scene.method.timestep
+    place = Path(folder.name)
+    environment = os.environ | {"GMX_MAXBACKUP": "-1", "GMX_SUPPRESS_DUMP": "1"}
 
     def call(command: str, *arguments: str, given: str = "") -> None:
         """Raises RuntimeError with the last words that gmx printed, if it fails."""

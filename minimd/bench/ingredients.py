@@ -17,6 +17,7 @@ from minimd.bench.outcome import bars, spread, summary, table
 from minimd.bench.scenes import SCENES, BenchScene, equilibrated, pairs_in_range
 from minimd.bench.turns import take_turns, warm_up
 from minimd.core.compiled.terminal import tell
+from minimd.core.structure.observables import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,7 +31,7 @@ class IngredientCost(NamedTuple):
     name: str
     n_atoms: int
     n_pairs: float
-    seconds: NDArray[np.float64]
+    seconds: Array
 
 
 @dataclass(frozen=True)
@@ -42,15 +43,17 @@ class IngredientCosts:
     packages: Sequence[str] = ("h5py", "MDAnalysis")
     name: ClassVar[str] = "scene"
 
-    def ratio(self, cost: IngredientCost) -> NDArray[np.float64]:
+    def ratio(self, cost: IngredientCost) -> Array:
         """Time of a step per atom divided by that of the melt, in each turn, (R,)."""
         return cost.seconds / cost.n_atoms * self.costs[0].n_atoms / self.costs[0].seconds
 
     def lines(self) -> list[str]:
         """See Outcome."""
-        base, cells = self.costs[0], []
+        base = self.costs[0]
+        cells = []
         for cost in self.costs:
-            ratio, pairs = self.ratio(cost), cost.n_pairs / cost.n_atoms
+            ratio = self.ratio(cost)
+            pairs = cost.n_pairs / cost.n_atoms
             by_pair = spread(ratio * (base.n_pairs / base.n_atoms) / pairs)
             times = spread(1e6 * cost.seconds), spread(ratio)
             cells.append([cost.name, str(cost.n_atoms), *times, f"{pairs:.1f}", by_pair])
@@ -73,7 +76,8 @@ class IngredientCosts:
 
 def run_ingredients(n: int, repeats: int) -> IngredientCosts:
     """Measure the time of the melt of 4 n³ atoms, and with one ingredient more or less, in turns."""
-    n_atoms, base = 4 * n**3, equilibrated(SCENES[scenes.MELT](n))
+    n_atoms = 4 * n**3
+    base = equilibrated(SCENES[scenes.MELT](n))
     with tempfile.TemporaryDirectory() as folder:
         rows = _ingredients(base, n, Path(folder))
         engines = [Minimd(scene, **how) for scene, how in rows.values()]
@@ -82,7 +86,8 @@ def run_ingredients(n: int, repeats: int) -> IngredientCosts:
         before = [pairs_in_range(scene, engine.positions) for scene, engine in loaded]
         seconds = 1.0 / take_turns(engines, n_steps, repeats, n_atoms)
         after = [pairs_in_range(scene, engine.positions) for scene, engine in loaded]
-    sizes, n_pairs = [len(scene.system) for scene, _ in loaded], 0.5 * np.add(before, after)
+    sizes = [len(scene.system) for scene, _ in loaded]
+    n_pairs = 0.5 * np.add(before, after)
     tell("done")
     return IngredientCosts(list(map(IngredientCost, rows, sizes, n_pairs.tolist(), seconds)), repeats)
 
@@ -92,7 +97,8 @@ def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, tuple[Benc
     bonds, length = partners(base.system)
     plain, excluding = (md.LennardJones(1.0, 1.0, scenes.CUTOFF, "truncated", bonded_scale=(scale, 1.0, 1.0))
                         for scale in (1.0, 0.0))  # fmt: skip
-    spring, rigid = md.HarmonicBond(400.0, length), md.DistanceConstraints(bonds)
+    spring = md.HarmonicBond(400.0, length)
+    rigid = md.DistanceConstraints(bonds)
     bonded = _with(base, bonds=bonds)
     labels = np.where(np.arange(len(base.system)) % 2 == 0, "A", "B")
     two_kinds = md.LennardJones({"A": (1.0, 1.0), "B": (1.0, 1.0)}, cutoff=scenes.CUTOFF, truncation="truncated")
@@ -129,7 +135,8 @@ def partners(system: md.System) -> tuple[NDArray[np.int64], float]:
     """Pairs of neighbors, with each atom in at most one pair, (K, 2), and the mean of their distances [σ]."""
     edges = np.diag(system.cell.vectors)
     tree = cKDTree(scenes.wrapped(system.positions, edges), boxsize=edges)
-    taken, chosen = np.zeros(len(system), dtype=bool), []
+    taken = np.zeros(len(system), dtype=bool)
+    chosen = []
     for pair in tree.query_pairs(PARTNERS, output_type="ndarray"):
         if not taken[pair].any():
             taken[pair] = True

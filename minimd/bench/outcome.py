@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 import minimd as md
 from minimd.core.compiled.machine import MISSING, available_cores, processor_name, version
 from minimd.core.console.whole_file import write_picture, write_whole
+from minimd.core.structure.observables import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,7 +33,7 @@ MARKERS = "os^vD<"
 MOST_CURVES = len(MARKERS)  # in a panel
 BETWEEN_NAMES = 0.22  # inches, from one name to the next
 
-Ratios = NDArray[np.float64] | None
+Ratios = Array | None
 
 
 class Outcome(Protocol):
@@ -140,10 +140,11 @@ def new_figure(height: float, width: float = WIDTH) -> "Figure":
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def bars(ratios: Mapping[str, NDArray[np.float64]], label: str) -> "Figure":
+def bars(ratios: Mapping[str, Array], label: str) -> "Figure":
     """Bars for the medians of ratios, with the ranges of their rounds, and a line at 1.  label : of the axis."""
     figure = new_figure(max(2.0, 0.3 * len(ratios)))
-    axes, rounds = figure.subplots(), np.array(list(ratios.values()))
+    axes = figure.subplots()
+    rounds = np.array(list(ratios.values()))
     middle = np.median(rounds, axis=1)
     ends = np.abs(np.array([rounds.min(axis=1), rounds.max(axis=1)]) - middle)
     axes.barh(list(ratios), middle, xerr=ends, color="tab:blue", ecolor="gray")
@@ -153,12 +154,13 @@ def bars(ratios: Mapping[str, NDArray[np.float64]], label: str) -> "Figure":
     return figure
 
 
-def draw(panel: "Axes", curves: Mapping[str, tuple[Sequence[float], NDArray[np.float64], bool]]) -> dict[str, End]:
+def draw(panel: "Axes", curves: Mapping[str, tuple[Sequence[float], Array, bool]]) -> dict[str, End]:
     """Draw medians of all rounds and their ranges, six curves at most; returns the ends of the curves.
     curves : by name: x (P,), y (P, R), and whether it is minimd's."""
     ends = {}
     for k, (name, (x, y, is_own)) in enumerate(curves.items()):
-        middle, color = np.median(y, axis=1), f"C{k}"
+        middle = np.median(y, axis=1)
+        color = f"C{k}"
         line, width = ("-", 2.5) if is_own else ("--", 1.5)
         panel.plot(x, middle, marker=MARKERS[k % MOST_CURVES], ls=line, lw=width, color=color)
         panel.fill_between(x, y.min(axis=1), y.max(axis=1), alpha=0.15, color=color)
@@ -178,7 +180,8 @@ def name_curves(panel: "Axes", ends: Mapping[str, End]) -> None:
     # If ends have about the same height, the one farthest to the right comes first, so that no line crosses a curve.
     for name in sorted(ends, key=lambda name: (round(places[name][1] / gap), -round(places[name][0], 2),
                                                places[name][1])):  # fmt: skip
-        height, color = max(places[name][1], height + gap), ends[name].color
+        height = max(places[name][1], height + gap)
+        color = ends[name].color
         line = {"arrowstyle": "-", "lw": 0.6, "color": color, "alpha": 0.6}
         style: dict[str, Any] = {"textcoords": "axes fraction", "va": "center", "color": color, "arrowprops": line}
         panel.annotate(name, ends[name][:2], (1.02, height), annotation_clip=False, **style)

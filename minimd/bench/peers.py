@@ -6,7 +6,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.bench import outcome
 from minimd.bench.engines import PEERS, Load, LoadedEngine, Minimd
@@ -15,6 +14,7 @@ from minimd.bench.scaling import bytes_per_atom
 from minimd.bench.scenes import EXACT, MELT, SCENES, WATER_CUTOFFS, BenchScene, equilibrated
 from minimd.bench.turns import check_agreement, in_turns, thread_numbers
 from minimd.core.compiled.terminal import tell
+from minimd.core.structure.observables import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,7 +35,7 @@ class EngineSpeed(NamedTuple):
     precision: str
     scene: str
     n_atoms: int
-    speeds: NDArray[np.float64]
+    speeds: Array
     bytes_per_atom: float | None = None
 
     @property
@@ -162,7 +162,8 @@ def _content(rows: Sequence[EngineSpeed], row: EngineSpeed) -> dict[str, Any]:
 def run_peers(options: PeersOptions) -> Peers:
     """Measure one scene and one size after the other; progress is printed to standard error.
     Raises ValueError for options that do not fit, or if a peer does not start.  HandOverError as check_agreement."""
-    threads, texts = _checked(options), {name: SCENES[name](min(options.cells)).text for name in options.scenes}
+    threads = _checked(options)
+    texts = {name: SCENES[name](min(options.cells)).text for name in options.scenes}
     able = [name for name, peer in PEERS.items() if {*options.scenes} & {*peer.scenes}]
     able = [] if options.peers == NO_PEERS else able
     missing = {peer.package: peer for name in able if not (peer := PEERS[name]).is_installed}
@@ -180,7 +181,8 @@ def _checked(options: PeersOptions) -> tuple[int, ...]:
             ("peers", options.peers, (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS)):  # fmt: skip
         if unknown := [word for word in value if word not in allowed]:
             raise ValueError(f"--{name} must be one of {', '.join(allowed)}; it is {unknown[0]!r}")
-    threads, smallest = thread_numbers(options.threads), min(options.cells)
+    threads = thread_numbers(options.threads)
+    smallest = min(options.cells)
     for name in options.scenes:
         scene = SCENES[name](smallest)
         if scene.edges.min() < 2.0 * scene.law.cutoff:
@@ -201,7 +203,8 @@ def _beside(name: str, n: int, options: PeersOptions, threads: Sequence[int],
     scene = SCENES[name](n)
     if name != MELT:  # the melt is equilibrated while the engines warm up
         scene = equilibrated(scene)
-    n_atoms, counts = len(scene.system), {"one": (1,), "each": threads, "most": (max(threads),)}
+    n_atoms = len(scene.system)
+    counts = {"one": (1,), "each": threads, "most": (max(threads),)}
     asked: list[tuple[Load, int]] = [(Minimd, count) for count in dict.fromkeys((1, *threads))]
     for peer in peers:
         if name in PEERS[peer].scenes and (peer in options.peers or n_atoms <= PEERS[peer].most_atoms):
@@ -210,7 +213,8 @@ def _beside(name: str, n: int, options: PeersOptions, threads: Sequence[int],
     for group in groups:
         check_agreement([*group.values()], scene)
     tell(f"{name}: the energies agree")
-    tried, best = [one for group in groups for one in group.items()], dict[int, EngineSpeed]()
+    tried = [one for group in groups for one in group.items()]
+    best = dict[int, EngineSpeed]()
     speeds = n_atoms * in_turns([engine for _, engine in tried], options.repeats, n_atoms)
     for (k, engine), speed in zip(tried, speeds, strict=True):
         if k not in best or np.median(speed) > np.median(best[k].speeds):

@@ -8,7 +8,6 @@ from math import nan
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.bench.engines import Minimd
 from minimd.bench.outcome import draw, name_curves, new_figure, spread, summary, table, threads_text
@@ -16,6 +15,7 @@ from minimd.bench.scenes import MELT, SCENES
 from minimd.bench.turns import in_turns, thread_numbers
 from minimd.core.compiled.machine import STATUS, peak_memory
 from minimd.core.compiled.terminal import tell
+from minimd.core.structure.observables import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,7 +30,7 @@ class Size(NamedTuple):
     """Times for one number of atoms.  seconds : for each number of threads (R,), of a step in each turn."""
 
     n_atoms: int
-    seconds: dict[int, NDArray[np.float64]]
+    seconds: dict[int, Array]
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,8 @@ class Scaling:
     def figure(self) -> "Figure":
         """Time of a step per atom against the number of atoms."""
         figure = new_figure(4.0)
-        axes, n = figure.subplots(), [size.n_atoms for size in self.sizes]
+        axes = figure.subplots()
+        n = [size.n_atoms for size in self.sizes]
         times: Any = lambda t: np.array([1e9 * size.seconds[t] / size.n_atoms for size in self.sizes])  # noqa: E731
         ends = draw(axes, {threads_text(t): (n, times(t), True) for t in self.sizes[0].seconds})
         labels = {"xlabel": "atoms", "ylabel": "ns per atom and step", "title": "Lennard-Jones melt"}
@@ -80,9 +81,11 @@ class Scaling:
 
 def run_scaling(threads: Sequence[int], quick: bool, repeats: int) -> Scaling:
     """Measure time and memory of the melt.  Raises ValueError for more threads than cores."""
-    kinds, sizes = tuple(dict.fromkeys((1, *thread_numbers(threads)))), []
+    kinds = tuple(dict.fromkeys((1, *thread_numbers(threads))))
+    sizes = []
     for n in CELLS_QUICK if quick else CELLS:
-        scene, n_atoms = SCENES[MELT](n), 4 * n**3
+        scene = SCENES[MELT](n)
+        n_atoms = 4 * n**3
         speeds = in_turns([Minimd(scene, t) for t in kinds], repeats, n_atoms)
         sizes.append(Size(n_atoms, dict(zip(kinds, 1.0 / speeds, strict=True))))
     n = MEMORY_OF_QUICK if quick else MEMORY_OF
@@ -111,7 +114,8 @@ def growth(scene: str, n: int, threads: int) -> float:
 def _peak(name: str, n: int, threads: int) -> tuple[int, float]:
     """Build a scene and run it; returns the number of its atoms, and the peak memory afterwards."""
     scene = SCENES[name](n)
-    n_atoms, engine = len(scene.system), Minimd(scene, threads)
+    n_atoms = len(scene.system)
+    engine = Minimd(scene, threads)
     del scene  # the simulation has its own copy
     engine.run(MEMORY_STEPS)
     return n_atoms, peak_memory() or nan

@@ -11,7 +11,6 @@ from math import cbrt, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import minimd as md
@@ -20,7 +19,7 @@ from minimd.core.forces.forces import Potential
 from minimd.core.potentials.pair import Nonbonded
 from minimd.core.potentials.truncation import TruncationName
 from minimd.core.structure.lattice import constant_from_density, crystal
-from minimd.core.structure.observables import maxwell_boltzmann
+from minimd.core.structure.observables import Array, maxwell_boltzmann
 
 MELT = "melt"
 SEED = 87287
@@ -68,7 +67,7 @@ class BenchScene(NamedTuple):
     accuracy: float = 1e-3
 
     @property
-    def edges(self) -> NDArray[np.float64]:
+    def edges(self) -> Array:
         """(3,) of the cell, which is rectangular [σ]."""
         return np.diag(self.system.cell.vectors)
 
@@ -101,11 +100,11 @@ class Plan(NamedTuple):
     rigid: Callable[[md.System], md.DistanceConstraints] | None = None
 
 
-def _atoms(positions: NDArray[np.float64], cell: NDArray[np.float64] | float, **more: Any) -> md.System:
+def _atoms(positions: Array, cell: Array | float, **more: Any) -> md.System:
     return md.System(positions, cell=cell, **{"species": ["A"] * len(positions)} | more)
 
 
-def _lattice(n: int, density: float, kind: str = "fcc") -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _lattice(n: int, density: float, kind: str = "fcc") -> tuple[Array, Array]:
     return crystal(kind, [n] * 3, constant_from_density(kind, density))
 
 
@@ -145,21 +144,25 @@ def _beads(density: float, n: int) -> md.System:
     if n_beads == 0:
         raise ValueError(f"a scene of chains needs at least {BEADS} sites, for one chain of {BEADS} beads; it has "
                          f"{width**3}")  # fmt: skip
-    edge, first = cbrt(n_beads / density), np.arange(n_beads - 1)
+    edge = cbrt(n_beads / density)
+    first = np.arange(n_beads - 1)
     first = first[(first + 1) % BEADS != 0]
     # a winding path: each site is the nearest neighbor of the one before
     z, y, x = np.unravel_index(np.arange(width**3), (width,) * 3)
-    y, row = np.where(z % 2 == 0, y, width - 1 - y), np.arange(width**3) // width
+    y = np.where(z % 2 == 0, y, width - 1 - y)
+    row = np.arange(width**3) // width
     path = np.column_stack([np.where(row % 2 == 0, x, width - 1 - x), y, z]).astype(np.float64)
     return _atoms(path[:n_beads] * (edge / width), edge, bonds=np.column_stack([first, first + 1]))
 
 
 def _decane(n: int) -> md.System:
     """About 4 n³ united atoms in all-trans molecules side by side."""
-    rise, amplitude = DECANE_BOND * np.sin(0.5 * DECANE_ANGLE), DECANE_BOND * np.cos(0.5 * DECANE_ANGLE)
+    rise = DECANE_BOND * np.sin(0.5 * DECANE_ANGLE)
+    amplitude = DECANE_BOND * np.cos(0.5 * DECANE_ANGLE)
     height = CARBONS * rise + 0.6  # σ, of a layer of molecules
     layers = max(2, round(cbrt(4 * n**3 / CARBONS / DECANE_DENSITY) / height))
-    rows, apart = round(sqrt(4 * n**3 / CARBONS / layers)), 1.0 / sqrt(DECANE_DENSITY * height)
+    rows = round(sqrt(4 * n**3 / CARBONS / layers))
+    apart = 1.0 / sqrt(DECANE_DENSITY * height)
     corners = np.stack(np.meshgrid(*map(np.arange, (rows, rows, layers)), indexing="ij"), axis=-1).reshape(-1, 1, 3)
     carbon = np.arange(CARBONS)
     molecule = np.column_stack([amplitude * (carbon % 2), 0.0 * carbon, rise * carbon])
@@ -186,7 +189,8 @@ def _dumbbells(n: int) -> md.System:
 def _triangles(n: int) -> md.System:
     """About 4 n³ / 3 triangles, all turned alike, on the fcc lattice; bonds are the two equal sides."""
     centers, edges = _lattice(round(cbrt(n**3 / 3)), 0.3187)  # molecules per σ³: 1.08 g/cm³
-    side, along = np.sin(0.5 * TRIANGLE_ANGLE) * np.eye(3)[1], np.cos(0.5 * TRIANGLE_ANGLE) * np.sqrt([0.5, 0.0, 0.5])
+    side = np.sin(0.5 * TRIANGLE_ANGLE) * np.eye(3)[1]
+    along = np.cos(0.5 * TRIANGLE_ANGLE) * np.sqrt([0.5, 0.0, 0.5])
     positions = (centers[:, None] + np.stack([np.zeros(3), along + side, along - side])).reshape(-1, 3)
     tips = np.arange(0, len(positions), 3)[:, None, None]
     return _atoms(positions, edges, bonds=(tips + np.array([[0, 1], [0, 2]])).reshape(-1, 2))
@@ -302,13 +306,13 @@ def equilibrated(scene: BenchScene) -> BenchScene:
     return scene._replace(system=simulation.system)
 
 
-def wrapped(positions: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
+def wrapped(positions: Array, edges: Array) -> Array:
     """Positions (N, 3) in the cell, less than its edges (3,) also after rounding."""
     inside = positions % edges
     return np.where(inside < edges, inside, 0.0)
 
 
-def pairs_in_range(scene: BenchScene, positions: NDArray[np.float64]) -> int:
+def pairs_in_range(scene: BenchScene, positions: Array) -> int:
     """Number of pairs of atoms within their cutoff on which the pair potential acts: without bonded pairs if it
     excludes them. Pairs two and three bonds apart are counted.
     positions : (N, 3) [σ], of the atoms of the scene at any time. The cell must be wider than twice the cutoff,

@@ -14,7 +14,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 import minimd as md
 from minimd.bench import engines
@@ -25,6 +24,7 @@ from minimd.core.compiled.terminal import tell
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.table import SPLITTINGS
 from minimd.core.structure.errors import ConvergenceError
+from minimd.core.structure.observables import Array
 from minimd.textbook.methods import IMPLICIT
 
 if TYPE_CHECKING:
@@ -87,7 +87,8 @@ class Case(NamedTuple):
 
     def beside(self, error: str = "oscillation") -> list[str]:
         """The time of each peer divided by that of the fastest run of minimd with the same error or a smaller one."""
-        ours, ratios = [p for p in self.points if p.who.startswith("minimd")], dict[str, list[float]]()
+        ours = [p for p in self.points if p.who.startswith("minimd")]
+        ratios = dict[str, list[float]]()
         for peer in self.points:
             most = getattr(peer, error)
             able = [p.seconds for p in ours if getattr(p, error) <= most]
@@ -109,7 +110,8 @@ class Case(NamedTuple):
         best = sorted(others, key=lambda one: (-on_front.count(one), min(p.oscillation for p in curves[one])))
         shown = {}
         for who, method in [*(one for one in curves if one not in others), *best][:MOST_CURVES]:
-            points, is_own = curves[who, method], who.startswith("minimd")
+            points = curves[who, method]
+            is_own = who.startswith("minimd")
             errors = np.array([[getattr(p, error)] for p in points])
             shown[method if is_own else who] = [p.seconds for p in points], errors, is_own
         panel.set(xscale="log", yscale="log", xlabel="seconds", ylabel=f"{error} of the energy")
@@ -186,7 +188,8 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
     names = () if name == "argon-smooth" else PEER_NAMES  # no peer has this potential
     peers = [engines.PEERS[one] for one in names if engines.PEERS[one].is_installed]
     runs = [(SPLITTINGS[one], None) for one in methods] + [(md.VelocityVerlet, peer) for peer in peers]
-    reference, points = _path(scene, SPLITTINGS[REFERENCE], REFERENCE_COST), []
+    reference = _path(scene, SPLITTINGS[REFERENCE], REFERENCE_COST)
+    points = []
     for method, peer in runs:
         for cost in costs:
             steps = OBSERVATIONS * max(1, round(cost * DURATION / method.stages / OBSERVATIONS))
@@ -203,7 +206,7 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
     return Case(name, text, "τ", points)
 
 
-def _path(scene: BenchScene, method: type[Splitting], cost: float) -> NDArray[np.float64]:
+def _path(scene: BenchScene, method: type[Splitting], cost: float) -> Array:
     """Positions (N, 3) after a short time; NaN if the run fails."""
     steps = max(1, round(cost * SHORT / method.stages))
     engine = engines.Minimd(scene._replace(method=method(SHORT / steps)))
@@ -231,7 +234,8 @@ def measured(
                 record, taken = timed(engine.run, steps)
                 energies = record.total_energy
             else:
-                seen, taken = [engine.total_energy()], 0.0
+                seen = [engine.total_energy()]
+                taken = 0.0
                 for _ in range(OBSERVATIONS):
                     taken += timed(engine.run, steps // OBSERVATIONS)[1]
                     seen.append(engine.total_energy())
@@ -244,7 +248,7 @@ def measured(
     return point._replace(seconds=seconds, **errors, distance=distance)
 
 
-def about_line(time: NDArray[np.float64], energies: NDArray[np.float64]) -> dict[str, Any]:
+def about_line(time: Array, energies: Array) -> dict[str, Any]:
     """Oscillation, the standard deviation about the line of regression, and drift, its |slope|;
     infinite if the run failed.  Both (T,)."""
     if not np.isfinite(energies).all():
@@ -262,19 +266,22 @@ def _kepler(_name: str, quick: bool, repeats: int) -> Case:
     """Kepler's ellipse, by every explicit splitting and every symmetric implicit method."""
     from numba import njit
 
-    problem, points = md.integrators.SecondOrder(njit(attraction)), []
+    problem = md.integrators.SecondOrder(njit(attraction))
+    points = []
     for method in (*SPLITTINGS.values(), *(method for method in IMPLICIT.values() if method.is_symmetric)):
         for cost in COSTS_QUICK if quick else COSTS:
             # a tenth of the forces: orbits are slow
             n = PERIODS * max(1, round(cost / method.stages * END / PERIODS / 10))
-            every, point = max(1, n // (20 * PERIODS)), Point("minimd", method.name, method.order, END / n, cost)
+            every = max(1, n // (20 * PERIODS))
+            point = Point("minimd", method.name, method.order, END / n, cost)
             run = partial(md.integrators.run_steps, problem, method(END / n), (Q0, V0), every=every)
             try:
                 runs = [timed(run, n) for _ in range(repeats)]
             except (ConvergenceError, ArithmeticError):
                 points.append(point)
                 continue
-            path, seconds = runs[-1][0], min(taken for _, taken in runs)
+            path = runs[-1][0]
+            seconds = min(taken for _, taken in runs)
             energy = 0.5 * (path.v**2).sum(axis=1) - 1.0 / np.linalg.norm(path.q, axis=1)
             errors = about_line(path.t / END, energy) | {"distance": float(np.linalg.norm(path.q[-1] - Q0))}
             points.append(point._replace(forces=path.nfev / END, seconds=seconds, **errors))

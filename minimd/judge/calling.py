@@ -71,7 +71,8 @@ class Called:
     """
 
     def __init__(self, function: Callable[..., Any], names: Names, example: str) -> None:
-        self.function, self.name = function, getattr(function, "__name__", "function")
+        self.function = function
+        self.name = getattr(function, "__name__", "function")
         try:
             parameters = inspect.signature(function).parameters
         except (TypeError, ValueError):
@@ -94,7 +95,8 @@ def manners(function: Callable[..., Any]) -> Iterator[StudentStep]:
              if name not in one.defaults or (role and (has_force or role != "m"))}  # fmt: skip
     have = {"force" if role in FORCES else "v" if role in VELOCITIES else role for role in known.values()}
     left = iter([place for place in PLACES if place not in have and not ("state" in have and place in ("x", "v"))])
-    names, roles = tuple(known), [role or next(left, "") for role in known.values()]
+    names = tuple(known)
+    roles = [role or next(left, "") for role in known.values()]
     if "dt" not in roles or not ("state" in roles or ("x" in roles and {*VELOCITIES} & {*roles})) or "" in roles:
         unknown = " and ".join(name for name in names if not known[name]) or "none"
         raise TypeError("a step takes positions, velocities, a force function, masses and a time step, as step(x, v, "
@@ -125,12 +127,19 @@ class StudentStep:
     are all the same.  stiffness : of the oscillator inside a step without a force function.
     """
 
-    n_evaluations, stiffness, third = 0, 0.0, np.array([])
+    n_evaluations = 0
+    stiffness = 0.0
+    third = np.array([])
     swapped = in_place = rows_alike = False
 
     def __init__(self, function: Any, roles: dict[str, str], shape: Any, masses: str, answers: str) -> None:
-        self.function, self.names, self.shape, self.masses, self.answers = function, roles, shape, masses, answers
-        self.roles, self.words = [*roles.values()], {*" ".join(roles.values()).split()}
+        self.function = function
+        self.names = roles
+        self.shape = shape
+        self.masses = masses
+        self.answers = answers
+        self.roles = [*roles.values()]
+        self.words = {*" ".join(roles.values()).split()}
         kinds = {"x": TOLD[shape], "m": masses, **dict.fromkeys(FORCES, f"a function: {answers}")}
         told = (f"{name}: {kinds[role]}" if role in kinds else name for name, role in roles.items())
         self.told = f"{getattr(function, '__name__', 'step')}({', '.join(told)})"
@@ -146,7 +155,8 @@ class StudentStep:
 
     def __call__(self, where: TrialProblem, x: Array, v: Array, h: float) -> tuple[Array, Array]:
         """One step.  Raises what the function raises, and ValueError for results that are not x and v."""
-        roles, one = self.roles, float if x.ndim == 0 else np.array
+        roles = self.roles
+        one = float if x.ndim == 0 else np.array
         m: Any = {"(N,)": where.m, "(N, 1)": where.m.reshape(-1, 1), "one number": where.m.flat[0]}[self.masses]
         half = v - 0.5 * h * where.force(x) / where.mass if self.takes("half", "old") else v
         before = x - h * v + 0.5 * h * h * where.force(x) / where.mass if self.takes("before") else x
@@ -256,7 +266,10 @@ class StudentForce(Called):
     after the positions.  takes : their roles.  physical : values of ε, σ and others, by name.
     """
 
-    kind, dimensions, has_energy, changes_input = "forces", 3, False, False
+    kind = "forces"
+    dimensions = 3
+    has_energy = False
+    changes_input = False
     energy_first: bool | None = None
 
     def __init__(self, function: Any, options: dict[str, Any], kind: str | None, positions: Array | None) -> None:
@@ -276,7 +289,8 @@ class StudentForce(Called):
                             "cell= and cutoff=")  # fmt: skip
         given = [*extra, *(name for name in self.defaults if options.get(f"{self.roles[name]} given"))]
         self.values = {name: options.get(self.roles[name], 1.0) for name in given}
-        self.takes, values = {self.roles[name] for name in given}, {**self.defaults, **self.values}
+        self.takes = {self.roles[name] for name in given}
+        values = {**self.defaults, **self.values}
         has_stiffness = "stiffness" in self.roles.values()  # then a rest length is physical, too
         self.physical = {name: float(value) for name, value in values.items() if isinstance(value, (int, float))
                          and value > 0 and not isinstance(value, bool) and (self.roles[name] in PHYSICAL or (
@@ -290,7 +304,8 @@ class StudentForce(Called):
     def _look(self, kinds: list[str], positions: Array | None) -> None:
         """Find the kind, and the place of the energy in the result.  Raises ValueError for functions that cannot be
         called, and results of other shapes."""
-        wrong, is_free = list[str](), kinds[-1] == "forces" and positions is None
+        wrong = list[str]()
+        is_free = kinds[-1] == "forces" and positions is None
         for self.kind, self.dimensions in [*((kind, 3) for kind in kinds), *[("forces", 2)] * is_free]:
             atoms = TRIANGLE[:, : self.dimensions] if positions is None else positions
             trial: Any = {"law": START**2 if self.is_squared else START, "pair": SEPARATE}.get(self.kind, atoms)
@@ -300,7 +315,8 @@ class StudentForce(Called):
                 wrong.append(f"{np.shape(trial)}, and raised {type(error).__name__}: {error}")
             if not wrong[-1]:
                 return
-        call, told = f"{self.name}({', '.join(self.names)})", f"{self.names[0]} of shape {wrong[len(kinds) - 1]}"
+        call = f"{self.name}({', '.join(self.names)})"
+        told = f"{self.names[0]} of shape {wrong[len(kinds) - 1]}"
         advice = f"If {self.name} is written for a fixed number of atoms, pass them: positions=..."
         raise ValueError(f"{call} was called with {told}. {advice}")
 
@@ -347,7 +363,8 @@ class StudentForce(Called):
 
     def _energy_is_first(self) -> bool:
         """Whether the first of two numbers of a law is the energy: the other one is its slope times a power of r."""
-        r, h = np.linspace(0.95, 1.6, 12), 1e-4
+        r = np.linspace(0.95, 1.6, 12)
+        h = 1e-4
         at = np.array([[self.answer(x**2 if self.is_squared else x)[:2] for x in r + e] for e in (-h, 0.0, h)], float)
 
         def off(u: int) -> float:

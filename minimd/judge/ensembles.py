@@ -21,8 +21,14 @@ class Seen:
     the total momentum is kept at zero.  all : frames of all runs.  pressure : [eV/Å³]."""
 
     def __init__(self, scene: Scene, runs: list[Frames], is_still: bool, pressure: float, rate: float) -> None:
-        self.scene, self.runs, self.is_still, self.pressure, self.rate = scene, runs, is_still, pressure, rate
-        self.has, self.all, self.kt = {*scene.has.split()}, joined(runs), runs[0].kt
+        self.scene = scene
+        self.runs = runs
+        self.is_still = is_still
+        self.pressure = pressure
+        self.rate = rate
+        self.has = {*scene.has.split()}
+        self.all = joined(runs)
+        self.kt = runs[0].kt
         self.masses, self.n = self.all.masses, 3 * len(self.all.masses)
         self.shares = 1.0 - is_still * self.masses / self.masses.sum() - scene.rigid  # <p²/m>/kT of a component
         self.n_free = round(3.0 * float(self.shares.sum()))
@@ -30,7 +36,8 @@ class Seen:
         # which are rejected: those of a barostat that acts every few steps are at regular distances
         moved = np.diff(self.all.volumes.reshape(len(runs), -1), axis=1) != 0.0
         gaps = np.concatenate([np.diff(np.flatnonzero(row)) for row in moved])
-        n, has_moves = scene.n_bodies, bool(gaps.size and np.ptp(gaps) > 1)
+        n = scene.n_bodies
+        has_moves = bool(gaps.size and np.ptp(gaps) > 1)
         self.n_volume = n + 1 - (is_still and not has_moves)  # P<V>/kT
         self.excess = self.n_volume - (n - is_still)  # (P<V> − <P_int V>)/kT
         self.heat = float(self.all.kinetic.sum(axis=1).mean()) / self.n_free
@@ -41,11 +48,14 @@ class Seen:
         """The mean of a measure over the runs, and how far it is off beside its error; of several, the worst. The
         spread of runs goes with the mean: where the mean is small by chance, the spread is too small."""
         values = np.array([np.atleast_1d(measure(one, self)) for one in self.runs])
-        means, errors = values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(len(values))
+        means = values.mean(axis=0)
+        errors = values.std(axis=0, ddof=1) / np.sqrt(len(values))
         quantile = stats.t.isf(0.5 * self.rate / len(means), len(values) - 1)
         limits = quantile * errors / np.clip(means, LEAST, 1.0) + spare + self.scene.error
         k = int(np.argmax(np.abs(means - 1.0) / limits))
-        mean, error, limit = float(means[k]), float(errors[k]), float(limits[k])
+        mean = float(means[k])
+        error = float(errors[k])
+        limit = float(limits[k])
         return Measurement(mean, (mean - 1.0) / limit, said(means, self), error, limit)
 
     def acted(self) -> Measurement:
@@ -62,7 +72,8 @@ Said: TypeAlias = Callable[[Array, Seen], str]
 
 def temperature_said(means: Array, seen: Seen) -> str:
     """What a wrong temperature means."""
-    free, ratio = seen.n_free, float(means[0])
+    free = seen.n_free
+    ratio = float(means[0])
     table = {
         0.25: "the noise is half as strong as the friction demands: a momentum needs √(2 γ kT m Δt)",
         0.5: "the noise is too weak by a factor √2, or the friction acts twice per step",
@@ -94,7 +105,8 @@ def masses_said(means: Array, seen: Seen) -> str:
 
 def volume_said(means: Array, seen: Seen) -> str:
     """What a wrong mean volume means."""
-    n, found = seen.scene.n_bodies, float(means[0]) * seen.n_volume
+    n = seen.scene.n_bodies
+    found = float(means[0]) * seen.n_volume
     table = {float(k): f"p(V) goes as V^{k - 1} exp(−PV/kT)" for k in (n - 1, n, n + 1)}
     table |= {2.0 * k: "this is the value of free atoms: is the virial in the pressure?" for k in (n, n + 0.5)}
     table |= {3.0 * k: "the kinetic energy counts twice in the pressure" for k in (n, n + 1 / 3)}
@@ -148,7 +160,8 @@ def of_positions(run: Frames, seen: Seen) -> Array:
 
 def of_pairs(run: Frames, seen: Seen) -> float:
     """1 + the correlation of momenta of different atoms, less that of a body at rest."""
-    u, root = run.p / np.sqrt(seen.heat * seen.kt * seen.masses)[:, None], np.sqrt(seen.masses)
+    u = run.p / np.sqrt(seen.heat * seen.kt * seen.masses)[:, None]
+    root = np.sqrt(seen.masses)
     pairs = (u.sum(axis=1) ** 2).sum(axis=1).mean() - (u**2).sum(axis=(1, 2)).mean()
     at_rest = -3.0 * seen.is_still * (root.sum() ** 2 - seen.masses.sum()) / seen.masses.sum()
     return 1.0 + float(pairs - at_rest) / seen.n
@@ -165,7 +178,8 @@ def of_noise(run: Frames, seen: Seen) -> float:
 
 def of_kinetic(run: Frames, seen: Seen) -> float:
     """The variance of the kinetic energy over that at its mean."""
-    each, mean = run.kinetic.sum(axis=1), seen.heat * seen.n_free
+    each = run.kinetic.sum(axis=1)
+    mean = seen.heat * seen.n_free
     return float(((each - mean) ** 2).mean()) * seen.n_free / (2.0 * mean**2)
 
 

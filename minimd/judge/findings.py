@@ -61,7 +61,8 @@ class Law(NamedTuple):
         """The finding from what was measured."""
         numbers = answer if isinstance(answer, tuple) else (answer, answer)
         passed = None if isnan(numbers[1]) else bool(abs(numbers[1]) < self.bound)
-        words, cause = self.words.format(*numbers), self.cause.format(*numbers)
+        words = self.words.format(*numbers)
+        cause = self.cause.format(*numbers)
         limit = numbers.limit if isinstance(numbers, Measurement) else nan
         return Finding(self.name, passed, words, float(numbers[0]), cause, limit)
 
@@ -112,7 +113,8 @@ class Grade(Displayed):
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
-        failed, n = [finding.name for finding in self.findings if finding.passed is False], len(self.faults)
+        failed = [finding.name for finding in self.findings if finding.passed is False]
+        n = len(self.faults)
         kept = f"laws that do not hold: {', '.join(failed)}" if failed else "all laws that were tested hold"
         found = f"{n} fault{'s' * (n != 1)} found; {kept}" if n else kept
         return "nothing wrong was found" if self.passed else found

@@ -35,13 +35,19 @@ class Probe:
     """
 
     def __init__(self, call: StudentForce, cell: Array | None, cutoff: Any, given: Any, potential: Any) -> None:
-        self.call, self.d, self.cell, self.cutoff, self.potential = call, call.dimensions, cell, cutoff, potential
+        self.call = call
+        self.d = call.dimensions
+        self.cell = cell
+        self.cutoff = cutoff
+        self.potential = potential
         self.lengths: Any = None if cell is None else cell[: self.d]
         self.along, self.units = ALONG[self.d], np.eye(self.d)
         self.start = WHERE[: self.d] * (1.0 if self.lengths is None else 0.3 * self.lengths / self.lengths.max())
         self.f, self.u = (np.vectorize(lambda r, k=k: self.both(float(r))[k], [float]) for k in range(2))
         self.values = np.zeros(0)
-        self.is_over_r, self.remarks, self.name = False, list[str](), ""
+        self.is_over_r = False
+        self.remarks = list[str]()
+        self.name = ""
         self.farthest = FARTHEST if cell is None else min(FARTHEST, 0.4995 * float(cell.min()))
         self.has = {call.kind, "free" if cell is None else "cell", "energy" if call.has_energy else "noenergy"}
         self.has |= {"known"} if potential is not None else set()
@@ -49,7 +55,8 @@ class Probe:
         self.skew = call(SKEW)[0] if call.kind == "pair" else SKEW
         self.x = self.place(PROBE) if call.kind != "forces" else self.cluster() if given is None else given
         self.forces = call(self.x)[0]
-        self.scale, is_many = float(np.abs(self.forces).max()) or 1.0, call.kind == "forces"
+        self.scale = float(np.abs(self.forces).max()) or 1.0
+        is_many = call.kind == "forces"
         self.has |= {"field"} if is_many and self.takes(1) and call(self.place(PROBE)[:1])[0].any() else {"nofield"}
         self.order = np.random.default_rng(2).permutation(len(self.x)) if is_many else 0
         self.turn = np.linalg.qr(np.random.default_rng(4).normal(size=(self.d, self.d)))[0]
@@ -68,14 +75,16 @@ class Probe:
     def cluster(self) -> Array:
         """Atoms near the sites of a cubic lattice, no two closer than σ; in a cell, around one of its corners. No
         pair is near the cutoff, or half the cell along an axis, where forces may jump."""
-        lengths, sides = self.lengths, [5 - self.d] * self.d
+        lengths = self.lengths
+        sides = [5 - self.d] * self.d
         if lengths is not None:
             sides = [*np.clip((lengths / SPACING).astype(int), 1, 6 - self.d)]
         lattice = SPACING * np.array([*product(*map(range, sides))], dtype=float)
         first, second = np.triu_indices(len(lattice), 1)
 
         def margin(x: Array) -> float:
-            apart, half = np.abs(x[first] - x[second]), np.inf
+            apart = np.abs(x[first] - x[second])
+            half = np.inf
             if lengths is not None:
                 apart, half = np.minimum(apart, lengths - apart), float(np.abs(apart - 0.5 * lengths).min())
             return min(half, float(np.abs(np.linalg.norm(apart, axis=1) - (self.cutoff or CUTOFF)).min()))
@@ -86,7 +95,8 @@ class Probe:
 
     def place(self, r: float, along: Array | None = None) -> Any:
         """The argument of the function for two atoms at a distance."""
-        apart, start = r * (self.along if along is None else along), self.start
+        apart = r * (self.along if along is None else along)
+        start = self.start
         distance = r * r if self.call.is_squared else r
         return {"law": distance, "pair": apart, "forces": np.array([start, start + apart])}[self.call.kind]
 
@@ -134,7 +144,9 @@ class Probe:
 
     def without_effect(self) -> tuple[int, int, str]:
         """The physical parameters, such as ε and σ, that have no effect when they are increased."""
-        call, still, own = self.call, list[str](), self.forces
+        call = self.call
+        still = list[str]()
+        own = self.forces
         given = call.values
         for name, value in call.physical.items() if np.isfinite(own).all() and own.any() else ():
             call.values = {**given, name: FACTOR * value}
@@ -156,16 +168,21 @@ class Probe:
     def of_powers(self) -> tuple[float, float, str, Powers | None]:
         """The powers of r; those of Lennard-Jones are needed with the function's ε and σ, or without an energy."""
         units = {self.call.roles[name]: value for name, value in self.call.physical.items()}
-        epsilon, sigma, is_given = units.get("epsilon", 1.0), units.get("sigma", 1.0), {"epsilon", "sigma"} <= {*units}
-        own, fault = self.powers or Powers({}), ""
-        n, c = [*own.terms], [*own.terms.values()]
+        epsilon = units.get("epsilon", 1.0)
+        sigma = units.get("sigma", 1.0)
+        is_given = {"epsilon", "sigma"} <= {*units}
+        own = self.powers or Powers({})
+        fault = ""
+        n = [*own.terms]
+        c = [*own.terms.values()]
         is_alone = is_given or not {"known", "energy"} & self.has
         if n == [1] and is_alone and self.call.kind != "law":
             self.remarks.append("the force of a pair decreases as r^−1. If q²/r² is meant, a factor 1/r is missing: "
                                 "q² r_ij/r³, not q² r_ij/r²")  # fmt: skip
             return np.nan, np.nan, "", self.powers
         if len(n) == 2 and abs(n[0] - 13) <= 2 and abs(n[1] - 7) <= 2:
-            right, s6 = {13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6}, abs(c[0] / c[1]) / 2.0
+            right = {13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6}
+            s6 = abs(c[0] / c[1]) / 2.0
             told = f"48 ε σ¹² r^−13 − 24 ε σ⁶ r^−7 with ε = {epsilon:g}, σ = {sigma:g}"
             self.name = f"Lennard-Jones with ε = {abs(c[1]) / 24.0 / s6:.6g}, σ = {s6 ** (1 / 6):.6g}"
             is_odd = n != [13, 7] or c[0] < 0.0 or c[1] > 0.0 or is_near(s6, 1.0) or is_given
@@ -175,10 +192,13 @@ class Probe:
 
     def cap(self) -> tuple[float, float]:
         """The largest close distance at which the force is not its law, a sum of powers or −du/dr, or is constant."""
-        r, far = np.geomspace(CLOSEST, 1.0, POINTS), self.r > 1.0
-        f, powers = self.f(r), self.powers or powers_of(self.values[far], self.r[far])
+        r = np.geomspace(CLOSEST, 1.0, POINTS)
+        far = self.r > 1.0
+        f = self.f(r)
+        powers = self.powers or powers_of(self.values[far], self.r[far])
         right = powers.at(r) if powers else self.slopes(r) if "energy" in self.has else f
-        is_flat, rest = np.ptp(f[:4]) == 0.0 != np.ptp(f), np.abs(f / right - 1.0)
+        is_flat = np.ptp(f[:4]) == 0.0 != np.ptp(f)
+        rest = np.abs(f / right - 1.0)
         off = r[(rest > CAPPED) | ((f == f[0]) & is_flat)] if np.isfinite(rest).all() else r[:0]
         return float(off.max(initial=0.0)), float(len(off))
 
@@ -190,7 +210,8 @@ class Probe:
     def end(self) -> tuple[float, float, str]:
         """Where the force ends, if it jumps to zero; whether it should end there."""
         found = jumps(self.f, np.linspace(NEAREST, self.farthest, GRID))
-        end, cutoff = next((r for r, _, above in found if above == 0.0), np.inf), self.cutoff or np.inf
+        end = next((r for r, _, above in found if above == 0.0), np.inf)
+        cutoff = self.cutoff or np.inf
         is_odd = self.cutoff is None and end < np.inf and is_near(2.0 * end**2, round(2.0 * end**2))
         is_early = end < 0.999 * cutoff < np.inf or (is_odd and not is_near(100.0 * end, round(100.0 * end)))
         words = "; ".join(f"jumps by {b - a:+.4g} at r = {r:.6g}" for r, a, b in found[:3]) or "continuous"
@@ -205,7 +226,9 @@ class Probe:
     def all_beside(self) -> tuple[float, float, str]:
         """All forces and the energy beside those of minimd."""
         answer = evaluated(np.pad(self.x, ((0, 0), (0, 3 - self.d))), self.potential, self.cell)
-        known, energy, right = answer.forces[:, : self.d], self.call(self.x)[1], float(answer.potential_energy)
+        known = answer.forces[:, : self.d]
+        energy = self.call(self.x)[1]
+        right = float(answer.potential_energy)
         off = float(np.abs(self.forces - known).max() / (np.abs(known).max() or 1.0))
         if "energy" in self.has and off < ROUNDING and not np.isclose(energy, right, rtol=1e-9):
             return off, 1.0, f"the energy is {energy:.8g}, not {right:.8g}"
@@ -214,7 +237,8 @@ class Probe:
 
     def reaction(self) -> tuple[float, float, str]:
         """The sum of all forces, and what is wrong with a pair."""
-        off, (one, two) = float(np.abs(self.forces.sum(axis=0)).max()) / self.scale, np.zeros((2, self.d))
+        off = float(np.abs(self.forces.sum(axis=0)).max()) / self.scale
+        one, two = np.zeros((2, self.d))
         if self.takes(2):
             one, two = self.call(self.place(PROBE))[0]
         sizes = np.linalg.norm([one, two], axis=1)
@@ -228,7 +252,8 @@ class Probe:
         """The forces of all atoms beside −∇U."""
         steps = np.eye(self.x.size).reshape(-1, *self.x.shape) * DELTA
         slopes = -np.array([difference(lambda x: float(self.call(x)[1]), self.x, e) for e in steps]) / DELTA
-        off, c = float(np.abs(self.forces.ravel() - slopes).max()), multiple_of(self.forces.ravel(), slopes, EQUAL)
+        off = float(np.abs(self.forces.ravel() - slopes).max())
+        c = multiple_of(self.forces.ravel(), slopes, EQUAL)
         return off, off / (float(np.abs(slopes).max()) or 1.0), f": they are {c:.6g} (−∇U)" if np.isfinite(c) else ""
 
     def curl(self) -> float:
@@ -239,9 +264,12 @@ class Probe:
 
     def images(self) -> tuple[int, float, str]:
         """Nearest images across each face, in both directions."""
-        bad, middle = list[tuple[int, float]](), 0.5 * self.lengths  # axes, and the part of the force that is there
+        # axes, and the part of the force that is there
+        bad = list[tuple[int, float]]()
+        middle = 0.5 * self.lengths
         for axis, sign in product(range(self.d), (1, -1)):
-            unit, edge = sign * self.units[axis], self.lengths[axis]
+            unit = sign * self.units[axis]
+            edge = self.lengths[axis]
             face = middle + (0.5 * edge - 0.2) * unit
             ends = (middle, middle + PROBE * unit), (face, face + (PROBE - edge) * unit)
             inside, across = (self.call(np.array(pair))[0] for pair in ends)
@@ -249,7 +277,8 @@ class Probe:
                 bad.append((axis, float(np.abs(across).max() / np.abs(inside).max())))
         pair = np.array([-0.5, 0.5])[:, None] * PROBE * self.units[0]  # wrapped positions interact across the origin
         origin, center = (np.abs(self.call(place + pair)[0]).max() for place in (0.0 * middle + 0.1, middle))
-        axes, verb = sorted({axis for axis, _ in bad}), "missing" if any(part < 0.2 for _, part in bad) else "wrong"
+        axes = sorted({axis for axis, _ in bad})
+        verb = "missing" if any(part < 0.2 for _, part in bad) else "wrong"
         where = "along " + ", ".join("xyz"[axis] for axis in axes)
         return len(bad), len(bad) + float(center < 0.2 * origin), first_of(
             (center < 0.2 * origin, f"positions are wrapped into the cell, but differences are not: {CURE}"),
@@ -261,11 +290,15 @@ class Probe:
     def sum_of_pairs(self) -> tuple[float, float, str]:
         """The forces beside the sum, over pairs, of the forces on two atoms alone: other forces are a multiple of it,
         which is a fault, or many-body forces, which may be right."""
-        n, forces, parts = len(self.x), self.forces, np.zeros((len(self.x), *self.x.shape))
+        n = len(self.x)
+        forces = self.forces
+        parts = np.zeros((len(self.x), *self.x.shape))
         for i, j in zip(*np.triu_indices(n, 1), strict=True):
             parts[i, j], parts[j, i] = self.call(self.x[[i, j]])[0]
-        pairs, small = parts.sum(axis=1), SAME * self.scale
-        off, c = float(np.abs(pairs - forces).max()) / self.scale, multiple_of(forces, pairs, SAME)
+        pairs = parts.sum(axis=1)
+        small = SAME * self.scale
+        off = float(np.abs(pairs - forces).max()) / self.scale
+        c = multiple_of(forces, pairs, SAME)
         single = (np.abs(forces[:, None] - parts).max(axis=2) + np.diag(np.full(n, np.inf))).min(axis=1).max()
         fault = first_of(
             (off < SAME, ""),

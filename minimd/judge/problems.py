@@ -7,9 +7,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from minimd.core.structure.observables import Array
+
 STIFFNESS, QUARTIC = 0.25, 0.06  # k and g for N particles
 MASSES = np.array([1.0, 1.7, 0.6, 2.3, 1.2])
 SHAPES: tuple[tuple[int, ...], ...] = ((5, 3), (5, 2), (5,), ())
@@ -86,6 +86,8 @@ class TrialProblem(NamedTuple):
 def problem(shape: tuple[int, ...], seed: int, same_mass: bool, stiffness: float) -> TrialProblem:
     """A random state.  same_mass : the same mass for all particles; it depends on the seed."""
     random = np.random.default_rng(seed)
-    x, v, masses = random.uniform(0.5, 2.5, shape), random.normal(0.0, 0.6, shape), np.roll(MASSES, seed)[:1]
+    x = random.uniform(0.5, 2.5, shape)
+    v = random.normal(0.0, 0.6, shape)
+    masses = np.roll(MASSES, seed)[:1]
     m = masses * np.ones(shape[:1]) if same_mass or not shape else np.roll(MASSES, seed)
     return TrialProblem(np.asarray(x), np.asarray(v), m if shape else m[0] * np.ones(()), stiffness)

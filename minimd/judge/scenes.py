@@ -18,9 +18,9 @@ from ase.calculators.abc import GetPropertiesMixin
 from ase.calculators.lj import LennardJones
 from ase.constraints import FixBondLengths
 from ase.md.verlet import VelocityVerlet
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from minimd.core.structure.observables import Array
+
 Make = Callable[[Atoms, np.random.RandomState], Any]
 
 MASSES = np.repeat([2.0, 8.0, 30.0, 120.0], 2)  # amu, of the atoms of a ring
@@ -49,7 +49,11 @@ class AnharmonicSprings(GetPropertiesMixin):
     draw: Callable[[np.random.RandomState], Atoms]
 
     def __init__(self, first: Any, second: Any, k: Array, q: Array, lengths: Array) -> None:
-        self.first, self.second, self.k, self.q, self.lengths = first, second, k, q, lengths
+        self.first = first
+        self.second = second
+        self.k = k
+        self.q = q
+        self.lengths = lengths
         self.results: dict[str, Any] = {}
 
     def get_property(self, name: str, atoms: Atoms | None = None, allow_calculation: bool = True) -> Any:
@@ -78,7 +82,8 @@ class AnharmonicSprings(GetPropertiesMixin):
 
     def curvature(self, x: Array) -> Array:
         """∇²U of each atom (N,), of a crystal."""
-        r2, found = self.bonds(x)[2], np.zeros(len(x))
+        r2 = self.bonds(x)[2]
+        found = np.zeros(len(x))
         for ends in (self.first, self.second):
             np.add.at(found, ends, 3.0 * self.k + 5.0 * self.q * r2)
         return found
@@ -144,7 +149,8 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
             if rng.random_sample() < np.exp(-(springs.q * springs.bonds(atoms.positions)[2] ** 2).sum() / (4.0 * kt)):
                 break
         atoms.set_cell([100.0] * 3)
-        atoms.pbc, atoms.calc = True, springs
+        atoms.pbc = True
+        atoms.calc = springs
         atoms.set_momenta(momenta(rng, MASSES, kt, is_still))
         return atoms
 
@@ -156,9 +162,12 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
 
 def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
     """Rigid molecules of two atoms, in a chain of bonds as those of the ring."""
-    n, masses = RIGID, np.tile([4.0, 12.0], RIGID)
-    k, first = 3.0 * (OF_MOLECULES / timestep) ** 2, np.arange(1, 2 * n - 1, 2)
-    length, apart = np.sqrt(kt / k), np.array([[5.0, 0.0, 0.0]])
+    n = RIGID
+    masses = np.tile([4.0, 12.0], RIGID)
+    k = 3.0 * (OF_MOLECULES / timestep) ** 2
+    first = np.arange(1, 2 * n - 1, 2)
+    length = np.sqrt(kt / k)
+    apart = np.array([[5.0, 0.0, 0.0]])
     springs = Rigid(first, first + 1, np.full(n - 1, k), np.zeros(n - 1), np.repeat(apart, n - 1, axis=0))
     springs.length = float(length)
 
@@ -189,7 +198,8 @@ def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: i
         8.0 / 3.0 * np.pi * density * np.array([CUTOFF**-9.0 / 3.0 - CUTOFF**-3.0, CUTOFF**-9.0 / 1.5 - CUTOFF**-3.0])
     )
     at_cutoff = 4.0 * (CUTOFF**-12.0 - CUTOFF**-6.0)  # by which ASE's energies of pairs are shifted
-    n, epsilon = 4 * SIDE**3, kt / heat
+    n = 4 * SIDE**3
+    epsilon = kt / heat
     own = energy - tail[0] - 2.0 / 3.0 * np.pi * density * CUTOFF**3 * at_cutoff
     sigma = ((p - 2.0 * density * tail[1]) * epsilon / pressure) ** (1.0 / 3.0) if pressure else 3.0
     calculator = LennardJones(sigma=sigma, epsilon=epsilon, rc=CUTOFF * sigma)
@@ -205,13 +215,16 @@ def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: i
         return atoms
 
     wanted = n * sigma**3 / density if pressure else n * epsilon * own
-    name, has, slowness = f"liquid {state + 1}", "pressed" if pressure else "liquid fixed", 4 if pressure else 1
+    name = f"liquid {state + 1}"
+    has = "pressed" if pressure else "liquid fixed"
+    slowness = 4 if pressure else 1
     return Scene(name, draw, calculator, has, 0.01, wanted=wanted, slowness=slowness)
 
 
 def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
     """Molecules of two atoms, which do not see each other, under pressure: p(V) ∝ Vⁿ exp(−PV/kT), n molecules."""
-    n, masses = MOLECULES, np.tile([4.0, 12.0], MOLECULES)
+    n = MOLECULES
+    masses = np.tile([4.0, 12.0], MOLECULES)
     k = 3.0 * (OF_MOLECULES / timestep) ** 2
     length = STRETCH * np.sqrt(kt / k)
     springs = AnharmonicSprings(
@@ -278,7 +291,9 @@ def joined(runs: Sequence[Frames]) -> Frames:
 def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) -> Frames:
     """One run, of which the second half is seen.  Raises FloatingPointError if numbers are not finite."""
     atoms, dynamics = started(make, scene, seed)
-    seen, ends, start = list[Sequence[Any]](), [ends_of(atoms)], atoms.get_volume()
+    seen = list[Sequence[Any]]()
+    ends = [ends_of(atoms)]
+    start = atoms.get_volume()
     for k in range(steps // every):
         dynamics.run(every)
         if not SMALLEST < (volume := atoms.get_volume()) / start < 1.0 / SMALLEST:

@@ -28,7 +28,9 @@ class Measured:
     """A step and what is measured on it: see Law.measure."""
 
     def __init__(self, step: StudentStep, where: TrialProblem, expected: int) -> None:
-        self.step, self.where, self.expected = step, where, expected
+        self.step = step
+        self.where = where
+        self.expected = expected
         line = [np.ravel(step(where, where.x * (1.0 + 1e-6 * k), where.v, 0.1)[0]) for k in range(12)]
         self.noise = float(np.abs(np.diff(line, n=3, axis=0)).max() / 8.0 / np.abs(where.x).max())
         self.fuzz = max(1.0, self.noise / NOISE)
@@ -45,11 +47,13 @@ class Measured:
 
     def order(self) -> tuple[float, float, str]:
         """The slope, in a logarithmic plot, of the error after a fixed time against the time step."""
-        right, counts = np.array(self.where.flow(DURATION)), np.array(COUNTS)
+        right = np.array(self.where.flow(DURATION))
+        counts = np.array(COUNTS)
         errors = np.array([np.linalg.norm(np.array(self.run(DURATION / n, n)) - right) for n in COUNTS])
         kept = np.flatnonzero(errors > 1e-11)[-3:]
         kept = kept if len(kept) == 3 else np.arange(2)
-        is_finite, logs = np.isfinite(errors).all(), np.log(np.maximum(errors[kept], 1e-300))
+        is_finite = np.isfinite(errors).all()
+        logs = np.log(np.maximum(errors[kept], 1e-300))
         slope = float(-np.polyfit(np.log(counts[kept]), logs, 1)[0]) if is_finite else 0.0
         off = np.inf if slope < ORDER_OFF else max(self.expected - slope, 0.0)  # the error does not decrease with dt
         told = f"{self.expected} expected; error {errors[-1]:.1e} at t = {DURATION:g}, dt = {DURATION / counts[-1]:g}"
@@ -58,7 +62,8 @@ class Measured:
     @cached_property
     def jacobian(self) -> Array:
         """∂(x₁, p₁)/∂(x, p) at Δt = 0.1."""
-        where, start = self.where, np.array([self.where.x, self.where.mass * self.where.v])
+        where = self.where
+        start = np.array([self.where.x, self.where.mass * self.where.v])
 
         def end(y: Array) -> Array:
             x, p = y.reshape(start.shape)
@@ -94,7 +99,8 @@ class Measured:
             energies.append((float(0.5 * np.sum(self.where.mass * v * v)), self.where.at(x)[1]))
             if not abs(sum(energies[-1])) < TOO_LARGE:
                 return np.inf, np.inf, f"grows beyond {TOO_LARGE:g} in {len(energies)} steps of {PACE:g}"
-        series, k = np.sum(energies, axis=1), float(np.mean(energies, axis=0)[0])
+        series = np.sum(energies, axis=1)
+        k = float(np.mean(energies, axis=0)[0])
         slope, start = np.polyfit(times, series / k, 1)
         oscillation = float(np.std(series / k - slope * times - start))
         if oscillation < EXACTLY:
@@ -108,16 +114,19 @@ class Measured:
         stable step."""
         omega = np.sqrt(self.step.stiffness or 1.0)
         where = self.step.problem(1, stiffness=float(omega**2))
-        one, where = np.ones_like(where.x), where._replace(m=np.ones_like(where.m))
+        one = np.ones_like(where.x)
+        where = where._replace(m=np.ones_like(where.m))
 
         def matrix(h: float) -> Array:
             ends = [self.step(where, x * one, v * one, h / omega) for x, v in ((1.0, 0.0), (0.0, omega))]
             return np.array([(np.ravel(x)[0], np.ravel(v)[0] / omega) for x, v in ends]).T
 
-        m, off = matrix(0.5), float(np.linalg.det(matrix(0.5))) - 1.0
+        m = matrix(0.5)
+        off = float(np.linalg.det(matrix(0.5))) - 1.0
         if not abs(off) <= 1e-7:
             return off, np.inf, f"at ω dt = 0.5 the energy changes by the factor {1.0 + off:.4g} in each step"
-        skew, stiffness = (m[1, 1] - m[0, 0]) / m[0, 1], -m[1, 0] / m[0, 1]
+        skew = (m[1, 1] - m[0, 0]) / m[0, 1]
+        stiffness = -m[1, 0] / m[0, 1]
         stable = next((k for k, h in enumerate(LENGTHS) if abs(np.trace(matrix(h))) > 2.0 + 1e-9), len(LENGTHS))
         mixed = f" {skew:+.4g} ω x v" if abs(skew) > 1e-9 else ""
         words = f"at ω dt = 0.5 it conserves v² {stiffness:+.6g} ω² x²{mixed}"
@@ -165,13 +174,16 @@ def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
     """See grade."""
     step = understood(function)
     problems = [step.problem(seed) for seed in range(STATES[step.shape])]
-    where, remarks = problems[0], [words for is_so, words in REMARKS if is_so(step)]
+    where = problems[0]
+    remarks = [words for is_so, words in REMARKS if is_so(step)]
     with np.errstate(all="ignore"):
         if faults := hidden(step, where):
             return Grade(step.told, (Finding("a map of x and v", False, faults[0]),), tuple(faults), "", tuple(remarks))
         one = Measured(step, where, order)
         laws = {finding.name: finding for finding in judged(LAWS, one)}
-        reached, is_right, is_symplectic = laws["order"].value, laws["order"].passed, laws["symplectic"].passed
+        reached = laws["order"].value
+        is_right = laws["order"].passed
+        is_symplectic = laws["symplectic"].passed
         numbers = None if step.takes("before") else numbers_of(step, where)
         method, near = named(numbers) if isinstance(numbers, Numbers) else ("", numbers or "")
         is_low = is_symplectic and order == 1  # and asked for
@@ -182,7 +194,8 @@ def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
             is_open = {"reversible"}
         elif isinstance(numbers, Numbers) and not numbers.substeps and not is_symplectic and not faults:
             if is_right and abs(reached - order) < 0.5 and (order > 2 or method):
-                is_open, remarks = {name for name, law in laws.items() if law.passed is False}, [*remarks, RUNGE_KUTTA]
+                is_open = {name for name, law in laws.items() if law.passed is False}
+                remarks = [*remarks, RUNGE_KUTTA]
             else:
                 faults = [f"{RUNGE_KUTTA}. If it is meant, ask for its order: md.grade(step, order={round(reached)})"]
     laws |= {name: replace(laws[name], passed=None) for name in is_open if name in laws}

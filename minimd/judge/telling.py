@@ -74,7 +74,8 @@ class LawOf:
     """One law of a class of dynamics."""
 
     def __init__(self, name: str, graded: Callable[[], Grade]) -> None:
-        self.name, self._graded = name, graded
+        self.name = name
+        self._graded = graded
 
     def __repr__(self) -> str:
         return self.name

@@ -36,7 +36,8 @@ class Box:
         """Set open bounds, which LAMMPS moves, at a distance from the atoms [length]: a box is thicker than cutoffs."""
         for k in np.flatnonzero(self.open):
             column = self.positions[:, k]
-            self.low[k], self.high[k] = column.min() - length, column.max() + length
+            self.low[k] = column.min() - length
+            self.high[k] = column.max() + length
 
     def turned(self, vectors: Array) -> Array:
         """Vectors (N, 3) of minimd, turned as in LAMMPS."""

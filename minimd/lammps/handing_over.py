@@ -15,7 +15,6 @@ from typing import Any, BinaryIO
 from uuid import uuid4
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.progress import progress_of
@@ -30,6 +29,7 @@ from minimd.core.potentials.term import bound
 from minimd.core.simulation.simulation import Simulation
 from minimd.core.structure.checks import checked_count, checked_flag
 from minimd.core.structure.errors import HandOverError, sentence
+from minimd.core.structure.observables import Array
 from minimd.lammps import script
 from minimd.lammps.box import IMAGES, Box
 from minimd.lammps.model import Model
@@ -39,7 +39,7 @@ from minimd.lammps.verification import LEAST, Verification, compare, in_both
 MAGIC = b"DUMPCUSTOM"
 
 
-def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
+def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, Array]]:
     """For each frame, its step and all columns but the first, (N, C); the first must be the id, which orders the rows.
     A file that does not exist has no frame; one that is cut off or lacks atoms ends the iteration.  Raises ValueError
     for a file that is not such a dump."""
@@ -48,7 +48,7 @@ def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, NDArray[np.float64]]
             yield _frame(file, n_atoms)
 
 
-def _frame(file: BinaryIO, expected: int) -> tuple[int, NDArray[np.float64]]:
+def _frame(file: BinaryIO, expected: int) -> tuple[int, Array]:
     """The next frame.  Raises EOFError if it is cut off, or has another number of atoms."""
 
     def read(kind: str) -> tuple[Any, ...]:
@@ -67,7 +67,8 @@ def _frame(file: BinaryIO, expected: int) -> tuple[int, NDArray[np.float64]]:
     _unit_style, has_time = read(f"{size}sb")
     size = read("di" if has_time else "i")[-1]
     _names_of_columns, n_processes = read(f"{size}si")
-    rows, filled = np.empty((n_atoms, n_columns - 1)), 0
+    rows = np.empty((n_atoms, n_columns - 1))
+    filled = 0
     for _ in range(n_processes):
         (n_numbers,) = read("i")
         part = np.frombuffer(read(f"{8 * n_numbers}s")[0]).reshape(-1, n_columns)
@@ -113,7 +114,9 @@ class HandOver(Displayed):
 
 def not_carried_over(simulation: Simulation) -> list[str]:
     """The promises of minimd that a run by LAMMPS does not keep, one sentence each."""
-    engine, method, extra = simulation.engine, simulation.method, simulation.engine.extra_observables
+    engine = simulation.engine
+    method = simulation.method
+    extra = simulation.engine.extra_observables
     is_fixed_point = engine.interactions.options.precision != "double"
     is_rigid = engine.constraint_set.bonds is not None
     rows = {  # sentence: whether it applies
@@ -161,7 +164,9 @@ def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, process
     frames, the complete frames are kept, and the simulation is in the state of the last one.
     """
     job = _checked(simulation, Path(folder), steps, processes, every, checked_flag("overwrite", overwrite))
-    with_forces, tell, engine = checked_flag("store_forces", store_forces), tell or (lambda line: None), job.engine
+    with_forces = checked_flag("store_forces", store_forces)
+    tell = tell or (lambda line: None)
+    engine = job.engine
     with _in_folder(job), stop_on_signals(job):
         with phase(job, "writing"):
             engine.begin()
@@ -175,7 +180,9 @@ def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, process
         tell(f"verified       {verification}")
         _remove_raw(job)
         (job.folder / script.LOG).unlink()
-        log, failure, first = Log(job.folder / script.LOG), "", job.first_step
+        log = Log(job.folder / script.LOG)
+        failure = ""
+        first = job.first_step
         with phase(job, "running"), progress_of(job.steps, "LAMMPS", progress) as show:
             try:
                 run(job.command(script.RUN), job.folder, script.LOG, job, lambda step: show(step - first))
@@ -241,7 +248,8 @@ def _checked(simulation: Simulation, folder: Path, steps: int, processes: int, e
     if simulation.barostat is not None:
         raise ValueError("a run with a barostat cannot be handed over to LAMMPS, which has other barostats than "
                          "minimd; run it with minimd")  # fmt: skip
-    steps, every = checked_count("steps", steps, limit=MOST_STEPS), checked_count("every", every)
+    steps = checked_count("steps", steps, limit=MOST_STEPS)
+    every = checked_count("every", every)
     processes = checked_count("processes", processes)
     check_extras(simulation.engine)
     script.check_method(simulation.engine)
@@ -258,7 +266,8 @@ def _checked(simulation: Simulation, folder: Path, steps: int, processes: int, e
     parent = folder.absolute().parent
     if not parent.is_dir():
         raise FileNotFoundError(f"folder {str(parent)!r} does not exist; make it first")
-    n_atoms, n_frames = len(simulation.system), 2 + steps // every
+    n_atoms = len(simulation.system)
+    n_frames = 2 + steps // every
     needed = n_atoms * (BYTES_PER_ATOM + BYTES_PER_FRAME * n_frames)
     if needed > (free := shutil.disk_usage(parent).free):
         raise OSError(f"the hand-over needs {needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the "
@@ -270,7 +279,9 @@ def _checked(simulation: Simulation, folder: Path, steps: int, processes: int, e
 @contextmanager
 def _in_folder(job: Job) -> Iterator[None]:
     """Context in which the folder exists; if something fails, it is removed, unless frames are kept in it."""
-    before, old, folder = job.engine.snapshot(), None, job.folder
+    before = job.engine.snapshot()
+    old = None
+    folder = job.folder
     if folder.is_dir() and any(folder.iterdir()):
         folder.rename(old := folder.with_name(f"{folder.name}.before-{uuid4().hex[:8]}"))
     folder.mkdir(exist_ok=True)
@@ -322,23 +333,29 @@ def _brought_back(job: Job, model: Model, log: Log, scale: float, store_forces: 
     Returns the record of the frames, the energy difference (see HandOver), and the number of frames that are missing.
     is_whole : whether LAMMPS has reached its end. If not, the frames that exist are kept if there is one after the
     first."""
-    engine, n_atoms, notes = job.engine, len(job.engine.system), job.engine.notes
-    record, end = Record(engine.system.units, n_atoms, job.folder / TRAJECTORY), job.first_step + job.steps
+    engine = job.engine
+    n_atoms = len(job.engine.system)
+    notes = job.engine.notes
+    record = Record(engine.system.units, n_atoms, job.folder / TRAJECTORY)
+    end = job.first_step + job.steps
     found = (one for one in frames(job.folder / script.FRAMES, n_atoms) if one[0] > job.first_step)
     first = next(found, None)
     job.keeps_frames = first is not None
     if first is None and not is_whole:
         return record, 0.0, 0
-    start, title, differences = engine.reservoir_energy, notes["title"], list[float]()
+    start = engine.reservoir_energy
+    title = notes["title"]
+    differences = list[float]()
     # [energy], of tail corrections, which LAMMPS does not compute
     tail = sum(float(bound(one, engine.system).tail(engine.system)[0]) for one in engine.interactions.potentials)
 
-    def stand(step: int, columns: NDArray[np.float64]) -> None:
+    def stand(step: int, columns: Array) -> None:
         _stand(job, model.box, step, columns)
         engine.reservoir_energy = start - sum(log.rows.get(step, ())[1:])  # a second number if there is a bath
 
     options: dict[str, Any] = {"every": job.every, "n_steps": job.steps, "store_forces": store_forces}
-    notes["title"], n_missing = f"{title or f'{n_atoms} atoms'}, run by LAMMPS {job.program.version}", 0
+    notes["title"] = f"{title or f'{n_atoms} atoms'}, run by LAMMPS {job.program.version}"
+    n_missing = 0
     try:
         with open_trajectories(job.folder / TRAJECTORY, engine, overwrite=False, **options) as writers:
             for step, columns in chain([(job.first_step, None)], [first] if first else [], found):
@@ -362,9 +379,11 @@ def _brought_back(job: Job, model: Model, log: Log, scale: float, store_forces: 
     return record, float(np.max(differences)), n_missing
 
 
-def _stand(job: Job, box: Box, step: int, columns: NDArray[np.float64]) -> None:
+def _stand(job: Job, box: Box, step: int, columns: Array) -> None:
     """Put the engine in the state of LAMMPS at a step."""
-    engine, timestep, velocities = job.engine, job.engine.method.timestep, box.back(columns[:, 3:])
+    engine = job.engine
+    timestep = job.engine.method.timestep
+    velocities = box.back(columns[:, 3:])
     if not np.isfinite(columns).all():
         raise HandOverError(f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step "
                             f"({timestep:g})")  # fmt: skip

@@ -38,11 +38,13 @@ CAN = "fix shake of LAMMPS holds one to three bonds of a middle atom, or triangl
 def rigid_groups(constraints: DistanceConstraints, n_atoms: int) -> tuple[Indices, Array, Indices, Array]:
     """The bonds (B, 2) with lengths (B,) [length], and the angles (A, 3), the middle atom second, with openings (A,)
     [rad], that keep these lengths.  Raises ValueError for molecules that LAMMPS cannot hold."""
-    pairs, lengths = constraints.pairs, np.asarray(constraints.lengths)
+    pairs = constraints.pairs
+    lengths = np.asarray(constraints.lengths)
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n_atoms, n_atoms))
     n_molecules, molecule = connected_components(links, directed=False)
     of_pair = molecule[pairs[:, 0]]
-    n_bonds, n_members = np.bincount(of_pair, minlength=n_molecules), np.bincount(molecule, minlength=n_molecules)
+    n_bonds = np.bincount(of_pair, minlength=n_molecules)
+    n_members = np.bincount(molecule, minlength=n_molecules)
     degree = np.zeros(n_molecules, dtype=np.int64)
     np.maximum.at(degree, molecule, np.bincount(pairs.ravel(), minlength=n_atoms))
     is_star = (n_bonds == n_members - 1) & (degree == n_bonds) & (n_bonds <= MOST_BONDS)
@@ -72,7 +74,8 @@ def _opened(pairs: Indices, lengths: Array, triangles: Indices) -> tuple[Indices
     first, second, third = (triangles[rows, (equal + k) % 3] for k in range(3))
     if (lengths[third] > (1.0 - FLAT) * (lengths[first] + lengths[second])).any():
         raise ValueError(f"{CAN}, but not three atoms in a line: run this scene with minimd")
-    ends, others = pairs[first], pairs[second]
+    ends = pairs[first]
+    others = pairs[second]
     is_shared = (ends[:, :, None] == others[:, None, :]).any(axis=2)  # of the two ends of the first side
     middle = ends[is_shared]
     angles = np.column_stack([ends[~is_shared], middle, others[others != middle[:, None]]])
@@ -106,7 +109,8 @@ class AtomTypes(NamedTuple):
     @classmethod
     def of(cls, engine: Engine) -> "AtomTypes":
         """The types of atoms of an engine.  Raises ValueError for more than MOST_TYPES."""
-        system, fixed = engine.system, np.zeros(len(engine.system), dtype=bool)
+        system = engine.system
+        fixed = np.zeros(len(engine.system), dtype=bool)
         for one in engine.constraints:
             if isinstance(one, FixedAtoms):
                 fixed[one.atoms] = True
@@ -115,7 +119,9 @@ class AtomTypes(NamedTuple):
         if len(rows) > MOST_TYPES:
             raise ValueError("LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs "
                              f"{len(rows)}, but at most {MOST_TYPES} are allowed")  # fmt: skip
-        species, masses, is_fixed = rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
+        species = rows[:, 0].astype(np.int64)
+        masses = np.ascontiguousarray(rows[:, 1])
+        is_fixed = rows[:, 2] != 0.0
         return cls(of_atom.reshape(-1), species, masses, is_fixed)
 
 
@@ -125,8 +131,10 @@ class Groups:
     """
 
     def __init__(self, size: int) -> None:
-        self.size, self.coefficients = size, list[Style]()
-        self.atoms, self.types = np.zeros((0, size), dtype=np.int64), np.zeros(0, dtype=np.int64)
+        self.size = size
+        self.coefficients = list[Style]()
+        self.atoms = np.zeros((0, size), dtype=np.int64)
+        self.types = np.zeros(0, dtype=np.int64)
 
     def add(self, atoms: Indices, parameters: Array, written: Callable[[list[float]], Style]) -> range:
         """Add groups, with a new type for each of the different rows of parameters, and return the new types.
@@ -180,13 +188,18 @@ class Model:
 
     def __init__(self, engine: Engine) -> None:
         system = engine.system
-        self.box, self.types = Box(system), AtomTypes.of(engine)
+        self.box = Box(system)
+        self.types = AtomTypes.of(engine)
         self.joined = {"bond": Groups(2), "angle": Groups(3), "dihedral": Groups(4)}
         self.bonds, self.angles, _ = self.joined.values()
-        self.rigid_bonds, self.rigid_angles = range(0), range(0)
+        self.rigid_bonds = range(0)
+        self.rigid_angles = range(0)
         self._farthest = FAR * float(np.ptp(system.positions, axis=0).max(initial=1.0))
-        self.charges, self.kspace, self.tolerance = system.charges * system.units.coulomb**0.5, list[str](), TOLERANCE
-        self.pair_styles, self.smallest_cutoff = list[PairStyle](), np.inf
+        self.charges = system.charges * system.units.coulomb**0.5
+        self.kspace = list[str]()
+        self.tolerance = TOLERANCE
+        self.pair_styles = list[PairStyle]()
+        self.smallest_cutoff = np.inf
         for one in engine.constraints:
             if isinstance(one, DistanceConstraints):
                 self._hold(one, self.types.is_fixed[self.types.of_atom])
@@ -222,7 +235,8 @@ class Model:
 
     def _pair_style(self, potential: Nonbonded, species_names: tuple) -> PairStyle:
         """The style of a pair potential: Lennard-Jones of LAMMPS if there is one, else its law, written for Lepton."""
-        table, species = potential.table(species_names), self.types.species
+        table = potential.table(species_names)
+        species = self.types.species
         table[:, :, 0] = np.where(table[:, :, 0] < np.inf, np.sqrt(table[:, :, 0]), self._farthest)
         is_own = isinstance(potential.plain_law, LennardJonesLaw) and type(potential.law) in LJ_STYLES
 
@@ -241,14 +255,16 @@ class Model:
         """The style of charges, and in a periodic cell their sum over waves.
         LAMMPS' accuracy is the rms error of forces [energy/length], minimd's is relative to the rms force; in a
         crystal, where forces vanish, to the energy of an atom over the cutoff."""
-        term, common = potential.bind(engine.system), (False, tuple(potential.bonded_scale), [("* *", "")])
+        term = potential.bind(engine.system)
+        common = (False, tuple(potential.bonded_scale), [("* *", "")])
         if term.cutoff == np.inf:
             return PairStyle("coul/cut", self._farthest, *common)
         if term.warning or potential.accuracy < FINEST:
             why = term.warning or f"accuracy must be at least {FINEST:g}, and is {potential.accuracy:g}"
             raise ValueError(f"LAMMPS cannot sum these charges as minimd does: {why}; run this scene with minimd")
         found = evaluate(engine.system, potential)
-        rms, least = np.sqrt((found.forces**2).sum(axis=1).mean()), np.abs(found.energies).mean() / term.cutoff
+        rms = np.sqrt((found.forces**2).sum(axis=1).mean())
+        least = np.abs(found.energies).mean() / term.cutoff
         self.kspace = [f"kspace_style pppm {words(potential.accuracy * max(rms, least))}"]
         self.kspace += [f"pair_modify table {TABLE} tabinner {words(term.cutoff / NEAR)}"]
         self.tolerance, self.smallest_cutoff = MARGIN * potential.accuracy, min(self.smallest_cutoff, term.cutoff)
@@ -285,7 +301,8 @@ class Model:
         linked = [line for word, groups in self.joined.items() for line in groups.commands(word)]
         if not self.pair_styles:
             return [f"pair_style zero {self.cutoff:.17g}", "pair_coeff * *", *linked]
-        several, names = len(self.pair_styles) > 1, [style.name for style in self.pair_styles]
+        several = len(self.pair_styles) > 1
+        names = [style.name for style in self.pair_styles]
         styles = " ".join(f"{style.name} {words(style.cutoff)}" for style in self.pair_styles)
         lines = [f"pair_style {'hybrid/overlay ' if several else ''}{styles}"]
         for k, style in enumerate(self.pair_styles):

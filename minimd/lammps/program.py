@@ -127,7 +127,8 @@ def run(command: list[str], folder: Path, log: str, stop: Stoppable,
         reading.read_on()
     if (code := child.returncode) == 0:
         return reading
-    output, rows = (folder / OUTPUT).read_text(errors="replace"), reading.rows
+    output = (folder / OUTPUT).read_text(errors="replace")
+    rows = reading.rows
     lines = [line for line in (*reading.lines_of_errors, *output.splitlines()) if "ERROR" in line]
     if lines:
         words = lines[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process")
@@ -148,8 +149,11 @@ class Log:
     processes : that LAMMPS uses, 0 until it says so."""
 
     def __init__(self, path: Path) -> None:
-        self._path, self._place, self._rest = path, 0, ""
-        self.columns, self.lines_of_errors = list[str](), list[str]()
+        self._path = path
+        self._place = 0
+        self._rest = ""
+        self.columns = list[str]()
+        self.lines_of_errors = list[str]()
         self.rows: dict[int, list[float]] = {}
         self.dangerous_builds = self.processes = 0
 

@@ -12,6 +12,7 @@ from minimd.core.engine.engine import Engine
 from minimd.core.integrators.rows import Leapfrog, VelocityVerlet
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.thermostats import LangevinBAOAB, StochasticVelocityRescaling
+from minimd.core.structure.observables import Array
 from minimd.lammps.box import Box
 from minimd.lammps.model import Model, words
 from minimd.lammps.verification import Evaluated
@@ -64,9 +65,10 @@ def write(folder: Path, engine: Engine, model: Model, n_steps: int, every: int) 
     write_whole(folder / RUN, run_script(engine, model, n_steps, every))
 
 
-def write_atoms(path: Path, model: Model, box: Box, velocities: NDArray[np.float64]) -> None:
+def write_atoms(path: Path, model: Model, box: Box, velocities: Array) -> None:
     """The data file, with velocities (N, 3); all numbers have all their digits."""
-    types, joined = model.types, [(word, groups, len(groups.atoms)) for word, groups in model.joined.items()]
+    types = model.types
+    joined = [(word, groups, len(groups.atoms)) for word, groups in model.joined.items()]
     sections: list[tuple[str, Iterable[str]]] = [
         ("Masses", (f"{k} {mass:.17g}\n" for k, mass in enumerate(types.masses, start=1))),
         ("Atoms # full", _rows(f"%d 1 %d{4 * ' %.17g'}\n", types.of_atom + 1, model.charges, box.positions)),
@@ -107,7 +109,8 @@ def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
     """The commands of the run: integrator, bath, rigid bonds, output."""
     fixed = " ".join(str(k + 1) for k in np.flatnonzero(model.types.is_fixed))
     moving = "mobile" if fixed else "all"
-    bath, most = _bath(engine, moving), max(1, n_steps // LOOKS)
+    bath = _bath(engine, moving)
+    most = max(1, n_steps // LOOKS)
     # steps between two lines of the log: the largest divisor of every that gives LOOKS lines or more
     look_every = max(k for k in range(1, every + 1) if every % k == 0 and (k <= most or k == 1))
     parts = [f"group fixed type {fixed}", "group mobile subtract all fixed"] if fixed else []
@@ -150,6 +153,6 @@ def _bath(engine: Engine, moving: str) -> list[str]:
     return [*parts, bath, "fix_modify bath temp heat"]
 
 
-def per_atom(columns: NDArray[np.float64], box: Box) -> Evaluated:
+def per_atom(columns: Array, box: Box) -> Evaluated:
     """Energies, forces and virials of the columns of step 0, turned back; LAMMPS' stress is minus the virial."""
     return Evaluated(columns[:, 0], box.back(columns[:, 1:4]), box.tensors_back(-columns[:, 4:]))

@@ -98,13 +98,19 @@ class Evaluated(NamedTuple):
 
 def evaluated(engine: Engine, system: System) -> Evaluated:
     """What minimd computes for single atoms of a system, in double precision, without tail corrections."""
-    n, options = len(system), Options(skin=0.0, threads=engine.interactions.options.threads)
-    energies, each, virials, lengths, n_idle = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 6)), [], 0
+    n = len(system)
+    options = Options(skin=0.0, threads=engine.interactions.options.threads)
+    energies = np.zeros(n)
+    each = np.zeros((n, 3))
+    virials = np.zeros((n, 6))
+    lengths = []
+    n_idle = 0
     for potential in engine.interactions.potentials:
         with quiet():
             alone = Forces(system, potential, options)
         alone.compute(PER_ATOM)
-        own, tail = alone.energies, alone.tail_corrections()
+        own = alone.energies
+        tail = alone.tail_corrections()
         energies += own - tail[0] / n
         each += alone.forces
         virials += alone.virials - np.repeat([tail[1] / (3.0 * n), 0.0], 3)
@@ -123,13 +129,18 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
     If energies are not finite in any size, it is the scene itself.
     shortest : the smallest cutoff [length].  skin : [length].
         Raises NonFiniteError if energies or forces of the scene are not finite."""
-    system, before = engine.system, evaluated(engine, engine.system)
+    system = engine.system
+    before = evaluated(engine, engine.system)
     if not (np.isfinite(before.energies).all() and np.isfinite(before.forces).all()):
         raise NonFiniteError("forces or energies are not finite: "
                              f"{why_not_finite(system, engine.interactions.potentials)}")  # fmt: skip
     shaken = np.random.default_rng(0).uniform(-SHAKEN * skin, SHAKEN * skin, system.positions.shape)
     positions = system.cell.wrapped(system.positions) + shaken
-    here, size, least, fewest, chosen = before, 1.0, 0.0, np.inf, (system, before)
+    here = before
+    size = 1.0
+    least = 0.0
+    fewest = np.inf
+    chosen = (system, before)
     while size * SMALLER >= least and fewest > 0:
         size *= SMALLER
         copy = system.copy()
@@ -137,7 +148,8 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
         copy.cell = Cell.of(size * system.cell.vectors, system.cell.pbc)
         found = evaluated(engine, copy)
         if np.isfinite(found.energies).all() and (n_idle := max(before.n_idle, found.n_idle)) < fewest:
-            fewest, chosen = n_idle, (copy, found)
+            fewest = n_idle
+            chosen = (copy, found)
         before = found
         if fewest > 0 and least == 0.0:
             closest = closest_pair(system)
@@ -147,7 +159,8 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
 
 def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> Verification:
     """Compare the numbers of scene and copy.  Raises HandOverError if those of LAMMPS are missing."""
-    rows, atoms = [], []
+    rows = []
+    atoms = []
     for here, part in zip(ours, (PART, 0.0), strict=True):
         if (there := next(theirs, None)) is None:
             raise HandOverError("LAMMPS has not written step 0; is the disk full?")

@@ -27,7 +27,7 @@ from minimd.core.neighbors.domains import (
 from minimd.core.neighbors.search import Binned, bins_for_sort
 from minimd.core.neighbors.verlet_list import VerletList, partners, raise_not_finite
 from minimd.core.structure.cell import Cell, Images
-from minimd.core.structure.vectors import strained
+from minimd.core.structure.vectors import Array, strained
 
 NO_PARTNERS = np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64)
 ENTRIES_GUESSED = 12  # for each atom, at first
@@ -61,36 +61,51 @@ class ClusterList(VerletList):
         self._excluded = partners(excluded, n_atoms) if len(excluded) else None
         self._slot_of = np.zeros(n_atoms if len(excluded) else 0, dtype=np.int64)
         self._widths = self.skin * np.arange(1, LAYERS + 1) / LAYERS  # by which the layers reach beyond the cutoff
-        self._n_atoms, self._is_fixed, self._pool = n_atoms, is_fixed, pool
-        self._columns_of: tuple[Cell, NDArray[np.float64]] | None = None
+        self._n_atoms = n_atoms
+        self._is_fixed = is_fixed
+        self._pool = pool
+        self._columns_of: tuple[Cell, Array] | None = None
         self._images: Images | None = None
         self._positions = np.zeros((n_atoms, DIMENSIONS))  # where the operations find them
         self._calls, self._program = DirectCalls(), Program(self.operations, lambda: self.version, pool)
         self._n_counted = 0  # builds
-        self._layers, self.lanes = np.zeros(3, dtype=np.int64), lanes_for()
+        self._layers = np.zeros(3, dtype=np.int64)
+        self.lanes = lanes_for()
         self._room: tuple[int, ...] = (0, 0, 0)
-        self._entry_start, self._shifts = np.zeros(1, dtype=np.int64), np.zeros((IMAGES, DIMENSIONS))
+        self._entry_start = np.zeros(1, dtype=np.int64)
+        self._shifts = np.zeros((IMAGES, DIMENSIONS))
         self._memory, sets = Buffers(), np.arange(1 << self.lanes.size)[:, None] >> np.arange(self.lanes.size) & 1
         self._far = self._memory.array("far", np.float64, sets.size)
         self._far[:] = np.where(sets, 0.0, np.inf).ravel()
 
     def operations(self) -> Iterator[Operation]:
         """Atoms to their clusters and ghosts; a new list where it is due; see cluster_build.  Memory must be ready."""
-        n, make_room = self.n_domains, self._make_room
+        n = self.n_domains
+        make_room = self._make_room
         build = [(cluster_build.find_columns, 1, self._refit), (cluster_build.sort_atoms, 1, None)]
         build += [(cluster_build.cut_columns, self.building.n_chunks, None)]
         build += [(cluster_build.find_domains, 1, make_room), (cluster_build.place_ghosts, n, None)]
         build += [(cluster_build.list_rows, n, make_room), (cluster_build.finish_list, 1, None)]
         if self._excluded is not None:
             build += [(cluster_build.number_slots, n, None), (cluster_build.exclude_pairs, n, None)]
-        own, after, refuse = {"is_kept": True}, 1 + len(build), lambda _answer: raise_not_finite(self._positions)
+        own = {"is_kept": True}
+        after = 1 + len(build)
         yield operation(self._calls, cluster_build.place_atoms, self.building, n, **own)
-        yield operation(self._calls, cluster_build.is_valid, self.building, otherwise=after, python=refuse, **own)
+        yield operation(
+            self._calls,
+            cluster_build.is_valid,
+            self.building,
+            otherwise=after,
+            python=lambda _answer: raise_not_finite(self._positions),
+            **own,
+        )
         for k, (kernel, n_chunks, remedy) in enumerate(build, start=2):
-            then, again = 1 if k < after else -k, 3 - k  # in the end to place_atoms; after a remedy to sort_atoms
+            # in the end to place_atoms; after a remedy to sort_atoms
+            then = 1 if k < after else -k
+            again = 3 - k
             yield operation(self._calls, kernel, self.building, n_chunks, then=then, python=remedy, again=again, **own)
 
-    def ready(self, positions: NDArray[np.float64], cell: Cell) -> None:
+    def ready(self, positions: Array, cell: Cell) -> None:
         """See VerletList: memory; without a list of this cell, the operations build one."""
         of = (self._cell, None if self._columns_of is None else self._columns_of[0])
         if not all(one is cell or (one is not None and cell.same_as(one)) for one in of):
@@ -99,9 +114,12 @@ class ClusterList(VerletList):
             self._positions = positions
             self._arrange_building()
 
-    def _take(self, positions: NDArray[np.float64], cell: Cell) -> None:
+    def _take(self, positions: Array, cell: Cell) -> None:
         """Memory for a new list of atoms at these positions."""
-        self._positions, self._cell, self._built_in, self._stretch = positions, cell, cell, 1.0
+        self._positions = positions
+        self._cell = cell
+        self._built_in = cell
+        self._stretch = 1.0
         self._layers[IN_USE] = 0
         if self._images is None:
             self._images = Images.of(cell)
@@ -110,13 +128,13 @@ class ClusterList(VerletList):
         if self.building.positions is not positions:
             self._arrange_building()
 
-    def _region_now(self, cell: Cell) -> NDArray[np.float64]:
+    def _region_now(self, cell: Cell) -> Array:
         return region_of(cell, self._positions, self.cutoff + self.skin)
 
-    def _columns_in(self, cell: Cell, region: NDArray[np.float64]) -> Columns:
+    def _columns_in(self, cell: Cell, region: Array) -> Columns:
         return make_columns(cell, self._n_atoms, self.cutoff + self.skin, self.lanes, region)
 
-    def _lay_columns(self, cell: Cell, region: NDArray[np.float64]) -> None:
+    def _lay_columns(self, cell: Cell, region: Array) -> None:
         """Columns of a region of a cell."""
         of = self._columns_of
         if of is None or not (cell.same_as(of[0]) and np.array_equal(region, of[1])):
@@ -138,12 +156,14 @@ class ClusterList(VerletList):
         """After operations: what they have done to the list."""
         built = int(self._layers[BUILDS]) - self._n_counted
         if built:
-            self.n_builds, self._n_counted = self.n_builds + built, self._n_counted + built
-            self._built_in, self._stretch = self._cell, 1.0
+            self.n_builds = self.n_builds + built
+            self._n_counted = self._n_counted + built
+            self._built_in = self._cell
+            self._stretch = 1.0
         if self._layers[IN_USE] == 0:
             self._cell = None
 
-    def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
+    def update(self, positions: Array, cell: Cell) -> bool:
         """See VerletList."""
         before = self.n_builds
         self.ready(positions, cell)
@@ -153,7 +173,7 @@ class ClusterList(VerletList):
             self.settle()
         return self.n_builds != before
 
-    def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
+    def _build(self, positions: Array, cell: Cell) -> None:
         before = self._positions
         self._take(positions, cell)
         self._program.run()
@@ -161,13 +181,16 @@ class ClusterList(VerletList):
         self._positions = before
         self._arrange_building()
 
-    def _built_at(self) -> NDArray[np.float64]:
-        clusters, n_lanes, n = self.clusters, self.lanes.size, self.n_clusters
-        positions, real = np.empty((self._n_atoms, DIMENSIONS)), np.arange(n_lanes) < clusters.filled[:n, None]
+    def _built_at(self) -> Array:
+        clusters = self.clusters
+        n_lanes = self.lanes.size
+        n = self.n_clusters
+        positions = np.empty((self._n_atoms, DIMENSIONS))
+        real = np.arange(n_lanes) < clusters.filled[:n, None]
         positions[clusters.atom[: n * n_lanes][real.ravel()]] = self._blocks(clusters.origins).transpose(0, 2, 1)[real]
         return positions
 
-    def _blocks(self, flat: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _blocks(self, flat: Array) -> Array:
         """The numbers of the atoms of all clusters, (C, 3, n), a view."""
         return flat.reshape(-1, DIMENSIONS, self.lanes.size)[: self.n_clusters]
 
@@ -181,7 +204,7 @@ class ClusterList(VerletList):
         """Number of their ghosts."""
         return int(self.domains.ghost[-1])
 
-    def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
+    def _strain(self, strain: Array, before: Cell, cell: Cell) -> None:
         if self.clusters.origins is self.clusters.positions:  # from now on they are not the same
             origins = self._memory.array("origins", np.float64, len(self.clusters.positions))
             origins[:] = self.clusters.positions
@@ -205,7 +228,8 @@ class ClusterList(VerletList):
             needs = f"needs {widest} clusters of atoms and images in one part of the cell, and {GHOST_BITS} fit"
             raise ValueError(f"this scene is too large for a cluster list: it {needs}; simulate fewer atoms")
         room = tuple(room if n <= room else with_room(n) for n, room in zip(needed, self._room, strict=True))
-        is_enough, self._room = room == self._room, room
+        is_enough = room == self._room
+        self._room = room
         if len(self._entry_start) != self.n_domains + 1:
             self._make_entries(np.diff(self.domains.cluster) * self.lanes.size * ENTRIES_GUESSED)
         elif is_enough:
@@ -215,7 +239,8 @@ class ClusterList(VerletList):
 
     def _make_entries(self, room: NDArray[np.int64]) -> None:
         """Room for so many entries of each domain."""
-        start, most = np.concatenate([[0], np.cumsum(room)]), np.iinfo(np.int32).max
+        start = np.concatenate([[0], np.cumsum(room)])
+        most = np.iinfo(np.int32).max
         if start[-1] > most:
             cure = "reduce cutoff or skin, or simulate fewer atoms"
             raise ValueError(f"cluster lists hold up to {most} entries, this scene needs {start[-1]}: {cure}")
@@ -224,8 +249,11 @@ class ClusterList(VerletList):
 
     def _arrange(self) -> None:
         """All arrays, with the room that there is now. Atoms are sorted where the entries are written afterwards."""
-        memory, spare, (n_ghosts, n_in_windows, n_forces) = self._memory, self._spare, self._room
-        n_lanes, n_block = self.lanes.size, self.lanes.size * DIMENSIONS
+        memory = self._memory
+        spare = self._spare
+        n_ghosts, n_in_windows, n_forces = self._room
+        n_lanes = self.lanes.size
+        n_block = self.lanes.size * DIMENSIONS
         n_columns = int(self._columns.counts[0] * self._columns.counts[1])  # each may have a cluster that is not full
         n_clusters = (self._n_atoms + n_columns * (n_lanes - 1)) // n_lanes
         heights, boxes = ((np.float64, shape) for shape in ((n_clusters,), (n_clusters, 6)))
@@ -233,14 +261,16 @@ class ClusterList(VerletList):
         ((bottom, top, boxes_now, *for_search),) = memory.overlaid("scratch", search, spare=spare)
         self._coordinates = memory.array("coordinates", np.float64, n_ghosts * n_block, spare=1.0)
         n_entries = max(int(self._entry_start[-1]), n_clusters * n_lanes * ENTRIES_GUESSED) + AHEAD
-        sort, entries = bins_for_sort(self._n_atoms, self._columns.counts), ((np.uint32, (n_entries,)),)
+        sort = bins_for_sort(self._n_atoms, self._columns.counts)
+        entries = ((np.uint32, (n_entries,)),)
         bins, (self._entries,) = memory.overlaid("entries", sort, entries, spare=1.0)
         self._bins = Binned(*bins)
         self.clusters = make_clusters(n_clusters, self._columns, self.lanes, (bottom, top, boxes_now), memory, spare)
         self.ghosts = make_ghosts(n_clusters, n_ghosts, n_in_windows, for_search, memory)
         start = memory.array("row start", np.int32, len(self.clusters.atom), spare=spare)
         stops = memory.array("row stops", np.int32, LAYERS * len(start), spare=spare).reshape(LAYERS, -1)
-        reaches2, limits2 = (self.cutoff + self._widths) ** 2, (0.5 * self._widths) ** 2
+        reaches2 = (self.cutoff + self._widths) ** 2
+        limits2 = (0.5 * self._widths) ** 2
         self.rows = Rows(start, stops, self._entries, reaches2, np.zeros(LAYERS), limits2, self._layers)
         number = np.int64 if self._is_fixed else np.float64
         forces = memory.array("forces", number, n_forces * n_block, in_page=HALF_A_PAGE, spare=1.0)

@@ -92,7 +92,8 @@ def make_domains(columns: Columns, n_atoms: int) -> Domains:
 
 def ghosts_for_search(n_ghosts: int, n_in_windows: int) -> Fields:
     """Those arrays of GhostClusters that are needed for a build only: bottom, top, boxes, lanes, is_used."""
-    heights, boxes = (np.float64, (n_ghosts,)), (np.float32, (SIDES * (n_ghosts + BOXES),))
+    heights = (np.float64, (n_ghosts,))
+    boxes = (np.float32, (SIDES * (n_ghosts + BOXES),))
     return heights, heights, boxes, (np.uint8, (n_ghosts,)), (np.bool_, (n_in_windows + n_ghosts,))
 
 

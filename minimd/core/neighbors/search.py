@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from minimd.core.compiled.kernels import kernel, scalar
 from minimd.core.neighbors.buffers import Fields
 from minimd.core.structure.cell import Cell, minimum_image
+from minimd.core.structure.vectors import Array
 
 ATOMS_PER_BIN = 0.25  # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
 FLATTEST = 1e-9  # of the reach: a thinner scene counts as this thick, so that no width is zero
@@ -23,7 +24,7 @@ class BinGrid(namedtuple("BinGrid", "counts reach origin extent")):
     origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions."""
 
 
-def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> BinGrid:
+def make_grid(cell: Cell, positions: Array, reach: float) -> BinGrid:
     """A grid whose bins are about half the reach wide, wider where there would be many more bins than atoms."""
     fractional = np.einsum("ij,jk->ik", positions, cell.inverse)  # not @: see observables
     origin = np.where(cell.pbc, 0.0, fractional.min(axis=0))
@@ -47,7 +48,8 @@ class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
 
 def bins_for_sort(n_atoms: int, counts: NDArray[np.int64]) -> Fields:
     """Arrays of Binned for so many atoms and bins. Its cells are left out: they are computed again."""
-    each, of_bins = (np.int32, (n_atoms,)), (np.int32, (int(counts.prod()) + 1,))
+    each = (np.int32, (n_atoms,))
+    of_bins = (np.int32, (int(counts.prod()) + 1,))
     return each, each, of_bins, of_bins, (np.float64, (0, 3)), (np.float64, (n_atoms,))
 
 

@@ -52,7 +52,8 @@ class Hessenberg(DifferentialAlgebraic):
         super().__init__(solver)
         asked = [(name, " ".join(("t", *self.names[:n]))) for name, n in self.functions]
         self._functions = [taking(one, names, name) for one, (name, names) in zip(functions, asked, strict=True)]
-        self.f, self.g = self._functions[0], self._functions[-1]
+        self.f = self._functions[0]
+        self.g = self._functions[-1]
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, its algebraic variables solved for.
@@ -100,7 +101,8 @@ class Hessenberg(DifferentialAlgebraic):
         parts = self._begun(start, t)
         last = len(self.chain) - 1
         for k, chained in enumerate(self.chain):
-            i, step = len(parts) - len(self.chain) + k, WIDE if k > 0 else CENTRAL
+            i = len(parts) - len(self.chain) + k
+            step = WIDE if k > 0 else CENTRAL
 
             def violation(x: Array) -> Array:
                 return self.constraint(k, t, *parts[:i], x, *parts[i + 1 :])
@@ -113,7 +115,8 @@ class Hessenberg(DifferentialAlgebraic):
                 when = f"at the start, t = {t:g}, or the index is higher than {self.index}"
                 raise ValueError(f"{self.regular} must have full rank {when}: {what}")
             root = nearest_root(violation, parts[i], step, size=own)
-            move, size = np.abs(root - parts[i]).max(), max(own, np.abs(root).max())
+            move = np.abs(root - parts[i]).max()
+            size = max(own, np.abs(root).max())
             if k < last and move > refused * size:
                 off = violation(parts[i])
                 worst = int(np.argmax(np.abs(off)))
@@ -139,7 +142,9 @@ class Hessenberg(DifferentialAlgebraic):
 
     def _begun(self, start: Any, t: float) -> list[Array]:
         """The parts of a start, with zeros for algebraic variables that are not given; sizes are remembered."""
-        names, is_guess_needed = self.names, self.functions[-1][1] == len(self.names)  # as g depends on it
+        # as g depends on it
+        names = self.names
+        is_guess_needed = self.functions[-1][1] == len(self.names)
         if not isinstance(start, tuple) or not len(names) - (not is_guess_needed) <= len(start) <= len(names):
             last = f"{names[-1]} {'as a guess, because g depends on it' if is_guess_needed else 'may be left out'}"
             raise ValueError(f"the start must be a tuple of {', '.join(names)} ({last}); got {shown(start)}")
@@ -173,7 +178,11 @@ class Hessenberg1(Hessenberg):
     The start is (y, z), with a guess of z.
     """
 
-    index, names, functions, chain, regular = 1, ("y", "z"), (("f", 2), ("g", 2)), ("g",), "g_z"
+    index = 1
+    names = ("y", "z")
+    functions = (("f", 2), ("g", 2))
+    chain = ("g",)
+    regular = "g_z"
 
     def __init__(self, f: Function, g: Function, solver: Newton = Newton()) -> None:
         super().__init__(solver, f, g)
@@ -189,7 +198,10 @@ class Hessenberg2(Hessenberg):
     The start is (y,), or (y, z) with a guess of z.
     """
 
-    index, names, functions, regular = 2, ("y", "z"), (("f", 2), ("g", 1)), "g_y f_z"
+    index = 2
+    names = ("y", "z")
+    functions = (("f", 2), ("g", 1))
+    regular = "g_y f_z"
     chain = ("g", "dg/dt = g_t + g_y f")
 
     def __init__(self, f: Function, g: Function, solver: Newton = Newton()) -> None:
@@ -209,7 +221,10 @@ class Hessenberg3(Hessenberg):
     The start is (y, z), or (y, z, u) with a guess of u.
     """
 
-    index, names, functions, regular = 3, ("y", "z", "u"), (("f", 2), ("k", 3), ("g", 1)), "g_y f_z k_u"
+    index = 3
+    names = ("y", "z", "u")
+    functions = (("f", 2), ("k", 3), ("g", 1))
+    regular = "g_y f_z k_u"
     chain = ("g", "dg/dt = g_t + g_y f", "d²g/dt²")
 
     def __init__(self, f: Function, k: Function, g: Function, solver: Newton = Newton()) -> None:
@@ -219,7 +234,8 @@ class Hessenberg3(Hessenberg):
     def _highest_derivative(self, t: float, *parts: Array) -> Array:
         """y″ = f_t + f_y f + f_z k."""
         y, z, _ = parts
-        rate, z_rate = self.f(t, y, z), self.k(t, *parts)
+        rate = self.f(t, y, z)
+        z_rate = self.k(t, *parts)
         unit = min(unit_of_time(y, rate), unit_of_time(z, z_rate))
         return time_derivative(lambda e: self.f(t + e, y + e * rate, z + e * z_rate), 1, unit)
 
@@ -244,7 +260,10 @@ class Mechanical(Hessenberg):
     this force: for all digits of λ and v′ give the jacobian. The message of a solution says how large the error is.
     """
 
-    index, names, functions, regular = 3, ("q", "v", "λ"), (("q′", 2), ("force", 2), ("g", 1)), "G M⁻¹ Gᵀ"
+    index = 3
+    names = ("q", "v", "λ")
+    functions = (("q′", 2), ("force", 2), ("g", 1))
+    regular = "G M⁻¹ Gᵀ"
     chain = ("g", "dg/dt = G v + g_t", "d²g/dt²")
 
     def __init__(self, mass: ArrayLike | Function, force: Function, g: Function, jacobian: Function | None = None,
@@ -281,11 +300,14 @@ class Mechanical(Hessenberg):
         def momentum(q: Array, v: Array) -> Array:
             return np.dot(self.mass(q), v_slope) - self._pull(t, q, v, multipliers)
 
-        here, jacobian, matrix = momentum(q, v), self.jacobian(t, q), np.zeros((y.size, y.size))
+        here = momentum(q, v)
+        jacobian = self.jacobian(t, q)
+        matrix = np.zeros((y.size, y.size))
         matrix[of_q, of_v] = -np.eye(q.size)
         matrix[of_v, of_q] = forward_differences(lambda x: momentum(x, v), q, here)
         matrix[of_v, of_v] = forward_differences(lambda x: momentum(q, x), v, here)
-        matrix[of_v, of_multipliers], matrix[of_multipliers, of_q] = jacobian.T, jacobian
+        matrix[of_v, of_multipliers] = jacobian.T
+        matrix[of_multipliers, of_q] = jacobian
         return matrix
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
@@ -306,7 +328,8 @@ class Mechanical(Hessenberg):
 
     def mass(self, q: Array) -> Array:
         """M(q), (n, n)."""
-        mass, n = self._mass(q), q.size
+        mass = self._mass(q)
+        n = q.size
         if mass.size not in (1, n, n * n):
             needed = f"one number, {n} or {n} × {n}, as q has {n} elements"
             raise ValueError(f"mass must be {needed}; got {mass.size} numbers")

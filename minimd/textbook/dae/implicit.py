@@ -45,7 +45,8 @@ class Implicit(DifferentialAlgebraic):
     def __init__(self, F: Function, F_y: Function | None = None, F_slope: Function | None = None,
                  solver: Newton = Newton()) -> None:  # fmt: skip
         super().__init__(solver)
-        self._F, self._slope = taking(F, "t y slope", "F"), np.zeros(0)
+        self._F = taking(F, "t y slope", "F")
+        self._slope = np.zeros(0)
         self.given_state_jacobian = None if F_y is None else taking(F_y, "t y slope", "F_y")
         self.given_slope_jacobian = None if F_slope is None else taking(F_slope, "t y slope", "F_slope")
 
@@ -110,7 +111,8 @@ class Implicit(DifferentialAlgebraic):
         """y and y′ with F = 0 and dᵏF/dtᵏ = 0 for k below the number of derivatives in the jet (y′, y″, …).
         mobility : (n,) how easily variables move, 0 for fixed ones.  unit : of time.  size : of the largest variable.
         """
-        order, scales = len(jet), unit ** np.arange(1, len(jet) + 1)
+        order = len(jet)
+        scales = unit ** np.arange(1, len(jet) + 1)
         is_free = mobility > 0.0
 
         def taken(x: Array) -> tuple[Array, Array]:
@@ -132,7 +134,8 @@ class Implicit(DifferentialAlgebraic):
         guess = np.concatenate([y[is_free] / mobility[is_free], *known])
         step, dependent = (CENTRAL, RANK) if order == 1 else (WIDE, NOISY_RANK)
         x = nearest_root(array, guess, step, dependent, size)
-        left, terms = array(x), np.abs(central_differences(array, x, step, size))
+        left = array(x)
+        terms = np.abs(central_differences(array, x, step, size))
         allowed = SOLVED * (terms @ np.abs(x)) + NEGLIGIBLE * terms.max(axis=1) * max(np.abs(x).max(), size)
         k = int(np.argmax(np.abs(left) - allowed))
         if not abs(left[k]) <= allowed[k]:
@@ -155,7 +158,8 @@ def _taylor(coefficients: list[Array], e: float) -> Array:
 def _levels(of_slope: Array, of_state: Array) -> Array:
     """(n,) powers of 1/h by which errors of equations are amplified in each variable, 0, 1 or 2: from (F_y′/h + F_y)⁻¹
     at two small h."""
-    m, a = of_slope / (np.abs(of_slope).max() or 1.0), of_state / (np.abs(of_state).max() or 1.0)
+    m = of_slope / (np.abs(of_slope).max() or 1.0)
+    a = of_state / (np.abs(of_state).max() or 1.0)
     long, short = (np.abs(np.linalg.inv(m / h + a)).max(axis=1) for h in (1e-3, 1e-4))
     return np.clip(np.round(np.log10(short / long)), 0, HIGHEST_INDEX - 1).astype(int)
 
@@ -185,9 +189,11 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
         raise ValueError(f"M and A must be square matrices of the same size; got shapes {m.shape} and {a.shape}")
     if not (np.isfinite(m).all() and np.isfinite(a).all()):
         raise ValueError("M and A must be finite")
-    n, index = len(m), 0
+    n = len(m)
+    index = 0
     # in a unit of time of its own, on which the index does not depend
-    m, a = m / (np.abs(m).max() or 1.0), a / (np.abs(a).max() or 1.0)
+    m = m / (np.abs(m).max() or 1.0)
+    a = a / (np.abs(a).max() or 1.0)
     while True:
         left, sizes, _ = np.linalg.svd(m)
         rank = int((sizes > tolerance * max(sizes[0], np.abs(a).max())).sum())
@@ -203,4 +209,6 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
         m = np.vstack([left[:, :rank].T @ m, constraints])
         a = np.vstack([left[:, :rank].T @ a, np.zeros_like(constraints)])
         sizes = np.linalg.norm(m, axis=1)
-        m, a, index = m / sizes[:, None], a / sizes[:, None], index + 1
+        m = m / sizes[:, None]
+        a = a / sizes[:, None]
+        index = index + 1

@@ -53,7 +53,9 @@ class Holonomic(SecondOrder):
         super().__init__(f, solver=solver)
         if "v" in self.f.takes:
             raise ValueError("a constrained step needs forces that do not depend on v; f takes v")
-        self._g, self._jacobian, self._masses = g, jacobian, np.asarray(masses, dtype=float)
+        self._g = g
+        self._jacobian = jacobian
+        self._masses = np.asarray(masses, dtype=float)
 
     def violation(self, q: Array) -> Array:
         """g(q), (m,), for q of length n."""
@@ -81,7 +83,8 @@ class Holonomic(SecondOrder):
         off = float(np.abs(self.violation(q)).max())
         q1 = projected(self, q, q) if off > 0.0 else q
         v1 = tangent(self, q1, v)
-        moved, turned = np.abs(q1 - q).max(), np.abs(v1 - v).max()
+        moved = np.abs(q1 - q).max()
+        turned = np.abs(v1 - v).max()
         if moved > KEPT * np.abs(q).max() or turned > KEPT * max(np.abs(v).max(), np.finfo(float).tiny):
             moves = f"q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}"
             warn(f"the start was projected onto the constraints: {moves}")
@@ -91,7 +94,8 @@ class Holonomic(SecondOrder):
     def drift(self, t: float, q: Array, v: Array, duration: float, iteration: Iteration) -> None:
         """A constrained drift, in place."""
         new = projected(self, q, q + duration * v, iteration)
-        v[:], q[:] = (new - q) / duration, new
+        v[:] = (new - q) / duration
+        q[:] = new
 
     def settle(self, q: Array, v: Array) -> None:
         """The projection of velocities, in place."""
@@ -106,7 +110,8 @@ class Holonomic(SecondOrder):
     def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
         """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
         q, v = np.asarray(q, dtype=float).reshape(-1), np.asarray(v, dtype=float).reshape(-1)
-        gradient, unit = self.jacobian(q), unit_of_time(q, v)
+        gradient = self.jacobian(q)
+        unit = unit_of_time(q, v)
         turning = time_derivative(lambda e: self.jacobian(q + e * v) @ v, 1, unit)
         force = self.f(t, q.reshape(self.shape), v.reshape(self.shape))
         return np.asarray(np.linalg.solve(gradient @ self.directions(gradient), gradient @ force + turning))
@@ -117,7 +122,8 @@ def projected(problem: Holonomic, q0: Array, q: Array, iteration: Iteration | No
     directions = problem.directions(problem.jacobian(q0))
     residual = lambda x: problem.violation(q + directions @ x)  # noqa: E731
     jacobian = lambda x: problem.jacobian(q + directions @ x) @ directions  # noqa: E731
-    solve, scale = (iteration or problem.solver.iteration()).solve, np.abs(q).max() / np.abs(directions).max()
+    solve = (iteration or problem.solver.iteration()).solve
+    scale = np.abs(q).max() / np.abs(directions).max()
     return q + directions @ solve(residual, np.zeros(directions.shape[1]), jacobian, scale=scale)
 
 

@@ -70,9 +70,11 @@ class Manifold:
     """{y : g(y) = value}. value : (m,).  Arguments and errors : see Invariants.through."""
 
     def __init__(self, invariants: Invariants, y: Array, shape: Shape) -> None:
-        answer, given = invariants.g(y, shape), invariants.jacobian
+        answer = invariants.g(y, shape)
+        given = invariants.jacobian
         self.value = answer if invariants.value is None else invariants.value
-        self._invariants, self._shape = invariants, shape
+        self._invariants = invariants
+        self._shape = shape
         if answer.size != self.value.size:
             sizes = f"g has {answer.size}, value has {self.value.size}"
             raise ValueError(f"value must have one number per invariant; {sizes}")
@@ -122,7 +124,10 @@ class Corrected(Problem):
 
     def keep(self, problem: Any, correction: Map, begun: Begun) -> None:
         """What is corrected."""
-        self._problem, self._correction, self._begun, self.shape = problem, correction, begun, problem.shape
+        self._problem = problem
+        self._correction = correction
+        self._begun = begun
+        self.shape = problem.shape
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state."""
@@ -256,7 +261,8 @@ class ManifoldStep:
     is_symmetric = True  # whether it keeps the symmetry of the method
 
     def __init__(self, problem: Problem, method: type[Method], invariants: Invariants) -> None:
-        self._shape, self._invariants = problem.shape, invariants
+        self._shape = problem.shape
+        self._invariants = invariants
         self._manifold: Manifold | None = None  # known with the first state
         self._step: Step = method.on(problem)
 
@@ -331,7 +337,8 @@ class IndexTwo(Hessenberg2):
     def __init__(self, problem: Problem, invariants: Invariants) -> None:
         super().__init__(lambda t, y, z: problem.field(t, y) - self._manifold.jacobian(y).T @ z,
                          lambda y: self._manifold.defect(y), problem.solver)  # fmt: skip
-        self._problem, self._invariants = problem, invariants
+        self._problem = problem
+        self._invariants = invariants
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start of the problem itself, (q, v) or y, as a state.
@@ -370,7 +377,8 @@ def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Arra
     # rounding errors of the invariants are EPS times |g₀|, or Σ |G y|, whose terms may cancel in g
     scale = np.maximum(np.abs(manifold.value), np.abs(manifold.jacobian(y)) @ np.abs(y)) + np.finfo(float).tiny
     defect = manifold.defect(y)
-    least, n_stalls = float(np.max(np.abs(defect) / scale)), 0
+    least = float(np.max(np.abs(defect) / scale))
+    n_stalls = 0
     matrix = slope() if least > EPS else np.eye(z.size)
     for _ in range(MAX_CORRECTIONS):
         if least <= EPS or n_stalls > 1 or not np.isfinite(defect).all() or not np.linalg.det(matrix):

@@ -43,7 +43,9 @@ class BDFStep:
     """One step, which must continue from the state that the last one returned."""
 
     def __init__(self, problem: Problem, k: int) -> None:
-        self._k, self._problem, self._equations = k, problem, StageEquations(problem)
+        self._k = k
+        self._problem = problem
+        self._equations = StageEquations(problem)
         self._start = StageStep(problem, radau_iia(k))
         self._states: deque[Array] = deque(maxlen=k)  # the newest first
         self._steps: deque[float] = deque(maxlen=k - 1)  # lengths of the steps between them

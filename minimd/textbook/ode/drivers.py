@@ -122,8 +122,12 @@ class Path:
             raise TypeError(f"problem must be a differential equation, such as SecondOrder(f); got {shown(problem)}")
         self.problem: Any = problem
         self._every = checked_count("every", every)
-        self.times, self.states, self.n_rejected, self.stopped = [t0], [problem.begin(start, t0)], 0, ""
-        self.counts, self.densities = list[Any](), dict[float, float]()
+        self.times = [t0]
+        self.states = [problem.begin(start, t0)]
+        self.n_rejected = 0
+        self.stopped = ""
+        self.counts = list[Any]()
+        self.densities = dict[float, float]()
 
     def step(self, method: type[Method]) -> Any:
         """The step of a method, whose evaluations are counted."""
@@ -133,7 +137,10 @@ class Path:
     def through(self, states: States, timestep: float | None = None) -> Any:
         """The solution with these states, each the next one.
         Raises ConvergenceError or NonFiniteError if a step cannot be made; error.solution is the path before."""
-        kept_times, kept_states, every, n = self.times, self.states, self._every, 0
+        kept_times = self.times
+        kept_states = self.states
+        every = self._every
+        n = 0
         try:
             for t, y in states:
                 if n % every != 0:  # the last one is kept only if its number is a multiple of every
@@ -150,7 +157,8 @@ class Path:
     def solution(self) -> Solution:
         """Of the states so far."""
         reached = f"{REACHED}; {self.problem.remark}" if self.problem.remark else REACHED
-        nfev, message = sum(getattr(one, "nfev", 0) for one in self.counts), self.stopped or reached
+        nfev = sum(getattr(one, "nfev", 0) for one in self.counts)
+        message = self.stopped or reached
         t = np.array(self.times)
         found = Solution(t, np.array(self.states), nfev, self.problem.shape, not self.stopped, message, self.n_rejected)
         if not self.densities:
@@ -204,7 +212,8 @@ def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: fl
 def _fixed(path: Path, method: Method, lengths: Iterable[float], t_end: float | None = None) -> Solution:
     """Steps of these lengths.  The states are looked at once they are all there; those before the first that is not
     finite are the solution of the NonFiniteError."""
-    h, step = method.timestep, path.step(type(method))
+    h = method.timestep
+    step = path.step(type(method))
 
     def states() -> States:
         [t0], [y] = path.times, path.states
@@ -281,7 +290,8 @@ class StepControl:
 
     def first(self, slope: Array, y: Array, span: float, shortest: float) -> float:
         """The first step: first_step, or a hundredth of the time in which the state changes by its own size."""
-        size, rate = self._norm(y, np.abs(y)), self._norm(slope, np.abs(y))
+        size = self._norm(y, np.abs(y))
+        rate = self._norm(slope, np.abs(y))
         guess = min(span, 0.01 * size / rate if size > 0.0 < rate < np.inf else 1e-3 * span)
         return self.clipped(self.first_step or max(guess, shortest))
 
@@ -337,23 +347,30 @@ def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: floa
 def _adaptive(path: Path, method: type[Method], t_end: float, control: StepControl) -> States:
     """The accepted states, each after two steps of h/2."""
     problem, order, n, [t], [y] = path.problem, method.order_on(path.problem), 0, path.times, path.states
-    coarse, fine = path.step(method), path.step(method)  # each remembers its own last state
-    direction, span = copysign(1.0, t_end - t), abs(t_end - t)
+    # each remembers its own last state
+    coarse = path.step(method)
+    fine = path.step(method)
+    direction = copysign(1.0, t_end - t)
+    span = abs(t_end - t)
     h = control.first(problem.field(t, y), y, span, control.shortest(t, span))
     while (rest := abs(t_end - t)) > 0.0:
-        is_last, h = h >= rest * (1.0 - LEFTOVER), min(h, rest)
+        is_last = h >= rest * (1.0 - LEFTOVER)
+        h = min(h, rest)
         signed = direction * h
         try:
             one = coarse(t, y, signed)
             two = fine(t + 0.5 * signed, fine(t, y, 0.5 * signed), 0.5 * signed)
         except ConvergenceError as reason:
-            error, why = np.inf, str(reason)
+            error = np.inf
+            why = str(reason)
         else:
             weights = problem.error_weights(signed) if isinstance(problem, DifferentialAlgebraic) else 1.0
             error = control.excess(weights * (two - one) / (2.0**order - 1.0), y, two)
             why = f"its error is {error:.1e} times what is allowed"
         if error <= 1.0:
-            t, y, n = t_end if is_last else t + signed, two, n + 1
+            t = t_end if is_last else t + signed
+            y = two
+            n = n + 1
             yield t, y
         elif h <= control.shortest(t, span):
             limit = f"shorter ones are not allowed (min_step = {control.min_step:g})"
@@ -434,9 +451,12 @@ def _reversible(path: Path, method: Method, t_end: float, control: DensityContro
         rho += 0.5 * change
         if not rho > 0.0 or t + epsilon / rho == t:
             raise ConvergenceError(f"the density of steps {'fell' if rho <= 0.0 else 'grew'} to {rho:.1e}")
-        h, rest = epsilon / rho, t_end - t
+        h = epsilon / rho
+        rest = t_end - t
         is_last = abs(h) >= abs(rest) - LEFTOVER * max(abs(t), abs(t_end))
-        y, t, n = step(t, y, rest if is_last else h), t_end if is_last else t + h, n + 1
+        y = step(t, y, rest if is_last else h)
+        t = t_end if is_last else t + h
+        n = n + 1
         if not np.isfinite(y).all():
             raise NonFiniteError("the state is no longer finite")
         change = epsilon * float(rate(t, *problem.halves(y)))
@@ -451,7 +471,9 @@ class _Fall:
     """G = ¾ d ln |f(t, q)|/dt along v, by a central difference: exactly odd in v, and independent of units."""
 
     def __init__(self, problem: Partitioned, timestep: float) -> None:
-        self.problem, self.timestep, self.nfev = problem, timestep, 0
+        self.problem = problem
+        self.timestep = timestep
+        self.nfev = 0
 
     def __call__(self, t: float, q: Array, v: Array) -> float:
         speed = float(np.linalg.norm(v))
@@ -503,7 +525,8 @@ def _stormer(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_s
              advance: Callable[..., None]) -> Solution:  # fmt: skip
     """The path without the position after the end, which is needed for the last velocity only.
     advance : finds q_{n+1} and the increments from q_{n−1}, q_n and Δt² f(q_n)."""
-    q0, v0 = np.asarray(q0, dtype=float), np.asarray(v0, dtype=float)
+    q0 = np.asarray(q0, dtype=float)
+    v0 = np.asarray(v0, dtype=float)
     checked_number("timestep", timestep, "finite and not zero")
     checked_count("n_steps", n_steps)
     a0 = np.asarray(f(q0), dtype=float)
@@ -511,7 +534,9 @@ def _stormer(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_s
         raise ValueError(f"q0, v0 and f(q0) must have the same shape; got {q0.shape}, {v0.shape} and {a0.shape}")
     q, increments, v = (np.empty((n_steps + n, *q0.shape)) for n in (2, 1, 1))
     increments[0] = timestep * v0 + 0.5 * timestep**2 * a0
-    q[0], q[1], v[0] = q0, q0 + increments[0], v0
+    q[0] = q0
+    q[1] = q0 + increments[0]
+    v[0] = v0
     for n in range(1, n_steps + 1):
         advance(q, increments, n, timestep**2 * np.asarray(f(q[n])))
     v[1:] = (increments[1:] + increments[:-1]) / (2.0 * timestep)

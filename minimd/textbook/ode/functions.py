@@ -138,7 +138,8 @@ def _differences(function: Map, x: Array, steps: Array, at_x: Array | None = Non
     """Those between x + step and x − step, or x itself if the value there is given."""
     columns = []
     for k, step in enumerate(steps):
-        ahead, behind = x.copy(), x.copy()
+        ahead = x.copy()
+        behind = x.copy()
         ahead[k] += step
         behind[k] -= step if at_x is None else 0.0
         columns.append((function(ahead) - (function(behind) if at_x is None else at_x)) / (ahead[k] - behind[k]))
@@ -150,7 +151,8 @@ def accurate_differences(function: Map, x: Array, narrowed: float = 1.0) -> Arra
     six evaluations of it for a variable.
     Spacings are up to 1/256 of a variable, and are narrowed while the formulas of order 6 and 4 differ, or the function
     has no value there.  narrowed : factor of all spacings.  The result is NaN where no spacing gives one."""
-    here, sizes = function(x), np.maximum(np.abs(x), LEAST_WIDE * (np.abs(x).max() or 1.0))
+    here = function(x)
+    sizes = np.maximum(np.abs(x), LEAST_WIDE * (np.abs(x).max() or 1.0))
     units = narrowed * np.exp2(np.floor(np.log2(sizes)))
 
     def along_each(e: float) -> Array:
@@ -166,7 +168,8 @@ def derivative(function: Map, given: Map | None, x: Array) -> Array:
 
 def error_of_differences(function: Map, x: Array) -> float:
     """Relative error of accurate_differences, estimated from those with half the spacing."""
-    wide, narrow = accurate_differences(function, x), accurate_differences(function, x, 0.5)
+    wide = accurate_differences(function, x)
+    narrow = accurate_differences(function, x, 0.5)
     return float(np.abs(wide - narrow).max() / (np.abs(wide).max() or 1.0))
 
 
@@ -193,7 +196,9 @@ def time_derivative(path: Path, order: int, unit: float) -> Array:
 def _derivative(path: Path, here: Array, order: int, spacings: list[float], enough: float = 0.0) -> Array:
     """A derivative at 0, each element from the spacing with its least estimated error: |order 6 − order 4| + rounding.
     here : path(0).  spacings : widest first.  enough : relative error with which an element is settled."""
-    best, least, largest = np.full(here.shape, np.nan), np.full(here.shape, np.inf), np.zeros(here.shape)
+    best = np.full(here.shape, np.nan)
+    least = np.full(here.shape, np.inf)
+    largest = np.zeros(here.shape)
     for spacing in spacings:
         try:
             with np.errstate(all="ignore"):
@@ -205,7 +210,8 @@ def _derivative(path: Path, here: Array, order: int, spacings: list[float], enou
         largest = np.fmax(largest, changes)
         error = np.abs(sixth - fourth) + NOISE * largest / spacing**order
         better = error < least
-        best[better], least[better] = sixth[better], error[better]
+        best[better] = sixth[better]
+        least[better] = error[better]
         is_noise = (error > GROWN * least) & (np.abs(sixth - best) < NEAR * np.abs(best))
         least[is_noise | (error <= enough * changes / spacing**order)] = 0.0
         if not least.any():

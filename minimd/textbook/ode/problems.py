@@ -104,7 +104,8 @@ class Partitioned(Problem):
 
     def __init__(self, g: Function, f: Function, g_q: Function | None = None, f_v: Function | None = None,
                  solver: Newton = Newton()) -> None:  # fmt: skip
-        self.g, self.f = VectorField(g, "v", "g"), VectorField(f, "q", "f")
+        self.g = VectorField(g, "v", "g")
+        self.f = VectorField(f, "q", "f")
         self.g_q = g_q if g_q is None else VectorField(g_q, "t q v", "g_q")
         self.f_v = f_v if f_v is None else VectorField(f_v, "t q v", "f_v")
         self.solver = checked_solver(solver)
@@ -234,13 +235,16 @@ class SequenceStep:
     """Kicks and drifts in turn; the force at the end of a step is that at the start of the next."""
 
     def __init__(self, problem: Partitioned, substeps: Substeps) -> None:
-        self.nfev, self._problem, self._iteration = 0, problem, problem.solver.iteration()
+        self.nfev = 0
+        self._problem = problem
+        self._iteration = problem.solver.iteration()
         self._substeps = [(isinstance(substep, Kick), substep.coefficient) for substep in substeps]
         self._known: tuple[Array | None, Array | None] = None, None
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
-        problem, n = self._problem, y.size // 2
+        problem = self._problem
+        n = y.size // 2
         force = self._known[1] if self._known[0] is y else None
         y = y.copy()
         q, v = y[:n], y[n:]
@@ -269,7 +273,9 @@ class EulerStep:
     """Symplectic Euler methods in turn; each implicit equation is solved to rounding, from its explicit guess."""
 
     def __init__(self, problem: Partitioned, substeps: Substeps) -> None:
-        self.nfev, self._problem, self._factors = 0, problem, list[tuple[type[Substep], float, Iteration]]()
+        self.nfev = 0
+        self._problem = problem
+        self._factors = list[tuple[type[Substep], float, Iteration]]()
         rest = 0.0
         for substep in substeps:  # kick-first and drift-first in turn, each with the rest of its neighbor
             rest = substep.coefficient - rest
@@ -280,7 +286,8 @@ class EulerStep:
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
-        problem, n = self._problem, y.size // 2
+        problem = self._problem
+        n = y.size // 2
         q, v = y[:n].copy(), y[n:].copy()
         for kind, weight, iteration in self._factors:
             duration = weight * h
@@ -295,7 +302,8 @@ class EulerStep:
         return np.concatenate([q, v])
 
     def _value(self, field: VectorField, t: float, q: Array, v: Array) -> Array:
-        self.nfev, shape = self.nfev + (field is self._problem.f), self._problem.shape
+        self.nfev = self.nfev + (field is self._problem.f)
+        shape = self._problem.shape
         return field(t, q.reshape(shape), v.reshape(shape))
 
     def _solved(self, field: VectorField, jacobian: VectorField | None, x0: Array, place: Place, duration: float,

@@ -75,7 +75,8 @@ class Tableau:
     @property
     def stage_order(self) -> int:
         """Largest η for which C(η) holds, see order: the order of the stages."""
-        c, k = self.nodes[:, None], np.arange(1, HIGHEST_ORDER + 1)
+        c = self.nodes[:, None]
+        k = np.arange(1, HIGHEST_ORDER + 1)
         return _first_failure(self.beta @ c ** (k - 1) - c**k / k)
 
     @property
@@ -84,9 +85,12 @@ class Tableau:
         1964): a lower bound of the order.
 
         B(p): Σ w_i c_iᵏ⁻¹ = 1/k;  C(η): Σ_j β_ij c_jᵏ⁻¹ = c_iᵏ/k;  D(ζ): Σ_i w_i c_iᵏ⁻¹ β_ij = w_j (1 − c_jᵏ)/k."""
-        w, c, k = self.weights, self.nodes, np.arange(1, HIGHEST_ORDER + 1)
+        w = self.weights
+        c = self.nodes
+        k = np.arange(1, HIGHEST_ORDER + 1)
         powers = c[:, None] ** (k - 1)
-        b, eta = _first_failure(w @ powers - 1.0 / k), self.stage_order
+        b = _first_failure(w @ powers - 1.0 / k)
+        eta = self.stage_order
         zeta = _first_failure((w[:, None] * powers).T @ self.beta - w * (1.0 - c ** k[:, None]) / k[:, None], axis=1)
         return min(b, eta + zeta + 1, 2 * eta + 2)
 
@@ -128,7 +132,8 @@ def radau_iia(n_stages: int) -> Tableau:
 def _lagrange_integrals(nodes: Array, end: float) -> Array:
     """∫₀^end ℓ_j for all j, by a Gauss quadrature that is exact for them; ℓ_j is one on node j, zero on the others."""
     x, w = np.polynomial.legendre.leggauss(nodes.size)
-    x, w = end * (1.0 + x) / 2.0, end * w / 2.0
+    x = end * (1.0 + x) / 2.0
+    w = end * w / 2.0
     # of ℓ_j at x_k, for [k, j]
     factors = (x[:, None, None] - nodes) / np.where(np.eye(nodes.size, dtype=bool), 1.0, nodes[:, None] - nodes)
     factors[:, np.arange(nodes.size), np.arange(nodes.size)] = 1.0
@@ -179,7 +184,8 @@ class StageEquations:
 
     def __init__(self, problem: Problem) -> None:
         self.nfev = 0
-        self._problem, self._iteration = problem, problem.solver.iteration()
+        self._problem = problem
+        self._iteration = problem.solver.iteration()
 
     def slopes(self, times: Array, base: Array, weights: Array, guess: Array, h: float) -> Array:
         """(s, n) K with F(t_i, b_i + Σ_j weights_ij K_j, K_i) = 0.  Raises ConvergenceError with the largest residual.
@@ -191,7 +197,8 @@ class StageEquations:
 
         def jacobian(unknowns: Array) -> Array:
             k = unknowns.reshape(guess.shape)
-            n, matrix = base.size, np.empty((k.size, k.size))
+            n = base.size
+            matrix = np.empty((k.size, k.size))
             for i, stage in enumerate(zip(times, base + weights @ k, k, strict=True)):
                 of_state, of_slope = self._jacobians(*stage)
                 rows = matrix[i * n : (i + 1) * n]
@@ -249,12 +256,14 @@ class StageStep(StageEquations):
         slopes = self._all_slopes(t, y, h)
         increment = h * (self._tableau.weights @ slopes) + (lost if known is y else 0.0)
         y_new = y + increment
-        self._known, self._last = (y_new, increment - (y_new - y)), (t, h, slopes)
+        self._known = (y_new, increment - (y_new - y))
+        self._last = (t, h, slopes)
         return y_new
 
     def _all_slopes(self, t: float, y: Array, h: float) -> Array:
         """(s, n) slopes; the guess is the polynomial through the last ones, or y′ if that is far or fails."""
-        times, weights = t + self._tableau.nodes * h, h * self._tableau.beta
+        times = t + self._tableau.nodes * h
+        weights = h * self._tableau.beta
         if self._last is not None:
             t_last, h_last, slopes = self._last
             nodes = (t - t_last + self._tableau.nodes * h) / h_last

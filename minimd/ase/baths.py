@@ -21,8 +21,11 @@ from minimd.core.structure.observables import kinetic_energy, momentum
 
 __all__ = ["AndersenBath", "BerendsenBath", "BussiBath", "Chain", "LangevinBath", "NoseHooverBath"]
 
-BEFORE, AFTER = (Thermalize(1.0), Kick(0.5), Drift(1.0), Kick(0.5)), (Kick(0.5), Thermalize(1.0), Drift(1.0), Kick(0.5))
-LEAST_SCALE, MOST_SCALE = 0.9, 1.1  # of velocities in one step of Berendsen's bath, as in ASE
+BEFORE = (Thermalize(1.0), Kick(0.5), Drift(1.0), Kick(0.5))
+AFTER = (Kick(0.5), Thermalize(1.0), Drift(1.0), Kick(0.5))
+# of velocities in one step of Berendsen's bath, as in ASE
+LEAST_SCALE = 0.9
+MOST_SCALE = 1.1
 _OUTER = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
 WEIGHTS = (_OUTER, 1.0 - 2.0 * _OUTER, _OUTER)  # of order 4: H. Yoshida, Phys. Lett. A 150, 262 (1990); M. Suzuki
 KEPT_STEPS = 1000  # steps whose states a chain keeps: many more than in a block, which is repeated if it fails

@@ -9,7 +9,8 @@ from minimd.commands.table import Argument, Command, at_least_one, flag, written
 if TYPE_CHECKING:
     from minimd.bench.outcome import Outcome
 
-REPEATS, REPEATS_QUICK = 7, 3
+REPEATS = 7
+REPEATS_QUICK = 3
 OF_LAMMPS = "lammps, lammps-checked, lammps-tuned, lammps-shake, lammps-plain, lammps-omp"
 PEER_NAMES = f"{OF_LAMMPS}, gromacs, openmm, openmm-pme, ase, asap3"
 FLUIDS = "melt, cutoff-4, wca, kob-andersen, gas, droplet, slab, npt"

@@ -29,7 +29,9 @@ from minimd.lammps.model import Model
 from minimd.lammps.program import LIBRARIES
 from minimd.lammps.script import held, write_atoms
 
-SHAKE_TOLERANCE, SHAKE_ITERATIONS = 1e-12, 100  # of LAMMPS
+# of LAMMPS
+SHAKE_TOLERANCE = 1e-12
+SHAKE_ITERATIONS = 100
 # σ, of LAMMPS' benchmark, where it is not that of the melt; Å for water
 SKINS = {"chain": 0.4} | dict.fromkeys(WATER, 1.0)
 # σ, the fastest of several, for 4000 atoms on a Zen 4

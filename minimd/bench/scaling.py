@@ -20,8 +20,11 @@ from minimd.core.structure.observables import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CELLS, CELLS_QUICK = (3, 5, 8, 12, 20, 32, 63), (3, 5, 10, 20)  # 108 to 1 000 188 atoms; quick: 108 to 32 000
-MEMORY_OF, MEMORY_OF_QUICK = 63, 40  # cells
+CELLS = (3, 5, 8, 12, 20, 32, 63)  # 108 to 1 000 188 atoms
+CELLS_QUICK = (3, 5, 10, 20)  # 108 to 32 000
+# cells
+MEMORY_OF = 63
+MEMORY_OF_QUICK = 40
 SMALL = 20  # cells: with a first scene of 32 000 atoms, the memory of Python and of the kernels does not count
 MEMORY_STEPS = 120  # enough for the snapshots to which a failed run goes back
 

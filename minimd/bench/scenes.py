@@ -31,21 +31,32 @@ SKIN_LAMMPS = 0.3  # σ, as in LAMMPS' benchmark
 SCATTER = 5.0  # k_B T per √atom: twice the standard deviation between total energies of two independent liquids
 EQUILIBRATION = 500  # steps: 2.5 τ, in which a crystal at these temperatures melts
 
-MELT_DENSITY, MELT_TEMPERATURE = 0.8442, 1.44  # of LAMMPS' benchmark
-LIQUID_DENSITY, LIQUID_TEMPERATURE = 0.8, 0.75  # of droplet and slab
+# of LAMMPS' benchmark
+MELT_DENSITY = 0.8442
+MELT_TEMPERATURE = 1.44
+# of droplet and slab
+LIQUID_DENSITY = 0.8
+LIQUID_TEMPERATURE = 0.75
 WIDER = 4.0  # the cell of droplet and slab, in diameters of the droplet and thicknesses of the slab
 BEADS = 100  # in a chain
-BOND_CONSTANT, BOND_LENGTH = 400.0, 1.0
-FRICTION, CHAIN_TIMESTEP = 0.1, 0.012  # 1/τ, τ, of LAMMPS' benchmark
+BOND_CONSTANT = 400.0
+BOND_LENGTH = 1.0
+# 1/τ, τ, of LAMMPS' benchmark
+FRICTION = 0.1
+CHAIN_TIMESTEP = 0.012
 DUMBBELL_LENGTH = 0.6
 TRIANGLE_ANGLE = np.radians(75.0)  # between its sides of 1 σ
 
 # Units of decane are 46 K, 3.95 Å and the mass of CH2.
 DECANE_DENSITY = 0.19  # molecules per σ³: 0.73 g/cm³
-CARBONS, METHYL_MASS, DECANE_BOND, DECANE_ANGLE = 10, 15.035 / 14.027, 1.54 / 3.95, np.radians(114.0)
+CARBONS = 10
+METHYL_MASS = 15.035 / 14.027
+DECANE_BOND = 1.54 / 3.95
+DECANE_ANGLE = np.radians(114.0)
 
 # largest errors of the forces of charges, of their rms, by scene; cutoffs [Å] that each engine tries
-WATER, WATER_CUTOFFS = {"water": 2.5e-4, "water-fine": 1e-5}, (8.0, 9.0, 10.0, 12.0)
+WATER = {"water": 2.5e-4, "water-fine": 1e-5}
+WATER_CUTOFFS = (8.0, 9.0, 10.0, 12.0)
 EXACT = 1e-9  # accuracy of the sum with which errors are found
 
 
@@ -209,7 +220,8 @@ def _lj(cutoff: float = CUTOFF, truncation: TruncationName = "shifted", scale=(1
 
 AT_MELT = "fcc at ρ* 0.8442, T* 1.44, r_c {} σ, {}, Δt* 0.005, NVE"
 UNBONDED = (0.0, 1.0, 1.0)
-THERMOSTAT, BAROSTAT = md.StochasticVelocityRescaling, md.StochasticCellRescaling
+THERMOSTAT = md.StochasticVelocityRescaling
+BAROSTAT = md.StochasticCellRescaling
 KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, pairs={("A", "B"): (1.5, 0.8)}, cutoff={
     ("A", "A"): CUTOFF, ("A", "B"): CUTOFF * 0.8, ("B", "B"): CUTOFF * 0.88})  # fmt: skip
 DECANE = (

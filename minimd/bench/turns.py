@@ -20,11 +20,14 @@ SAME_START = 5e-5
 STEPS_COMPARED = 10
 # k_B T per atom, allowed difference after these steps, in single precision; a time step 1 % longer makes a larger one
 SAME_COURSE = 7e-4
-WARM_UP, SECONDS_WARM_UP = 200, 5.0  # steps or seconds, whichever ends first: melts the lattice, fills caches
+# steps or seconds, whichever ends first: melts the lattice, fills caches
+WARM_UP = 200
+SECONDS_WARM_UP = 5.0
 # much longer than the resolution of the clock, much shorter than the minutes in which machines change their speed
 SECONDS_A_TURN = 0.5
 # least number of steps in a turn, so that it has two new lists, unless they take longer than so many seconds
-STEPS_A_TURN, LONGEST_TURN = 40, 5.0
+STEPS_A_TURN = 40
+LONGEST_TURN = 5.0
 
 
 def check_agreement(engines: Sequence[LoadedEngine], scene: BenchScene) -> None:

@@ -30,16 +30,23 @@ from minimd.textbook.methods import IMPLICIT
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DURATION, OBSERVATIONS = 4.0, 20  # τ of a run, and number of times at which its energy is read
+# τ of a run, and number of times at which its energy is read
+DURATION = 4.0
+OBSERVATIONS = 20
 SHORT = 0.2  # τ, time at which the distance is measured: before chaos has amplified rounding
-COSTS, COSTS_QUICK = (100, 141, 200, 283, 400, 566, 800, 1600, 3200), (100, 200, 400, 800)  # forces per τ
-REFERENCE, REFERENCE_COST = "kahan-li-8", 34_000
+# forces per τ
+COSTS = (100, 141, 200, 283, 400, 566, 800, 1600, 3200)
+COSTS_QUICK = (100, 200, 400, 800)
+REFERENCE = "kahan-li-8"
+REFERENCE_COST = 34_000
 QUICK_METHODS = ("velocity-verlet", "symplectic-euler-1", "candy-rozmus-4", "pefrl", "blanes-moan-rkn-4", "kahan-li-8")
 PEER_NAMES = ("lammps", "lammps-checked", "openmm")
-CELLS, CELLS_QUICK = 10, 6  # 4000 atoms; 864
+CELLS = 10  # 4000 atoms
+CELLS_QUICK = 6  # 864
 TARGETS = 10.0 ** np.arange(-1, -9, -1)
 ERRORS = ("oscillation", "drift", "distance")
-ECCENTRICITY, PERIODS = 0.6, 20
+ECCENTRICITY = 0.6
+PERIODS = 20
 Q0 = np.array([1.0 - ECCENTRICITY, 0.0])
 V0 = np.array([0.0, np.sqrt((1.0 + ECCENTRICITY) / (1.0 - ECCENTRICITY))])
 END = 2.0 * np.pi * PERIODS

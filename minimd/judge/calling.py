@@ -39,17 +39,23 @@ OF_FORCES: Names = (
 )
 PHYSICAL = ("epsilon", "sigma", "stiffness", "strength")
 REST = r"^(r0|req|l0|d0|length|rest\w*|b0|x0)$"  # of a bond, if there is also a parameter for the stiffness
-SQUARED, DISTANCE = r"^(r2|rsq|rsq\w*|d2|dist2|rsquared|rr)$", r"^(r|d|dist\w*|rij|s)$"
+SQUARED = r"^(r2|rsq|rsq\w*|d2|dist2|rsquared|rr)$"
+DISTANCE = r"^(r|d|dist\w*|rij|s)$"
 SEPARATION = r"^(rij|dr|d|dx|rvec|vec\w*|delta|disp\w*|sep\w*|r12)$"
 ONE_OF_TWO = r"^(r|x|q|p|pos\w*|atom|vec)?(i|j|1|2|a|b)$"
-IS_FUNCTION, IS_BEFORE = r"func|fn|compute|calc|get|eval|callable|law|field", r"old|prev|last|before|minus|m1"
-FORCES, ANSWERS = ("force", "acceleration", "gradient"), ("F", "(F, U)", "(U, F)")
+IS_FUNCTION = r"func|fn|compute|calc|get|eval|callable|law|field"
+IS_BEFORE = r"old|prev|last|before|minus|m1"
+FORCES = ("force", "acceleration", "gradient")
+ANSWERS = ("F", "(F, U)", "(U, F)")
 VELOCITIES = ("v", "p", "half", "old")  # roles that take the place of velocities
 MASSES = {"(N,)": 1, "(N, 1)": 2, "one number": 0}  # how they are given, and the least dimensions of positions
 TOLD = {(5, 3): "(N, 3)", (5, 2): "(N, 2)", (5,): "(N,)", (): "one number"}
 KINDS = {"forces": "forces on all atoms", "law": "a law of the distance", "pair": "the force of a pair"}
-FAR, TINY = 1e6, 1e-6  # edge of the box for a step that has such a parameter; time step of the first call
-START, SEPARATE = 1.1, np.array([1.1, 0.2, 0.1])  # σ: the distance and the vector of a pair in trial calls
+FAR = 1e6  # edge of the box for a step that has such a parameter
+TINY = 1e-6  # time step of the first call
+# σ: the distance and the vector of a pair in trial calls
+START = 1.1
+SEPARATE = np.array([1.1, 0.2, 0.1])
 TRIANGLE = np.array([[1.0, 1.0, 1.0], [2.1, 1.2, 1.1], [1.1, 2.3, 1.2]])  # three atoms in trial calls
 # fmt: on
 

@@ -13,7 +13,8 @@ from minimd.judge.findings import Law, Measurement, nearest
 from minimd.judge.scenes import SOFT, Array, Frames, Scene, joined
 
 LEAST = 0.2  # mean of a measure, for its error
-ACTED, NEVER = 0.2, 1e-6  # of the energy, or the volume, is new at the end of a run, at least; if nothing acts
+ACTED = 0.2  # of the energy, or the volume, is new at the end of a run, at least
+NEVER = 1e-6  # the same, at most, if nothing acts
 
 
 class Seen:

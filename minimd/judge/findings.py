@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 from minimd.core.console.display import Displayed, Rows
 
 TICKS = {True: "✓", False: "✗", None: "?"}
-EXACT, DENOMINATOR = 2e-6, 24  # coefficients that differ by less are equal; the largest denominator in their fractions
+EXACT = 2e-6  # coefficients that differ by less are equal
+DENOMINATOR = 24  # the largest denominator in their fractions
 
 
 @dataclass(frozen=True)

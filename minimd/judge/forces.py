@@ -16,14 +16,31 @@ from minimd.judge.findings import Grade, Law, causes, first_of, is_near, judged
 from minimd.judge.powers import Powers, compared, jumps, powers_of
 from minimd.judge.problems import Array, difference, multiple_of
 
-BOX, CUTOFF = 12.0, 2.5  # σ: cell and cutoff for a function that takes them, if the user gives none
-SPACING, JITTER, TRIALS = 1.25, 0.12, 30  # of the atoms in the test [σ]; the best of some configurations is used
-ROUNDING, SAME, EQUAL, CAPPED = 1e-9, 1e-8, 1e-6, 1e-4  # relative differences: sums; moved atoms; slopes; capped forces
-PROBE, LONGEST = 1.25, 40.0  # σ: of two atoms across a boundary; largest distance at which a period is searched
-CLOSEST, NEAREST, FARTHEST = 0.3, 0.77, 6.0  # σ: distances of the search for a cap, of ordinary forces, for an end
-POINTS, GRID, DELTA, FACTOR = 40, 500, 3e-4, 1.15  # of profiles; of jumps; of differences; of larger parameters
+# σ: cell and cutoff for a function that takes them, if the user gives none
+BOX = 12.0
+CUTOFF = 2.5
+# of the atoms in the test [σ]; the best of some configurations is used
+SPACING = 1.25
+JITTER = 0.12
+TRIALS = 30
+# relative differences
+ROUNDING = 1e-9  # of sums
+SAME = 1e-8  # of moved atoms
+EQUAL = 1e-6  # of slopes
+CAPPED = 1e-4  # of capped forces
+PROBE = 1.25  # σ: of two atoms across a boundary
+LONGEST = 40.0  # largest distance at which a period is searched
+# σ: distances of the search for a cap, of ordinary forces, for an end
+CLOSEST = 0.3
+NEAREST = 0.77
+FARTHEST = 6.0
+POINTS = 40  # of profiles
+GRID = 500  # of jumps
+DELTA = 3e-4  # of differences
+FACTOR = 1.15  # of larger parameters
 SKEW = np.array([0.9, 0.5, -0.4])  # a vector of a pair that is parallel to no plane of the axes
-WHERE, ALONG = np.array([0.31, 0.47, 0.23]), {2: np.array([0.6, 0.8]), 3: np.array([0.6, 0.48, 0.64])}
+WHERE = np.array([0.31, 0.47, 0.23])
+ALONG = {2: np.array([0.6, 0.8]), 3: np.array([0.6, 0.48, 0.64])}
 SHIFTS = np.array([[0.013, -0.007, 0.021], [0.002, 0.001, 0.003]])
 CURE = "use dx − L · round(dx/L)"
 

@@ -11,9 +11,12 @@ import numpy as np
 from minimd.judge.findings import coefficient, first_of, is_near
 from minimd.judge.problems import Array, bisected
 
-EXPONENTS, FITTED = range(1, 21), 1e-7  # of 1/r; largest relative rest of a fit of powers that is exact
-SAME, JUMP = 1e-5, 1e-6  # relative differences of equal functions, one of them a slope; of values, which are no jump
-TWICE, HALF = ": pairs are counted twice, or a factor ½ is missing", ": a factor 2 is missing, or energies count twice"
+EXPONENTS = range(1, 21)  # of 1/r
+FITTED = 1e-7  # largest relative rest of a fit of powers that is exact
+SAME = 1e-5  # relative difference of equal functions, one of them a slope
+JUMP = 1e-6  # relative difference of values that are no jump
+TWICE = ": pairs are counted twice, or a factor ½ is missing"
+HALF = ": a factor 2 is missing, or energies count twice"
 
 
 class Powers(NamedTuple):

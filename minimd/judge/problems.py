@@ -10,7 +10,9 @@ import numpy as np
 
 from minimd.core.structure.observables import Array
 
-STIFFNESS, QUARTIC = 0.25, 0.06  # k and g for N particles
+# k and g for N particles
+STIFFNESS = 0.25
+QUARTIC = 0.06
 MASSES = np.array([1.0, 1.7, 0.6, 2.3, 1.2])
 SHAPES: tuple[tuple[int, ...], ...] = ((5, 3), (5, 2), (5,), ())
 

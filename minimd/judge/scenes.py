@@ -29,10 +29,16 @@ QUARTIC = 0.05  # of k²/kT: makes the motion chaotic
 STRETCH = 4.0  # length of the bonds of molecules, in units of their thermal motion
 SOFT = 1e-6  # a rigid bond that is off by more is none
 SMALLEST = 1e-4  # volume of a run, over that at its start
-MOLECULES, OF_MOLECULES, RIGID = 6, 0.12, 4  # of the gas, and ω Δt; of the chain
+# of the gas, and ω Δt; of the chain
+MOLECULES = 6
+OF_MOLECULES = 0.12
+RIGID = 4
 COARSE = 4.0  # times the frequencies of the ring: for the error of a long time step
 STATES = (0.85, 0.82, -5.7947, 0.55355), (0.9, 0.776, -5.4689, 0.24056)  # T, ρ, U/N, P of liquids, of NIST [ε, σ]
-CUTOFF, PACE, SIDE = 2.5, 0.004, 3  # of the liquids [σ], their time step [σ √(m/ε)], cells of their crystal
+# of the liquids [σ], their time step [σ √(m/ε)], cells of their crystal
+CUTOFF = 2.5
+PACE = 0.004
+SIDE = 3
 MELTING = 1500  # steps in which that becomes a liquid
 
 

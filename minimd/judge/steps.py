@@ -16,11 +16,21 @@ from minimd.judge.methods import Numbers, named, numbers_of
 from minimd.judge.problems import Array, TrialProblem, difference
 
 STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}  # needed to distinguish all terms, by the shape of x
-DURATION, COUNTS = 0.8, (8, 16, 32, 64)  # errors are compared after this time, made in these numbers of steps
-ORDER_OFF, HIGH = 0.25, 2.5  # of the slope from the order; a step of higher order has the right terms up to dt²
-PACE, BACK, SOME, LONG = 0.05, 10, 20, 1000  # time step of runs; steps back and forth, for momenta, for the energy
-DELTA, NOISE, EXACTLY = 2e-3, 1e-13, 1e-13  # of differences; of a step in float64; of an energy that is rescaled
-TOO_LARGE, SYMPLECTIC = 1e6, 1e-9  # an energy; JᵀΩJ − Ω
+# errors are compared after this time, made in these numbers of steps
+DURATION = 0.8
+COUNTS = (8, 16, 32, 64)
+ORDER_OFF = 0.25  # of the slope from the order
+HIGH = 2.5  # a step of higher order has the right terms up to dt²
+# time step of runs; steps back and forth, for momenta, for the energy
+PACE = 0.05
+BACK = 10
+SOME = 20
+LONG = 1000
+DELTA = 2e-3  # of differences
+NOISE = 1e-13  # of a step in float64
+EXACTLY = 1e-13  # of an energy that is rescaled
+TOO_LARGE = 1e6  # an energy
+SYMPLECTIC = 1e-9  # JᵀΩJ − Ω
 LENGTHS = np.arange(0.01, 6.001, 0.01)  # ω dt at which stability is tested
 
 

@@ -80,7 +80,8 @@ def _frame(file: BinaryIO, expected: int) -> tuple[int, Array]:
 
 
 TRAJECTORY = "run.h5md"
-BYTES_PER_ATOM, BYTES_PER_FRAME = 490, 130  # of the input and of step 0; of a frame in the files of LAMMPS and minimd
+BYTES_PER_ATOM = 490  # of the input and of step 0
+BYTES_PER_FRAME = 130  # of a frame in the files of LAMMPS and minimd
 DISAGREEMENT = 1e-8  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
 MOST_STEPS = 2**31  # one run of LAMMPS makes fewer
 

@@ -91,7 +91,10 @@ REACH = 2.0  # in longest bonds: the distance up to which LAMMPS finds partners 
 SPECIAL = 0.5  # a factor, neither 0 nor 1, with which LAMMPS keeps the pairs and marks them, if those of styles differ
 # of charges: the finest accuracy of LAMMPS; step 0 may differ by so many times that asked for, since both have errors;
 # bits of a table of erfc, from the cutoff / NEAR on: nearer, LAMMPS has a polynomial with errors of 1e-7
-FINEST, MARGIN, TABLE, NEAR = 1e-7, 10.0, 16, 16.0
+FINEST = 1e-7
+MARGIN = 10.0
+TABLE = 16
+NEAR = 16.0
 # by truncation: the style of LAMMPS with the same
 LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smooth/linear"}
 

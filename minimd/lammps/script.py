@@ -17,13 +17,22 @@ from minimd.lammps.box import Box
 from minimd.lammps.model import Model, words
 from minimd.lammps.verification import Evaluated
 
-ATOMS, FORCES, VERIFY, RUN, LOG = "atoms.data", "forces.lmp", "verify.lmp", "run.lmp", "run.log"
-COPY, STEP_0 = "copy.data", {"atoms.data": "atoms.data.bin", "copy.data": "copy.data.bin"}  # results at step 0
-FRAMES, LAST = "frames.bin", "last.bin"
+ATOMS = "atoms.data"
+FORCES = "forces.lmp"
+VERIFY = "verify.lmp"
+RUN = "run.lmp"
+LOG = "run.log"
+# results at step 0
+COPY = "copy.data"
+STEP_0 = {"atoms.data": "atoms.data.bin", "copy.data": "copy.data.bin"}
+FRAMES = "frames.bin"
+LAST = "last.bin"
 RAW = (FRAMES, LAST, COPY, *STEP_0.values())  # removed at the end
 FILES = (ATOMS, FORCES, VERIFY, RUN, LOG, *RAW)  # all files of a hand-over except the trajectory
 ATOMS_AT_ONCE = 100_000  # written in one piece
-SHAKE_TOLERANCE, SHAKE_ITERATIONS = 1e-13, 200  # tolerance relative to the lengths
+# tolerance relative to the lengths
+SHAKE_TOLERANCE = 1e-13
+SHAKE_ITERATIONS = 200
 LARGEST_SEED = 900_000_000  # of LAMMPS' random numbers
 LOOKS = 50  # least number of lines with energies in the log of a run
 # xx yy zz yz xz xy

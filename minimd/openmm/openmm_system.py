@@ -34,7 +34,9 @@ if TYPE_CHECKING:
     import openmm
     import openmm.app
 
-NM, KJ = 10.0, 1.0 / KJ_PER_MOL_PER_EV  # Å, eV
+# Å, eV
+NM = 10.0
+KJ = 1.0 / KJ_PER_MOL_PER_EV
 # for each force: what OpenMM calls one of its terms, how many atoms it has, and the potential of their parameters
 BONDED: Mapping[str, tuple[str, int, Callable[..., OwnPotential]]] = {
     "HarmonicBondForce": ("Bond", 2, lambda at, length, k: HarmonicBond(KJ / NM**2 * k, NM * length, at)),

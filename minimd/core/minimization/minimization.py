@@ -37,21 +37,31 @@ from minimd.core.structure.errors import ConstraintError, Interrupted, NonFinite
 from minimd.core.structure.observables import Array, longest
 from minimd.core.structure.system import AnySystem, System
 
-FORCE_TOLERANCE, MAX_STEPS = 1e-6, 10_000  # [energy/length], in reduced units and in eV/Å
+# [energy/length], in reduced units and in eV/Å
+FORCE_TOLERANCE = 1e-6
+MAX_STEPS = 10_000
 MAX_STEP_LENGTH = 0.1  # [length], in σ and in Å
 # N_delay, f_inc, f_dec, α_start, f_α: Guénolé et al., table 2
-DELAY, FASTER, SLOWER, MIXING, LESS_MIXING = 20, 1.1, 0.5, 0.25, 0.99
+DELAY = 20
+FASTER = 1.1
+SLOWER = 0.5
+MIXING = 0.25
+LESS_MIXING = 0.99
 # √κ Δt at the start, and at most; symplectic Euler is unstable above 2, and κ may be underestimated
-FIRST, LONGEST = 0.3, 1.0
+FIRST = 0.3
+LONGEST = 1.0
 PROBE = 1e-3  # of the longest step: displacements for measuring the curvature
 # displacements, each along the change of the forces in the one before; steps between two such series; series at first
-PROBES, PROBE_EVERY, FIRST_SERIES = 5, 50, 4
+PROBES = 5
+PROBE_EVERY = 50
+FIRST_SERIES = 4
 SEED = 1  # of the first displacement
 FALLING = 0.9  # the largest force must fall by this factor in a step of steepest descent
 # of a force: if one is larger, all are scaled down by the same factor, so that their squares are finite
 LARGEST = 1e100
 # largest numbers of pushes that separate pairs with infinite forces, and of steps taken back, each shorter than before
-PUSHES, REFUSALS = 100, 50
+PUSHES = 100
+REFUSALS = 50
 
 
 @dataclass(frozen=True)

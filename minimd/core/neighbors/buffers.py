@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 SPARE = 1.05  # room for this much more than was asked for: from build to build of a liquid sizes change by less
 CACHE_LINE = 64  # bytes; vectors that straddle two cost twice
-PAGE, HALF_A_PAGE = 4096, 2048  # bytes
+# bytes
+PAGE = 4096
+HALF_A_PAGE = 2048
 DEVIATIONS = 16.0  # of a number that is a sum of independent ones
 
 Fields = Sequence[tuple[type, tuple[int, ...]]]  # types and shapes of arrays

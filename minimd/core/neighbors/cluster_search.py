@@ -28,7 +28,10 @@ from minimd.core.structure.cell import minimum_image
 LANES_FROM = 24  # the bits of an entry below this one number a ghost, those above it stand for lanes
 GHOST_BITS = (1 << LANES_FROM) - 1
 LAYERS = 2  # of each row; with more, a build costs as much more as steps cost less
-IN_USE, BUILDS, PREPARED_FOR = 0, 1, 2  # places in Rows.layers
+# places in Rows.layers
+IN_USE = 0
+BUILDS = 1
+PREPARED_FOR = 2
 AHEAD = 2 * BOXES  # see Rows
 WORD = 64  # candidates, one for each bit of a number
 AT_A_TIME = 4  # entries written without a branch

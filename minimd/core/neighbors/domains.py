@@ -46,8 +46,13 @@ from minimd.core.neighbors.clusters import DIMENSIONS, Columns, offsets_of
 SIDES = 6  # of a box: smallest x, y, z, and largest
 BOXES = 8  # compared at a time
 OUTWARD = 2e-7  # of a coordinate: boxes in float32 are larger by its rounding
-IMAGES, HOME = 27, 13  # number of images, and the code of image (0, 0, 0)
-LATE, BLOCKS, GHOSTS = 0, 1, 2  # places in Domains.numbers
+# number of images, and the code of image (0, 0, 0)
+IMAGES = 27
+HOME = 13
+# places in Domains.numbers
+LATE = 0
+BLOCKS = 1
+GHOSTS = 2
 ATOMS_PER_DOMAIN = 800  # at least, on average: with fewer, handing out the work costs more than a second thread gains
 
 

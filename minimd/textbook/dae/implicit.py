@@ -22,10 +22,13 @@ __all__ = ["Implicit", "pencil_index"]
 
 ABSENT = 1e-12  # relative to the largest ∂F/∂y′: smaller ones count as zero
 # relative singular values that count as zero, of matrices from differences and from differences of differences
-RANK, NOISY_RANK = 1e-7, 1e-4
+RANK = 1e-7
+NOISY_RANK = 1e-4
 PENCIL_RANK = 1e-10  # singular values of scaled matrices below this are rounding
 LEAST_MOBILITY = 0.1  # mobility of variables whose derivative occurs in F, relative to that of the others
-SOLVED, NEGLIGIBLE = 1e-7, 1e-12  # what may be left of an equation, relative to its terms and to its largest variable
+# what may be left of an equation, relative to its terms and to its largest variable
+SOLVED = 1e-7
+NEGLIGIBLE = 1e-12
 HIGHEST_INDEX = 3
 ADVICE = "give consistent values, or take them from problem.corrected(start, t0)"
 ORDINALS = ("", "the first time derivative of ", "the second time derivative of ")

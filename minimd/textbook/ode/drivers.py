@@ -52,7 +52,9 @@ __all__ = ["DensityControl", "Solution", "StepControl", "run_adaptive", "run_rev
 REACHED = "the end was reached"
 LEFTOVER = 1e-12  # of a step: a shorter rest is rounding of the times, and belongs to the step before
 # factor of the proposed step; bounds of its change from one step to the next: Hairer et al., II.4
-SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
+SAFETY = 0.9
+SHRINK = 0.2
+GROW = 5.0
 EXPONENT = 0.75  # ρ ∝ |f|^¾: around a mass ρ ∝ r^(−3/2), so that steps are proportional to the free-fall time
 # of the time in which q changes by its size: truncation and rounding of d ln |f|/dt are then alike, 1e-10
 DIFFERENCE = 1e-5

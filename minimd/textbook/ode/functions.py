@@ -119,7 +119,8 @@ NOISE = 10.0 * EPS  # rounding of a function, relative to its change over the wi
 SPACINGS = 0.1 / 3.0 ** np.arange(12)  # in units of the time in which a path changes by its size
 NARROWING = 2.0**-8 / 4.0 ** np.arange(12)  # in units of a variable: powers of two, so that x ± s has no rounding
 # an error that has grown by this factor, of a derivative this near the best one, is noise: it grows with spacing
-GROWN, NEAR = 16.0, 0.03
+GROWN = 16.0
+NEAR = 0.03
 ENOUGH = 1e-9  # relative error of the formula of order 4 with which the search ends: that of order 6 is then some 1e-13
 
 

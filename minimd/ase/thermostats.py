@@ -46,8 +46,10 @@ class Noisy(MolecularDynamics):
             try:
                 rng = np.random.default_rng(rng)
             except (TypeError, ValueError):
-                wanted = "a RandomState, a Generator, an int that is not negative, or a SeedSequence"
-                raise TypeError(f"rng must be {wanted} of NumPy; rng = {shown(rng)}") from None
+                raise TypeError(
+                    "rng must be a RandomState, a Generator, an int that is not negative, or a SeedSequence of "
+                    f"NumPy; rng = {shown(rng)}"
+                ) from None
         self._rng = rng
         self._seed = None
 
@@ -78,8 +80,10 @@ class Langevin(MinimdSteps, Noisy, langevin.Langevin):
         if self.fix_com and _center_is_free(self.atoms):
             n_dof = self.atoms.get_number_of_degrees_of_freedom()
             if n_dof <= 3:
-                given = f"{len(self.atoms)} atoms have {n_dof}: use fixcm=False"
-                raise ValueError(f"fixcm = True needs more than 3 degrees of freedom; {given}")
+                raise ValueError(
+                    f"fixcm = True needs more than 3 degrees of freedom; {len(self.atoms)} atoms have {n_dof}: use "
+                    "fixcm=False"
+                )
             keeps_center = True
             temperature = temperature * n_dof / (n_dof - 3)
         return LangevinBath(self.dt, temperature, self.fr, self.noise_seed(), keeps_center)
@@ -96,11 +100,11 @@ class LangevinBAOABDynamics(MinimdSteps, Noisy, langevinbaoab.LangevinBAOAB):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         if self.externalstress is not None:
-            others = (
-                "ase.md.langevinbaoab.LangevinBAOAB, or minimd.Simulation with barostat=StochasticCellRescaling(...)"
+            raise NotImplementedError(
+                f"externalstress = {shown(self.externalstress)}: this class needs a constant cell; use "
+                "ase.md.langevinbaoab.LangevinBAOAB, or minimd.Simulation with "
+                "barostat=StochasticCellRescaling(...)"
             )
-            given = f"externalstress = {shown(self.externalstress)}"
-            raise NotImplementedError(f"{given}: this class needs a constant cell; use {others}")
 
     def method(self) -> Splitting:
         """BAOAB, or velocity Verlet."""

@@ -21,9 +21,9 @@ QUICK = flag("--quick", "take only a few minutes: fewer sizes, methods and round
 def benchmark(name: str, text: str, *arguments: Argument, description: str = "") -> Command:
     """One benchmark, with the options that all benchmarks have."""
     rounds = f"rounds; every engine runs once in each (default: {REPEATS}, quick {REPEATS_QUICK})"
-    files = f"bench_{name.replace('-', '_')}.md, .json and .png"
     shared = (QUICK, Argument("--repeats", rounds, at_least_one, "R"),
-              written_to("FOLDER", f"write {files} into this folder; older files are replaced"))  # fmt: skip
+              written_to("FOLDER", f"write bench_{name.replace('-', '_')}.md, .json and .png into this folder; "
+                                   "older files are replaced"))  # fmt: skip
     told = description or f"{text[0].upper()}{text[1:]}."
     run = partial(bench, name)
     return Command(name, text, told, (*shared, *arguments), run, epilog="Let no other program run meanwhile.")

@@ -169,8 +169,10 @@ def _motion(scene: BenchScene) -> list[str]:
     barostat = scene.barostat
     heat = f"{scene.temperature} {scene.temperature}"
     if barostat is not None and isinstance(method, md.StochasticVelocityRescaling):
-        press = f"iso {barostat.pressure} {barostat.pressure} {barostat.relaxation_time}"
-        return [f"fix motion all npt temp {heat} {method.relaxation_time} {press}"]
+        return [
+            f"fix motion all npt temp {heat} {method.relaxation_time} iso {barostat.pressure} {barostat.pressure} "
+            f"{barostat.relaxation_time}"
+        ]
     if isinstance(method, md.LangevinBAOAB):
         return ["fix motion all nve", f"fix bath all langevin {heat} {1.0 / method.friction:.17g} {scenes.SEED}"]
     return ["fix motion all nve"]

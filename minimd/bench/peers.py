@@ -186,13 +186,16 @@ def _checked(options: PeersOptions) -> tuple[int, ...]:
     for name in options.scenes:
         scene = SCENES[name](smallest)
         if scene.edges.min() < 2.0 * scene.law.cutoff:
-            told = f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {name!r}"
-            raise ValueError(f"{told}; give a larger number")
+            raise ValueError(
+                f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {name!r}; give a "
+                "larger number"
+            )
     for name in () if options.peers == NO_PEERS else options.peers:
         peer = PEERS[name]
         if not {*options.scenes} & {*peer.scenes}:
-            wrong = f"cannot run the scene {options.scenes[0]!r}; it runs {', '.join(peer.scenes)}"
-            raise ValueError(f"--peers {name} {wrong}")
+            raise ValueError(
+                f"--peers {name} cannot run the scene {options.scenes[0]!r}; it runs {', '.join(peer.scenes)}"
+            )
         if not peer.is_installed:
             raise ValueError(f"{peer.package} is not installed; {peer.installer.format(peer.package)} installs it")
     return threads

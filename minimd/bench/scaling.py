@@ -57,8 +57,9 @@ class Scaling:
             times = [spread(1e9 * seconds[t] / n_atoms) for t in threads]
             cells.append([str(n_atoms), *times, *(spread(seconds[1] / seconds[t]) for t in threads if t > 1)])
         head = f"The melt, double precision; median of {self.repeats} rounds (least to most)."
-        atoms = f"from 32 000 to {self.memory_atoms} atoms"
-        grows = f"Peak memory {atoms} grows by {self.memory or nan:.0f} bytes per atom."
+        grows = (
+            f"Peak memory from 32 000 to {self.memory_atoms} atoms grows by {self.memory or nan:.0f} bytes per atom."
+        )
         lines = [head, "", *table(dict.fromkeys(titles, float), cells), ""]
         return lines if self.memory is None else [*lines, grows]
 

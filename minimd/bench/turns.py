@@ -40,9 +40,9 @@ def check_agreement(engines: Sequence[LoadedEngine], scene: BenchScene) -> None:
     def compare(quantity: str, energies: Sequence[float], relative: float, absolute: float) -> None:
         for engine, energy in zip(engines, energies, strict=True):
             if not abs(energy - energies[0]) <= relative * abs(energies[0]) + absolute:
-                first = f"{label(engines[0])} has {energies[0]:.8g}"
-                other = f"{label(engine)} has {energy:.8g}"
-                raise HandOverError(f"{quantity}: {first}, {other}")
+                raise HandOverError(
+                    f"{quantity}: {label(engines[0])} has {energies[0]:.8g}, {label(engine)} has {energy:.8g}"
+                )
 
     compare("potential energy at step 0", [engine.potential_energy() for engine in engines], SAME_START, 0.0)
     for engine in engines:

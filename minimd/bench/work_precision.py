@@ -88,8 +88,10 @@ class Case(NamedTuple):
         for target in TARGETS:
             able = [point for point in self.points if getattr(point, error) <= target]
             for p in sorted(able, key=lambda p: p.seconds)[:1]:
-                step = f"{p.method}, Δt = {p.timestep:.3g} {self.unit}, {p.who}"
-                lines.append(f"for {error} {target:.0e} use {step}: {p.seconds:.3g} s")
+                lines.append(
+                    f"for {error} {target:.0e} use {p.method}, Δt = {p.timestep:.3g} {self.unit}, {p.who}: "
+                    f"{p.seconds:.3g} s"
+                )
         return lines
 
     def beside(self, error: str = "oscillation") -> list[str]:
@@ -101,9 +103,10 @@ class Case(NamedTuple):
             able = [p.seconds for p in ours if getattr(p, error) <= most]
             if able and np.isfinite(most) and not peer.who.startswith("minimd"):
                 ratios.setdefault(peer.who, []).append(peer.seconds / min(able))
-        equal = f"times the time of minimd at equal {error}"
         return [
-            f"{who}: {np.median(each):.2f} {equal} ({min(each):.2f} to {max(each):.2f})" for who, each in ratios.items()
+            f"{who}: {np.median(each):.2f} times the time of minimd at equal {error} ({min(each):.2f} to "
+            f"{max(each):.2f})"
+            for who, each in ratios.items()
         ]
 
     def draw(self, panel: Any, error: str = "oscillation") -> None:

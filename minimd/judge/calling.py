@@ -321,10 +321,11 @@ class StudentForce(Called):
                 wrong.append(f"{np.shape(trial)}, and raised {type(error).__name__}: {error}")
             if not wrong[-1]:
                 return
-        call = f"{self.name}({', '.join(self.names)})"
-        told = f"{self.names[0]} of shape {wrong[len(kinds) - 1]}"
-        advice = f"If {self.name} is written for a fixed number of atoms, pass them: positions=..."
-        raise ValueError(f"{call} was called with {told}. {advice}")
+        raise ValueError(
+            f"{self.name}({', '.join(self.names)}) was called with {self.names[0]} of shape "
+            f"{wrong[len(kinds) - 1]}. If {self.name} is written for a fixed number of atoms, pass them: "
+            "positions=..."
+        )
 
     def _misfit(self, answer: Any, shape: tuple[int, ...], may_be_pair: bool) -> str:
         """What is wrong with a result for an argument of a shape; "" if nothing is."""

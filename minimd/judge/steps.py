@@ -139,8 +139,8 @@ class Measured:
         stiffness = -m[1, 0] / m[0, 1]
         stable = next((k for k, h in enumerate(LENGTHS) if abs(np.trace(matrix(h))) > 2.0 + 1e-9), len(LENGTHS))
         mixed = f" {skew:+.4g} ω x v" if abs(skew) > 1e-9 else ""
-        words = f"at ω dt = 0.5 it conserves v² {stiffness:+.6g} ω² x²{mixed}"
-        return 0.01 * stable, 0.0 if stable else np.inf, f"{words}; stable up to ω dt = {0.01 * stable:.2f}"
+        words = f"at ω dt = 0.5 it conserves v² {stiffness:+.6g} ω² x²{mixed}; stable up to ω dt = {0.01 * stable:.2f}"
+        return 0.01 * stable, 0.0 if stable else np.inf, words
 
     def cost(self) -> tuple[int, float, str]:
         """The number of force evaluations in one step."""

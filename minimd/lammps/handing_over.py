@@ -106,9 +106,9 @@ class HandOver(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        most = f"energies of both programs differ by at most {self.energy_difference:.1e} of Σ|e_i| or N k_B T"
         return [("LAMMPS", f"{self.version}, on {_named(self.processes)}"), ("verified", f"{self.verification}"),
-                ("frames", f"{len(self.record)}; {most}"),
+                ("frames", f"{len(self.record)}; energies of both programs differ by at most "
+                           f"{self.energy_difference:.1e} of Σ|e_i| or N k_B T"),
                 ("time", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in self.seconds.items())),
                 ("written", str(self.trajectory))]  # fmt: skip
 

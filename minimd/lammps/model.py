@@ -52,8 +52,10 @@ def rigid_groups(constraints: DistanceConstraints, n_atoms: int) -> tuple[Indice
     wrong = np.flatnonzero(~(is_star | is_triangle | (n_members == 1)))
     if wrong.size:
         atoms = np.flatnonzero(molecule == wrong[0])
-        found = f"the rigid molecule of atom {atoms[0]} has {len(atoms)} atoms and {n_bonds[wrong[0]]} lengths"
-        raise ValueError(f"{CAN}; {found}: run this scene with minimd")
+        raise ValueError(
+            f"{CAN}; the rigid molecule of atom {atoms[0]} has {len(atoms)} atoms and {n_bonds[wrong[0]]} lengths: "
+            "run this scene with minimd"
+        )
     in_triangle = is_triangle[of_pair]
     triangles = np.flatnonzero(in_triangle)[np.argsort(of_pair[in_triangle], kind="stable")].reshape(-1, 3)
     first, second, angles, openings = _opened(pairs, lengths, triangles)

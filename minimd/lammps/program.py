@@ -65,8 +65,10 @@ def find_program() -> LammpsProgram:
     folders = str(Path(sys.executable).parent) if found else None
     found = found or next((Path(place) for name in NAMES if (place := shutil.which(name))), None)
     if found is None:
-        without = "without LAMMPS no input is written for it; docs/lammps.md says how ASE writes the atoms alone"
-        raise FileNotFoundError(f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path; {without}")
+        raise FileNotFoundError(
+            f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path; without LAMMPS no input is "
+            "written for it; docs/lammps.md says how ASE writes the atoms alone"
+        )
     try:
         streams: dict[str, Any] = {"capture_output": True, "text": True, "env": environment(), "check": False}
         told = subprocess.run([str(found), "-h"], timeout=SECONDS_TO_TRY, **streams)

@@ -83,11 +83,15 @@ def from_openmm(
     n = openmm_system.getNumParticles()
     elements = [one.element for one in topology.atoms()]
     if not n == len(elements) == len(places):
-        told = f"they have {n}, {len(elements)} and {len(places)}"
-        raise ValueError(f"OpenMM's system, topology and positions must have the same number of atoms; {told}")
+        raise ValueError(
+            f"OpenMM's system, topology and positions must have the same number of atoms; they have {n}, "
+            f"{len(elements)} and {len(places)}"
+        )
     if strange := _strange(openmm_system, forces):
-        hint = "baths and barostats are given to md.Simulation; other forces need OpenMM itself, or another force field"
-        raise ValueError(f"from_openmm takes {listed(KNOWN)}; it does not take {listed(strange)}: {hint}")
+        raise ValueError(
+            f"from_openmm takes {listed(KNOWN)}; it does not take {listed(strange)}: baths and barostats are given "
+            "to md.Simulation; other forces need OpenMM itself, or another force field"
+        )
     nonbonded = next((one for one in forces if type(one).__name__ == "NonbondedForce"), None)
     charges, sigma, epsilon = np.zeros((3, n)) if nonbonded is None else _rows(nonbonded, "Particle", 3).T
     # ghosts of one kind, whatever their σ

@@ -225,8 +225,10 @@ class ClusterList(VerletList):
         window = self.domains.window
         needed = self.n_ghosts, int(window[-1]), int(self.domains.numbers[BLOCKS])
         if (widest := int(np.diff(window).max())) > GHOST_BITS:
-            needs = f"needs {widest} clusters of atoms and images in one part of the cell, and {GHOST_BITS} fit"
-            raise ValueError(f"this scene is too large for a cluster list: it {needs}; simulate fewer atoms")
+            raise ValueError(
+                f"this scene is too large for a cluster list: it needs {widest} clusters of atoms and images in one "
+                f"part of the cell, and {GHOST_BITS} fit; simulate fewer atoms"
+            )
         room = tuple(room if n <= room else with_room(n) for n, room in zip(needed, self._room, strict=True))
         is_enough = room == self._room
         self._room = room
@@ -242,8 +244,10 @@ class ClusterList(VerletList):
         start = np.concatenate([[0], np.cumsum(room)])
         most = np.iinfo(np.int32).max
         if start[-1] > most:
-            cure = "reduce cutoff or skin, or simulate fewer atoms"
-            raise ValueError(f"cluster lists hold up to {most} entries, this scene needs {start[-1]}: {cure}")
+            raise ValueError(
+                f"cluster lists hold up to {most} entries, this scene needs {start[-1]}: reduce cutoff or skin, or "
+                "simulate fewer atoms"
+            )
         self._entry_start = start
         del self._entries, self._bins, self.rows, self.arrays, self.building  # they hold the old memory
 

@@ -111,19 +111,21 @@ class Hessenberg(DifferentialAlgebraic):
             own = sizes[i] if sizes[i] > KEPT * max(sizes) else max(sizes)  # else it is only rounding
             own = self._size_of_algebraic(t, parts) if k == last else own
             if not are_independent(violation, parts[i], step, own):
-                what = f"the constraints 0 = {chained} do not determine {self.names[i]}"
-                when = f"at the start, t = {t:g}, or the index is higher than {self.index}"
-                raise ValueError(f"{self.regular} must have full rank {when}: {what}")
+                raise ValueError(
+                    f"{self.regular} must have full rank at the start, t = {t:g}, or the index is higher than "
+                    f"{self.index}: the constraints 0 = {chained} do not determine {self.names[i]}"
+                )
             root = nearest_root(violation, parts[i], step, size=own)
             move = np.abs(root - parts[i]).max()
             size = max(own, np.abs(root).max())
             if k < last and move > refused * size:
                 off = violation(parts[i])
                 worst = int(np.argmax(np.abs(off)))
-                found = f"its element {worst} is {off[worst]:.2e} at t = {t:g}"
-                needed = f"{self.names[i]} would have to move by {move:.1e}"
-                name = f"{'hidden ' if k else ''}constraint 0 = {chained}"
-                raise ValueError(f"the start violates the {name}: {found}, and {needed}; {ADVICE}")
+                raise ValueError(
+                    f"the start violates the {'hidden ' if k else ''}constraint 0 = {chained}: its element {worst} "
+                    f"is {off[worst]:.2e} at t = {t:g}, and {self.names[i]} would have to move by {move:.1e}; "
+                    f"{ADVICE}"
+                )
             if k == last or move > kept * size:
                 parts[i] = root
         return np.concatenate(parts)
@@ -146,8 +148,11 @@ class Hessenberg(DifferentialAlgebraic):
         names = self.names
         is_guess_needed = self.functions[-1][1] == len(self.names)
         if not isinstance(start, tuple) or not len(names) - (not is_guess_needed) <= len(start) <= len(names):
-            last = f"{names[-1]} {'as a guess, because g depends on it' if is_guess_needed else 'may be left out'}"
-            raise ValueError(f"the start must be a tuple of {', '.join(names)} ({last}); got {shown(start)}")
+            raise ValueError(
+                f"the start must be a tuple of {', '.join(names)} ({names[-1]} "
+                f"{'as a guess, because g depends on it' if is_guess_needed else 'may be left out'}); got "
+                f"{shown(start)}"
+            )
         parts = [np.array(part, dtype=float).reshape(-1) for part in start]
         if len(parts) < len(names):
             parts.append(np.zeros(self.constraint(0, t, *parts).size))
@@ -159,8 +164,10 @@ class Hessenberg(DifferentialAlgebraic):
         self.levels = np.repeat(np.maximum(np.arange(len(parts)) + self.index - len(parts), 0), sizes)
         for (name, _), answer, part in zip(self.functions, self._answers(t, *parts), parts, strict=True):
             if answer.size != part.size:
-                needed = f"as many numbers as it has variables, {part.size} as in the start"
-                raise ValueError(f"{name} must answer with {needed}; got {answer.size}")
+                raise ValueError(
+                    f"{name} must answer with as many numbers as it has variables, {part.size} as in the start; got "
+                    f"{answer.size}"
+                )
         return parts
 
     def _answers(self, t: float, *parts: Array) -> Parts:
@@ -331,8 +338,9 @@ class Mechanical(Hessenberg):
         mass = self._mass(q)
         n = q.size
         if mass.size not in (1, n, n * n):
-            needed = f"one number, {n} or {n} × {n}, as q has {n} elements"
-            raise ValueError(f"mass must be {needed}; got {mass.size} numbers")
+            raise ValueError(
+                f"mass must be one number, {n} or {n} × {n}, as q has {n} elements; got {mass.size} numbers"
+            )
         return mass.reshape(n, n) if mass.size == n * n else np.eye(n) * mass
 
     def jacobian(self, t: float, q: Array) -> Array:

@@ -81,8 +81,10 @@ class Implicit(DifferentialAlgebraic):
         y, slope = (np.array(part, float) for part in (start if is_pair else (start, np.zeros(np.shape(start)))))
         is_finite = np.isfinite(y).all() and np.isfinite(slope).all()
         if y.ndim != 1 or y.size == 0 or y.shape != slope.shape or not is_finite:
-            needed = "y, or (y, y′), one-dimensional arrays of the same length with finite elements"
-            raise ValueError(f"the start must be {needed}; got {shown(start)}")
+            raise ValueError(
+                "the start must be y, or (y, y′), one-dimensional arrays of the same length with finite elements; "
+                f"got {shown(start)}"
+            )
         if (n_equations := self.residual(t, y, slope).size) != y.size:
             raise ValueError(f"there must be as many equations as variables; F has {n_equations}, y has {y.size}")
         self._slope = slope
@@ -93,8 +95,10 @@ class Implicit(DifferentialAlgebraic):
         of_slope, of_state = self._pencil(t, y, slope)
         self.index = pencil_index(of_slope, -of_state, RANK)
         if self.index > HIGHEST_INDEX:
-            found = f"that of F_y′ y′ + F_y y at the start is {self.index}"
-            raise ValueError(f"the index must be at most {HIGHEST_INDEX}; {found}; differentiate constraints")
+            raise ValueError(
+                f"the index must be at most {HIGHEST_INDEX}; that of F_y′ y′ + F_y y at the start is {self.index}; "
+                "differentiate constraints"
+            )
         if self.index > 1:
             unit = unit_of_time(np.append(y, size), slope)
             y, slope = self._solved(t, y, [slope, *np.zeros((self.index - 1, y.size))], mobility, unit, size)
@@ -143,9 +147,11 @@ class Implicit(DifferentialAlgebraic):
         k = int(np.argmax(np.abs(left) - allowed))
         if not abs(left[k]) <= allowed[k]:
             n, equation = divmod(k, y.size)
-            stays = f"{ORDINALS[n]}equation {equation} stays at {left[k] / unit**n:.2e} at t = {t:g}"
-            why = f"{stays} for every choice of y′ and of the variables that have no derivative in F"
-            raise ValueError(f"the start violates F(t, y, y′) = 0: {why}; {ADVICE}")
+            raise ValueError(
+                f"the start violates F(t, y, y′) = 0: {ORDINALS[n]}equation {equation} stays at "
+                f"{left[k] / unit**n:.2e} at t = {t:g} for every choice of y′ and of the variables that have no "
+                f"derivative in F; {ADVICE}"
+            )
         moved, derivatives = taken(x)
         return moved, derivatives[0]
 
@@ -205,10 +211,11 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
         constraints = left[:, rank:].T @ a
         independent = np.linalg.svd(constraints, compute_uv=False)
         if not independent[-1] > tolerance or index == n:
-            what = f"after {index} differentiations {n - rank} equations without y′ depend on each other"
-            spread = f"singular values from {independent[0]:.1e} to {independent[-1]:.1e}"
-            why = f"det(λM − A) = 0 for all λ: {what} ({spread}), so that some variable is not determined"
-            raise ValueError(f"the pencil is singular, {why}")
+            raise ValueError(
+                f"the pencil is singular, det(λM − A) = 0 for all λ: after {index} differentiations {n - rank} "
+                f"equations without y′ depend on each other (singular values from {independent[0]:.1e} to "
+                f"{independent[-1]:.1e}), so that some variable is not determined"
+            )
         m = np.vstack([left[:, :rank].T @ m, constraints])
         a = np.vstack([left[:, :rank].T @ a, np.zeros_like(constraints)])
         sizes = np.linalg.norm(m, axis=1)

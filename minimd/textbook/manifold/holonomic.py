@@ -78,16 +78,17 @@ class Holonomic(SecondOrder):
             raise ValueError(f"masses must be positive; the smallest is {masses.min()}")
         sizes = np.linalg.svd(self.jacobian(q) / np.sqrt(masses), compute_uv=False)
         if sizes.size > q.size or not sizes[-1] > DEPENDENT * sizes[0]:
-            spread = f"singular values of G M^(-1/2) from {sizes[0]:.1e} to {sizes[-1]:.1e}"
-            raise ValueError(f"the gradients of g must be independent at the start; {spread}")
+            raise ValueError(
+                "the gradients of g must be independent at the start; singular values of G M^(-1/2) from "
+                f"{sizes[0]:.1e} to {sizes[-1]:.1e}"
+            )
         off = float(np.abs(self.violation(q)).max())
         q1 = projected(self, q, q) if off > 0.0 else q
         v1 = tangent(self, q1, v)
         moved = np.abs(q1 - q).max()
         turned = np.abs(v1 - v).max()
         if moved > KEPT * np.abs(q).max() or turned > KEPT * max(np.abs(v).max(), np.finfo(float).tiny):
-            moves = f"q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}"
-            warn(f"the start was projected onto the constraints: {moves}")
+            warn(f"the start was projected onto the constraints: q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}")
         self.remark = remark_on_differences("G = ∂g/∂q", self.violation, self._jacobian, q1)
         return np.concatenate([q1, v1])
 

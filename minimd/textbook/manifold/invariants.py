@@ -82,8 +82,9 @@ class Manifold:
             sizes = f"{answer.size} invariants of {y.size} unknowns"
             raise ValueError(f"there must be fewer invariants than unknowns, and at least one; got {sizes}")
         if not (np.isfinite(answer).all() and np.isfinite(self.value).all()):
-            values = f"g = {_shown(answer)}, value = {_shown(self.value)}"
-            raise ValueError(f"g and its value must be finite at the start; {values}")
+            raise ValueError(
+                f"g and its value must be finite at the start; g = {_shown(answer)}, value = {_shown(self.value)}"
+            )
         if given is not None and (size := given(y, shape).size) != answer.size * y.size:
             raise ValueError(f"jacobian must have {answer.size} × {y.size} numbers, ∂g/∂y; got {size}")
 
@@ -104,9 +105,10 @@ class Manifold:
         sines = np.abs(np.diagonal(r)) / np.maximum(np.linalg.norm(gradients, axis=0), np.finfo(float).tiny)
         if not np.all(sines > PARALLEL):
             k = int(np.argmin(sines > PARALLEL))
-            why = f"its gradient {_shown(gradients[:, k])} vanishes, or lies in the span of earlier gradients"
-            needed = "the Jacobian of invariants must have full rank"
-            raise ConvergenceError(f"invariant {k} is not independent: {why}; {needed}")
+            raise ConvergenceError(
+                f"invariant {k} is not independent: its gradient {_shown(gradients[:, k])} vanishes, or lies in the "
+                "span of earlier gradients; the Jacobian of invariants must have full rank"
+            )
         return q, r
 
 
@@ -168,8 +170,9 @@ def corrected(problem: Problem, correction: Map, begun: Begun) -> CorrectedParti
         return CorrectedPartitioned(problem, correction, begun)
     if isinstance(problem, FirstOrder):
         return CorrectedFirstOrder(problem, correction, begun)
-    kinds = "SecondOrder, Partitioned and FirstOrder problems"
-    raise TypeError(f"y′ can be corrected in {kinds}; got {type(problem).__name__}")
+    raise TypeError(
+        f"y′ can be corrected in SecondOrder, Partitioned and FirstOrder problems; got {type(problem).__name__}"
+    )
 
 
 def stabilized(problem: Problem, invariants: Invariants, gamma: float) -> CorrectedPartitioned | CorrectedFirstOrder:
@@ -395,8 +398,9 @@ def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Arra
     if least <= SMALL:
         return best
     k = int(np.argmax(np.abs(defect) / scale))
-    off = f"invariant {k} is off by {defect[k]:.1e}"
-    raise ConvergenceError(f"the state could not be brought to the manifold of the invariants: {off}")
+    raise ConvergenceError(
+        f"the state could not be brought to the manifold of the invariants: invariant {k} is off by {defect[k]:.1e}"
+    )
 
 
 def _gram(manifold: Manifold, y: Array) -> Array:

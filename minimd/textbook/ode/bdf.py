@@ -61,9 +61,11 @@ class BDFStep:
         if not self._states or self._k == 1:
             self._states.appendleft(y)
         if self._states[0] is not y:
-            why = f"bdf-{self._k} uses the last {self._k} states of its path and cannot start anew at every step"
-            wanted = "step doubling, reversible steps and projections require that"
-            raise TypeError(f"{why}; {wanted}: use run_steps or run_until, or a one-step method such as RadauIIA3")
+            raise TypeError(
+                f"bdf-{self._k} uses the last {self._k} states of its path and cannot start anew at every step; "
+                "step doubling, reversible steps and projections require that: use run_steps or run_until, or a "
+                "one-step method such as RadauIIA3"
+            )
         if len(self._states) < self._k:
             y_new = self._start(t, y, h)
         else:

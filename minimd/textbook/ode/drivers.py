@@ -237,8 +237,9 @@ def _fixed(path: Path, method: Method, lengths: Iterable[float], t_end: float | 
 def check_method(method: Method) -> None:
     """TypeError for anything but a method with its time step."""
     if not isinstance(method, Method):
-        needed = "a method with its time step, such as VelocityVerlet(0.05)"
-        raise TypeError(f"method must be {needed}; got {shown(method)}")
+        raise TypeError(
+            f"method must be a method with its time step, such as VelocityVerlet(0.05); got {shown(method)}"
+        )
 
 
 def check_ahead(t0: float, t_end: float) -> None:
@@ -341,8 +342,10 @@ def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: floa
         raise TypeError(f"control must be StepControl(rtol, atol); got {shown(control)}")
     path = Path(problem, start, t0)
     if (given := np.shape(control.atol)) not in ((), path.states[0].shape):
-        needed = f"a number, or an array of length {path.states[0].size}, one for each component of y"
-        raise ValueError(f"atol must be {needed}; got shape {given}")
+        raise ValueError(
+            f"atol must be a number, or an array of length {path.states[0].size}, one for each component of y; got "
+            f"shape {given}"
+        )
     return path.through(_adaptive(path, method, t_end, control))
 
 
@@ -375,15 +378,19 @@ def _adaptive(path: Path, method: type[Method], t_end: float, control: StepContr
             n = n + 1
             yield t, y
         elif h <= control.shortest(t, span):
-            limit = f"shorter ones are not allowed (min_step = {control.min_step:g})"
-            path.stopped = f"stopped at t = {t:g}: a step of {h:.1e} is too long, {why}, and {limit}"
+            path.stopped = (
+                f"stopped at t = {t:g}: a step of {h:.1e} is too long, {why}, and shorter ones are not allowed "
+                f"(min_step = {control.min_step:g})"
+            )
             return
         else:
             path.n_rejected += 1
         tried = n + path.n_rejected
         if tried >= control.max_steps and t != t_end:
-            what = f"after {tried} steps, the last of {h:.1e}; loosen rtol and atol, or raise max_steps"
-            path.stopped = f"stopped at t = {t:g} {what}"
+            path.stopped = (
+                f"stopped at t = {t:g} after {tried} steps, the last of {h:.1e}; loosen rtol and atol, or raise "
+                "max_steps"
+            )
             return
         h = control.after(h, error, order)
 
@@ -465,8 +472,9 @@ def _reversible(path: Path, method: Method, t_end: float, control: DensityContro
         rho = path.densities[t] = rho + 0.5 * change
         yield t, y
     if t != t_end:
-        stopped = f"stopped at t = {t:g} after {n} steps, where their density ρ is {rho:.1e}"
-        path.stopped = f"{stopped}; raise max_steps or the timestep"
+        path.stopped = (
+            f"stopped at t = {t:g} after {n} steps, where their density ρ is {rho:.1e}; raise max_steps or the timestep"
+        )
 
 
 class _Fall:

@@ -53,8 +53,10 @@ def arguments(function: Function, names: str, label: str, usual: str | None, wan
     if len(taken) == len(places) and all(given == place or given not in every for given, place in pairs):
         return places
     alone = "" if most == every else f"{', '.join(most)}, or "
-    needed = f"{alone}some of {', '.join(every)}, in this order and under these names"
-    raise TypeError(f"{label} must take {needed}; it takes ({', '.join(taken)})")
+    raise TypeError(
+        f"{label} must take {alone}some of {', '.join(every)}, in this order and under these names; it takes "
+        f"({', '.join(taken)})"
+    )
 
 
 def reading(function: Function, names: str, label: str, usual: str | None = None, wanted: str = "a function",

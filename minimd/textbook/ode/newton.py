@@ -74,8 +74,9 @@ class Newton:
             matrix *= rows[:, None]
         factors, pivots, zero_pivot = scipy.linalg.lapack.dgetrf(matrix)
         if zero_pivot:
-            unknown = f"unknown {zero_pivot - 1} is not determined"
-            raise ConvergenceError(f"the equations of the step are singular: {unknown}")
+            raise ConvergenceError(
+                f"the equations of the step are singular: unknown {zero_pivot - 1} is not determined"
+            )
         return factors, pivots, sizes, rows
 
     def correction(self, factors: Any, r: Array) -> Array:

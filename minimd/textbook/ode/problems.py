@@ -75,8 +75,9 @@ class FirstOrder(Problem):
         another shape."""
         y = np.array(start, dtype=float)
         if y.ndim != 1 or y.size == 0:
-            needed = "a one-dimensional array with at least one element"
-            raise ValueError(f"the start must be {needed}; got shape {y.shape}")
+            raise ValueError(
+                f"the start must be a one-dimensional array with at least one element; got shape {y.shape}"
+            )
         check_finite(y)
         return y
 
@@ -128,8 +129,9 @@ class Partitioned(Problem):
             raise ValueError(f"the start must be a pair, (q, v); got {shown(start)}")
         q, v = (np.array(part, dtype=float) for part in start)
         if q.shape != v.shape or q.size == 0:
-            needed = "the same shape, and at least one element"
-            raise ValueError(f"q and v of the start must have {needed}; got {q.shape} and {v.shape}")
+            raise ValueError(
+                f"q and v of the start must have the same shape, and at least one element; got {q.shape} and {v.shape}"
+            )
         self.shape = self.g.shape = self.f.shape = q.shape
         y = np.concatenate([q.reshape(-1), v.reshape(-1)])
         check_finite(y)
@@ -200,8 +202,10 @@ class DifferentialAlgebraic(Problem):
 
     def __init__(self, solver: Newton) -> None:
         if not isinstance(solver, Newton) or isinstance(solver, FixedPoint):
-            why = "differential-algebraic equations need Newton's method, because they are no fixed-point equations"
-            raise TypeError(f"{why}; got solver = {solver!r}")
+            raise TypeError(
+                "differential-algebraic equations need Newton's method, because they are no fixed-point equations; "
+                f"got solver = {solver!r}"
+            )
         self.solver = solver
 
     def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:

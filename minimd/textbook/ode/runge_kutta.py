@@ -157,8 +157,9 @@ class RungeKutta(Method):
         shrink with the time step; and for a tableau with equal nodes, as explicit methods have them."""
         if isinstance(problem, DifferentialAlgebraic) and problem.index > 2 and not cls.tableau.is_stiffly_accurate:
             why = f"does not converge on problems of index {problem.index}, whose multipliers stay wrong however short"
-            advice = "take RadauIIA3 or BDF3, or a Holonomic problem with a splitting"
-            raise TypeError(f"{cls.name} {why} the steps; {advice}")
+            raise TypeError(
+                f"{cls.name} {why} the steps; take RadauIIA3 or BDF3, or a Holonomic problem with a splitting"
+            )
         if len(set(nodes := cls.tableau.nodes.tolist())) < len(nodes):
             why = f"has equal nodes, {nodes}, and implicit methods must have different ones"
             raise TypeError(f"{cls.name} {why}; for explicit Runge-Kutta methods use scipy.integrate.solve_ivp")

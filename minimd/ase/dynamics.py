@@ -102,8 +102,8 @@ class MinimdSteps(MolecularDynamics):
                 guard.make_steps(n_steps, with_energy=True)
                 guard.observe()
         finally:
-            self.nsteps = self.nsteps + engine.step - start
-            self._steps_made = self._steps_made + engine.step - start
+            self.nsteps += engine.step - start
+            self._steps_made += engine.step - start
             self._count_heat(engine.reservoir_energy - given)
             atoms.positions[:] = engine.positions
             atoms.set_momenta(_momenta(engine), apply_constraint=False)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 import minimd as md
 from minimd.bench import scenes
@@ -18,6 +17,7 @@ from minimd.bench.scenes import SCENES, BenchScene, equilibrated, pairs_in_range
 from minimd.bench.turns import take_turns, warm_up
 from minimd.core.compiled.terminal import tell
 from minimd.core.structure.observables import Array
+from minimd.core.structure.system import changed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -117,31 +117,25 @@ def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, tuple[Benc
         "+ bonds, exclusions": (bonded._replace(potentials=(excluding, spring)), {}),
         "+ rigid bonds, exclusions": (bonded._replace(potentials=(excluding,), constraints=(rigid,)), {}),
         "+ Langevin bath": (base._replace(method=langevin), {}),
-        "− periodic boundaries (droplet)": (_with(base, pbc=False), {}),
+        "− periodic boundaries (droplet)": (_with(base, cell=base.system.cell.vectors, pbc=False), {}),
         "Kob-Andersen mixture": (equilibrated(SCENES["kob-andersen"](n)), {}),
         "chains of 100 beads": (equilibrated(SCENES["chains"](n)), {}),
     }  # fmt: skip
 
 
 def _with(scene: BenchScene, **changes: Any) -> BenchScene:
-    """The scene with other species, bonds or pbc."""
-    old = scene.system
-    kept = {"species": old.species, "bonds": old.bonds, "pbc": old.cell.pbc, "cell": old.cell.vectors} | changes
-    system = md.System(old.positions, velocities=old.velocities, masses=old.masses, units=old.units, **kept)
-    return scene._replace(system=system)
+    """The scene with other arguments of its system."""
+    return scene._replace(system=changed(scene.system, **changes))
 
 
 def partners(system: md.System) -> tuple[NDArray[np.int64], float]:
     """Pairs of neighbors, with each atom in at most one pair, (K, 2), and the mean of their distances [σ]."""
-    edges = np.diag(system.cell.vectors)
-    tree = cKDTree(scenes.wrapped(system.positions, edges), boxsize=edges)
     taken = np.zeros(len(system), dtype=bool)
-    chosen = []
-    for pair in tree.query_pairs(PARTNERS, output_type="ndarray"):
-        if not taken[pair].any():
-            taken[pair] = True
-            chosen.append(pair)
-    pairs = np.array(chosen)
-    apart = system.positions[pairs[:, 1]] - system.positions[pairs[:, 0]]
-    apart -= np.rint(apart / edges) * edges
-    return pairs, float(np.linalg.norm(apart, axis=1).mean())
+    pairs = []
+    lengths = []
+    for i, j, length in zip(*md.neighbor_list("ijd", system, PARTNERS), strict=True):
+        if not (taken[i] or taken[j]):
+            taken[[i, j]] = True
+            pairs.append((i, j))
+            lengths.append(length)
+    return np.array(pairs), float(np.mean(lengths))

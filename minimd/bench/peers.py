@@ -119,7 +119,6 @@ class Peers:
         all_threads = sorted({row.threads for row in rows})
         figure = outcome.new_figure(3.8 * len(all_threads))
         panels = figure.subplots(len(all_threads), sharex=True, sharey=True, squeeze=False)[:, 0]
-        ends = []
         for panel, threads in zip(panels, all_threads, strict=True):
             curves = {one.engine: [row for row in rows if row[:2] == one[:2]] for one in rows if one.threads == threads}
             fastest = sorted(curves.items(), key=lambda curve: -np.median(curve[1][-1].speeds))[: outcome.MOST_CURVES]
@@ -127,13 +126,13 @@ class Peers:
             for name, points in fastest:
                 speeds = np.array([point.speeds for point in points]) / 1e6
                 drawn[name] = [point.n_atoms for point in points], speeds, points[0].is_minimd
-            ends.append(outcome.draw(panel, drawn))
+            outcome.draw(panel, drawn)
             title = f"{self.sizes[0][0].scene}, {threads_text(threads)}"
             panel.set(xscale="log", yscale="log", ylabel="10⁶ atom-steps / s", title=title)
             panel.yaxis.set_major_formatter("{x:g}")
             panel.yaxis.set_minor_formatter("{x:g}")
-        for panel, named in zip(panels, ends, strict=True):
-            outcome.name_curves(panel, named)
+        for panel in panels:
+            outcome.name_curves(panel)
         panels[-1].set_xlabel("atoms")
         return figure
 

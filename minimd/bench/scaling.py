@@ -57,18 +57,23 @@ class Scaling:
             times = [spread(1e9 * seconds[t] / n_atoms) for t in threads]
             cells.append([str(n_atoms), *times, *(spread(seconds[1] / seconds[t]) for t in threads if t > 1)])
         head = f"The melt, double precision; median of {self.repeats} rounds (least to most)."
-        grows = (
-            f"Peak memory from 32 000 to {self.memory_atoms} atoms grows by {self.memory or nan:.0f} bytes per atom."
-        )
         lines = [head, "", *table(dict.fromkeys(titles, float), cells), ""]
-        return lines if self.memory is None else [*lines, grows]
+        if self.memory is not None:
+            lines.append(
+                f"Peak memory from 32 000 to {self.memory_atoms} atoms grows by {self.memory:.0f} bytes per atom."
+            )
+        return lines
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
         sizes = [{"n_atoms": n_atoms, "seconds_per_step": {str(t): summary(x) for t, x in seconds.items()}}
                  for n_atoms, seconds in self.sizes]  # fmt: skip
-        memory = {"bytes_per_atom": self.memory, "memory_atoms": self.memory_atoms}
-        return {"repeats": self.repeats, "sizes": sizes, **memory}
+        return {
+            "repeats": self.repeats,
+            "sizes": sizes,
+            "bytes_per_atom": self.memory,
+            "memory_atoms": self.memory_atoms,
+        }
 
     def figure(self) -> "Figure":
         """Time of a step per atom against the number of atoms."""
@@ -76,10 +81,15 @@ class Scaling:
         axes = figure.subplots()
         n = [size.n_atoms for size in self.sizes]
         times: Any = lambda t: np.array([1e9 * size.seconds[t] / size.n_atoms for size in self.sizes])  # noqa: E731
-        ends = draw(axes, {threads_text(t): (n, times(t), True) for t in self.sizes[0].seconds})
-        labels = {"xlabel": "atoms", "ylabel": "ns per atom and step", "title": "Lennard-Jones melt"}
-        axes.set(xscale="log", ylim=(0.0, None), **labels)
-        name_curves(axes, ends)
+        draw(axes, {threads_text(t): (n, times(t), True) for t in self.sizes[0].seconds})
+        axes.set(
+            xscale="log",
+            ylim=(0.0, None),
+            xlabel="atoms",
+            ylabel="ns per atom and step",
+            title="Lennard-Jones melt",
+        )
+        name_curves(axes)
         return figure
 
 

@@ -318,19 +318,17 @@ def equilibrated(scene: BenchScene) -> BenchScene:
     return scene._replace(system=simulation.system)
 
 
-def wrapped(positions: Array, edges: Array) -> Array:
-    """Positions (N, 3) in the cell, less than its edges (3,) also after rounding."""
-    inside = positions % edges
-    return np.where(inside < edges, inside, 0.0)
-
-
 def pairs_in_range(scene: BenchScene, positions: Array) -> int:
     """Number of pairs of atoms within their cutoff on which the pair potential acts: without bonded pairs if it
     excludes them. Pairs two and three bonds apart are counted.
     positions : (N, 3) [σ], of the atoms of the scene at any time. The cell must be wider than twice the cutoff,
         or open."""
-    box = scene.edges if scene.system.cell.is_periodic else None
-    places = positions if box is None else wrapped(positions, box)
+    box = None
+    places = positions
+    if scene.system.cell.is_periodic:
+        box = scene.edges
+        places = positions % box
+        places[places >= box] = 0.0  # by rounding
     names = scene.system.species_names
     trees = [cKDTree(places[scene.system.species == name], boxsize=box) for name in names]
     cutoffs = np.sqrt(np.broadcast_to(scene.law.table(names)[:, :, 0], (len(names),) * 2))

@@ -94,42 +94,42 @@ class Case(NamedTuple):
                 )
         return lines
 
-    def beside(self, error: str = "oscillation") -> list[str]:
-        """The time of each peer divided by that of the fastest run of minimd with the same error or a smaller one."""
+    def beside(self) -> list[str]:
+        """The time of each peer divided by that of the fastest run of minimd with the same oscillation or a smaller
+        one."""
         ours = [p for p in self.points if p.who.startswith("minimd")]
         ratios = dict[str, list[float]]()
         for peer in self.points:
-            most = getattr(peer, error)
-            able = [p.seconds for p in ours if getattr(p, error) <= most]
-            if able and np.isfinite(most) and not peer.who.startswith("minimd"):
+            able = [p.seconds for p in ours if p.oscillation <= peer.oscillation]
+            if able and np.isfinite(peer.oscillation) and not peer.who.startswith("minimd"):
                 ratios.setdefault(peer.who, []).append(peer.seconds / min(able))
         return [
-            f"{who}: {np.median(each):.2f} times the time of minimd at equal {error} ({min(each):.2f} to "
+            f"{who}: {np.median(each):.2f} times the time of minimd at equal oscillation ({min(each):.2f} to "
             f"{max(each):.2f})"
             for who, each in ratios.items()
         ]
 
-    def draw(self, panel: Any, error: str = "oscillation") -> None:
+    def draw(self, panel: Any) -> None:
         """Draw six curves at most: velocity Verlet, peers, and the other methods with most points on the front."""
         curves: dict[tuple[str, str], list[Point]] = {}
         for point in self.points:
-            if 0.0 < getattr(point, error) < np.inf:
+            if 0.0 < point.oscillation < np.inf:
                 curves.setdefault((point.who, point.method), []).append(point)
-        on_front = [(p.who, p.method) for p in self.front(error)]
+        on_front = [(p.who, p.method) for p in self.front("oscillation")]
         others = [one for one in curves if one[1] != md.VelocityVerlet.name]
         best = sorted(others, key=lambda one: (-on_front.count(one), min(p.oscillation for p in curves[one])))
         shown = {}
         for who, method in [*(one for one in curves if one not in others), *best][:MOST_CURVES]:
             points = curves[who, method]
             is_own = who.startswith("minimd")
-            errors = np.array([[getattr(p, error)] for p in points])
+            errors = np.array([[p.oscillation] for p in points])
             shown[method if is_own else who] = [p.seconds for p in points], errors, is_own
-        panel.set(xscale="log", yscale="log", xlabel="seconds", ylabel=f"{error} of the energy")
+        panel.set(xscale="log", yscale="log", xlabel="seconds", ylabel="oscillation of the energy")
         panel.set_title(f"{self.name}: time of a run of {self.duration}")
-        ends = draw(panel, shown)
+        draw(panel, shown)
         panel.xaxis.set_minor_formatter("")  # minor labels would overlap
         panel.grid(alpha=0.3)
-        name_curves(panel, ends)
+        name_curves(panel)
 
 
 @dataclass(frozen=True)

@@ -162,9 +162,17 @@ def minimized(
     with progress_of(max_steps, "minimizing", progress) as tell, stop_on_signals(descent):
         largest_before = descent.run(tell)
         constraint_set.project(system.velocities, system.positions)
-        counts = descent.n_steps, forces.n_evaluations - evaluated + 1
-        found = descent.largest_force, largest_before, _potential_energy(forces), energy_before
-        result = Minimization(system, descent.largest_force <= tolerance, *counts, *found, tolerance)
+        result = Minimization(
+            system,
+            descent.largest_force <= tolerance,
+            descent.n_steps,
+            forces.n_evaluations - evaluated + 1,
+            descent.largest_force,
+            largest_before,
+            _potential_energy(forces),
+            energy_before,
+            tolerance,
+        )
         if descent.stop_requested and not result.converged:
             raise Interrupted(f"stopped after step {result.n_steps} of the minimization", result)
     return result
@@ -226,7 +234,8 @@ class Descent:
         self._curvature = 0.0
         self._system = forces.system
         self._positions = forces.system.positions
-        self._forces, self._velocities = np.zeros_like(self._positions), np.zeros_like(self._positions)
+        self._forces = np.zeros_like(self._positions)
+        self._velocities = np.zeros_like(self._positions)
         self._probe = np.random.default_rng(SEED).standard_normal(self._positions.shape)
         # minimd's own laws have no finite force where they have no energy
         own = (isinstance(one, OwnPotential) and not is_user_law(getattr(one, "law", ())) for one in forces.potentials)
@@ -291,12 +300,12 @@ class Descent:
                 downhill += 1
                 if downhill > DELAY:
                     # Δt ← 1.1 Δt, α ← 0.99 α
-                    timestep = timestep * FASTER
-                    mixing = mixing * LESS_MIXING
+                    timestep *= FASTER
+                    mixing *= LESS_MIXING
             elif self._velocities.any():  # P ≤ 0
                 self._moved(self._velocities.copy(), -0.5 * timestep)  # r ← r − ½ Δt v
                 # Δt ← ½ Δt, α ← ¼
-                timestep = timestep * SLOWER
+                timestep *= SLOWER
                 mixing = MIXING
                 downhill = 0
                 self._velocities[:] = 0.0  # v ← 0
@@ -305,16 +314,16 @@ class Descent:
             steer(self._velocities, self._forces, timestep, mixing, self._longest)
             has_moved = self._moved(self._velocities, timestep)  # r ← r + Δt v
             if has_moved and self._evaluate():
-                self.n_steps = self.n_steps + 1
+                self.n_steps += 1
                 refused = 0
                 tell(self.n_steps)
                 if self.n_steps % PROBE_EVERY == 0:
                     self._try_curvature()
                 continue
-            timestep = timestep * SLOWER
+            timestep *= SLOWER
             mixing = MIXING
             downhill = 0
-            refused = refused + 1
+            refused += 1
             self._positions[:] = before
             self._velocities[:] = 0.0
             if refused > REFUSALS:

@@ -1,6 +1,7 @@
 """The cluster list with a skin: rows of clusters for the vector loop, in memory that is used again."""
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,48 +68,47 @@ class ClusterList(VerletList):
         self._columns_of: tuple[Cell, Array] | None = None
         self._images: Images | None = None
         self._positions = np.zeros((n_atoms, DIMENSIONS))  # where the operations find them
-        self._calls, self._program = DirectCalls(), Program(self.operations, lambda: self.version, pool)
+        self._calls = DirectCalls()
+        self._program = Program(self.operations, lambda: self.version, pool)
         self._n_counted = 0  # builds
         self._layers = np.zeros(3, dtype=np.int64)
         self.lanes = lanes_for()
         self._room: tuple[int, ...] = (0, 0, 0)
         self._entry_start = np.zeros(1, dtype=np.int64)
         self._shifts = np.zeros((IMAGES, DIMENSIONS))
-        self._memory, sets = Buffers(), np.arange(1 << self.lanes.size)[:, None] >> np.arange(self.lanes.size) & 1
+        self._memory = Buffers()
+        sets = np.arange(1 << self.lanes.size)[:, None] >> np.arange(self.lanes.size) & 1
         self._far = self._memory.array("far", np.float64, sets.size)
         self._far[:] = np.where(sets, 0.0, np.inf).ravel()
 
     def operations(self) -> Iterator[Operation]:
         """Atoms to their clusters and ghosts; a new list where it is due; see cluster_build.  Memory must be ready."""
         n = self.n_domains
-        make_room = self._make_room
-        build = [(cluster_build.find_columns, 1, self._refit), (cluster_build.sort_atoms, 1, None)]
-        build += [(cluster_build.cut_columns, self.building.n_chunks, None)]
-        build += [(cluster_build.find_domains, 1, make_room), (cluster_build.place_ghosts, n, None)]
-        build += [(cluster_build.list_rows, n, make_room), (cluster_build.finish_list, 1, None)]
+        of_list = partial(operation, self._calls, is_kept=True)
+        build = [
+            (cluster_build.find_columns, 1, self._refit),
+            (cluster_build.sort_atoms, 1, None),
+            (cluster_build.cut_columns, self.building.n_chunks, None),
+            (cluster_build.find_domains, 1, self._make_room),
+            (cluster_build.place_ghosts, n, None),
+            (cluster_build.list_rows, n, self._make_room),
+            (cluster_build.finish_list, 1, None),
+        ]
         if self._excluded is not None:
             build += [(cluster_build.number_slots, n, None), (cluster_build.exclude_pairs, n, None)]
-        own = {"is_kept": True}
         after = 1 + len(build)
-        yield operation(self._calls, cluster_build.place_atoms, self.building, n, **own)
-        yield operation(
-            self._calls,
-            cluster_build.is_valid,
-            self.building,
-            otherwise=after,
-            python=lambda _answer: raise_not_finite(self._positions),
-            **own,
-        )
+        yield of_list(cluster_build.place_atoms, self.building, n)
+        refuse = lambda _answer: raise_not_finite(self._positions)  # noqa: E731
+        yield of_list(cluster_build.is_valid, self.building, otherwise=after, python=refuse)
         for k, (kernel, n_chunks, remedy) in enumerate(build, start=2):
             # in the end to place_atoms; after a remedy to sort_atoms
             then = 1 if k < after else -k
-            again = 3 - k
-            yield operation(self._calls, kernel, self.building, n_chunks, then=then, python=remedy, again=again, **own)
+            yield of_list(kernel, self.building, n_chunks, then=then, python=remedy, again=3 - k)
 
     def ready(self, positions: Array, cell: Cell) -> None:
         """See VerletList: memory; without a list of this cell, the operations build one."""
         of = (self._cell, None if self._columns_of is None else self._columns_of[0])
-        if not all(one is cell or (one is not None and cell.same_as(one)) for one in of):
+        if not all(one is not None and cell.same_as(one) for one in of):
             self._take(positions, cell)
         elif positions is not self._positions:
             self._positions = positions
@@ -140,7 +140,8 @@ class ClusterList(VerletList):
         if of is None or not (cell.same_as(of[0]) and np.array_equal(region, of[1])):
             columns = self._columns_in(cell, region)
             if of is None or not self._columns.move_to(columns):
-                self._columns, self.domains = columns, make_domains(columns, self._n_atoms)
+                self._columns = columns
+                self.domains = make_domains(columns, self._n_atoms)
                 self.n_domains = len(self.domains.first)
                 self._needed = np.zeros(self.n_domains, dtype=np.int64)
                 self._arrange()
@@ -156,8 +157,8 @@ class ClusterList(VerletList):
         """After operations: what they have done to the list."""
         built = int(self._layers[BUILDS]) - self._n_counted
         if built:
-            self.n_builds = self.n_builds + built
-            self._n_counted = self._n_counted + built
+            self.n_builds += built
+            self._n_counted += built
             self._built_in = self._cell
             self._stretch = 1.0
         if self._layers[IN_USE] == 0:
@@ -221,10 +222,12 @@ class ClusterList(VerletList):
 
     def _make_room(self, _answer: int = 0) -> None:
         """More memory, after a build that has found how much it needs."""
-        self._columns_of, columns_of = None, self._columns_of  # what follows may fail: a whole list or none
+        columns_of = self._columns_of
+        self._columns_of = None  # what follows may fail: a whole list or none
         window = self.domains.window
         needed = self.n_ghosts, int(window[-1]), int(self.domains.numbers[BLOCKS])
-        if (widest := int(np.diff(window).max())) > GHOST_BITS:
+        widest = int(np.diff(window).max())
+        if widest > GHOST_BITS:
             raise ValueError(
                 f"this scene is too large for a cluster list: it needs {widest} clusters of atoms and images in one "
                 f"part of the cell, and {GHOST_BITS} fit; simulate fewer atoms"
@@ -257,10 +260,11 @@ class ClusterList(VerletList):
         spare = self._spare
         n_ghosts, n_in_windows, n_forces = self._room
         n_lanes = self.lanes.size
-        n_block = self.lanes.size * DIMENSIONS
+        n_block = n_lanes * DIMENSIONS
         n_columns = int(self._columns.counts[0] * self._columns.counts[1])  # each may have a cluster that is not full
         n_clusters = (self._n_atoms + n_columns * (n_lanes - 1)) // n_lanes
-        heights, boxes = ((np.float64, shape) for shape in ((n_clusters,), (n_clusters, 6)))
+        heights = (np.float64, (n_clusters,))
+        boxes = (np.float64, (n_clusters, 6))
         search = heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows)
         ((bottom, top, boxes_now, *for_search),) = memory.overlaid("scratch", search, spare=spare)
         self._coordinates = memory.array("coordinates", np.float64, n_ghosts * n_block, spare=1.0)
@@ -279,20 +283,33 @@ class ClusterList(VerletList):
         number = np.int64 if self._is_fixed else np.float64
         forces = memory.array("forces", number, n_forces * n_block, in_page=HALF_A_PAGE, spare=1.0)
         first_sum = memory.array("first sum", np.int64, n_in_windows if self._is_fixed else 0)
-        is_out, needed = (np.zeros(n, dtype=np.int64) for n in (self.n_domains * self._is_fixed, self.n_domains))
+        is_out = np.zeros(self.n_domains * self._is_fixed, dtype=np.int64)
+        needed = np.zeros(self.n_domains, dtype=np.int64)
         self.memory = ClusterMemory(self._coordinates, self._shifts, forces, first_sum, self._far, is_out, needed)
         self._arrange_building()
 
     def _arrange_building(self) -> None:
         """What operations and the loop get."""
-        parts = self.clusters, self.domains.cluster, self.domains, self.ghosts, self.rows, self.memory
-        self.arrays = ClusterArrays(*parts)
+        self.arrays = ClusterArrays(
+            self.clusters, self.domains.cluster, self.domains, self.ghosts, self.rows, self.memory
+        )
         layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, self._coordinates, self._shifts)
         goes_along = self._pool.n_threads == 1 and not self._is_fixed
         n_columns = min(int(self._columns.counts[0]), MOST_CHUNKS)
-        work = self._positions, self.arrays, self._bins, layout, self._room[2], n_columns, int(goes_along)
-        excluded = NO_PARTNERS if self._excluded is None else self._excluded
-        self.building = Building(*work, self._entry_start, self._needed, excluded, self._slot_of, self._images)
+        self.building = Building(
+            self._positions,
+            self.arrays,
+            self._bins,
+            layout,
+            self._room[2],
+            n_columns,
+            int(goes_along),
+            self._entry_start,
+            self._needed,
+            NO_PARTNERS if self._excluded is None else self._excluded,
+            self._slot_of,
+            self._images,
+        )
         self.version += 1
 
     @property

@@ -57,12 +57,12 @@ class PairList(VerletList):
         """See VerletList: what is_in_reach needs."""
         if positions is not self.reach.positions:
             self.reach = self.reach._replace(positions=positions)
-        is_same = self._cell is not None and (cell is self._cell or cell.same_as(self._cell))
+        is_same = self._cell is not None and cell.same_as(self._cell)
         self.reach.limit2[0] = self.limit2 if is_same else NEVER
 
     def update(self, positions: Array, cell: Cell) -> bool:
         """See VerletList."""
-        is_same = self._cell is not None and (cell is self._cell or cell.same_as(self._cell))
+        is_same = self._cell is not None and cell.same_as(self._cell)
         if is_same and not any_moved(positions, self._reference, self.limit2):
             return False
         self._cell = None  # no list until the new one is whole
@@ -74,14 +74,17 @@ class PairList(VerletList):
         return self._reference.copy() if self._original is None else self._original.copy()
 
     def _strain(self, strain: Array, before: Cell, cell: Cell) -> None:
-        self._original = self._reference.copy() if self._original is None else self._original
+        if self._original is None:
+            self._original = self._reference.copy()
         strained(self._original, strain, self._reference)
         before.follow(cell, self.offsets)
         before.follow(cell, self.pairs.translations)
         self.limit2 = self._limit2(self.skin)
 
     def _build(self, positions: Array, cell: Cell) -> None:
-        self._reference[:], self._original, self.limit2 = positions, None, self._limit2(self.skin)
+        self._reference[:] = positions
+        self._original = None
+        self.limit2 = self._limit2(self.skin)
         self.version += 1
         if self.cutoff == np.inf:
             return self._list_all_pairs(positions)
@@ -104,10 +107,9 @@ class PairList(VerletList):
         n = len(positions)
         self.order = np.arange(n)
         self.offsets = np.zeros((n, 3))
-        first, second = np.triu_indices(n, k=1)
-        apart = np.ones((n, n), dtype=bool)
-        apart[np.repeat(np.arange(n), np.diff(self._excluded[0])), self._excluded[1]] = False
-        first, second = first[apart[first, second]], second[apart[first, second]]
+        is_listed = np.triu(np.ones((n, n), dtype=bool), k=1)
+        is_listed[np.repeat(self.order, np.diff(self._excluded[0])), self._excluded[1]] = False
+        first, second = np.nonzero(is_listed)
         self.pairs = Pairs(starts(first, n), second.astype(np.uint32), np.empty(0, dtype=np.uint32), np.zeros((0, 3)))
 
 

@@ -41,9 +41,10 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
     pairs = pair_list.pairs
     order = pair_list.order
     first = np.repeat(np.arange(len(system)), np.diff(pairs.start))
-    steps = (pair_list.offsets @ cell.inverse)[pairs.second] - (pair_list.offsets @ cell.inverse)[first]
+    cells = pair_list.offsets @ cell.inverse
+    steps = cells[pairs.second] - cells[first]
     if cell.is_periodic:
-        steps = steps + (pairs.translations @ cell.inverse)[pairs.image]
+        steps += (pairs.translations @ cell.inverse)[pairs.image]
     shifts = np.rint(steps).astype(np.int64) @ cell.reduction
     both = np.stack([order[first], order[pairs.second]])
     shifts = np.concatenate([shifts, -shifts])

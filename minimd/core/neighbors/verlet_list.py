@@ -132,7 +132,7 @@ class VerletList(ABC):
         self._build(positions, cell)
         self._cell = cell
         self._built_in = cell
-        self.n_builds = self.n_builds + 1
+        self.n_builds += 1
 
     def settle(self) -> None:  # noqa: B027 - there may be nothing to do
         """After operations: take note of what they have done to the list."""

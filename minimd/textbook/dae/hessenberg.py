@@ -50,8 +50,10 @@ class Hessenberg(DifferentialAlgebraic):
 
     def __init__(self, solver: Newton, *functions: Function) -> None:
         super().__init__(solver)
-        asked = [(name, " ".join(("t", *self.names[:n]))) for name, n in self.functions]
-        self._functions = [taking(one, names, name) for one, (name, names) in zip(functions, asked, strict=True)]
+        self._functions = [
+            taking(function, " ".join(("t", *self.names[:n])), name)
+            for function, (name, n) in zip(functions, self.functions, strict=True)
+        ]
         self.f = self._functions[0]
         self.g = self._functions[-1]
 
@@ -109,7 +111,8 @@ class Hessenberg(DifferentialAlgebraic):
 
             sizes = [float(np.abs(part).max()) for part in parts]
             own = sizes[i] if sizes[i] > KEPT * max(sizes) else max(sizes)  # else it is only rounding
-            own = self._size_of_algebraic(t, parts) if k == last else own
+            if k == last:
+                own = self._size_of_algebraic(t, parts)
             if not are_independent(violation, parts[i], step, own):
                 raise ValueError(
                     f"{self.regular} must have full rank at the start, t = {t:g}, or the index is higher than "
@@ -283,7 +286,7 @@ class Mechanical(Hessenberg):
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """See Hessenberg."""
         y = super().begin(start, t0)
-        self.remark = remark_on_differences("G = ∂g/∂q", partial(self.g, t0), self._jacobian, self.parts(y)[0])
+        self.remark = remark_on_differences(partial(self.g, t0), self._jacobian, self.parts(y)[0])
         return y
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:

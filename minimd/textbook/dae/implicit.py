@@ -50,8 +50,10 @@ class Implicit(DifferentialAlgebraic):
         super().__init__(solver)
         self._F = taking(F, "t y slope", "F")
         self._slope = np.zeros(0)
-        self.given_state_jacobian = None if F_y is None else taking(F_y, "t y slope", "F_y")
-        self.given_slope_jacobian = None if F_slope is None else taking(F_slope, "t y slope", "F_slope")
+        if F_y is not None:
+            self.state_jacobian = _matrix(F_y, "F_y")  # type: ignore[method-assign]
+        if F_slope is not None:
+            self.slope_jacobian = _matrix(F_slope, "F_slope")  # type: ignore[method-assign]
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, with variables whose derivative does not occur in F solved for; field(t0, y) is its y′.
@@ -156,6 +158,12 @@ class Implicit(DifferentialAlgebraic):
         return moved, derivatives[0]
 
 
+def _matrix(function: Function, name: str) -> Function:
+    """A function of t, y and slope with n × n numbers, as one that answers with an (n, n) array."""
+    answer = taking(function, "t y slope", name)
+    return lambda t, y, slope: answer(t, y, slope).reshape(y.size, y.size)
+
+
 def _taylor(coefficients: list[Array], e: float) -> Array:
     """Σ eʲ/j! c_j, by Horner's rule."""
     total = np.zeros_like(coefficients[0])
@@ -221,4 +229,4 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
         sizes = np.linalg.norm(m, axis=1)
         m = m / sizes[:, None]
         a = a / sizes[:, None]
-        index = index + 1
+        index += 1

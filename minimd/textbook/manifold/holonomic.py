@@ -89,7 +89,7 @@ class Holonomic(SecondOrder):
         turned = np.abs(v1 - v).max()
         if moved > KEPT * np.abs(q).max() or turned > KEPT * max(np.abs(v).max(), np.finfo(float).tiny):
             warn(f"the start was projected onto the constraints: q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}")
-        self.remark = remark_on_differences("G = ∂g/∂q", self.violation, self._jacobian, q1)
+        self.remark = remark_on_differences(self.violation, self._jacobian, q1)
         return np.concatenate([q1, v1])
 
     def drift(self, t: float, q: Array, v: Array, duration: float, iteration: Iteration) -> None:
@@ -105,8 +105,9 @@ class Holonomic(SecondOrder):
     def sequence_order(self, substeps: Substeps) -> int:
         """Compositions of velocity Verlet keep their order, as each of their steps is a RATTLE step; others have 2 at
         most."""
+        order = nystrom_order(substeps)
         verlet = repeated(VERLET, [one.coefficient for one in substeps if isinstance(one, Drift)])
-        return nystrom_order(substeps) if are_alike(substeps, verlet) else min(nystrom_order(substeps), 2)
+        return order if are_alike(substeps, verlet) else min(order, 2)
 
     def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
         """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
@@ -137,6 +138,7 @@ def tangent(problem: Holonomic, q: Array, v: Array) -> Array:
         for _ in range(2):
             v = v - directions @ np.linalg.solve(matrix, gradient @ v)
     except np.linalg.LinAlgError:
-        why = "the gradients of the constraints depend on each other here, so that constraint forces are not determined"
-        raise ConvergenceError(why) from None
+        raise ConvergenceError(
+            "the gradients of the constraints depend on each other here, so that constraint forces are not determined"
+        ) from None
     return np.asarray(v)

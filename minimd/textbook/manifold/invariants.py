@@ -146,33 +146,33 @@ class Corrected(Problem):
 class CorrectedPartitioned(Corrected, Partitioned):
     """q′ = g + c_q, v′ = f + c_v with a correction c(q, v)."""
 
-    def __init__(self, problem: Partitioned, correction: Map, begun: Begun) -> None:
-        def of(q: Array, v: Array) -> Array:
-            return correction(np.concatenate([q.reshape(-1), v.reshape(-1)]))
-
-        super().__init__(lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size],
-                         lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :], solver=problem.solver)  # fmt: skip
-        self.keep(problem, correction, begun)
-
 
 class CorrectedFirstOrder(Corrected, FirstOrder):
     """y′ = f + c(y)."""
-
-    def __init__(self, problem: FirstOrder, correction: Map, begun: Begun) -> None:
-        super().__init__(problem.field, solver=problem.solver)
-        self.keep(problem, correction, begun)
 
 
 def corrected(problem: Problem, correction: Map, begun: Begun) -> CorrectedPartitioned | CorrectedFirstOrder:
     """A problem of the same kind with a term added to y′; one with q and v is then Partitioned, and its steps implicit.
     Raises TypeError for problems of other kinds."""
+    new: CorrectedPartitioned | CorrectedFirstOrder
     if isinstance(problem, Partitioned):
-        return CorrectedPartitioned(problem, correction, begun)
-    if isinstance(problem, FirstOrder):
-        return CorrectedFirstOrder(problem, correction, begun)
-    raise TypeError(
-        f"y′ can be corrected in SecondOrder, Partitioned and FirstOrder problems; got {type(problem).__name__}"
-    )
+
+        def of(q: Array, v: Array) -> Array:
+            return correction(np.concatenate([q.reshape(-1), v.reshape(-1)]))
+
+        new = CorrectedPartitioned(
+            lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size],
+            lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :],
+            solver=problem.solver,
+        )
+    elif isinstance(problem, FirstOrder):
+        new = CorrectedFirstOrder(problem.field, solver=problem.solver)
+    else:
+        raise TypeError(
+            f"y′ can be corrected in SecondOrder, Partitioned and FirstOrder problems; got {type(problem).__name__}"
+        )
+    new.keep(problem, correction, begun)
+    return new
 
 
 def stabilized(problem: Problem, invariants: Invariants, gamma: float) -> CorrectedPartitioned | CorrectedFirstOrder:

@@ -202,9 +202,7 @@ def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: fl
     Parameters, Raises : as run_steps; t_end must lie on the side of t0 to which the time step leads."""
     check_method(method)
     h = method.timestep
-    n_steps = (checked_number("t_end", t_end) - checked_number("t0", t0)) / h
-    if not (isfinite(n_steps) and n_steps > 0.0):
-        raise ValueError(f"t_end must be finite and lie ahead of t0; t0 = {t0!r}, t_end = {t_end!r}, timestep = {h!r}")
+    n_steps = checked_span(t0, t_end, h)
     whole = int(n_steps * (1.0 + LEFTOVER) + LEFTOVER)
     rest = t_end - (t0 + whole * h)
     lengths = [h] * whole + ([rest] if rest / h > LEFTOVER * n_steps else [])
@@ -242,10 +240,16 @@ def check_method(method: Method) -> None:
         )
 
 
-def check_ahead(t0: float, t_end: float) -> None:
-    """ValueError unless both times are finite, and differ."""
-    if checked_number("t0", t0) == checked_number("t_end", t_end):
-        raise ValueError(f"t0 and t_end must be finite and differ; t0 = {t0!r}, t_end = {t_end!r}")
+def checked_span(t0: float, t_end: float, timestep: float | None = None) -> float:
+    """The time from t0 to t_end, in time steps or, without one, whichever its direction.
+    ValueError unless both times are finite, and t_end lies on the side of t0 to which the time step leads."""
+    span = checked_number("t_end", t_end) - checked_number("t0", t0)
+    n_steps = abs(span) if timestep is None else span / timestep
+    if not (isfinite(n_steps) and n_steps > 0.0):
+        raise ValueError(
+            f"t_end must be finite and lie ahead of t0; t0 = {t0!r}, t_end = {t_end!r}, timestep = {timestep!r}"
+        )
+    return n_steps
 
 
 @dataclass(frozen=True)
@@ -335,7 +339,7 @@ def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: floa
     A run that needs too many steps, or steps below min_step or the spacing of numbers at t, ends early:
     solution.success is False.
     """
-    check_ahead(t0, t_end)
+    checked_span(t0, t_end)
     if not (isinstance(method, type) and issubclass(method, Method)):
         raise TypeError(f"method must be a class, such as VelocityVerlet, not an object; got {shown(method)}")
     if not isinstance(control, StepControl):
@@ -375,7 +379,7 @@ def _adaptive(path: Path, method: type[Method], t_end: float, control: StepContr
         if error <= 1.0:
             t = t_end if is_last else t + signed
             y = two
-            n = n + 1
+            n += 1
             yield t, y
         elif h <= control.shortest(t, span):
             path.stopped = (
@@ -436,14 +440,11 @@ def run_reversible(problem: Partitioned, method: Method, start: Start, t_end: fl
     A run that needs too many steps ends early: solution.success is False.
     """
     check_method(method)
-    check_ahead(t0, t_end)
-    checked_count("every", every)
+    checked_span(t0, t_end, method.timestep)
     if not isinstance(control, DensityControl):
         raise TypeError(f"control must be DensityControl(rate, density, max_steps); got {shown(control)}")
     if not method.is_symmetric:
         raise ValueError(f"reversible steps need a symmetric method, such as VelocityVerlet; {method.name} is not")
-    if (t_end - t0) * method.timestep < 0.0:
-        raise ValueError(f"t_end must lie ahead; t0 = {t0!r}, t_end = {t_end!r}, {method!r}")
     path = Path(problem, start, t0, every)
     return path.through(_reversible(path, method, t_end, control), method.timestep)
 
@@ -465,7 +466,7 @@ def _reversible(path: Path, method: Method, t_end: float, control: DensityContro
         is_last = abs(h) >= abs(rest) - LEFTOVER * max(abs(t), abs(t_end))
         y = step(t, y, rest if is_last else h)
         t = t_end if is_last else t + h
-        n = n + 1
+        n += 1
         if not np.isfinite(y).all():
             raise NonFiniteError("the state is no longer finite")
         change = epsilon * float(rate(t, *problem.halves(y)))

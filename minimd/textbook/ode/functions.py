@@ -176,12 +176,12 @@ def error_of_differences(function: Map, x: Array) -> float:
     return float(np.abs(wide - narrow).max() / (np.abs(wide).max() or 1.0))
 
 
-def remark_on_differences(name: str, function: Map, given: Any, x: Array) -> str:
-    """Says that a derivative that is not given is found by accurate differences, with their error at x."""
+def remark_on_differences(function: Map, given: Any, x: Array) -> str:
+    """Says that G = ∂g/∂q, if it is not given, is found by accurate differences, with their error at x."""
     if given is not None:
         return ""
     error = max(error_of_differences(function, x), EPS)
-    return f"{name} by differences, with a relative error of {error:.0e} at the start"
+    return f"G = ∂g/∂q by differences, with a relative error of {error:.0e} at the start"
 
 
 def unit_of_time(y: Array, *derivatives: Array) -> float:

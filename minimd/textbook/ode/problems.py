@@ -197,8 +197,6 @@ class DifferentialAlgebraic(Problem):
     shape = None
     index: int
     levels: Array
-    given_state_jacobian: Function | None = None  # of t, y, slope
-    given_slope_jacobian: Function | None = None
 
     def __init__(self, solver: Newton) -> None:
         if not isinstance(solver, Newton) or isinstance(solver, FixedPoint):
@@ -209,15 +207,11 @@ class DifferentialAlgebraic(Problem):
         self.solver = solver
 
     def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
-        """∂F/∂y, (n, n): as given, or by differences."""
-        if self.given_state_jacobian is not None:
-            return self.given_state_jacobian(t, y, slope).reshape(y.size, y.size)
+        """∂F/∂y, (n, n), by differences."""
         return forward_differences(lambda x: self.residual(t, x, slope), y, self.residual(t, y, slope))
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
-        """∂F/∂y′, (n, n): as given, or by differences."""
-        if self.given_slope_jacobian is not None:
-            return self.given_slope_jacobian(t, y, slope).reshape(y.size, y.size)
+        """∂F/∂y′, (n, n), by differences."""
         return forward_differences(lambda x: self.residual(t, y, x), slope, self.residual(t, y, slope))
 
     def error_weights(self, h: float) -> Array:
@@ -306,8 +300,8 @@ class EulerStep:
         return np.concatenate([q, v])
 
     def _value(self, field: VectorField, t: float, q: Array, v: Array) -> Array:
-        self.nfev = self.nfev + (field is self._problem.f)
         shape = self._problem.shape
+        self.nfev += field is self._problem.f
         return field(t, q.reshape(shape), v.reshape(shape))
 
     def _solved(self, field: VectorField, jacobian: VectorField | None, x0: Array, place: Place, duration: float,

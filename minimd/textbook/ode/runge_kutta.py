@@ -111,10 +111,6 @@ def gauss(n_stages: int) -> Tableau:
     """Gauss-Legendre nodes, the zeros of P_s(2c − 1): order 2s, symplectic and symmetric.
 
     J. C. Butcher, Math. Comput. 18, 50 (1964)."""
-    if n_stages == 2:
-        r = np.sqrt(3.0) / 6.0
-        beta = np.array([[0.25, 0.25 - r], [0.25 + r, 0.25]])
-        return Tableau(beta, np.array([0.5, 0.5]), np.array([0.5 - r, 0.5 + r]))
     rounded = collocation((1.0 + np.polynomial.legendre.leggauss(n_stages)[0]) / 2.0)
     # else invariants drift with the rounding of M
     beta = rounded.beta - rounded.symplecticity_defect / (2.0 * rounded.weights[:, None])
@@ -156,13 +152,16 @@ class RungeKutta(Method):
         Raises TypeError for Gauss-Legendre methods on problems of index 3, where errors of the multipliers do not
         shrink with the time step; and for a tableau with equal nodes, as explicit methods have them."""
         if isinstance(problem, DifferentialAlgebraic) and problem.index > 2 and not cls.tableau.is_stiffly_accurate:
-            why = f"does not converge on problems of index {problem.index}, whose multipliers stay wrong however short"
             raise TypeError(
-                f"{cls.name} {why} the steps; take RadauIIA3 or BDF3, or a Holonomic problem with a splitting"
+                f"{cls.name} does not converge on problems of index {problem.index}, whose multipliers stay wrong "
+                "however short the steps; take RadauIIA3 or BDF3, or a Holonomic problem with a splitting"
             )
-        if len(set(nodes := cls.tableau.nodes.tolist())) < len(nodes):
-            why = f"has equal nodes, {nodes}, and implicit methods must have different ones"
-            raise TypeError(f"{cls.name} {why}; for explicit Runge-Kutta methods use scipy.integrate.solve_ivp")
+        nodes = cls.tableau.nodes.tolist()
+        if len(set(nodes)) < len(nodes):
+            raise TypeError(
+                f"{cls.name} has equal nodes, {nodes}, and implicit methods must have different ones; for explicit "
+                "Runge-Kutta methods use scipy.integrate.solve_ivp"
+            )
         return StageStep(problem, cls.tableau)
 
     @classmethod
@@ -208,8 +207,8 @@ class StageEquations:
             return matrix
 
         sizes = self._sizes(base, guess, h)
-        found = self._iteration.solve(residual, guess.reshape(-1), jacobian, (h, *weights[0]), *sizes)
-        return found.reshape(guess.shape)
+        slopes = self._iteration.solve(residual, guess.reshape(-1), jacobian, (h, *weights[0]), *sizes)
+        return slopes.reshape(guess.shape)
 
     def _residual(self, t: float, y: Array, slope: Array) -> Array:
         self.nfev += 1
@@ -223,8 +222,8 @@ class StageEquations:
             return problem.state_jacobian(t, y, slope), problem.slope_jacobian(t, y, slope)
         if isinstance(problem, FirstOrder) and problem.jacobian is not None:
             return -np.asarray(problem.jacobian(t, y), dtype=float), np.eye(y.size)
-        at_y = self._residual(t, y, slope)
-        return forward_differences(lambda x: self._residual(t, x, slope), y, at_y), np.eye(y.size)
+        of_state = forward_differences(lambda x: self._residual(t, x, slope), y, self._residual(t, y, slope))
+        return of_state, np.eye(y.size)
 
     def _sizes(self, base: Array, guess: Array, h: float) -> tuple[Array | float, Array | float, float]:
         """scale, floor and nothing of Iteration.solve.
@@ -279,16 +278,15 @@ def _method(title: str, name: str, tableau: Tableau, source: str, doc: str) -> t
     return type(title, (RungeKutta,), {"__doc__": doc, "name": name, "tableau": tableau, "source": source})
 
 
-BUTCHER = "J. C. Butcher, Math. Comput. 18, 50 (1964)"
 BOOK = "E. Hairer, G. Wanner, Solving ODEs II (1996)"
 GaussLegendre1, GaussLegendre2, GaussLegendre3, GaussLegendre4 = (
-    _method(f"GaussLegendre{s}", f"gauss-legendre-{s}", gauss(s), BUTCHER,
+    _method(f"GaussLegendre{s}", f"gauss-legendre-{s}", gauss(s), "J. C. Butcher, Math. Comput. 18, 50 (1964)",
             f"Gauss-Legendre with {stages}: order {2 * s}, symplectic, symmetric.")
     for s, stages in enumerate(
         ("one stage, the implicit midpoint rule", "two stages", "three stages", "four stages"), start=1)
 )  # fmt: skip
-EULER = "Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate."
-ImplicitEuler = _method("ImplicitEuler", "implicit-euler", radau_iia(1), f"{BOOK}, IV.3", EULER)
+ImplicitEuler = _method("ImplicitEuler", "implicit-euler", radau_iia(1), f"{BOOK}, IV.3",
+                        "Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate.")  # fmt: skip
 RadauIIA2, RadauIIA3 = (
     _method(f"RadauIIA{s}", f"radau-iia-{s}", radau_iia(s), f"B. L. Ehle (1969); {BOOK}, IV.5",
             f"Radau IIA with {stages}: order {2 * s - 1}, stiffly accurate.")

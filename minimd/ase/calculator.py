@@ -1,7 +1,5 @@
 """Potentials of minimd as a calculator of ASE."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

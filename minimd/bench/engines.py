@@ -100,14 +100,19 @@ class Minimd(LoadedEngine):
 
     def __init__(self, scene: BenchScene, threads: int = 1, every: int | None = None,
                  trajectory: Path | None = None) -> None:  # fmt: skip
-        given = scene.system, scene.potentials, scene.method, scene.constraints
-        self.simulation = simulation = md.Simulation(*given, threads=threads, barostat=scene.barostat)
+        self.simulation = simulation = md.Simulation(
+            scene.system, scene.potentials, scene.method, scene.constraints, threads=threads, barostat=scene.barostat
+        )
         simulation.frame()  # evaluates the forces
-        options: dict[str, Any] = {"trajectory": trajectory or (), "overwrite": True, "progress": False}
+
+        def run(n_steps: int) -> md.Record:
+            return simulation.run(
+                n_steps, every=every or n_steps, trajectory=trajectory or (), overwrite=True, progress=False
+            )
+
         super().__init__("minimd", threads, "double", lambda: float(simulation.frame().observables["potential_energy"]),
                          lambda: float(simulation.frame().observables["total_energy"]),
-                         lambda n_steps: simulation.run(n_steps, every=every or n_steps, **options),
-                         simulation.forces.copy())  # fmt: skip
+                         run, simulation.forces.copy())  # fmt: skip
 
     @property
     def positions(self) -> Array:
@@ -234,8 +239,15 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
             integrator.step(n_steps)
             context.getState(getEnergy=True)  # waits for the last step
 
-    energies = partial(energy, is_total=False), partial(energy, is_total=True)
-    return LoadedEngine("OpenMM CPU", threads, "single", *energies, run, forces)
+    return LoadedEngine(
+        "OpenMM CPU",
+        threads,
+        "single",
+        partial(energy, is_total=False),
+        partial(energy, is_total=True),
+        run,
+        forces,
+    )
 
 
 @contextlib.contextmanager
@@ -302,9 +314,15 @@ def gromacs(scene: BenchScene, threads: int) -> LoadedEngine:
 
     def call(command: str, *arguments: str, given: str = "") -> None:
         """Raises RuntimeError with the last words that gmx printed, if it fails."""
-        words = ["gmx", "-quiet", command, *arguments]
-        answer = subprocess.run(words, cwd=folder.name, input=given, capture_output=True, text=True, env=environment,
-                                check=False)  # fmt: skip
+        answer = subprocess.run(
+            ["gmx", "-quiet", command, *arguments],
+            cwd=folder.name,
+            input=given,
+            capture_output=True,
+            text=True,
+            env=environment,
+            check=False,
+        )
         if answer.returncode:
             raise RuntimeError(f"gmx {command} failed: {' '.join(answer.stderr.split()[-40:])}")
 

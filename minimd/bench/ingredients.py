@@ -55,8 +55,16 @@ class IngredientCosts:
             ratio = self.ratio(cost)
             pairs = cost.n_pairs / cost.n_atoms
             by_pair = spread(ratio * (base.n_pairs / base.n_atoms) / pairs)
-            times = spread(1e6 * cost.seconds), spread(ratio)
-            cells.append([cost.name, str(cost.n_atoms), *times, f"{pairs:.1f}", by_pair])
+            cells.append(
+                [
+                    cost.name,
+                    str(cost.n_atoms),
+                    spread(1e6 * cost.seconds),
+                    spread(ratio),
+                    f"{pairs:.1f}",
+                    by_pair,
+                ]
+            )
         numbers = ("atoms", "µs per step", "ratio to the melt", "pairs per atom", "ratio per pair")
         head = (f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); only "
                 "pairs in range are counted.")  # fmt: skip

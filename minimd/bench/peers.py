@@ -86,8 +86,16 @@ class Peers:
             titles = {"scene": str, "atoms": float, "minimd": float, "fastest peer, one thread": str}
             cells = []
             for own, peer in self.fastest():
-                speeds = [spread(own.speeds / 1e6), peer.engine, spread(peer.speeds / 1e6)]
-                cells.append([own.scene, str(own.n_atoms), *speeds, spread(own.speeds / peer.speeds)])
+                cells.append(
+                    [
+                        own.scene,
+                        str(own.n_atoms),
+                        spread(own.speeds / 1e6),
+                        peer.engine,
+                        spread(peer.speeds / 1e6),
+                        spread(own.speeds / peer.speeds),
+                    ]
+                )
             lines += ["", *table(titles | {"its speed": float, "minimd is faster by": float}, cells)]
         for rows in self.sizes:
             lines += ["", f"## {rows[0].scene}, {rows[0].n_atoms} atoms", "", f"{self.texts[rows[0].scene]}.", ""]

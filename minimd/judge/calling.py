@@ -4,8 +4,6 @@ Parameters of steps with other names take the free places in step(x, v, force, m
 called in the first manner in which it returns without an error, and in the right shape.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Callable, Iterator
@@ -92,7 +90,7 @@ class Called:
         self.defaults = {name: value for name, value in kept.items() if value is not inspect.Parameter.empty}
 
 
-def manners(function: Callable[..., Any]) -> Iterator[StudentStep]:
+def manners(function: Callable[..., Any]) -> Iterator["StudentStep"]:
     """The manners in which a step may be called, the most likely first; optional parameters with unknown names are
     left out.  Raises TypeError for parameters that do not make a step."""
     one = Called(function, OF_STEPS, "step(x, v, force, m, dt)")

@@ -1,7 +1,5 @@
 """Laws of the ensembles: each a row of a table, with its measure in a run, and what a wrong number means."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -45,7 +43,7 @@ class Seen:
         self.runs_p2 = (self.all.p**2).mean(axis=(0, 2))
         self.log_volume = float(np.log(self.all.volumes).mean())
 
-    def over_runs(self, measure: Measure, said: Said, spare: float) -> Measurement:
+    def over_runs(self, measure: "Measure", said: "Said", spare: float) -> Measurement:
         """The mean of a measure over the runs, and how far it is off beside its error; of several, the worst. The
         spread of runs goes with the mean: where the mean is small by chance, the spread is too small."""
         values = np.array([np.atleast_1d(measure(one, self)) for one in self.runs])

@@ -1,7 +1,5 @@
 """The contents of a grade: findings with a tick, a cross or a question mark, the faults in words, and a verdict."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction

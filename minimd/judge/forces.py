@@ -1,8 +1,6 @@
 """The grade of a force function: whether forces are a gradient, pairwise, symmetric, periodic, cut off correctly, and
 equal to minimd's. The laws are those of many atoms, and those of one pair at a distance, with f > 0 for repulsion."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from itertools import product

@@ -1,7 +1,5 @@
 """Functions of a distance: sums of powers of r, their ratios, and their jumps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import combinations, product
 from typing import NamedTuple

@@ -1,8 +1,6 @@
 """The problem on which a student's step is tested: a few particles with smooth, anharmonic forces in its dimensions,
 U = Σ_{i<j} ½ k r² + ¼ g r⁴, or one number, U = ½ q² + ¼ 0.3 q⁴. Frequencies are about 1, and all masses differ."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

@@ -5,8 +5,6 @@ runs are independent samples, and their spread is the error. kT, the time step a
 whose answers are those of NIST, start from a crystal that has melted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -100,7 +98,7 @@ class Rigid(AnharmonicSprings):
 
     length = 1.0
 
-    def softness(self, seen: Frames) -> float:
+    def softness(self, seen: "Frames") -> float:
         """How far lengths are off, or velocities along bonds beside thermal ones."""
         (d, v), kt = (one[:, 1::2] - one[:, ::2] for one in (seen.x, seen.p / seen.masses[:, None])), seen.kt
         along = (d * v).sum(axis=2) / self.length * np.sqrt(seen.masses[:2].mean() / kt)

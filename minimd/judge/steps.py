@@ -1,7 +1,5 @@
 """The grade of a step: its order, its symmetries, and what it conserves. All is measured on a few particles."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """A grade for others: as JSON, as a picture, and its laws as tests of another suite."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import cache

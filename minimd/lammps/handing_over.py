@@ -191,10 +191,19 @@ def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, process
                 failure = str(error)
         log.read_on()
         with phase(job, "reading back"):
-            back = _brought_back(job, model, log, verification.scale, with_forces, not (failure or job.stop_requested))
-        _judge(job, failure, log, max(DISAGREEMENT, model.tolerance), *back)
-        found = back[0], verification, back[1], job.seconds
-        done = HandOver(job.folder, job.folder / TRAJECTORY, *found, job.program.version, job.processes)
+            is_whole = not (failure or job.stop_requested)
+            record, difference, n_missing = _brought_back(job, model, log, verification.scale, with_forces, is_whole)
+        _judge(job, failure, log, max(DISAGREEMENT, model.tolerance), record, difference, n_missing)
+        done = HandOver(
+            job.folder,
+            job.folder / TRAJECTORY,
+            record,
+            verification,
+            difference,
+            job.seconds,
+            job.program.version,
+            job.processes,
+        )
         for line in str(done).splitlines()[2:]:
             tell(line)
         return done
@@ -354,11 +363,17 @@ def _brought_back(job: Job, model: Model, log: Log, scale: float, store_forces: 
         _stand(job, model.box, step, columns)
         engine.reservoir_energy = start - sum(log.rows.get(step, ())[1:])  # a second number if there is a bath
 
-    options: dict[str, Any] = {"every": job.every, "n_steps": job.steps, "store_forces": store_forces}
     notes["title"] = f"{title or f'{n_atoms} atoms'}, run by LAMMPS {job.program.version}"
     n_missing = 0
     try:
-        with open_trajectories(job.folder / TRAJECTORY, engine, overwrite=False, **options) as writers:
+        with open_trajectories(
+            job.folder / TRAJECTORY,
+            engine,
+            every=job.every,
+            n_steps=job.steps,
+            store_forces=store_forces,
+            overwrite=False,
+        ) as writers:
             for step, columns in chain([(job.first_step, None)], [first] if first else [], found):
                 if columns is not None:
                     stand(step, columns)

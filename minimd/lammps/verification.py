@@ -57,12 +57,10 @@ class Verification:
     def check(self, engine: Engine, tolerance: float) -> None:
         """Raise HandOverError if LAMMPS and minimd differ by more than a tolerance."""
         if not self.worst <= tolerance:
-            by = (
-                f"energies of atoms by {self.energies:.1e}, forces by {self.forces:.1e} (atom {self.atom}), virials by "
-            )
-            by += f"{self.virials:.1e} of the largest; at most {tolerance:g} is allowed"
             raise HandOverError(
-                f"LAMMPS and minimd differ at step 0: {by}; the run was not started{on_a_cutoff(engine)}"
+                f"LAMMPS and minimd differ at step 0: energies of atoms by {self.energies:.1e}, forces by "
+                f"{self.forces:.1e} (atom {self.atom}), virials by {self.virials:.1e} of the largest; at most "
+                f"{tolerance:g} is allowed; the run was not started{on_a_cutoff(engine)}"
             )
 
 

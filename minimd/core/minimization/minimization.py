@@ -11,8 +11,6 @@ step, so that overlaps are resolved however large the forces are. A step that le
 that overstretches a FENE bond, is taken back and shortened.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite

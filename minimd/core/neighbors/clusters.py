@@ -132,8 +132,18 @@ def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: A
     counts = np.array([*across, bins]).astype(np.int64)
     along = WIDER * reach / cell.heights
     in_columns = needed.astype(np.int64)
-    moving = along, origin.copy(), extent.copy(), cell.lattice.copy(), cell.inverse.copy()
-    return Columns(counts, reach, in_columns, cell.pbc, is_crossed, *moving)
+    return Columns(
+        counts,
+        reach,
+        in_columns,
+        cell.pbc,
+        is_crossed,
+        along,
+        origin.copy(),
+        extent.copy(),
+        cell.lattice.copy(),
+        cell.inverse.copy(),
+    )
 
 
 @kernel

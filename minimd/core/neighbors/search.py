@@ -122,8 +122,17 @@ def bins_of(cell: Cell, grid: BinGrid, bin_start: NDArray[np.int64]) -> Bins:
     crossed = np.where(cell.pbc, -(-grid.reach // grid.counts), 0)
     periodic = np.where(cell.pbc[:, None], cell.lattice, 0.0)
     translations = _steps(crossed) @ periodic if cell.is_periodic else np.zeros((0, 3))
-    image = cell.pbc, cell.lattice, cell.inverse, cell.safe_distance2
-    return Bins(bin_start, grid.counts, forward, crossed, translations, *image)
+    return Bins(
+        bin_start,
+        grid.counts,
+        forward,
+        crossed,
+        translations,
+        cell.pbc,
+        cell.lattice,
+        cell.inverse,
+        cell.safe_distance2,
+    )
 
 
 def _steps(most: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -129,7 +129,7 @@ def _droplet(n: int) -> md.System:
     positions, edges = _lattice(2 * n, LIQUID_DENSITY)
     distances = np.linalg.norm(positions - 0.5 * edges, axis=1)
     inside = np.sort(np.argsort(distances, kind="stable")[: 4 * n**3])
-    cell = np.full(3, WIDER * 2.0 * float(distances[inside].max()))
+    cell = np.full(3, WIDER * 2.0 * distances[inside].max())
     return _atoms(positions[inside] - 0.5 * edges + 0.5 * cell, cell)
 
 

@@ -207,7 +207,7 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
             tell(f"{name}: {peer.package if peer else method.name}, Δt = {timestep:.3g}")
             own = scene._replace(method=method(timestep))
             if peer is None:
-                distance = float(np.sqrt(np.mean((_path(scene, method, cost) - reference) ** 2)))
+                distance = np.sqrt(np.mean((_path(scene, method, cost) - reference) ** 2))
                 make = partial(engines.Minimd, own, 1, steps // OBSERVATIONS)
                 points.append(measured(own, steps, make, repeats, distance))
             else:

@@ -227,7 +227,7 @@ class StudentStep:
         self.stiffness = 1.0
         where = self.problem(0)
         rate = self(where, where.x, 0.0 * where.v, TINY)[1] / TINY
-        k = -float(np.sum(rate * where.x) / np.sum(where.x**2))
+        k = -np.sum(rate * where.x) / np.sum(where.x**2)
         if not k > 0.0 or np.abs(rate + k * where.x).max() > 1e-4 * max(k, 1.0):
             raise TypeError("the step takes no force function, and its own force is not that of a spring, −k x: make "
                             "the force function an argument, as step(x, v, force, m, dt)")  # fmt: skip

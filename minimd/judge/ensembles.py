@@ -30,7 +30,7 @@ class Seen:
         self.kt = runs[0].kt
         self.masses, self.n = self.all.masses, 3 * len(self.all.masses)
         self.shares = 1.0 - is_still * self.masses / self.masses.sum() - scene.rigid  # <p²/m>/kT of a component
-        self.n_free = round(3.0 * float(self.shares.sum()))
+        self.n_free = round(3.0 * self.shares.sum())
         # a body at rest whose momenta change with the volume; other than by moves of a Monte Carlo method, some of
         # which are rejected: those of a barostat that acts every few steps are at regular distances
         moved = np.diff(self.all.volumes.reshape(len(runs), -1), axis=1) != 0.0
@@ -39,9 +39,9 @@ class Seen:
         has_moves = bool(gaps.size and np.ptp(gaps) > 1)
         self.n_volume = n + 1 - (is_still and not has_moves)  # P<V>/kT
         self.excess = self.n_volume - (n - is_still)  # (P<V> − <P_int V>)/kT
-        self.heat = float(self.all.kinetic.sum(axis=1).mean()) / self.n_free
+        self.heat = self.all.kinetic.sum(axis=1).mean() / self.n_free
         self.runs_p2 = (self.all.p**2).mean(axis=(0, 2))
-        self.log_volume = float(np.log(self.all.volumes).mean())
+        self.log_volume = np.log(self.all.volumes).mean()
 
     def over_runs(self, measure: "Measure", said: "Said", spare: float) -> Measurement:
         """The mean of a measure over the runs, and how far it is off beside its error; of several, the worst. The
@@ -52,15 +52,15 @@ class Seen:
         quantile = stats.t.isf(0.5 * self.rate / len(means), len(values) - 1)
         limits = quantile * errors / np.clip(means, LEAST, 1.0) + spare + self.scene.error
         k = int(np.argmax(np.abs(means - 1.0) / limits))
-        mean = float(means[k])
-        error = float(errors[k])
+        mean = means[k]
+        error = errors[k]
         limit = float(limits[k])
         return Measurement(mean, (mean - 1.0) / limit, said(means, self), error, limit)
 
     def acted(self) -> Measurement:
         """How much of the energy, or of the volume, is new at the end of a run."""
         ends = self.all.ends[:, :, int("volume" in self.has)]
-        found = float(((ends[:, 1] - ends[:, 0]) ** 2).mean()) / max(2.0 * float(ends.var()), 1e-300)
+        found = ((ends[:, 1] - ends[:, 0]) ** 2).mean() / max(2.0 * ends.var(), 1e-300)
         few = ": too little to judge; take a shorter relaxation time, or more steps=" * bool(found < ACTED)
         return Measurement(min(found, 1.0), 1.0 if found < NEVER else np.nan if few else 0.0, few)
 
@@ -72,7 +72,7 @@ Said: TypeAlias = Callable[[Array, Seen], str]
 def temperature_said(means: Array, seen: Seen) -> str:
     """What a wrong temperature means."""
     free = seen.n_free
-    ratio = float(means[0])
+    ratio = means[0]
     table = {
         0.25: "the noise is half as strong as the friction demands: a momentum needs √(2 γ kT m Δt)",
         0.5: "the noise is too weak by a factor √2, or the friction acts twice per step",
@@ -80,7 +80,7 @@ def temperature_said(means: Array, seen: Seen) -> str:
         4.0: "the noise is twice as strong as the friction demands",
         (free - 3.0) / free: f"{free - 3} degrees of freedom are counted where {free} move: three are subtracted twice",
     }
-    n_rigid = round(3.0 * float(seen.scene.rigid.sum()))
+    n_rigid = round(3.0 * seen.scene.rigid.sum())
     if n_rigid:
         table[1.0 + n_rigid / free] = (
             f"{free + n_rigid} degrees of freedom are counted where {free} move: bonds are rigid"
@@ -94,7 +94,7 @@ def temperature_said(means: Array, seen: Seen) -> str:
 def masses_said(means: Array, seen: Seen) -> str:
     """What a temperature that depends on the mass means."""
     masses = np.unique(seen.masses)
-    power = float(np.polyfit(np.log(masses), np.log(np.maximum(means, 1e-9)), 1)[0])
+    power = np.polyfit(np.log(masses), np.log(np.maximum(means, 1e-9)), 1)[0]
     each = ", ".join(f"{mean:.2f} ({mass:g} amu)" for mean, mass in zip(means, masses, strict=True))
     noise = f"; the temperature goes as m^{power:.1f}: momenta need noise as √m, velocities as 1/√m"
     return f"atoms of different masses have different temperatures, relative to the mean: {each}" + noise * (
@@ -105,7 +105,7 @@ def masses_said(means: Array, seen: Seen) -> str:
 def volume_said(means: Array, seen: Seen) -> str:
     """What a wrong mean volume means."""
     n = seen.scene.n_bodies
-    found = float(means[0]) * seen.n_volume
+    found = means[0] * seen.n_volume
     table = {float(k): f"p(V) goes as V^{k - 1} exp(−PV/kT)" for k in (n - 1, n, n + 1)}
     table |= {2.0 * k: "this is the value of free atoms: is the virial in the pressure?" for k in (n, n + 0.5)}
     table |= {3.0 * k: "the kinetic energy counts twice in the pressure" for k in (n, n + 1 / 3)}
@@ -114,7 +114,7 @@ def volume_said(means: Array, seen: Seen) -> str:
 
 def pressure_said(means: Array, seen: Seen) -> str:
     """What a wrong balance of the pressures means."""
-    found = (float(means[0]) - 1.0) * seen.n_volume + seen.excess
+    found = (means[0] - 1.0) * seen.n_volume + seen.excess
     table = {
         seen.excess - 1.0: "p(V) lacks one power of V: N where N + 1 is right",
         seen.excess + 1.0: "p(V) has one power of V too many: N + 2 where N + 1 is right",
@@ -169,7 +169,7 @@ def of_pairs(run: Frames, seen: Seen) -> float:
 def of_noise(run: Frames, seen: Seen) -> float:
     """1 + the correlation of one change of the total momentum with the next."""
     jumps = np.diff(run.p.sum(axis=1), axis=0)
-    size = float((jumps**2).sum())
+    size = (jumps**2).sum()
     if seen.is_still:
         return 1.0
     return 1.0 + (float((jumps[1:] * jumps[:-1]).sum()) / size if size > 1e-20 * seen.kt * seen.masses.sum() else 1.0)

@@ -63,14 +63,14 @@ class Probe:
         self.is_over_r = False
         self.remarks = list[str]()
         self.name = ""
-        self.farthest = FARTHEST if cell is None else min(FARTHEST, 0.4995 * float(cell.min()))
+        self.farthest = FARTHEST if cell is None else min(FARTHEST, 0.4995 * cell.min())
         self.has = {call.kind, "free" if cell is None else "cell", "energy" if call.has_energy else "noenergy"}
         self.has |= {"known"} if potential is not None else set()
         self.has |= {"cutoff"} if cutoff and cutoff < self.farthest else set()
         self.skew = call(SKEW)[0] if call.kind == "pair" else SKEW
         self.x = self.place(PROBE) if call.kind != "forces" else self.cluster() if given is None else given
         self.forces = call(self.x)[0]
-        self.scale = float(np.abs(self.forces).max()) or 1.0
+        self.scale = np.abs(self.forces).max() or 1.0
         is_many = call.kind == "forces"
         self.has |= {"field"} if is_many and self.takes(1) and call(self.place(PROBE)[:1])[0].any() else {"nofield"}
         self.order = np.random.default_rng(2).permutation(len(self.x)) if is_many else 0
@@ -101,7 +101,7 @@ class Probe:
             apart = np.abs(x[first] - x[second])
             half = np.inf
             if lengths is not None:
-                apart, half = np.minimum(apart, lengths - apart), float(np.abs(apart - 0.5 * lengths).min())
+                apart, half = np.minimum(apart, lengths - apart), np.abs(apart - 0.5 * lengths).min()
             return min(half, float(np.abs(np.linalg.norm(apart, axis=1) - (self.cutoff or CUTOFF)).min()))
 
         randoms = [np.random.default_rng(seed) for seed in range(TRIALS)]
@@ -120,7 +120,7 @@ class Probe:
         force, u = self.call(self.place(r))
         along = force if self.call.kind == "law" else force @ self.along
         f = max(-along[0], along[1], key=abs) if self.call.kind == "forces" else along
-        return float(f) * (r if self.is_over_r else 1.0), float(np.asarray(u))
+        return f * (r if self.is_over_r else 1.0), float(np.asarray(u))
 
     def slopes(self, r: Array) -> Array:
         """−du/dr."""
@@ -148,7 +148,7 @@ class Probe:
 
         if not self.has >= {"forces", "pairs", "free"} or not (first := at(1.5)):
             return 0.0
-        large = [d for d in np.arange(3.0, LONGEST, 0.25) if abs(at(float(d))) > 0.5 * abs(first)]
+        large = [d for d in np.arange(3.0, LONGEST, 0.25) if abs(at(d)) > 0.5 * abs(first)]
         guesses = np.arange(large[0] - 2.0, large[0] + 3.0, 0.005) if large else np.zeros(1)
         edge = float(np.round(min(guesses, key=lambda d: abs(at(d + 1.5) - first) + abs(at(d - 1.5) + first)), 3))
         return edge if abs(at(edge + 1.5) - first) < 0.05 * abs(first) else 0.0
@@ -178,7 +178,7 @@ class Probe:
     def like(self, right: Array, other: str) -> tuple[float, float, str]:
         """The force of a pair beside the one that it should be."""
         c, _, fault = compared(self.values, right, self.r, other)
-        return c, float(bool(fault)), fault
+        return c, bool(fault), fault
 
     def of_powers(self) -> tuple[float, float, str, Powers | None]:
         """The powers of r; those of Lennard-Jones are needed with the function's ε and σ, or without an energy."""
@@ -203,7 +203,7 @@ class Probe:
             is_odd = n != [13, 7] or c[0] < 0.0 or c[1] > 0.0 or is_near(s6, 1.0) or is_given
             if is_odd or is_near(c[0], 48.0) or is_near(c[1], -24.0):  # else it has its own ε and σ
                 fault = compared(self.values, Powers(right, own.constant).at(self.r), self.r, told)[2]
-        return np.nan, float(bool(fault)) if is_alone or not fault else np.nan, fault, self.powers
+        return np.nan, bool(fault) if is_alone or not fault else np.nan, fault, self.powers
 
     def cap(self) -> tuple[float, float]:
         """The largest close distance at which the force is not its law, a sum of powers or −du/dr, or is constant."""
@@ -215,11 +215,11 @@ class Probe:
         is_flat = np.ptp(f[:4]) == 0.0 != np.ptp(f)
         rest = np.abs(f / right - 1.0)
         off = r[(rest > CAPPED) | ((f == f[0]) & is_flat)] if np.isfinite(rest).all() else r[:0]
-        return float(off.max(initial=0.0)), float(len(off))
+        return off.max(initial=0.0), len(off)
 
     def ending(self) -> tuple[float, float, float]:
         """The largest force beyond the cutoff."""
-        beyond = float(np.abs(self.f(np.linspace(1.001 * self.cutoff, self.farthest, 20))).max())
+        beyond = np.abs(self.f(np.linspace(1.001 * self.cutoff, self.farthest, 20))).max()
         return beyond, beyond, self.cutoff
 
     def end(self) -> tuple[float, float, str]:
@@ -243,8 +243,8 @@ class Probe:
         answer = evaluated(np.pad(self.x, ((0, 0), (0, 3 - self.d))), self.potential, self.cell)
         known = answer.forces[:, : self.d]
         energy = self.call(self.x)[1]
-        right = float(answer.potential_energy)
-        off = float(np.abs(self.forces - known).max() / (np.abs(known).max() or 1.0))
+        right = answer.potential_energy
+        off = np.abs(self.forces - known).max() / (np.abs(known).max() or 1.0)
         if "energy" in self.has and off < ROUNDING and not np.isclose(energy, right, rtol=1e-9):
             return off, 1.0, f"the energy is {energy:.8g}, not {right:.8g}"
         c = multiple_of(self.forces, known, EQUAL)
@@ -252,7 +252,7 @@ class Probe:
 
     def reaction(self) -> tuple[float, float, str]:
         """The sum of all forces, and what is wrong with a pair."""
-        off = float(np.abs(self.forces.sum(axis=0)).max()) / self.scale
+        off = np.abs(self.forces.sum(axis=0)).max() / self.scale
         one, two = np.zeros((2, self.d))
         if self.takes(2):
             one, two = self.call(self.place(PROBE))[0]
@@ -267,9 +267,9 @@ class Probe:
         """The forces of all atoms beside −∇U."""
         steps = np.eye(self.x.size).reshape(-1, *self.x.shape) * DELTA
         slopes = -np.array([difference(lambda x: float(self.call(x)[1]), self.x, e) for e in steps]) / DELTA
-        off = float(np.abs(self.forces.ravel() - slopes).max())
+        off = np.abs(self.forces.ravel() - slopes).max()
         c = multiple_of(self.forces.ravel(), slopes, EQUAL)
-        return off, off / (float(np.abs(slopes).max()) or 1.0), f": they are {c:.6g} (−∇U)" if np.isfinite(c) else ""
+        return off, off / (np.abs(slopes).max() or 1.0), f": they are {c:.6g} (−∇U)" if np.isfinite(c) else ""
 
     def curl(self) -> float:
         """Whether forces without an energy can be a gradient: ∂F_i/∂x_j = ∂F_j/∂x_i."""
@@ -289,7 +289,7 @@ class Probe:
             ends = (middle, middle + PROBE * unit), (face, face + (PROBE - edge) * unit)
             inside, across = (self.call(np.array(pair))[0] for pair in ends)
             if np.abs(across - inside).max() > SAME * np.abs(inside).max():
-                bad.append((axis, float(np.abs(across).max() / np.abs(inside).max())))
+                bad.append((axis, np.abs(across).max() / np.abs(inside).max()))
         pair = np.array([-0.5, 0.5])[:, None] * PROBE * self.units[0]  # wrapped positions interact across the origin
         origin, center = (np.abs(self.call(place + pair)[0]).max() for place in (0.0 * middle + 0.1, middle))
         axes = sorted({axis for axis, _ in bad})
@@ -312,7 +312,7 @@ class Probe:
             parts[i, j], parts[j, i] = self.call(self.x[[i, j]])[0]
         pairs = parts.sum(axis=1)
         small = SAME * self.scale
-        off = float(np.abs(pairs - forces).max()) / self.scale
+        off = np.abs(pairs - forces).max() / self.scale
         c = multiple_of(forces, pairs, SAME)
         single = (np.abs(forces[:, None] - parts).max(axis=2) + np.diag(np.full(n, np.inf))).min(axis=1).max()
         fault = first_of(
@@ -411,7 +411,7 @@ def grade_forces(
             )
         telling, general = (judged(laws, one) for laws in (LAWS, GENERAL))
         if one.cell is not None and cutoff is None and one.has >= {"forces", "pairs"}:
-            rest = abs(one.f(0.4999 * float(one.cell.min())))
+            rest = abs(one.f(0.4999 * one.cell.min()))
             one.remarks += first_of(
                 (rest, f"the force jumps by {rest:.2g} where the nearest image changes: use a cutoff")
             )

@@ -58,8 +58,8 @@ def compared(f: Array, g: Array, r: Array, other: str) -> tuple[float, float, st
         right = powers_of(g, r)
         told = f": wrong exponent, coefficient or sign in F = {own} where {right} is needed" if own and right else ""
         return np.nan, np.nan, f"the force is not {other}{told or ', nor a multiple of it'}"
-    c = float(np.sign(ratio[0]) * np.exp(log_c))
-    k = round(float(k), 4)
+    c = np.sign(ratio[0]) * np.exp(log_c)
+    k = round(k, 4)
     faults = [
         *first_of((c < 0.0, "the force has the wrong sign, so atoms that should repel each other attract each other")),
         *first_of((k == 1.0, "the factor 1/r is missing: du/dr is multiplied by r_ij, not by the unit vector"),
@@ -78,13 +78,13 @@ def jumps(law: Callable[[float], float], r: Array) -> list[tuple[float, float, f
     def is_low(low: float, middle: float, high: float) -> bool:
         return not abs(law(middle) - law(low)) > abs(law(high) - law(middle))
 
-    values = np.array([law(float(one)) for one in r])
+    values = np.array([law(one) for one in r])
     found = list[tuple[float, float, float]]()
     change = np.abs(np.diff(values))
     scale = np.abs(values[r >= min(1.0, r[-1])]).max()
     for k in range(2, len(change) - 2):
         beside = max(change[k - 2], change[k - 1], min(change[k + 1], change[k - 1]))
         if change[k] > JUMP * scale and change[k] > 3.0 * beside:
-            low, high = bisected(is_low, float(r[k]), float(r[k + 1]), 45)
+            low, high = bisected(is_low, r[k], r[k + 1], 45)
             found += [(high, law(low), law(high))] * int(abs(law(high) - law(low)) > 0.3 * change[k])
     return found

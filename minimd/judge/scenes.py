@@ -66,7 +66,7 @@ class AnharmonicSprings(GetPropertiesMixin):
         assert atoms is not None
         d, e, r2 = self.bonds(atoms.positions)
         if name not in ("forces", "stress"):
-            return float((0.5 * self.k * r2 + 0.25 * self.q * r2**2).sum())
+            return (0.5 * self.k * r2 + 0.25 * self.q * r2**2).sum()
         pull = (self.k + self.q * r2)[:, None] * e
         if name == "stress":
             return (d.T @ pull).ravel()[[0, 4, 8, 5, 2, 1]] / atoms.get_volume()
@@ -161,7 +161,7 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
     springs.draw = draw
     largest = np.linalg.eigvalsh(hessian / np.sqrt(np.outer(MASSES, MASSES)))[-1]
     name, has = ("ring", "ring masses spread") if scale == 1.0 else ("coarse ring", "coarse")
-    return Scene(name, draw, springs, f"{has} places fixed", float(0.5 * largest * timestep**2))
+    return Scene(name, draw, springs, f"{has} places fixed", 0.5 * largest * timestep**2)
 
 
 def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
@@ -173,7 +173,7 @@ def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
     length = np.sqrt(kt / k)
     apart = np.array([[5.0, 0.0, 0.0]])
     springs = Rigid(first, first + 1, np.full(n - 1, k), np.zeros(n - 1), np.repeat(apart, n - 1, axis=0))
-    springs.length = float(length)
+    springs.length = length
 
     def draw(rng: np.random.RandomState) -> Atoms:
         ways = rng.standard_normal((n, 3))
@@ -239,7 +239,7 @@ def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
 
     def draw(rng: np.random.RandomState) -> Atoms:
         volume = rng.standard_gamma(n + (not is_still)) * kt / pressure
-        edge = float(volume ** (1.0 / 3.0))
+        edge = volume ** (1.0 / 3.0)
         ways = rng.standard_normal((n, 3))
         apart = r[np.searchsorted(weights, rng.random_sample(n) * weights[-1])]
         apart = apart[:, None] * ways / np.linalg.norm(ways, axis=1)[:, None]
@@ -326,4 +326,4 @@ def started(make: Make, scene: Scene, seed: int) -> tuple[Atoms, Any]:
 def ends_of(atoms: Atoms) -> tuple[float, float]:
     """Energy, and log of the volume."""
     with np.errstate(all="ignore"):
-        return float(atoms.get_potential_energy() + atoms.get_kinetic_energy()), float(np.log(atoms.get_volume()))
+        return atoms.get_potential_energy() + atoms.get_kinetic_energy(), np.log(atoms.get_volume())

@@ -40,7 +40,7 @@ class Measured:
         self.where = where
         self.expected = expected
         line = [np.ravel(step(where, where.x * (1.0 + 1e-6 * k), where.v, 0.1)[0]) for k in range(12)]
-        self.noise = float(np.abs(np.diff(line, n=3, axis=0)).max() / 8.0 / np.abs(where.x).max())
+        self.noise = np.abs(np.diff(line, n=3, axis=0)).max() / 8.0 / np.abs(where.x).max()
         self.fuzz = max(1.0, self.noise / NOISE)
         self.has = {"atoms", "vectors"} if where.x.ndim == 2 else {"atoms"} if where.x.ndim else set[str]()
         self.has = set() if where.stiffness else self.has  # springs to the origin conserve no momenta
@@ -62,7 +62,7 @@ class Measured:
         kept = kept if len(kept) == 3 else np.arange(2)
         is_finite = np.isfinite(errors).all()
         logs = np.log(np.maximum(errors[kept], 1e-300))
-        slope = float(-np.polyfit(np.log(counts[kept]), logs, 1)[0]) if is_finite else 0.0
+        slope = -np.polyfit(np.log(counts[kept]), logs, 1)[0] if is_finite else 0.0
         off = np.inf if slope < ORDER_OFF else max(self.expected - slope, 0.0)  # the error does not decrease with dt
         told = f"{self.expected} expected; error {errors[-1]:.1e} at t = {DURATION:g}, dt = {DURATION / counts[-1]:g}"
         return slope, off, f"{max(slope, 0.0):.2f} measured, {told}"
@@ -89,9 +89,9 @@ class Measured:
     def reversal(self) -> tuple[float, float, float]:
         """The distance from the start after steps forwards and as many back, and the way."""
         x, v = self.run(PACE, BACK)
-        way = float(np.abs(x - self.where.x).max())
+        way = np.abs(x - self.where.x).max()
         x, v = self.run(PACE, BACK, x, -v)
-        back = float(max(np.abs(x - self.where.x).max(), np.abs(v + self.where.v).max()))
+        back = max(np.abs(x - self.where.x).max(), np.abs(v + self.where.v).max())
         return back, back / self.fuzz / max(1.0, way), way
 
     def momentum(self, of: Callable[[Array, Array], Array]) -> float:
@@ -104,18 +104,18 @@ class Measured:
         (x, v), energies, times = self.where[:2], list[tuple[float, float]](), np.arange(LONG)
         while len(energies) < LONG:
             x, v = self.step(self.where, x, v, PACE)
-            energies.append((float(0.5 * np.sum(self.where.mass * v * v)), self.where.at(x)[1]))
+            energies.append((0.5 * np.sum(self.where.mass * v * v), self.where.at(x)[1]))
             if not abs(sum(energies[-1])) < TOO_LARGE:
                 return np.inf, np.inf, f"grows beyond {TOO_LARGE:g} in {len(energies)} steps of {PACE:g}"
         series = np.sum(energies, axis=1)
-        k = float(np.mean(energies, axis=0)[0])
+        k = np.mean(energies, axis=0)[0]
         slope, start = np.polyfit(times, series / k, 1)
-        oscillation = float(np.std(series / k - slope * times - start))
+        oscillation = np.std(series / k - slope * times - start)
         if oscillation < EXACTLY:
             return 0.0, np.inf, "constant to rounding: no explicit step has this property by itself"
-        off = float(abs(slope) * LONG / max(1e-9, oscillation)) if self.form > SYMPLECTIC else 0.0
+        off = abs(slope) * LONG / max(1e-9, oscillation) if self.form > SYMPLECTIC else 0.0
         words = f"changes by {slope:.1e} of the kinetic energy per step" if off > 1.0 else "does not drift"
-        return float(slope), off, f"{words}; it oscillates by {oscillation:.1e} (dt = {PACE:g})"
+        return slope, off, f"{words}; it oscillates by {oscillation:.1e} (dt = {PACE:g})"
 
     def oscillator(self) -> tuple[float, float, str]:
         """The step as a matrix, for x″ = −x: its determinant, the quadratic form that it conserves, and the longest
@@ -130,7 +130,7 @@ class Measured:
             return np.array([(np.ravel(x)[0], np.ravel(v)[0] / omega) for x, v in ends]).T
 
         m = matrix(0.5)
-        off = float(np.linalg.det(matrix(0.5))) - 1.0
+        off = np.linalg.det(matrix(0.5)) - 1.0
         if not abs(off) <= 1e-7:
             return off, np.inf, f"at ω dt = 0.5 the energy changes by the factor {1.0 + off:.4g} in each step"
         skew = (m[1, 1] - m[0, 0]) / m[0, 1]

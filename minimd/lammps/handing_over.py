@@ -357,7 +357,7 @@ def _brought_back(job: Job, model: Model, log: Log, scale: float, store_forces: 
     title = notes["title"]
     differences = list[float]()
     # [energy], of tail corrections, which LAMMPS does not compute
-    tail = sum(float(bound(one, engine.system).tail(engine.system)[0]) for one in engine.interactions.potentials)
+    tail = sum(bound(one, engine.system).tail(engine.system)[0] for one in engine.interactions.potentials)
 
     def stand(step: int, columns: Array) -> None:
         _stand(job, model.box, step, columns)
@@ -380,8 +380,8 @@ def _brought_back(job: Job, model: Model, log: Log, scale: float, store_forces: 
                 record.append(frame := observe(engine))
                 for writer in writers:
                     writer.write(frame)
-                energy = float(frame.observables["potential_energy"]) - tail
-                heat = n_atoms * engine.system.units.k_B * float(frame.observables["temperature"])
+                energy = frame.observables["potential_energy"] - tail
+                heat = n_atoms * engine.system.units.k_B * frame.observables["temperature"]
                 theirs = log.rows.get(step, (np.nan,))[0]
                 differences.append(abs(theirs - energy) / max(scale, abs(energy), heat, LEAST))
             if is_whole:

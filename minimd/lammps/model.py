@@ -199,7 +199,7 @@ class Model:
         self.bonds, self.angles, _ = self.joined.values()
         self.rigid_bonds = range(0)
         self.rigid_angles = range(0)
-        self._farthest = FAR * float(np.ptp(system.positions, axis=0).max(initial=1.0))
+        self._farthest = FAR * np.ptp(system.positions, axis=0).max(initial=1.0)
         self.charges = system.charges * system.units.coulomb**0.5
         self.kspace = list[str]()
         self.tolerance = TOLERANCE
@@ -215,7 +215,7 @@ class Model:
         # the longest present bond, in angles and dihedrals too; 1 if there is none
         pairs = [groups.atoms[:, k : k + 2] for groups in self.joined.values() for k in range(groups.size - 1)]
         apart = nearest_vectors(system.positions, system.cell, np.concatenate(pairs))
-        bonded = float(np.linalg.norm(apart, axis=1).max(initial=0.0)) or 1.0
+        bonded = np.linalg.norm(apart, axis=1).max(initial=0.0) or 1.0
         self.cutoff = max((style.cutoff for style in self.pair_styles), default=bonded)
         self.skin = SKIN * (self.smallest_cutoff if self.smallest_cutoff < np.inf else bonded)
         self.search = "nsq" if self.cutoff == self._farthest else "bin"
@@ -252,7 +252,7 @@ class Model:
 
         pairs = combinations_with_replacement(range(len(species)), 2) if len(table) > 1 else ()
         rows = [(f"{i + 1} {j + 1}", table[species[i], species[j]]) for i, j in pairs] or [("* *", table[0, 0])]
-        return PairStyle(LJ_STYLES[type(potential.law)] if is_own else "lepton", float(table[:, :, 0].max()),
+        return PairStyle(LJ_STYLES[type(potential.law)] if is_own else "lepton", table[:, :, 0].max(),
                          is_own and isinstance(potential.law, Shifted), tuple(potential.bonded_scale),
                          [(types, numbers(*row.tolist())) for types, row in rows])  # fmt: skip
 

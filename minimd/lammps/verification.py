@@ -71,7 +71,7 @@ def on_a_cutoff(engine: Engine) -> str:
         if isinstance(one, Nonbonded) and one.truncation in ("truncated", "shifted") and one.cutoff < np.inf:
             cutoffs = np.sqrt(one.table(system.species_names)[:, :, 0])
             species = system.species_index * one.depends_on_species
-            first, second, distances = neighbor_list("ijd", system, float(cutoffs.max()) * (1.0 + TOLERANCE))
+            first, second, distances = neighbor_list("ijd", system, cutoffs.max() * (1.0 + TOLERANCE))
             at = cutoffs[species[first], species[second]]
             scales = bonded_scales(one, system)
             for k in np.flatnonzero(np.abs(distances - at) <= TOLERANCE * at).tolist():
@@ -165,7 +165,7 @@ def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> V
         least = [part * _largest(numbers) for numbers in ours[1][:3]]
         energy = max(_largest(here.energies), least[0], LEAST)
         virial = max(_largest(here.virials), least[2], energy, max(_largest(here.forces), least[1]) * here.length)
-        whole = abs(float(there.energies.sum() - here.energies.sum())) / max(float(np.abs(here.energies).sum()), energy)
+        whole = abs(there.energies.sum() - here.energies.sum()) / max(np.abs(here.energies).sum(), energy)
         kinds = zip(here[:3], there[:3], (energy, virial / here.length, virial), strict=True)
         rows.append([whole, *(_largest(found - known) / most for known, found, most in kinds)])
         atoms.append(longest(there.forces - here.forces)[0])

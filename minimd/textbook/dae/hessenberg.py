@@ -109,7 +109,7 @@ class Hessenberg(DifferentialAlgebraic):
             def violation(x: Array) -> Array:
                 return self.constraint(k, t, *parts[:i], x, *parts[i + 1 :])
 
-            sizes = [float(np.abs(part).max()) for part in parts]
+            sizes = [np.abs(part).max() for part in parts]
             own = sizes[i] if sizes[i] > KEPT * max(sizes) else max(sizes)  # else it is only rounding
             if k == last:
                 own = self._size_of_algebraic(t, parts)

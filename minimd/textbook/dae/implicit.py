@@ -92,7 +92,7 @@ class Implicit(DifferentialAlgebraic):
         self._slope = slope
         derivatives = np.abs(self.slope_jacobian(t, y, slope))
         mobility = np.where(derivatives.max(axis=0) <= ABSENT * derivatives.max(), 1.0, least)
-        size = float(np.abs(y).max())
+        size = np.abs(y).max()
         y, slope = self._solved(t, y, [slope], mobility, 1.0, size)
         of_slope, of_state = self._pencil(t, y, slope)
         self.index = pencil_index(of_slope, -of_state, RANK)

@@ -82,7 +82,7 @@ class Holonomic(SecondOrder):
                 "the gradients of g must be independent at the start; singular values of G M^(-1/2) from "
                 f"{sizes[0]:.1e} to {sizes[-1]:.1e}"
             )
-        off = float(np.abs(self.violation(q)).max())
+        off = np.abs(self.violation(q)).max()
         q1 = projected(self, q, q) if off > 0.0 else q
         v1 = tangent(self, q1, v)
         moved = np.abs(q1 - q).max()

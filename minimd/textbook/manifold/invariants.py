@@ -380,7 +380,7 @@ def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Arra
     # rounding errors of the invariants are EPS times |g₀|, or Σ |G y|, whose terms may cancel in g
     scale = np.maximum(np.abs(manifold.value), np.abs(manifold.jacobian(y)) @ np.abs(y)) + np.finfo(float).tiny
     defect = manifold.defect(y)
-    least = float(np.max(np.abs(defect) / scale))
+    least = np.max(np.abs(defect) / scale)
     n_stalls = 0
     matrix = slope() if least > EPS else np.eye(z.size)
     for _ in range(MAX_CORRECTIONS):
@@ -390,7 +390,7 @@ def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Arra
         z = z + dz
         y = arrive(z)
         defect = manifold.defect(y)
-        error = float(np.max(np.abs(defect) / scale))
+        error = np.max(np.abs(defect) / scale)
         if error < least or error > SMALL:  # else it is rounding, from which no slope follows
             matrix = matrix + np.outer(defect, dz) / (dz @ dz)
         n_stalls += least <= error <= SMALL

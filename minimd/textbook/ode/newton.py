@@ -178,8 +178,8 @@ def nearest_root(function: Map, x: Array, step: float = CENTRAL, dependent: floa
         if not (c.any() and np.isfinite(c).all()):
             return best if c.any() else x
         dx = np.linalg.lstsq(central_differences(function, x, step, size), -c, rcond=dependent)[0]
-        move = float(np.abs(dx).max())
-        largest = float(max(size, np.abs(x + dx).max()))
+        move = np.abs(dx).max()
+        largest = max(size, np.abs(x + dx).max())
         if move > 0.5 * least and move <= SMALL_OF_NOISY * largest:
             return best
         x, best, least = x + dx, x + dx, move

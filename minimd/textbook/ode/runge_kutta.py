@@ -232,7 +232,7 @@ class StageEquations:
         of algebraic variables that no longer shrink are rounding if the others are solved for."""
         problem = self._problem
         if not isinstance(problem, DifferentialAlgebraic):
-            largest = float(np.abs(base).max())
+            largest = np.abs(base).max()
             return 0.0, largest / abs(h), UNSEEN * largest / abs(h)
         sizes = np.maximum(np.abs(base), np.abs(h * guess).max(axis=0))
         own = np.maximum(sizes, VANISHING * sizes.max()) * AMPLIFIED**problem.levels / abs(h)

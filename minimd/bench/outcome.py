@@ -24,7 +24,6 @@ from minimd.core.structure.observables import Array
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
 DIGITS = 3  # of a median, because rounds differ by a percent or more
 ALIGN = {str: ":---", float: "---:"}
@@ -161,7 +160,7 @@ def draw(panel: "Axes", curves: Mapping[str, tuple[Sequence[float], Array, bool]
         panel.fill_between(x, y.min(axis=1), y.max(axis=1), alpha=0.15, color=f"C{k}")
 
 
-def name_curves(panel: "Axes") -> None:
+def name_curves(panel: Any) -> None:
     """Write the name of each curve to the right of the panel, in its color, at the height of its end or as near as
     other names allow; a thin line connects each name with the end of its curve.
     All curves must have been drawn, also those of panels that share an axis."""
@@ -169,7 +168,7 @@ def name_curves(panel: "Axes") -> None:
     panel.get_ylim()  # fixes limits that matplotlib chooses
     gap = BETWEEN_NAMES / (0.8 * panel.bbox.height / panel.figure.dpi)
 
-    def place(curve: "Line2D") -> tuple[float, float, float]:
+    def place(curve: Any) -> tuple[float, float, float]:
         """Of ends of about the same height, the one farthest to the right comes first, so that no line crosses a
         curve."""
         x, y = to_panel.transform(curve.get_xydata()[-1])
@@ -179,7 +178,7 @@ def name_curves(panel: "Axes") -> None:
     for curve in sorted(panel.lines, key=place):
         height = max(place(curve)[2], height + gap)
         panel.annotate(
-            str(curve.get_label()),
+            curve.get_label(),
             curve.get_xydata()[-1],
             (1.02, height),
             textcoords="axes fraction",

@@ -120,7 +120,7 @@ class Probe:
         force, u = self.call(self.place(r))
         along = force if self.call.kind == "law" else force @ self.along
         f = max(-along[0], along[1], key=abs) if self.call.kind == "forces" else along
-        return f * (r if self.is_over_r else 1.0), float(np.asarray(u))
+        return float(f) * (r if self.is_over_r else 1.0), float(np.asarray(u))
 
     def slopes(self, r: Array) -> Array:
         """−du/dr."""

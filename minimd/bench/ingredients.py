@@ -4,7 +4,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,14 +34,14 @@ class IngredientCost(NamedTuple):
     seconds: Array
 
 
-@dataclass(frozen=True)
+@dataclass
 class IngredientCosts:
     """The costs of all ingredients, the melt first."""
 
     costs: Sequence[IngredientCost]
     repeats: int
-    packages: Sequence[str] = ("h5py", "MDAnalysis")
-    name: ClassVar[str] = "scene"
+    packages = ("h5py", "MDAnalysis")
+    name = "scene"
 
     def ratio(self, cost: IngredientCost) -> Array:
         """Time of a step per atom divided by that of the melt, in each turn, (R,)."""

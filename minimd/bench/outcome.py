@@ -12,7 +12,7 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from math import floor, log10
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -40,7 +40,7 @@ class Outcome(Protocol):
     """The outcome of one benchmark.  name : in its files.  packages : whose versions matter, besides minimd, numba and
     numpy."""
 
-    name: ClassVar[str]
+    name: str
 
     @property
     def packages(self) -> Sequence[str]: ...  # noqa: D102

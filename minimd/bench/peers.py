@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -66,7 +66,7 @@ class PeersOptions(NamedTuple):
     repeats: int = 7
 
 
-@dataclass(frozen=True)
+@dataclass
 class Peers:
     """The rows of each scene and size.  texts : descriptions of the scenes, by name.  packages : of the peers that took
     part."""
@@ -75,7 +75,7 @@ class Peers:
     repeats: int
     packages: Sequence[str]
     sizes: Sequence[Sequence[EngineSpeed]]
-    name: ClassVar[str] = "peers"
+    name = "peers"
 
     def lines(self) -> list[str]:
         """See Outcome."""

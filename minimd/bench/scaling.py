@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class Size(NamedTuple):
     seconds: dict[int, Array]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Scaling:
     """Times by size and threads.  memory : bytes per atom between 32 000 and memory_atoms atoms, if it is known."""
 
@@ -44,8 +44,8 @@ class Scaling:
     memory: float | None
     memory_atoms: int
     repeats: int
-    packages: Sequence[str] = ()
-    name: ClassVar[str] = "scaling"
+    packages = ()
+    name = "scaling"
 
     def lines(self) -> list[str]:
         """See Outcome."""

@@ -11,7 +11,7 @@ Errors of a run, all relative:
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -132,13 +132,13 @@ class Case(NamedTuple):
         name_curves(panel)
 
 
-@dataclass(frozen=True)
+@dataclass
 class WorkPrecision:
     """The cases that ran."""
 
     cases: Sequence[Case]
     packages: Sequence[str]
-    name: ClassVar[str] = "work-precision"
+    name = "work-precision"
 
     def lines(self) -> list[str]:
         """See Outcome."""

@@ -28,7 +28,8 @@ class Seen:
         self.has = {*scene.has.split()}
         self.all = joined(runs)
         self.kt = runs[0].kt
-        self.masses, self.n = self.all.masses, 3 * len(self.all.masses)
+        self.masses = self.all.masses
+        self.n = 3 * len(self.masses)
         self.shares = 1.0 - is_still * self.masses / self.masses.sum() - scene.rigid  # <p²/m>/kT of a component
         self.n_free = round(3.0 * self.shares.sum())
         # a body at rest whose momenta change with the volume; other than by moves of a Monte Carlo method, some of
@@ -61,8 +62,10 @@ class Seen:
         """How much of the energy, or of the volume, is new at the end of a run."""
         ends = self.all.ends[:, :, int("volume" in self.has)]
         found = ((ends[:, 1] - ends[:, 0]) ** 2).mean() / max(2.0 * ends.var(), 1e-300)
-        few = ": too little to judge; take a shorter relaxation time, or more steps=" * bool(found < ACTED)
-        return Measurement(min(found, 1.0), 1.0 if found < NEVER else np.nan if few else 0.0, few)
+        if found >= ACTED:
+            return Measurement(min(found, 1.0), 0.0)
+        off = 1.0 if found < NEVER else np.nan
+        return Measurement(found, off, ": too little to judge; take a shorter relaxation time, or more steps=")
 
 
 Measure: TypeAlias = Callable[[Frames, Seen], Any]
@@ -96,10 +99,10 @@ def masses_said(means: Array, seen: Seen) -> str:
     masses = np.unique(seen.masses)
     power = np.polyfit(np.log(masses), np.log(np.maximum(means, 1e-9)), 1)[0]
     each = ", ".join(f"{mean:.2f} ({mass:g} amu)" for mean, mass in zip(means, masses, strict=True))
-    noise = f"; the temperature goes as m^{power:.1f}: momenta need noise as √m, velocities as 1/√m"
-    return f"atoms of different masses have different temperatures, relative to the mean: {each}" + noise * (
-        abs(power) > 0.3
-    )
+    words = f"atoms of different masses have different temperatures, relative to the mean: {each}"
+    if abs(power) > 0.3:
+        words += f"; the temperature goes as m^{power:.1f}: momenta need noise as √m, velocities as 1/√m"
+    return words
 
 
 def volume_said(means: Array, seen: Seen) -> str:
@@ -122,7 +125,8 @@ def pressure_said(means: Array, seen: Seen) -> str:
         "of the kinetic energy); a Monte Carlo move of ln V needs the power N + 1 of V for N particles, not N",
     }
     near = min(table, key=lambda one: abs(found - one))
-    return f"P<V> − <P_int V> is {found:.2f} kT, not {seen.excess} kT" + f": {table[near]}" * (abs(found - near) < 0.3)
+    words = f"P<V> − <P_int V> is {found:.2f} kT, not {seen.excess} kT"
+    return f"{words}: {table[near]}" if abs(found - near) < 0.3 else words
 
 
 def spread_said(means: Array, seen: Seen) -> str:

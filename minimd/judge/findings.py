@@ -44,8 +44,11 @@ class Measurement(NamedTuple):
     limit: float = nan
 
 
+Answer = tuple[Any, ...]  # a number, how far it is off, and what else the words of a law need
+
+
 class Law(NamedTuple):
-    """One law.  measure : of what is judged; a number, or a number, how far it is off, and what else the words need.
+    """One law.  measure : of what is judged; a number, or an Answer.
     bound : the law holds if the number is off by less; if that is NaN, the reader has to judge.  words, cause : formats
     of a Finding.  needs : what must be there."""
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from minimd.core.structure.checks import checked_sizes
 from minimd.judge.calling import KINDS, REST, StudentForce, plain
-from minimd.judge.findings import Grade, Law, causes, first_of, is_near, judged
+from minimd.judge.findings import Answer, Grade, Law, causes, first_of, is_near, judged
 from minimd.judge.powers import Powers, compared, jumps, powers_of
 from minimd.judge.problems import Array, difference, multiple_of
 
@@ -56,7 +56,8 @@ class Probe:
         self.cutoff = cutoff
         self.potential = potential
         self.lengths: Any = None if cell is None else cell[: self.d]
-        self.along, self.units = ALONG[self.d], np.eye(self.d)
+        self.along = ALONG[self.d]
+        self.units = np.eye(self.d)
         self.start = WHERE[: self.d] * (1.0 if self.lengths is None else 0.3 * self.lengths / self.lengths.max())
         self.f, self.u = (np.vectorize(lambda r, k=k: self.both(float(r))[k], [float]) for k in range(2))
         self.values = np.zeros(0)
@@ -101,7 +102,8 @@ class Probe:
             apart = np.abs(x[first] - x[second])
             half = np.inf
             if lengths is not None:
-                apart, half = np.minimum(apart, lengths - apart), np.abs(apart - 0.5 * lengths).min()
+                half = np.abs(apart - 0.5 * lengths).min()
+                apart = np.minimum(apart, lengths - apart)
             return min(half, float(np.abs(np.linalg.norm(apart, axis=1) - (self.cutoff or CUTOFF)).min()))
 
         randoms = [np.random.default_rng(seed) for seed in range(TRIALS)]
@@ -157,7 +159,7 @@ class Probe:
         """The relative difference of the forces at x from those that are right."""
         return float(np.abs(self.call(x)[0] - right).max()) / self.scale
 
-    def without_effect(self) -> tuple[int, int, str]:
+    def without_effect(self) -> Answer:
         """The physical parameters, such as ε and σ, that have no effect when they are increased."""
         call = self.call
         still = list[str]()
@@ -175,12 +177,12 @@ class Probe:
         told = f"forces do not change when {' or '.join(still)} is increased{hint}"
         return len(still), len(still), told
 
-    def like(self, right: Array, other: str) -> tuple[float, float, str]:
+    def like(self, right: Array, other: str) -> Answer:
         """The force of a pair beside the one that it should be."""
         c, _, fault = compared(self.values, right, self.r, other)
         return c, bool(fault), fault
 
-    def of_powers(self) -> tuple[float, float, str, Powers | None]:
+    def of_powers(self) -> Answer:
         """The powers of r; those of Lennard-Jones are needed with the function's ε and σ, or without an energy."""
         units = {self.call.roles[name]: value for name, value in self.call.physical.items()}
         epsilon = units.get("epsilon", 1.0)
@@ -205,7 +207,7 @@ class Probe:
                 fault = compared(self.values, Powers(right, own.constant).at(self.r), self.r, told)[2]
         return np.nan, bool(fault) if is_alone or not fault else np.nan, fault, self.powers
 
-    def cap(self) -> tuple[float, float]:
+    def cap(self) -> Answer:
         """The largest close distance at which the force is not its law, a sum of powers or −du/dr, or is constant."""
         r = np.geomspace(CLOSEST, 1.0, POINTS)
         far = self.r > 1.0
@@ -217,12 +219,12 @@ class Probe:
         off = r[(rest > CAPPED) | ((f == f[0]) & is_flat)] if np.isfinite(rest).all() else r[:0]
         return off.max(initial=0.0), len(off)
 
-    def ending(self) -> tuple[float, float, float]:
+    def ending(self) -> Answer:
         """The largest force beyond the cutoff."""
         beyond = np.abs(self.f(np.linspace(1.001 * self.cutoff, self.farthest, 20))).max()
         return beyond, beyond, self.cutoff
 
-    def end(self) -> tuple[float, float, str]:
+    def end(self) -> Answer:
         """Where the force ends, if it jumps to zero; whether it should end there."""
         found = jumps(self.f, np.linspace(NEAREST, self.farthest, GRID))
         end = next((r for r, _, above in found if above == 0.0), np.inf)
@@ -232,13 +234,13 @@ class Probe:
         words = "; ".join(f"jumps by {b - a:+.4g} at r = {r:.6g}" for r, a, b in found[:3]) or "continuous"
         return end, float(is_early) or (np.nan if found else 0.0), words
 
-    def jump(self) -> tuple[float, float, float, float]:
+    def jump(self) -> Answer:
         """The first jump of the energy."""
         r, below, above = (*jumps(self.u, np.linspace(NEAREST, self.farthest, GRID)), (0.0, 0.0, 0.0))[0]
         is_meant = getattr(self.potential, "truncation", "") == "truncated"  # minimd's energy jumps, too
         return above - below, np.nan if is_meant else above - below, r, below
 
-    def all_beside(self) -> tuple[float, float, str]:
+    def all_beside(self) -> Answer:
         """All forces and the energy beside those of minimd."""
         answer = evaluated(np.pad(self.x, ((0, 0), (0, 3 - self.d))), self.potential, self.cell)
         known = answer.forces[:, : self.d]
@@ -250,7 +252,7 @@ class Probe:
         c = multiple_of(self.forces, known, EQUAL)
         return off, off, f"the forces differ by {off:.1%} of the largest (or by a factor: {c:.6g})"
 
-    def reaction(self) -> tuple[float, float, str]:
+    def reaction(self) -> Answer:
         """The sum of all forces, and what is wrong with a pair."""
         off = np.abs(self.forces.sum(axis=0)).max() / self.scale
         one, two = np.zeros((2, self.d))
@@ -263,7 +265,7 @@ class Probe:
             (sizes.any() and np.allclose(one, two), ": both atoms of a pair get the same force; the second needs the "
                                                     "other sign"), (True, ""))[0]  # fmt: skip
 
-    def all_slopes(self) -> tuple[float, float, str]:
+    def all_slopes(self) -> Answer:
         """The forces of all atoms beside −∇U."""
         steps = np.eye(self.x.size).reshape(-1, *self.x.shape) * DELTA
         slopes = -np.array([difference(lambda x: float(self.call(x)[1]), self.x, e) for e in steps]) / DELTA
@@ -277,7 +279,7 @@ class Probe:
         matrix = np.array([np.ravel(difference(lambda x: self.call(x)[0], self.x, e))[: len(some)] for e in some])
         return float(np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300))
 
-    def images(self) -> tuple[int, float, str]:
+    def images(self) -> Answer:
         """Nearest images across each face, in both directions."""
         # axes, and the part of the force that is there
         bad = list[tuple[int, float]]()
@@ -302,7 +304,7 @@ class Probe:
             (True, f"minimum image is {verb} in one direction {where}: only one of dx > L/2 and dx < −L/2 is treated"),
         )[0]  # fmt: skip
 
-    def sum_of_pairs(self) -> tuple[float, float, str]:
+    def sum_of_pairs(self) -> Answer:
         """The forces beside the sum, over pairs, of the forces on two atoms alone: other forces are a multiple of it,
         which is a fault, or many-body forces, which may be right."""
         n = len(self.x)

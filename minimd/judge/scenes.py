@@ -100,8 +100,8 @@ class Rigid(AnharmonicSprings):
 
     def softness(self, seen: "Frames") -> float:
         """How far lengths are off, or velocities along bonds beside thermal ones."""
-        (d, v), kt = (one[:, 1::2] - one[:, ::2] for one in (seen.x, seen.p / seen.masses[:, None])), seen.kt
-        along = (d * v).sum(axis=2) / self.length * np.sqrt(seen.masses[:2].mean() / kt)
+        d, v = (one[:, 1::2] - one[:, ::2] for one in (seen.x, seen.p / seen.masses[:, None]))
+        along = (d * v).sum(axis=2) / self.length * np.sqrt(seen.masses[:2].mean() / seen.kt)
         return float(max(np.abs(np.linalg.norm(d, axis=2) / self.length - 1.0).max(), np.abs(along).max()))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from minimd.judge.calling import FORCES, StudentStep, understood
 from minimd.judge.faults import faults_of, hidden
-from minimd.judge.findings import Finding, Grade, Law, causes, judged
+from minimd.judge.findings import Answer, Finding, Grade, Law, causes, judged
 from minimd.judge.methods import Numbers, named, numbers_of
 from minimd.judge.problems import Array, TrialProblem, difference
 
@@ -48,12 +48,13 @@ class Measured:
 
     def run(self, h: float, n: int, x: Array | None = None, v: Array | None = None) -> tuple[Array, Array]:
         """x and v after n steps."""
-        x, v = self.where.x if x is None else x, self.where.v if v is None else v
+        x = self.where.x if x is None else x
+        v = self.where.v if v is None else v
         for _ in range(n):
             x, v = self.step(self.where, x, v, h)
         return x, v
 
-    def order(self) -> tuple[float, float, str]:
+    def order(self) -> Answer:
         """The slope, in a logarithmic plot, of the error after a fixed time against the time step."""
         right = np.array(self.where.flow(DURATION))
         counts = np.array(COUNTS)
@@ -86,7 +87,7 @@ class Measured:
         omega = np.kron([[0.0, 1.0], [-1.0, 0.0]], np.eye(self.where.x.size))
         return float(np.abs(self.jacobian.T @ omega @ self.jacobian - omega).max()) / self.fuzz
 
-    def reversal(self) -> tuple[float, float, float]:
+    def reversal(self) -> Answer:
         """The distance from the start after steps forwards and as many back, and the way."""
         x, v = self.run(PACE, BACK)
         way = np.abs(x - self.where.x).max()
@@ -99,9 +100,11 @@ class Measured:
         before, after = (of(x, self.where.mass * v) for x, v in (self.where[:2], self.run(PACE, SOME)))
         return float(np.abs((after - before).sum(axis=0)).max() / np.abs(before).sum()) / self.fuzz
 
-    def energy(self) -> tuple[float, float, str]:
+    def energy(self) -> Answer:
         """Drift of the total energy per step in a long run; a symplectic step has none, only slow oscillations."""
-        (x, v), energies, times = self.where[:2], list[tuple[float, float]](), np.arange(LONG)
+        x, v = self.where[:2]
+        energies = list[tuple[float, float]]()
+        times = np.arange(LONG)
         while len(energies) < LONG:
             x, v = self.step(self.where, x, v, PACE)
             energies.append((0.5 * np.sum(self.where.mass * v * v), self.where.at(x)[1]))
@@ -117,7 +120,7 @@ class Measured:
         words = f"changes by {slope:.1e} of the kinetic energy per step" if off > 1.0 else "does not drift"
         return slope, off, f"{words}; it oscillates by {oscillation:.1e} (dt = {PACE:g})"
 
-    def oscillator(self) -> tuple[float, float, str]:
+    def oscillator(self) -> Answer:
         """The step as a matrix, for x″ = −x: its determinant, the quadratic form that it conserves, and the longest
         stable step."""
         omega = np.sqrt(self.step.stiffness or 1.0)
@@ -140,7 +143,7 @@ class Measured:
         words = f"at ω dt = 0.5 it conserves v² {stiffness:+.6g} ω² x²{mixed}; stable up to ω dt = {0.01 * stable:.2f}"
         return 0.01 * stable, 0.0 if stable else np.inf, words
 
-    def cost(self) -> tuple[int, float, str]:
+    def cost(self) -> Answer:
         """The number of force evaluations in one step."""
         self.step.n_evaluations = 0
         self.run(PACE, 1)

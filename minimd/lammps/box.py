@@ -30,7 +30,8 @@ class Box:
         images = np.where(self.open, 0.0, np.floor(hand * (system.positions @ cell.inverse)))
         self._shifts = images @ (hand * cell.lattice)
         self.positions = self.turned(system.positions - self._shifts)
-        self.low, self.high = np.zeros(3), np.diag(self.edges).copy()
+        self.low = np.zeros(3)
+        self.high = np.diag(self.edges).copy()
 
     def make_room(self, length: float) -> None:
         """Set open bounds, which LAMMPS moves, at a distance from the atoms [length]: a box is thicker than cutoffs."""

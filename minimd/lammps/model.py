@@ -272,7 +272,8 @@ class Model:
         least = np.abs(found.energies).mean() / term.cutoff
         self.kspace = [f"kspace_style pppm {words(potential.accuracy * max(rms, least))}"]
         self.kspace += [f"pair_modify table {TABLE} tabinner {words(term.cutoff / NEAR)}"]
-        self.tolerance, self.smallest_cutoff = MARGIN * potential.accuracy, min(self.smallest_cutoff, term.cutoff)
+        self.tolerance = MARGIN * potential.accuracy
+        self.smallest_cutoff = min(self.smallest_cutoff, term.cutoff)
         return PairStyle("coul/long", term.cutoff, *common)
 
     def _hold(self, constraints: DistanceConstraints, is_fixed: NDArray[np.bool_]) -> None:

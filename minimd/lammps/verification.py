@@ -1,7 +1,6 @@
 """The verification at step 0: energies, forces, virials of atoms in LAMMPS and minimd, of the scene and a copy."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -27,8 +26,7 @@ NEAREST = 0.3  # of the smallest cutoff: after the first copy, none is made whos
 PART = 0.01  # of the energies, forces and virials of the copy: the scale of those that vanish or cancel in the scene
 
 
-@dataclass(frozen=True)
-class Verification:
+class Verification(NamedTuple):
     """The largest differences at step 0, each relative to the largest of its kind; the worse of scene and copy.
     energy : of the whole scene, relative to Σ|e_i| of the atoms.  energies, forces, virials : of single atoms, relative
         to the largest one; forces and virials to the larger of both, one being the other at the largest cutoff; where

@@ -111,7 +111,7 @@ class Holonomic(SecondOrder):
 
     def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
         """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
-        q, v = np.asarray(q, dtype=float).reshape(-1), np.asarray(v, dtype=float).reshape(-1)
+        q, v = (np.asarray(part, dtype=float).reshape(-1) for part in (q, v))
         gradient = self.jacobian(q)
         unit = unit_of_time(q, v)
         turning = time_derivative(lambda e: self.jacobian(q + e * v) @ v, 1, unit)

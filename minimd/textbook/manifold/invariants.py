@@ -307,7 +307,8 @@ class SymmetricProjection(ManifoldStep):
             """The end y₁ = free + G(y₁)ᵀ μ of the step, by iteration: the image depends weakly on y₁."""
             y1 = free = self._step(t, y + gradients @ mu, h)
             for _ in range(MAX_CORRECTIONS):
-                y1, before = free + manifold.jacobian(y1).T @ mu, y1
+                before = y1
+                y1 = free + manifold.jacobian(y1).T @ mu
                 if np.abs(y1 - before).max() <= EPS * np.abs(y1).max():
                     break
             return y1

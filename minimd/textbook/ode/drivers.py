@@ -216,7 +216,8 @@ def _fixed(path: Path, method: Method, lengths: Iterable[float], t_end: float | 
     step = path.step(type(method))
 
     def states() -> States:
-        [t0], [y] = path.times, path.states
+        t0 = path.times[0]
+        y = path.states[0]
         for n, length in enumerate(lengths, 1):
             y = step(t0 + (n - 1) * h, y, length)
             yield t0 + n * h, y
@@ -355,7 +356,11 @@ def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: floa
 
 def _adaptive(path: Path, method: type[Method], t_end: float, control: StepControl) -> States:
     """The accepted states, each after two steps of h/2."""
-    problem, order, n, [t], [y] = path.problem, method.order_on(path.problem), 0, path.times, path.states
+    problem = path.problem
+    order = method.order_on(problem)
+    n = 0
+    t = path.times[0]
+    y = path.states[0]
     # each remembers its own last state
     coarse = path.step(method)
     fine = path.step(method)
@@ -451,7 +456,11 @@ def run_reversible(problem: Partitioned, method: Method, start: Start, t_end: fl
 
 def _reversible(path: Path, method: Method, t_end: float, control: DensityControl) -> States:
     """States of steps ε/ρ; ρ changes by half of ε G before and after each."""
-    problem, epsilon, n, [t], [y] = path.problem, method.timestep, 0, path.times, path.states
+    problem = path.problem
+    epsilon = method.timestep
+    n = 0
+    t = path.times[0]
+    y = path.states[0]
     step = path.step(type(method))
     rate = control.rate or _Fall(problem, abs(epsilon))
     path.counts.append(rate)

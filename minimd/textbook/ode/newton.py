@@ -182,7 +182,8 @@ def nearest_root(function: Map, x: Array, step: float = CENTRAL, dependent: floa
         largest = max(size, np.abs(x + dx).max())
         if move > 0.5 * least and move <= SMALL_OF_NOISY * largest:
             return best
-        x, best, least = x + dx, x + dx, move
+        x = best = x + dx
+        least = move
         if move <= EPS * largest:
             return x
     return best

@@ -11,8 +11,7 @@ E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5.
 """
 
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import Legendre
@@ -34,8 +33,7 @@ UNSEEN = 1e-22  # of the state: a millionth of its rounding, too small to change
 VANISHING = 1e-30  # smallest size of a variable relative to the largest one, so that no size is zero
 
 
-@dataclass(frozen=True)
-class Tableau:
+class Tableau(NamedTuple):
     """Coefficients of a Runge-Kutta method with s stages.
 
     beta : (s, s).  weights, nodes : (s,).  All dimensionless; Σ_j β_ij = c_i."""

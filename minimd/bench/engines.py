@@ -274,7 +274,7 @@ def ase(scene: BenchScene, _threads: int) -> LoadedEngine:
     atoms = atoms_from_system(scene.system)
     atoms.calc = LennardJones(sigma=1.0, epsilon=1.0, rc=CUTOFF, smooth=False)
     # ASE's calculator adds a shift for each pair
-    shift: Callable[[], float] = lambda: SHIFT * pairs_in_range(scene, atoms.positions)  # noqa: E731
+    shift = lambda: SHIFT * pairs_in_range(scene, atoms.positions)  # noqa: E731
     return _on_ase("ASE (serial)", atoms, VelocityVerlet(atoms, scene.method.timestep), shift)
 
 
@@ -296,8 +296,8 @@ def asap3(scene: BenchScene, _threads: int) -> LoadedEngine:
 
 def _on_ase(name: str, atoms: Any, dynamics: Any, shift: Callable[[], float]) -> LoadedEngine:
     """An engine on ASE's atoms.  shift : to be added to the potential energy."""
-    potential: Callable[[], float] = lambda: float(atoms.get_potential_energy()) + shift()  # noqa: E731
-    total: Callable[[], float] = lambda: potential() + float(atoms.get_kinetic_energy())  # noqa: E731
+    potential = lambda: float(atoms.get_potential_energy()) + shift()  # noqa: E731
+    total = lambda: potential() + float(atoms.get_kinetic_energy())  # noqa: E731
     return LoadedEngine(name, 1, "double", potential, total, dynamics.run)
 
 

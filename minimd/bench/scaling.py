@@ -80,7 +80,7 @@ class Scaling:
         figure = new_figure(4.0)
         axes = figure.subplots()
         n = [size.n_atoms for size in self.sizes]
-        times: Any = lambda t: np.array([1e9 * size.seconds[t] / size.n_atoms for size in self.sizes])  # noqa: E731
+        times = lambda t: np.array([1e9 * size.seconds[t] / size.n_atoms for size in self.sizes])  # noqa: E731
         draw(axes, {threads_text(t): (n, times(t), True) for t in self.sizes[0].seconds})
         axes.set(
             xscale="log",

@@ -124,7 +124,8 @@ class Grade(Displayed):
     def display_rows(self) -> Rows:
         """See Displayed."""
         rows = [("called as", self.function)]
-        rows += [("recognized", self.method)] if self.method else []
+        if self.method:
+            rows.append(("recognized", self.method))
         rows += [(finding.name, f"{TICKS[finding.passed]} {finding.words}") for finding in self.findings]
         rows += [("fault" if k == 0 else "", sentence) for k, sentence in enumerate(self.faults)]
         rows += [("remark" if k == 0 else "", sentence) for k, sentence in enumerate(self.remarks)]

@@ -66,14 +66,17 @@ class Probe:
         self.name = ""
         self.farthest = FARTHEST if cell is None else min(FARTHEST, 0.4995 * cell.min())
         self.has = {call.kind, "free" if cell is None else "cell", "energy" if call.has_energy else "noenergy"}
-        self.has |= {"known"} if potential is not None else set()
-        self.has |= {"cutoff"} if cutoff and cutoff < self.farthest else set()
+        if potential is not None:
+            self.has.add("known")
+        if cutoff and cutoff < self.farthest:
+            self.has.add("cutoff")
         self.skew = call(SKEW)[0] if call.kind == "pair" else SKEW
         self.x = self.place(PROBE) if call.kind != "forces" else self.cluster() if given is None else given
         self.forces = call(self.x)[0]
         self.scale = np.abs(self.forces).max() or 1.0
         is_many = call.kind == "forces"
-        self.has |= {"field"} if is_many and self.takes(1) and call(self.place(PROBE)[:1])[0].any() else {"nofield"}
+        is_field = is_many and self.takes(1) and call(self.place(PROBE)[:1])[0].any()
+        self.has.add("field" if is_field else "nofield")
         self.order = np.random.default_rng(2).permutation(len(self.x)) if is_many else 0
         self.turn = np.linalg.qr(np.random.default_rng(4).normal(size=(self.d, self.d)))[0]
         is_turned = not self.has >= {"forces", "free"} or self.off(self.x @ self.turn, self.forces @ self.turn) < SAME
@@ -168,7 +171,8 @@ class Probe:
         for name, value in call.physical.items() if np.isfinite(own).all() and own.any() else ():
             call.values = {**given, name: FACTOR * value}
             try:
-                still += [name] * int(np.array_equal(own, call(self.x)[0]))
+                if np.array_equal(own, call(self.x)[0]):
+                    still.append(name)
             except Exception:  # whatever a student's function raises
                 continue
             finally:

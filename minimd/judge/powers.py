@@ -86,5 +86,6 @@ def jumps(law: Callable[[float], float], r: Array) -> list[tuple[float, float, f
         beside = max(change[k - 2], change[k - 1], min(change[k + 1], change[k - 1]))
         if change[k] > JUMP * scale and change[k] > 3.0 * beside:
             low, high = bisected(is_low, r[k], r[k + 1], 45)
-            found += [(high, law(low), law(high))] * int(abs(law(high) - law(low)) > 0.3 * change[k])
+            if abs(law(high) - law(low)) > 0.3 * change[k]:
+                found.append((high, law(low), law(high)))
     return found

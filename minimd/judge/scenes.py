@@ -60,10 +60,8 @@ class AnharmonicSprings(GetPropertiesMixin):
         self.lengths = lengths
         self.results: dict[str, Any] = {}
 
-    def get_property(self, name: str, atoms: Atoms | None = None, allow_calculation: bool = True) -> Any:
+    def get_property(self, name: str, atoms: Any = None, allow_calculation: bool = True) -> Any:
         """See ASE."""
-        del allow_calculation
-        assert atoms is not None
         d, e, r2 = self.bonds(atoms.positions)
         if name not in ("forces", "stress"):
             return (0.5 * self.k * r2 + 0.25 * self.q * r2**2).sum()
@@ -141,9 +139,8 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
     angles = 2.0 * np.pi * first / n
     places = 50.0 + 10.0 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
     springs = AnharmonicSprings(first, second, k, QUARTIC * k**2 / kt, places[second] - places[first])
-    hessian = np.zeros((n, n))
-    for i, j, one in zip(first, second, k, strict=True):
-        hessian[[i, j, i, j], [i, j, j, i]] += one * np.array([1.0, 1.0, -1.0, -1.0])
+    bonds = np.eye(n)[second] - np.eye(n)
+    hessian = bonds.T @ (k[:, None] * bonds)
     values, modes = np.linalg.eigh(hessian)
     spread = modes[:, 1:] * np.sqrt(kt / values[1:])  # without the translation
 
@@ -288,8 +285,8 @@ class Frames(NamedTuple):
 
 def joined(runs: Sequence[Frames]) -> Frames:
     """All frames of several runs."""
-    x, p, f, volumes, u = (np.concatenate([one[k] for one in runs]) for k in range(2, 7))  # type: ignore[arg-type]
-    return Frames(runs[0].masses, runs[0].kt, x, p, f, volumes, u, np.stack([one.ends for one in runs]))
+    series = (np.concatenate([one[k] for one in runs]) for k in range(2, 7))  # type: ignore[arg-type]
+    return Frames(runs[0].masses, runs[0].kt, *series, np.stack([one.ends for one in runs]))
 
 
 def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) -> Frames:
@@ -311,8 +308,7 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
         raise FloatingPointError("the shape of the cell changes; a gas resists no shear: let only its volume change")
     if not np.isfinite(ends).all():
         raise FloatingPointError(f"not finite: energy {ends[1][0]:.3g} eV or volume {atoms.get_volume():.3g} Å³")
-    x, p, f, volumes, u = (np.array(one) for one in zip(*seen, strict=True))
-    return Frames(atoms.get_masses(), kt, x, p, f, volumes, u, np.array(ends))
+    return Frames(atoms.get_masses(), kt, *map(np.array, zip(*seen, strict=True)), np.array(ends))
 
 
 def started(make: Make, scene: Scene, seed: int) -> tuple[Atoms, Any]:

@@ -42,9 +42,10 @@ class Measured:
         line = [np.ravel(step(where, where.x * (1.0 + 1e-6 * k), where.v, 0.1)[0]) for k in range(12)]
         self.noise = np.abs(np.diff(line, n=3, axis=0)).max() / 8.0 / np.abs(where.x).max()
         self.fuzz = max(1.0, self.noise / NOISE)
-        self.has = {"atoms", "vectors"} if where.x.ndim == 2 else {"atoms"} if where.x.ndim else set[str]()
-        self.has = set() if where.stiffness else self.has  # springs to the origin conserve no momenta
-        self.has |= {"force"} if step.takes(*FORCES) else set()
+        n_dimensions = 0 if where.stiffness else where.x.ndim  # springs to the origin conserve no momenta
+        self.has = {*("atoms", "vectors")[:n_dimensions]}
+        if step.takes(*FORCES):
+            self.has.add("force")
 
     def run(self, h: float, n: int, x: Array | None = None, v: Array | None = None) -> tuple[Array, Array]:
         """x and v after n steps."""

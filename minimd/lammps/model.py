@@ -283,7 +283,7 @@ class Model:
             raise ValueError("LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms "
                              f"{pair}: run this scene with minimd")  # fmt: skip
         bonds, lengths, angles, openings = rigid_groups(constraints, len(is_fixed))
-        forceless: Callable[[list[float]], Style] = lambda row: ("harmonic", words(0.0, *row))  # noqa: E731
+        forceless = lambda row: ("harmonic", words(0.0, *row))  # noqa: E731
         self.rigid_bonds = self.bonds.add(bonds, lengths[:, None], forceless)
         self.rigid_angles = self.angles.add(angles, np.degrees(openings)[:, None], forceless)
 
@@ -315,7 +315,8 @@ class Model:
             place = f" {names[: k + 1].count(style.name)}" if names.count(style.name) > 1 else ""
             label = f"{style.name}{place} " if several else ""
             lines += [f"pair_coeff {types} {label}{numbers}" for types, numbers in style.coefficients]
-            lines += [f"pair_modify {f'pair {label}' if several else ''}shift yes"] if style.shift else []
+            if style.shift:
+                lines.append(f"pair_modify {f'pair {label}' if several else ''}shift yes")
             if style.scale != self.special_bonds():
                 lines.append(f"pair_modify pair {label}special lj/coul {words(*style.scale)}")
         return lines + self.kspace + linked

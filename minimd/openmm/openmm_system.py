@@ -126,14 +126,18 @@ def _strange(openmm_system: openmm.System, forces: list[openmm.Force]) -> list[s
     """What of a system minimd does not have, in words."""
     names = [type(one).__name__ for one in forces]
     found = [name for name in names if name not in KNOWN]
-    found += ["a second NonbondedForce"] if names.count("NonbondedForce") > 1 else []
+    if names.count("NonbondedForce") > 1:
+        found.append("a second NonbondedForce")
     sites = [k for k in range(openmm_system.getNumParticles()) if openmm_system.isVirtualSite(k)]
-    found += [f"virtual sites, such as particle {sites[0]}"] if sites else []
+    if sites:
+        found.append(f"virtual sites, such as particle {sites[0]}")
     for one in (one for one, name in zip(forces, names, strict=True) if name == "NonbondedForce"):
-        found += ["the method LJPME"] if one.getNonbondedMethod() == one.LJPME else []
-        n_offsets = one.getNumParticleParameterOffsets() + one.getNumExceptionParameterOffsets()
-        found += ["parameter offsets of NonbondedForce"] if n_offsets else []
-        found += [] if one.getIncludeDirectSpace() else ["NonbondedForce without its direct space"]
+        if one.getNonbondedMethod() == one.LJPME:
+            found.append("the method LJPME")
+        if one.getNumParticleParameterOffsets() or one.getNumExceptionParameterOffsets():
+            found.append("parameter offsets of NonbondedForce")
+        if not one.getIncludeDirectSpace():
+            found.append("NonbondedForce without its direct space")
     return found
 
 

@@ -30,7 +30,7 @@ Methods in ODEs (1962), 6.4; E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs 
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import repeat
 from math import copysign, isfinite, log
 from typing import Any
@@ -70,7 +70,8 @@ class Solution(Displayed):
     t : (n + 1,) times.  y : (n + 1, size) states.  q, v : (n + 1, …) positions and velocities, of problems with them.
     nfev : evaluations of the right-hand side (of f, for problems with q and v).  n_rejected : steps tried in vain.
     success, message : whether the end was reached, and if not, why; if so, what limits the accuracy beside the method
-        and rounding."""
+        and rounding.
+    density : of run_reversible, (n + 1,) values of ρ at its times, dimensionless, for a run on or back."""
 
     t: Array
     y: Array
@@ -79,6 +80,7 @@ class Solution(Displayed):
     success: bool = True
     message: str = REACHED
     n_rejected: int = 0
+    density: Array | None = None
 
     def __repr__(self) -> str:
         return f"Solution({len(self.t)} states at t = {self.t[0]:.6g} to {self.t[-1]:.6g})"
@@ -105,13 +107,6 @@ class Solution(Displayed):
         if self.shape is None:
             raise AttributeError("this problem has no q and v; its states are in y")
         return self.y.reshape(-1, 2, *self.shape)
-
-
-@dataclass
-class ReversibleSolution(Solution):
-    """A Solution with density : (n + 1,) values of ρ at its times, dimensionless, for a run on or back."""
-
-    density: Array = field(default_factory=lambda: np.empty(0))
 
 
 class Path:
@@ -162,10 +157,16 @@ class Path:
         nfev = sum(getattr(one, "nfev", 0) for one in self.counts)
         message = self.stopped or reached
         t = np.array(self.times)
-        found = Solution(t, np.array(self.states), nfev, self.problem.shape, not self.stopped, message, self.n_rejected)
-        if not self.densities:
-            return found
-        return ReversibleSolution(**vars(found), density=np.array([self.densities[t] for t in self.times]))
+        return Solution(
+            t,
+            np.array(self.states),
+            nfev,
+            self.problem.shape,
+            not self.stopped,
+            message,
+            self.n_rejected,
+            np.array([self.densities[t] for t in self.times]) if self.densities else None,
+        )
 
 
 def failed(kind: type[ConvergenceError | NonFiniteError], path: Solution) -> ConvergenceError | NonFiniteError:
@@ -428,7 +429,7 @@ class DensityControl:
 
 
 def run_reversible(problem: Partitioned, method: Method, start: Start, t_end: float, t0: float = 0.0,
-                   control: DensityControl = DensityControl(), every: int = 1) -> ReversibleSolution:  # fmt: skip
+                   control: DensityControl = DensityControl(), every: int = 1) -> Solution:  # fmt: skip
     """Steps of length timestep/ρ up to t_end, the last one shortened to end there.
 
     Parameters

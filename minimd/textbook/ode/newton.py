@@ -170,23 +170,22 @@ def nearest_root(function: Map, x: Array, step: float = CENTRAL, dependent: floa
     step : of central differences, relative to x; WIDE for functions that are numerical derivatives themselves.
     dependent : ratio of singular values below which equations count as dependent.
     size : of the largest variable, where x may be smaller by chance."""
-    best = x
     least = np.inf
     size = max(size, np.abs(x).max())
     for _ in range(MAX_ITERATIONS):
         c = function(x)
         if not (c.any() and np.isfinite(c).all()):
-            return best if c.any() else x
+            return x
         dx = np.linalg.lstsq(central_differences(function, x, step, size), -c, rcond=dependent)[0]
         move = np.abs(dx).max()
         largest = max(size, np.abs(x + dx).max())
         if move > 0.5 * least and move <= SMALL_OF_NOISY * largest:
-            return best
-        x = best = x + dx
+            return x
+        x = x + dx
         least = move
         if move <= EPS * largest:
             return x
-    return best
+    return x
 
 
 def are_independent(function: Map, x: Array, step: float = CENTRAL, size: float = 0.0) -> bool:

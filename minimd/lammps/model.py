@@ -24,7 +24,7 @@ from minimd.core.potentials.pair import UNSCALED, Nonbonded
 from minimd.core.potentials.truncation import ForceShifted, Shifted
 from minimd.core.structure.bond_graph import Indices, among
 from minimd.core.structure.cell import Array, nearest_vectors
-from minimd.core.structure.constraints import DistanceConstraints, FixedAtoms
+from minimd.core.structure.constraints import DistanceConstraints
 from minimd.lammps.box import Box
 from minimd.lammps.expression import energy_expression
 from minimd.lammps.verification import TOLERANCE
@@ -115,10 +115,7 @@ class AtomTypes(NamedTuple):
     def of(cls, engine: Engine) -> "AtomTypes":
         """The types of atoms of an engine.  Raises ValueError for more than MOST_TYPES."""
         system = engine.system
-        fixed = np.zeros(len(engine.system), dtype=bool)
-        for one in engine.constraints:
-            if isinstance(one, FixedAtoms):
-                fixed[one.atoms] = True
+        fixed = engine.constraint_set.inverse_masses == 0.0
         keys = np.column_stack([system.species_index, system.masses, fixed])
         rows, of_atom = np.unique(keys, axis=0, return_inverse=True)
         if len(rows) > MOST_TYPES:

@@ -118,8 +118,11 @@ class AndersenBath(Thermostat):
         thermal = bath.k_B * self.temperature
         if self.keeps_center:
             velocities += sqrt(thermal / state.masses.sum()) * noise.standard_normal(3)
-        fresh = np.sqrt(thermal * state.inverse_masses[:, None]) * noise.standard_normal(velocities.shape)
-        np.copyto(velocities, fresh, where=noise.random(velocities.shape) < self.probability)
+        np.copyto(
+            velocities,
+            np.sqrt(thermal * state.inverse_masses[:, None]) * noise.standard_normal(velocities.shape),
+            where=noise.random(velocities.shape) < self.probability,
+        )
         if self.keeps_center:
             velocities -= momentum(velocities, state.masses) / state.masses.sum()
 

@@ -168,8 +168,11 @@ class NoseHooverChainNVT(MinimdSteps, nose_hoover_chain.NoseHooverChainNVT):  # 
 
     def get_conserved_energy(self) -> float:
         """U + K + the energy of the chain [eV]; constant except for the error of the time step."""
-        potential_energy = self.atoms.get_potential_energy(force_consistent=True)
-        return float(potential_energy + self.atoms.get_kinetic_energy() + self._chain.energy)
+        return float(
+            self.atoms.get_potential_energy(force_consistent=True)
+            + self.atoms.get_kinetic_energy()
+            + self._chain.energy
+        )
 
 
 class Andersen(MinimdSteps, Noisy, andersen.Andersen):

@@ -144,8 +144,9 @@ def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool =
     if scene.error:  # one style for both laws, with the table that LAMMPS makes itself; rms forces are about 1 eV/Å
         model.pair_styles = [one._replace(name="lj/cut/coul/long") for one in model.pair_styles]
         model.kspace = [f"kspace_style pppm {scene.accuracy:.17g}"]
-    special = f"special_bonds lj/coul {' '.join(map(str, model.special_bonds()))}"
-    program.commands_list(["units lj", "atom_style full", special])
+    program.commands_list(
+        ["units lj", "atom_style full", f"special_bonds lj/coul {' '.join(map(str, model.special_bonds()))}"]
+    )
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scene.data")
         write_atoms(file, model, model.box, scene.system.velocities)
@@ -164,8 +165,9 @@ def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool =
     def run(n_steps: int) -> None:
         program.command(f"run {n_steps} pre no post no")  # goes on from the last run, with its list
 
-    name = ", ".join(filter(None, words))
-    return LoadedEngine(name, threads, "double", partial(thermo, "pe"), partial(thermo, "etotal"), run, forces)
+    return LoadedEngine(
+        ", ".join(filter(None, words)), threads, "double", partial(thermo, "pe"), partial(thermo, "etotal"), run, forces
+    )
 
 
 def _motion(scene: BenchScene) -> list[str]:

@@ -78,8 +78,9 @@ class IngredientCosts:
 
     def figure(self) -> "Figure":
         """A figure of the times relative to that of the melt."""
-        ratios = {cost.name: self.ratio(cost) for cost in self.costs}
-        return bars(ratios, "time of a step per atom, relative to the melt")
+        return bars(
+            {cost.name: self.ratio(cost) for cost in self.costs}, "time of a step per atom, relative to the melt"
+        )
 
 
 def run_ingredients(n: int, repeats: int) -> IngredientCosts:

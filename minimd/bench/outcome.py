@@ -65,8 +65,11 @@ def markdown(outcome: Outcome) -> str:
 
 def as_json(outcome: Outcome) -> str:
     """All results as JSON, with machine and versions."""
-    content = {"machine": machine(), "versions": versions(outcome.packages), **outcome.content()}
-    return json.dumps(content, indent=2, ensure_ascii=False)
+    return json.dumps(
+        {"machine": machine(), "versions": versions(outcome.packages), **outcome.content()},
+        indent=2,
+        ensure_ascii=False,
+    )
 
 
 def write(outcome: Outcome, folder: Path) -> None:

@@ -121,8 +121,10 @@ class Peers:
         """Speed against the number of atoms, with a panel for each number of threads; at most the six fastest engines
         are drawn. For several scenes, how much faster minimd is than the fastest peer."""
         if len(self.texts) > 1:
-            faster = {f"{own.scene}, {own.n_atoms}": own.speeds / peer.speeds for own, peer in self.fastest()}
-            return outcome.bars(faster, "speed of minimd, double, one thread, divided by that of the fastest peer")
+            return outcome.bars(
+                {f"{own.scene}, {own.n_atoms}": own.speeds / peer.speeds for own, peer in self.fastest()},
+                "speed of minimd, double, one thread, divided by that of the fastest peer",
+            )
         rows = [row for rows in self.sizes for row in rows]
         all_threads = sorted({row.threads for row in rows})
         figure = outcome.new_figure(3.8 * len(all_threads))
@@ -135,8 +137,12 @@ class Peers:
                 speeds = np.array([point.speeds for point in points]) / 1e6
                 drawn[name] = [point.n_atoms for point in points], speeds, points[0].is_minimd
             outcome.draw(panel, drawn)
-            title = f"{self.sizes[0][0].scene}, {threads_text(threads)}"
-            panel.set(xscale="log", yscale="log", ylabel="10⁶ atom-steps / s", title=title)
+            panel.set(
+                xscale="log",
+                yscale="log",
+                ylabel="10⁶ atom-steps / s",
+                title=f"{self.sizes[0][0].scene}, {threads_text(threads)}",
+            )
             panel.yaxis.set_major_formatter("{x:g}")
             panel.yaxis.set_minor_formatter("{x:g}")
         for panel in panels:

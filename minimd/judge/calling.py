@@ -6,13 +6,13 @@ called in the first manner in which it returns without an error, and in the righ
 
 import inspect
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import product
 from typing import Any
 
 import numpy as np
 
-from minimd.judge.problems import SHAPES, Array, TrialProblem, problem
+from minimd.judge.problems import SHAPES, Array, Function, TrialProblem, problem
 
 PLACES = ("x", "v", "force", "m", "dt")
 Names = tuple[tuple[str, str], ...]  # role, and pattern of the name in lower case without underscores: the first counts
@@ -74,7 +74,7 @@ class Called:
     Raises TypeError for what has no parameters, or for a method without its object.
     """
 
-    def __init__(self, function: Callable[..., Any], names: Names, example: str) -> None:
+    def __init__(self, function: Function, names: Names, example: str) -> None:
         self.function = function
         self.name = getattr(function, "__name__", "function")
         try:
@@ -90,7 +90,7 @@ class Called:
         self.defaults = {name: value for name, value in kept.items() if value is not inspect.Parameter.empty}
 
 
-def manners(function: Callable[..., Any]) -> Iterator["StudentStep"]:
+def manners(function: Function) -> Iterator["StudentStep"]:
     """The manners in which a step may be called, the most likely first; optional parameters with unknown names are
     left out.  Raises TypeError for parameters that do not make a step."""
     one = Called(function, OF_STEPS, "step(x, v, force, m, dt)")
@@ -192,7 +192,7 @@ class StudentStep:
         push = 0.5 * h * where.force(new_x) / where.mass if of_v in ("half", "old") else 0.0
         return new_x, (new_v / where.mass if of_v == "p" else new_v + push)
 
-    def _force(self, role: str, where: TrialProblem) -> Callable[..., Any]:
+    def _force(self, role: str, where: TrialProblem) -> Function:
         def force(x: Any, *_: Any) -> Any:
             self.n_evaluations += 1
             x = np.array(x, dtype=float)
@@ -234,7 +234,7 @@ class StudentStep:
         self.stiffness = round(k, 5)
 
 
-def understood(function: Callable[..., Any]) -> StudentStep:
+def understood(function: Function) -> StudentStep:
     """The step, called in the first manner that works.
 
     Raises TypeError for other arguments, and ValueError for a step that fails in every manner, with the first error

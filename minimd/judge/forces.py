@@ -2,7 +2,7 @@
 equal to minimd's. The laws are those of many atoms, and those of one pair at a distance, with f > 0 for repulsion."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
@@ -12,7 +12,7 @@ from minimd.core.structure.checks import checked_sizes
 from minimd.judge.calling import KINDS, REST, StudentForce, plain
 from minimd.judge.findings import Answer, Grade, Law, causes, first_of, is_near, judged
 from minimd.judge.powers import Powers, compared, jumps, powers_of
-from minimd.judge.problems import Array, difference, multiple_of
+from minimd.judge.problems import Array, Function, difference, multiple_of
 
 # σ: cell and cutoff for a function that takes them, if the user gives none
 BOX = 12.0
@@ -389,7 +389,7 @@ GENERAL = (  # told if no other law says why; of two translations, one may take 
 
 
 def grade_forces(
-    function: Callable[..., Any], potential: Any = None, cell: float | Sequence[float] | None = None,
+    function: Function, potential: Any = None, cell: float | Sequence[float] | None = None,
     cutoff: float | None = None, positions: Any = None, kind: str | None = None,
 ) -> Grade:  # fmt: skip
     """See grade."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from minimd.core.structure.observables import Array
 
+Function = Callable[..., Any]  # a student's
 # k and g for N particles
 STIFFNESS = 0.25
 QUARTIC = 0.06

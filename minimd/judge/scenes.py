@@ -146,12 +146,10 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
 
     def draw(rng: np.random.RandomState) -> Atoms:
         while True:  # of the quadratic part alone, and accepted by the energy of the rest
-            atoms = Atoms("H8", places + spread @ rng.standard_normal((n - 1, 3)), masses=MASSES)
-            if rng.random_sample() < np.exp(-(springs.q * springs.bonds(atoms.positions)[2] ** 2).sum() / (4.0 * kt)):
+            x = places + spread @ rng.standard_normal((n - 1, 3))
+            if rng.random_sample() < np.exp(-(springs.q * springs.bonds(x)[2] ** 2).sum() / (4.0 * kt)):
                 break
-        atoms.set_cell([100.0] * 3)
-        atoms.pbc = True
-        atoms.calc = springs
+        atoms = Atoms("H8", x, masses=MASSES, cell=[100.0] * 3, pbc=True, calculator=springs)
         atoms.set_momenta(momenta(rng, MASSES, kt, is_still))
         return atoms
 
@@ -218,8 +216,7 @@ def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: i
     wanted = n * sigma**3 / density if pressure else n * epsilon * own
     name = f"liquid {state + 1}"
     has = "pressed" if pressure else "liquid fixed"
-    slowness = 4 if pressure else 1
-    return Scene(name, draw, calculator, has, 0.01, wanted=wanted, slowness=slowness)
+    return Scene(name, draw, calculator, has, 0.01, wanted=wanted, slowness=4 if pressure else 1)
 
 
 def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:

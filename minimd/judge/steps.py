@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from minimd.judge.calling import FORCES, StudentStep, understood
 from minimd.judge.faults import faults_of, hidden
 from minimd.judge.findings import Answer, Finding, Grade, Law, causes, judged
 from minimd.judge.methods import Numbers, named, numbers_of
-from minimd.judge.problems import Array, TrialProblem, difference
+from minimd.judge.problems import Array, Function, TrialProblem, difference
 
 STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}  # needed to distinguish all terms, by the shape of x
 # errors are compared after this time, made in these numbers of steps
@@ -182,7 +181,7 @@ NO_MAP = {"reversible", "symplectic", "volume", "angular momentum", "energy", "o
 RUNGE_KUTTA = "a Runge-Kutta method: it is not symplectic, and its energy drifts at any order"
 
 
-def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
+def grade_step(function: Function, order: int = 2) -> Grade:
     """See grade."""
     step = understood(function)
     problems = [step.problem(seed) for seed in range(STATES[step.shape])]

@@ -408,8 +408,7 @@ def _stand(job: Job, box: Box, step: int, columns: Array) -> None:
         raise HandOverError(f"it is unknown how many cells the atoms have crossed at step {step}: their places are "
                             f"uncertain by {most:.3g} cells since step {engine.step}, and LAMMPS counts {IMAGES // 2} "
                             f"at most; bring frames back more often (every = {job.every})")  # fmt: skip
-    expected = engine.positions + half * (velocities + engine.velocities)
-    engine.positions[:] = box.positions_back(columns[:, :3], expected)
+    engine.positions[:] = box.positions_back(columns[:, :3], engine.positions + half * (velocities + engine.velocities))
     engine.velocities[:] = velocities
     engine.count(step - engine.step)
     engine.moved()

@@ -112,8 +112,7 @@ def evaluated(engine: Engine, system: System) -> Evaluated:
         virials += alone.virials - np.repeat([tail[1] / (3.0 * n), 0.0], 3)
         lengths.append(alone.largest_cutoff)
         n_idle += not (own != tail[0] / n).any()
-    length = max((one for one in lengths if np.isfinite(one)), default=1.0)
-    return Evaluated(energies, each, virials, length, n_idle)
+    return Evaluated(energies, each, virials, max((one for one in lengths if np.isfinite(one)), default=1.0), n_idle)
 
 
 def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple[Evaluated, Evaluated]]:

@@ -136,8 +136,14 @@ def minimize(
     E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006); J. Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020).
     """
     system = system.copy() if isinstance(system, System) else System.from_ase(system)
-    held = ConstraintSet(system, system.constraints if constraints is None else constraints)
-    return minimized(Forces(system, potentials), held, force_tolerance, max_steps, max_step_length, progress)
+    return minimized(
+        Forces(system, potentials),
+        ConstraintSet(system, system.constraints if constraints is None else constraints),
+        force_tolerance,
+        max_steps,
+        max_step_length,
+        progress,
+    )
 
 
 def minimized(

@@ -63,6 +63,7 @@ class ClusterList(VerletList):
         self._slot_of = np.zeros(n_atoms if len(excluded) else 0, dtype=np.int64)
         self._widths = self.skin * np.arange(1, LAYERS + 1) / LAYERS  # by which the layers reach beyond the cutoff
         self._n_atoms = n_atoms
+        self._reach = cutoff + skin
         self._is_fixed = is_fixed
         self._pool = pool
         self._columns_of: tuple[Cell, Array] | None = None
@@ -124,21 +125,16 @@ class ClusterList(VerletList):
         if self._images is None:
             self._images = Images.of(cell)
         self._images.take(cell)
-        self._lay_columns(cell, self._region_now(cell) if self._region is None else self._region)
+        region = region_of(cell, positions, self._reach) if self._region is None else self._region
+        self._lay_columns(cell, region)
         if self.building.positions is not positions:
             self._arrange_building()
-
-    def _region_now(self, cell: Cell) -> Array:
-        return region_of(cell, self._positions, self.cutoff + self.skin)
-
-    def _columns_in(self, cell: Cell, region: Array) -> Columns:
-        return make_columns(cell, self._n_atoms, self.cutoff + self.skin, self.lanes, region)
 
     def _lay_columns(self, cell: Cell, region: Array) -> None:
         """Columns of a region of a cell."""
         of = self._columns_of
         if of is None or not (cell.same_as(of[0]) and np.array_equal(region, of[1])):
-            columns = self._columns_in(cell, region)
+            columns = make_columns(cell, self._n_atoms, self._reach, self.lanes, region)
             if of is None or not self._columns.move_to(columns):
                 self._columns = columns
                 self.domains = make_domains(columns, self._n_atoms)
@@ -151,7 +147,7 @@ class ClusterList(VerletList):
     def _refit(self, _answer: int) -> None:
         """Columns where the atoms are now."""
         if self._cell is not None:
-            self._lay_columns(self._cell, self._region_now(self._cell))
+            self._lay_columns(self._cell, region_of(self._cell, self._positions, self._reach))
 
     def settle(self) -> None:
         """After operations: what they have done to the list."""
@@ -217,8 +213,10 @@ class ClusterList(VerletList):
         self.clusters.wrapping.lattice[:] = cell.lattice
         before.follow(cell, self._shifts)
         self.rows.limits2[:] = [self._limit2(width) for width in self._widths]
-        if self._region is not None and self._columns.move_to(self._columns_in(cell, self._region)):
-            self._columns_of = cell, self._region
+        if self._region is not None:
+            columns = make_columns(cell, self._n_atoms, self._reach, self.lanes, self._region)
+            if self._columns.move_to(columns):
+                self._columns_of = cell, self._region
 
     def _make_room(self, _answer: int = 0) -> None:
         """More memory, after a build that has found how much it needs."""
@@ -277,9 +275,15 @@ class ClusterList(VerletList):
         self.ghosts = make_ghosts(n_clusters, n_ghosts, n_in_windows, for_search, memory)
         start = memory.array("row start", np.int32, len(self.clusters.atom), spare=spare)
         stops = memory.array("row stops", np.int32, LAYERS * len(start), spare=spare).reshape(LAYERS, -1)
-        reaches2 = (self.cutoff + self._widths) ** 2
-        limits2 = (0.5 * self._widths) ** 2
-        self.rows = Rows(start, stops, self._entries, reaches2, np.zeros(LAYERS), limits2, self._layers)
+        self.rows = Rows(
+            start,
+            stops,
+            self._entries,
+            (self.cutoff + self._widths) ** 2,
+            np.zeros(LAYERS),
+            (0.5 * self._widths) ** 2,
+            self._layers,
+        )
         number = np.int64 if self._is_fixed else np.float64
         forces = memory.array("forces", number, n_forces * n_block, in_page=HALF_A_PAGE, spare=1.0)
         first_sum = memory.array("first sum", np.int64, n_in_windows if self._is_fixed else 0)

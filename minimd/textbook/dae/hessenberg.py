@@ -89,8 +89,9 @@ class Hessenberg(DifferentialAlgebraic):
             return self.g(t, *parts[: self.functions[-1][1]])
         rate = self.f(t, *parts[:2])
         second = self._highest_derivative(t, *parts) if k == 2 else np.zeros_like(rate)
-        unit = unit_of_time(y, rate, second)
-        return time_derivative(lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), k, unit)
+        return time_derivative(
+            lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), k, unit_of_time(y, rate, second)
+        )
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """1 for the differential variables, 0 for the algebraic ones."""

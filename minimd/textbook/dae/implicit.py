@@ -102,8 +102,14 @@ class Implicit(DifferentialAlgebraic):
                 "differentiate constraints"
             )
         if self.index > 1:
-            unit = unit_of_time(np.append(y, size), slope)
-            y, slope = self._solved(t, y, [slope, *np.zeros((self.index - 1, y.size))], mobility, unit, size)
+            y, slope = self._solved(
+                t,
+                y,
+                [slope, *np.zeros((self.index - 1, y.size))],
+                mobility,
+                unit_of_time(np.append(y, size), slope),
+                size,
+            )
         # the larger levels of those at the start and at a random point near it, where no derivative vanishes by chance
         aside = 0.01 * (np.abs(y).max() or 1.0) * np.random.default_rng(0).uniform(0.5, 1.0, y.size)
         self.levels = np.maximum(_levels(*self._pencil(t, y, slope)), _levels(*self._pencil(t, y + aside, slope)))

@@ -113,8 +113,7 @@ class Holonomic(SecondOrder):
         """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
         q, v = (np.asarray(part, dtype=float).reshape(-1) for part in (q, v))
         gradient = self.jacobian(q)
-        unit = unit_of_time(q, v)
-        turning = time_derivative(lambda e: self.jacobian(q + e * v) @ v, 1, unit)
+        turning = time_derivative(lambda e: self.jacobian(q + e * v) @ v, 1, unit_of_time(q, v))
         force = self.f(t, q.reshape(self.shape), v.reshape(self.shape))
         return np.asarray(np.linalg.solve(gradient @ self.directions(gradient), gradient @ force + turning))
 

@@ -209,11 +209,12 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
             tell(f"{name}: {peer.package if peer else method.name}, Δt = {timestep:.3g}")
             own = scene._replace(method=method(timestep))
             if peer is None:
-                distance = np.sqrt(np.mean((_path(scene, method, cost) - reference) ** 2))
                 make = partial(engines.Minimd, own, 1, steps // OBSERVATIONS)
-                points.append(measured(own, steps, make, repeats, distance))
+                distance = np.sqrt(np.mean((_path(scene, method, cost) - reference) ** 2))
             else:
-                points.append(measured(own, steps, partial(peer.load, own, 1), repeats, np.nan))
+                make = partial(peer.load, own, 1)
+                distance = np.nan
+            points.append(measured(own, steps, make, repeats, distance))
     return Case(
         name,
         f"{scene.text}{'; ' if words else ''}{words}; {len(scene.system)} atoms, one thread, {DURATION:g} τ",

@@ -89,6 +89,7 @@ def problem(shape: tuple[int, ...], seed: int, same_mass: bool, stiffness: float
     random = np.random.default_rng(seed)
     x = random.uniform(0.5, 2.5, shape)
     v = random.normal(0.0, 0.6, shape)
-    masses = np.roll(MASSES, seed)[:1]
-    m = masses * np.ones(shape[:1]) if same_mass or not shape else np.roll(MASSES, seed)
-    return TrialProblem(np.asarray(x), np.asarray(v), m if shape else m[0] * np.ones(()), stiffness)
+    masses = np.roll(MASSES, seed)
+    if same_mass or not shape:
+        masses = masses[0] * np.ones(shape[:1])
+    return TrialProblem(np.asarray(x), np.asarray(v), np.asarray(masses), stiffness)

@@ -46,10 +46,9 @@ class Measured:
         if step.takes(*FORCES):
             self.has.add("force")
 
-    def run(self, h: float, n: int, x: Array | None = None, v: Array | None = None) -> tuple[Array, Array]:
-        """x and v after n steps."""
-        x = self.where.x if x is None else x
-        v = self.where.v if v is None else v
+    def run(self, h: float, n: int, start: Any = None) -> tuple[Array, Array]:
+        """x and v after n steps.  start : (x, v), those of the problem if not given."""
+        x, v = start or self.where[:2]
         for _ in range(n):
             x, v = self.step(self.where, x, v, h)
         return x, v
@@ -91,7 +90,7 @@ class Measured:
         """The distance from the start after steps forwards and as many back, and the way."""
         x, v = self.run(PACE, BACK)
         way = np.abs(x - self.where.x).max()
-        x, v = self.run(PACE, BACK, x, -v)
+        x, v = self.run(PACE, BACK, (x, -v))
         back = max(np.abs(x - self.where.x).max(), np.abs(v + self.where.v).max())
         return back, back / self.fuzz / max(1.0, way), way
 

@@ -48,9 +48,10 @@ def named(place: str) -> Callable[..., Any]:
     try:
         return (run_path(module) if module.endswith(".py") else vars(import_module(module)))[name]
     except (ImportError, OSError, KeyError, SyntaxError, TypeError, ValueError) as error:
-        wanted = "module:class, as ase.md.langevin:Langevin, or file.py:class"
         said = f"{module} has no {name!r}" if isinstance(error, KeyError) else error
-        raise ValueError(f"dynamics must be {wanted}; got {place!r}: {said}") from error
+        raise ValueError(
+            f"dynamics must be module:class, as ase.md.langevin:Langevin, or file.py:class; got {place!r}: {said}"
+        ) from error
 
 
 def laws_of(dynamics: Callable[..., Any], **options: Any) -> list[Any]:

@@ -121,10 +121,7 @@ class AtomTypes(NamedTuple):
         if len(rows) > MOST_TYPES:
             raise ValueError("LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs "
                              f"{len(rows)}, but at most {MOST_TYPES} are allowed")  # fmt: skip
-        species = rows[:, 0].astype(np.int64)
-        masses = np.ascontiguousarray(rows[:, 1])
-        is_fixed = rows[:, 2] != 0.0
-        return cls(of_atom.reshape(-1), species, masses, is_fixed)
+        return cls(of_atom.reshape(-1), rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2] != 0.0)
 
 
 class Groups:
@@ -287,11 +284,12 @@ class Model:
     def _complete_graph(self, bonds: Indices) -> None:
         """Add bonds without a law: LAMMPS counts bonded_scale along all it knows.  ValueError if it knows others."""
         known = self.bonds.atoms
-        if len(known) and not among(known, bonds).all():
-            pair = known[np.argmin(among(known, bonds))].tolist()
+        is_in_system = among(known, bonds)
+        if not is_in_system.all():
+            pair = known[np.argmin(is_in_system)].tolist()
             raise ValueError("LAMMPS counts bonded_scale also along rigid lengths and bonds given as pairs; minimd "
                              f"does not, and atoms {pair} have no bond in the system: add this bond to it")  # fmt: skip
-        missing = bonds[~among(bonds, known)] if len(known) else bonds
+        missing = bonds[~among(bonds, known)]
         self.bonds.add(missing, np.zeros((len(missing), 1)), lambda _: ("harmonic", "0 1"))
 
     def special_bonds(self) -> tuple[float, ...]:

@@ -108,10 +108,21 @@ def forces_script(model: Model) -> str:
     """The commands with which both runs begin: units, box, atoms, styles, lists."""
     # p: periodic; m: an open boundary that follows the atoms but keeps a smallest extent
     boundary = " ".join("m" if is_open else "p" for is_open in model.box.open)
-    lines = ["units lj", "suffix opt", "atom_style full", f"boundary {boundary}", "box tilt large"]
-    lines += [f"special_bonds lj/coul {words(*model.special_bonds())}", f"comm_modify cutoff {model.reach:.17g}"]
-    lines += ["read_data ${atoms}", *model.commands(), f"neighbor {model.skin:.17g} {model.search}"]
-    return "\n".join([*lines, "neigh_modify every 1 delay 0 check yes", ""])
+    lines = [
+        "units lj",
+        "suffix opt",
+        "atom_style full",
+        f"boundary {boundary}",
+        "box tilt large",
+        f"special_bonds lj/coul {words(*model.special_bonds())}",
+        f"comm_modify cutoff {model.reach:.17g}",
+        "read_data ${atoms}",
+        *model.commands(),
+        f"neighbor {model.skin:.17g} {model.search}",
+        "neigh_modify every 1 delay 0 check yes",
+        "",
+    ]
+    return "\n".join(lines)
 
 
 def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
@@ -121,10 +132,10 @@ def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
     bath = _bath(engine, moving)
     most = max(1, n_steps // LOOKS)
     # steps between two lines of the log: the largest divisor of every that gives LOOKS lines or more
-    look_every = max(k for k in range(1, every + 1) if every % k == 0 and (k <= most or k == 1))
-    parts = [f"group fixed type {fixed}", "group mobile subtract all fixed"] if fixed else []
-    steps = [f"reset_timestep {engine.step}", f"timestep {engine.method.timestep:.17g}", f"fix motion {moving} nve"]
-    fixes = "\n".join([*parts, *steps, *bath, *held(model)])
+    look_every = max(k for k in range(1, every + 1) if every % k == 0 and k <= most)
+    lines = [f"group fixed type {fixed}", "group mobile subtract all fixed"] if fixed else []
+    lines += [f"reset_timestep {engine.step}", f"timestep {engine.method.timestep:.17g}", f"fix motion {moving} nve"]
+    fixes = "\n".join([*lines, *bath, *held(model)])
     return f"""variable atoms index {ATOMS}
 include {FORCES}
 {fixes}

@@ -333,8 +333,10 @@ class Descent:
             if refused > REFUSALS:
                 kinds = (ConstraintError, "keeps the constraints"), (NonFiniteError, "leads to a finite energy")
                 kind, wanted = kinds[has_moved]
-                length = f"{timestep**2 * self.largest_force:.2g} {self._system.units.length}"
-                raise kind(f"the minimization found no step that {wanted}, down to one of {length}")
+                raise kind(
+                    f"the minimization found no step that {wanted}, down to one of "
+                    f"{timestep**2 * self.largest_force:.2g} {self._system.units.length}"
+                )
 
     def _try_curvature(self) -> None:
         """Estimate κ by power iterations, which continue the last series; a lower bound keeps the first step within

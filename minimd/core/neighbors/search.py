@@ -6,10 +6,10 @@ Atoms are sorted into bins, a grid along the lattice vectors; then the bins with
 from collections import namedtuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.kernels import kernel, scalar
 from minimd.core.neighbors.buffers import Fields
+from minimd.core.structure.bond_graph import Indices
 from minimd.core.structure.cell import Cell, minimum_image
 from minimd.core.structure.vectors import Array
 
@@ -46,7 +46,7 @@ class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
     height : (N,) fractional coordinate along the third lattice vector, in the cell."""
 
 
-def bins_for_sort(n_atoms: int, counts: NDArray[np.int64]) -> Fields:
+def bins_for_sort(n_atoms: int, counts: Indices) -> Fields:
     """Arrays of Binned for so many atoms and bins. Its cells are left out: they are computed again."""
     each = (np.int32, (n_atoms,))
     of_bins = (np.int32, (int(counts.prod()) + 1,))
@@ -115,7 +115,7 @@ class Bins(namedtuple("Bins", "bin_start counts forward crossed translations pbc
     pbc, lattice, inverse, safe_distance2 : of the Cell."""
 
 
-def bins_of(cell: Cell, grid: BinGrid, bin_start: NDArray[np.int64]) -> Bins:
+def bins_of(cell: Cell, grid: BinGrid, bin_start: Indices) -> Bins:
     """The bins of a grid, ready for a search."""
     within = _steps(grid.reach)
     forward = within[len(within) // 2 + 1 :].copy()
@@ -135,7 +135,7 @@ def bins_of(cell: Cell, grid: BinGrid, bin_start: NDArray[np.int64]) -> Bins:
     )
 
 
-def _steps(most: NDArray[np.int64]) -> NDArray[np.int64]:
+def _steps(most: Indices) -> Indices:
     """(K, 3) int: all triples from −most to most, the last number running fastest."""
     return np.stack(np.meshgrid(*(np.arange(-n, n + 1) for n in most), indexing="ij"), axis=-1).reshape(-1, 3)
 

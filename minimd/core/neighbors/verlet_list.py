@@ -4,9 +4,9 @@ from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.kernels import kernel
+from minimd.core.structure.bond_graph import Indices
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.errors import NonFiniteError
 from minimd.core.structure.vectors import Array
@@ -167,14 +167,14 @@ def raise_not_finite(positions: Array) -> None:
         raise NonFiniteError(f"positions of {n_bad} atoms are not finite; the first of them is atom {first}")
 
 
-def partners(pairs: NDArray[np.int64], n_atoms: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def partners(pairs: Indices, n_atoms: int) -> tuple[Indices, Indices]:
     """Partners of each atom in pairs (P, 2): (start, values), those of atom a are values[start[a] : start[a + 1]]."""
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.argsort(both[:, 0], kind="stable")]
     return starts(both[:, 0], n_atoms), np.ascontiguousarray(both[:, 1])
 
 
-def starts(first: NDArray[np.int64], n_atoms: int) -> NDArray[np.int64]:
+def starts(first: Indices, n_atoms: int) -> Indices:
     """(N + 1,) int: in a table sorted by first, the rows of atom a are start[a] to start[a + 1] − 1."""
     start = np.zeros(n_atoms + 1, dtype=np.int64)
     np.cumsum(np.bincount(first, minlength=n_atoms), out=start[1:])

@@ -76,11 +76,14 @@ class Manifold:
         self._invariants = invariants
         self._shape = shape
         if answer.size != self.value.size:
-            sizes = f"g has {answer.size}, value has {self.value.size}"
-            raise ValueError(f"value must have one number per invariant; {sizes}")
+            raise ValueError(
+                f"value must have one number per invariant; g has {answer.size}, value has {self.value.size}"
+            )
         if not 0 < answer.size < y.size:
-            sizes = f"{answer.size} invariants of {y.size} unknowns"
-            raise ValueError(f"there must be fewer invariants than unknowns, and at least one; got {sizes}")
+            raise ValueError(
+                f"there must be fewer invariants than unknowns, and at least one; got {answer.size} invariants of "
+                f"{y.size} unknowns"
+            )
         if not (np.isfinite(answer).all() and np.isfinite(self.value).all()):
             raise ValueError(
                 f"g and its value must be finite at the start; g = {_shown(answer)}, value = {_shown(self.value)}"

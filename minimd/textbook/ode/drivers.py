@@ -282,14 +282,16 @@ class StepControl:
         atol = checked_numbers("atol", self.atol, "one number, or one for each component")
         is_positive = checked_number("rtol", self.rtol) > 0.0 or np.all(atol > 0.0)
         if not (self.rtol >= 0.0 and np.all(atol >= 0.0) and is_positive):
-            given = f"rtol = {self.rtol!r}, atol = {self.atol!r}"
-            raise ValueError(f"rtol and atol must not be negative, nor both zero; {given}")
+            raise ValueError(
+                f"rtol and atol must not be negative, nor both zero; rtol = {self.rtol!r}, atol = {self.atol!r}"
+            )
         if self.first_step is not None:
             checked_number("first_step", self.first_step, "positive and finite")
         longest = self.max_step if self.max_step == np.inf else checked_number("max_step", self.max_step)
         if not 0.0 <= checked_number("min_step", self.min_step) <= longest or longest == 0.0:
-            given = f"min_step = {self.min_step!r}, max_step = {self.max_step!r}"
-            raise ValueError(f"0 <= min_step <= max_step is needed; {given}")
+            raise ValueError(
+                f"0 <= min_step <= max_step is needed; min_step = {self.min_step!r}, max_step = {self.max_step!r}"
+            )
         checked_count("max_steps", self.max_steps)
 
     def excess(self, error: Array, y: Array, y_new: Array) -> float:
@@ -359,7 +361,7 @@ def _adaptive(path: Path, method: type[Method], t_end: float, control: StepContr
     """The accepted states, each after two steps of h/2."""
     problem = path.problem
     order = method.order_on(problem)
-    n = 0
+    tried = 0
     t = path.times[0]
     y = path.states[0]
     # each remembers its own last state
@@ -385,7 +387,6 @@ def _adaptive(path: Path, method: type[Method], t_end: float, control: StepContr
         if error <= 1.0:
             t = t_end if is_last else t + signed
             y = two
-            n += 1
             yield t, y
         elif h <= control.shortest(t, span):
             path.stopped = (
@@ -395,7 +396,7 @@ def _adaptive(path: Path, method: type[Method], t_end: float, control: StepContr
             return
         else:
             path.n_rejected += 1
-        tried = n + path.n_rejected
+        tried += 1
         if tried >= control.max_steps and t != t_end:
             path.stopped = (
                 f"stopped at t = {t:g} after {tried} steps, the last of {h:.1e}; loosen rtol and atol, or raise "

@@ -58,7 +58,7 @@ class IngredientCosts:
             cells.append(
                 [
                     cost.name,
-                    str(cost.n_atoms),
+                    cost.n_atoms,
                     spread(1e6 * cost.seconds),
                     spread(ratio),
                     f"{pairs:.1f}",

@@ -106,10 +106,10 @@ def machine() -> dict[str, str | int]:
     return {"text": text.format(kind=platform.machine(), **facts), **facts}
 
 
-def table(titles: Mapping[str, type], cells: Sequence[Sequence[str]]) -> list[str]:
+def table(titles: Mapping[str, type], cells: Sequence[Sequence[Any]]) -> list[str]:
     """Lines of a Markdown table. titles : column → str or float, for left or right."""
     lines = [list(titles), [ALIGN[kind] for kind in titles.values()], *cells]
-    return [f"| {' | '.join(line)} |" for line in lines]
+    return [f"| {' | '.join(map(str, line))} |" for line in lines]
 
 
 def threads_text(n: int) -> str:

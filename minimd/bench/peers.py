@@ -89,7 +89,7 @@ class Peers:
                 cells.append(
                     [
                         own.scene,
-                        str(own.n_atoms),
+                        own.n_atoms,
                         spread(own.speeds / 1e6),
                         peer.engine,
                         spread(peer.speeds / 1e6),
@@ -159,7 +159,7 @@ def _table(rows: Sequence[EngineSpeed]) -> list[str]:
         name = f"**{row.engine}**" if row.is_minimd else row.engine
         memory = "" if row.bytes_per_atom is None else f"{row.bytes_per_atom:.0f}"
         numbers = spread(row.speeds / 1e6), *map(spread, ratios(rows, row))
-        cells.append([name, str(row.threads), row.precision, *numbers, memory])
+        cells.append([name, row.threads, row.precision, *numbers, memory])
     if any(row.bytes_per_atom is not None for row in rows):
         return table(titles | {"bytes per atom": float}, cells)
     return table(titles, [line[:-1] for line in cells])

@@ -55,7 +55,7 @@ class Scaling:
         cells = []
         for n_atoms, seconds in self.sizes:
             times = [spread(1e9 * seconds[t] / n_atoms) for t in threads]
-            cells.append([str(n_atoms), *times, *(spread(seconds[1] / seconds[t]) for t in threads if t > 1)])
+            cells.append([n_atoms, *times, *(spread(seconds[1] / seconds[t]) for t in threads if t > 1)])
         head = f"The melt, double precision; median of {self.repeats} rounds (least to most)."
         lines = [head, "", *table(dict.fromkeys(titles, float), cells), ""]
         if self.memory is not None:

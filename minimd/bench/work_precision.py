@@ -209,7 +209,7 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
             tell(f"{name}: {peer.package if peer else method.name}, Δt = {timestep:.3g}")
             own = scene._replace(method=method(timestep))
             if peer is None:
-                make = partial(engines.Minimd, own, 1, steps // OBSERVATIONS)
+                make: Any = partial(engines.Minimd, own, 1, steps // OBSERVATIONS)
                 distance = np.sqrt(np.mean((_path(scene, method, cost) - reference) ** 2))
             else:
                 make = partial(peer.load, own, 1)

@@ -108,7 +108,7 @@ def manners(function: Function) -> Iterator["StudentStep"]:
                         "Give them these names, or pos, vel, frc, forces, compute_forces, acc, mass, h, "
                         "timestep, p, x_old, v_half; m may be left out")  # fmt: skip
     forces = [k for k, role in enumerate(roles) if role in FORCES]
-    is_old = [bool(re.search(IS_BEFORE, name.lower())) for name in names]
+    is_old = [re.search(IS_BEFORE, name.lower()) for name in names]
     choices = [[], forces] if forces else [[]]  # of the parameters that are arrays
     if len(forces) > 1:
         like = {k: (bool(re.search(IS_FUNCTION, names[k].lower())), not is_old[k], len(names[k])) for k in forces}
@@ -283,7 +283,7 @@ class StudentForce(Called):
             raise TypeError(f"{self.name} has no parameter for the positions; a force function is called as "
                             "forces(positions)")  # fmt: skip
         first = plain(self.names[0])
-        self.is_squared = bool(re.search(SQUARED, first))
+        self.is_squared = re.search(SQUARED, first)
         may_be_pair = len(self.names) > 1 and not self.is_squared and kind != "law"
         self.is_of_two = may_be_pair and all(re.search(ONE_OF_TWO, plain(name)) for name in self.names[:2])
         extra = self.names[1 + self.is_of_two :]

@@ -37,7 +37,7 @@ class Seen:
         moved = np.diff(self.all.volumes.reshape(len(runs), -1), axis=1) != 0.0
         gaps = np.concatenate([np.diff(np.flatnonzero(row)) for row in moved])
         n = scene.n_bodies
-        has_moves = bool(gaps.size and np.ptp(gaps) > 1)
+        has_moves = gaps.size and np.ptp(gaps) > 1
         self.n_volume = n + 1 - (is_still and not has_moves)  # P<V>/kT
         self.excess = self.n_volume - (n - is_still)  # (P<V> − <P_int V>)/kT
         self.heat = self.all.kinetic.sum(axis=1).mean() / self.n_free
@@ -52,7 +52,7 @@ class Seen:
         errors = values.std(axis=0, ddof=1) / np.sqrt(len(values))
         quantile = stats.t.isf(0.5 * self.rate / len(means), len(values) - 1)
         limits = quantile * errors / np.clip(means, LEAST, 1.0) + spare + self.scene.error
-        k = int(np.argmax(np.abs(means - 1.0) / limits))
+        k = np.argmax(np.abs(means - 1.0) / limits)
         mean = means[k]
         error = errors[k]
         limit = float(limits[k])
@@ -139,8 +139,10 @@ def spread_said(means: Array, seen: Seen) -> str:
 
 def kinetic_said(means: Array, seen: Seen) -> str:
     """What a wrong fluctuation of the kinetic energy means."""
-    why = ": velocities are scaled toward a temperature, and not drawn from its distribution" * bool(means[0] < 1.0)
-    return f"the variance of the kinetic energy is {means[0]:.2f} times the canonical one{why}"
+    words = f"the variance of the kinetic energy is {means[0]:.2f} times the canonical one"
+    if means[0] < 1.0:
+        words += ": velocities are scaled toward a temperature, and not drawn from its distribution"
+    return words
 
 
 def of_masses(run: Frames, seen: Seen) -> Array:

@@ -283,7 +283,7 @@ class Frames(NamedTuple):
 def joined(runs: Sequence[Frames]) -> Frames:
     """All frames of several runs."""
     series = (np.concatenate([one[k] for one in runs]) for k in range(2, 7))  # type: ignore[arg-type]
-    return Frames(runs[0].masses, runs[0].kt, *series, np.stack([one.ends for one in runs]))
+    return Frames._make([runs[0].masses, runs[0].kt, *series, np.stack([one.ends for one in runs])])
 
 
 def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) -> Frames:
@@ -305,7 +305,7 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
         raise FloatingPointError("the shape of the cell changes; a gas resists no shear: let only its volume change")
     if not np.isfinite(ends).all():
         raise FloatingPointError(f"not finite: energy {ends[1][0]:.3g} eV or volume {atoms.get_volume():.3g} Å³")
-    return Frames(atoms.get_masses(), kt, *map(np.array, zip(*seen, strict=True)), np.array(ends))
+    return Frames._make([atoms.get_masses(), kt, *map(np.array, zip(*seen, strict=True)), np.array(ends)])
 
 
 def started(make: Make, scene: Scene, seed: int) -> tuple[Atoms, Any]:

@@ -199,7 +199,7 @@ def grade_step(function: Function, order: int = 2) -> Grade:
         method, near = named(numbers) if isinstance(numbers, Numbers) else ("", numbers or "")
         is_low = is_symplectic and order == 1  # and asked for
         n_powers = 2 if reached > HIGH or is_low else 3
-        faults = [near] * bool(near) or faults_of(step, problems, one.noise, n_powers, laws["energy"].value == 0.0)
+        faults = [near] if near else faults_of(step, problems, one.noise, n_powers, laws["energy"].value == 0.0)
         is_open = NO_MAP if step.takes("before") else set[str]()
         if is_symplectic and is_right and (reached > HIGH or is_low):  # as Ruth's method of order 3, which is right
             is_open = {"reversible"}

@@ -92,14 +92,14 @@ def closest_pair(system: System) -> ClosestPair | None:
         distances, partners = KDTree(here).query(here, k=2)
         i = int(np.argmin(distances[:, 1]))
         j = int(partners[i, 0] if partners[i, 0] != i else partners[i, 1])
-        best = ClosestPair(min(i, j), max(i, j), float(distances[i, 1]))
-    own = float(np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf))  # an atom and its own image
+        best = ClosestPair(min(i, j), max(i, j), distances[i, 1])
+    own = np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf)  # an atom and its own image
     reach = BEYOND * min(best.distance, own)
     from_faces = (np.minimum(fractional, 1.0 - fractional) * cell.heights)[:, cell.pbc]
     near = np.flatnonzero((from_faces <= reach).any(axis=1))
     if near.size and reach > 0.0:
         first, second, d = neighbor_list("ijd", System(here[near], cell=cell), reach)
         if d.min(initial=np.inf) < best.distance:
-            p = int(np.argmin(d))
-            best = ClosestPair(int(near[first[p]]), int(near[second[p]]), float(d[p]))
-    return ClosestPair(int(known[best.first]), int(known[best.second]), best.distance)
+            p = np.argmin(d)
+            best = ClosestPair(near[first[p]], near[second[p]], d[p])
+    return ClosestPair(int(known[best.first]), int(known[best.second]), float(best.distance))

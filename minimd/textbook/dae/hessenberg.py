@@ -124,7 +124,7 @@ class Hessenberg(DifferentialAlgebraic):
             size = max(own, np.abs(root).max())
             if k < last and move > refused * size:
                 off = violation(parts[i])
-                worst = int(np.argmax(np.abs(off)))
+                worst = np.argmax(np.abs(off))
                 raise ValueError(
                     f"the start violates the {'hidden ' if k else ''}constraint 0 = {chained}: its element {worst} "
                     f"is {off[worst]:.2e} at t = {t:g}, and {self.names[i]} would have to move by {move:.1e}; "

@@ -152,7 +152,7 @@ class Implicit(DifferentialAlgebraic):
         left = array(x)
         terms = np.abs(central_differences(array, x, step, size))
         allowed = SOLVED * (terms @ np.abs(x)) + NEGLIGIBLE * terms.max(axis=1) * max(np.abs(x).max(), size)
-        k = int(np.argmax(np.abs(left) - allowed))
+        k = np.argmax(np.abs(left) - allowed)
         if not abs(left[k]) <= allowed[k]:
             n, equation = divmod(k, y.size)
             raise ValueError(

@@ -107,7 +107,7 @@ class Manifold:
         q, r = np.linalg.qr(gradients)
         sines = np.abs(np.diagonal(r)) / np.maximum(np.linalg.norm(gradients, axis=0), np.finfo(float).tiny)
         if not np.all(sines > PARALLEL):
-            k = int(np.argmin(sines > PARALLEL))
+            k = np.argmin(sines > PARALLEL)
             raise ConvergenceError(
                 f"invariant {k} is not independent: its gradient {_shown(gradients[:, k])} vanishes, or lies in the "
                 "span of earlier gradients; the Jacobian of invariants must have full rank"
@@ -401,7 +401,7 @@ def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Arra
         best, least = (y, error) if error < least else (best, least)
     if least <= SMALL:
         return best
-    k = int(np.argmax(np.abs(defect) / scale))
+    k = np.argmax(np.abs(defect) / scale)
     raise ConvergenceError(
         f"the state could not be brought to the manifold of the invariants: invariant {k} is off by {defect[k]:.1e}"
     )
@@ -416,7 +416,7 @@ def _gram(manifold: Manifold, y: Array) -> Array:
 def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:
     """The function as one of the state and the shape of q and v, with fresh flat answers."""
     taken, call = reading(function, "t y q v", name, "q v", "a function of y, or of q and v", unknown="y")
-    takes_halves = bool({"q", "v"} & set(taken))
+    takes_halves = {"q", "v"} & set(taken)
     if "t" in taken:
         raise TypeError(f"{name} must not depend on t; invariants are functions of y, or of q and v")
 

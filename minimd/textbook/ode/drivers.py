@@ -228,7 +228,7 @@ def _fixed(path: Path, method: Method, lengths: Iterable[float], t_end: float | 
         found.t[-1] = t_end
     if np.isfinite(found.y[-1]).all():
         return found
-    first = int(np.argmin(np.isfinite(found.y).all(axis=1)))
+    first = np.argmin(np.isfinite(found.y).all(axis=1))
     why = (f"the state is not finite at t = {found.t[first]:g}; the last finite one is at t = {found.t[first - 1]:g}; "
            f"reduce the timestep ({h:g}), or look for a singularity of the problem")  # fmt: skip
     raise failed(NonFiniteError, Solution(found.t[:first], found.y[:first], found.nfev, found.shape, False, why))

@@ -102,7 +102,7 @@ def checked_values(answer: Any, shape: tuple[int, ...] | None, name: str) -> Arr
 def check_finite(y: Array) -> None:
     """Raise ValueError if an element of the initial state is not finite."""
     if not np.isfinite(y).all():
-        k = int(np.argmin(np.isfinite(y)))
+        k = np.argmin(np.isfinite(y))
         raise ValueError(f"the start must be finite; element {k} is {y[k]}")
 
 

@@ -181,9 +181,13 @@ class Andersen(MinimdSteps, Noisy, andersen.Andersen):
 
     def method(self) -> Splitting:
         """Collisions between the first kick and the drift of velocity Verlet."""
-        keeps_center = _keeps_center(self.atoms, self.fix_com)
-        temperature = self.temp / units.kB
-        return AndersenBath(self.dt, temperature, self.andersen_prob, self.noise_seed(), keeps_center)
+        return AndersenBath(
+            self.dt,
+            self.temp / units.kB,
+            self.andersen_prob,
+            self.noise_seed(),
+            _keeps_center(self.atoms, self.fix_com),
+        )
 
 
 class NVTBerendsen(MinimdSteps, nvtberendsen.NVTBerendsen):
@@ -192,8 +196,13 @@ class NVTBerendsen(MinimdSteps, nvtberendsen.NVTBerendsen):
 
     def method(self) -> Splitting:
         """One factor for all velocities, then velocity Verlet."""
-        n_dof = int(self.atoms.get_number_of_degrees_of_freedom())
-        return BerendsenBath(self.dt, self.temperature, self.taut, n_dof, _keeps_center(self.atoms, self.fix_com))
+        return BerendsenBath(
+            self.dt,
+            self.temperature,
+            self.taut,
+            int(self.atoms.get_number_of_degrees_of_freedom()),
+            _keeps_center(self.atoms, self.fix_com),
+        )
 
 
 def _center_is_free(atoms: Atoms) -> bool:

@@ -151,10 +151,17 @@ def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool =
         file = Path(folder, "scene.data")
         write_atoms(file, model, model.box, scene.system.velocities)
         program.command(f'read_data "{file}"')
-    lines = [*model.commands(), f"neighbor {skin} bin",
-             f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}",
-             f"timestep {scene.method.timestep:.17g}", *_motion(scene), "thermo 1000000", "run 0 post no"]  # fmt: skip
-    program.commands_list(lines)
+    program.commands_list(
+        [
+            *model.commands(),
+            f"neighbor {skin} bin",
+            f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}",
+            f"timestep {scene.method.timestep:.17g}",
+            *_motion(scene),
+            "thermo 1000000",
+            "run 0 post no",
+        ]
+    )
     forces = np.array(program.gather_atoms("f", 1, 3)).reshape(-1, 3)
     program.commands_list([*held(model, rigid, SHAKE_TOLERANCE, SHAKE_ITERATIONS), "run 0 post no"])
 
@@ -330,10 +337,10 @@ def gromacs(scene: BenchScene, threads: int) -> LoadedEngine:
 
     def run(n_steps: int) -> float:
         before = ("-cpi", "run.cpt") if (place / "run.cpt").exists() else ()
-        options = ("-nsteps", str(n_steps), "-ntmpi", "1", "-ntomp", str(threads), "-nb", "cpu", "-noappend")
         for old in place.glob("run.part*"):
             old.unlink()
-        call("mdrun", "-s", "run.tpr", "-deffnm", "run", "-cpo", "run.cpt", "-c", "last.gro", *before, *options)
+        call("mdrun", "-s", "run.tpr", "-deffnm", "run", "-cpo", "run.cpt", "-c", "last.gro", *before, "-nsteps",
+             str(n_steps), "-ntmpi", "1", "-ntomp", str(threads), "-nb", "cpu", "-noappend")  # fmt: skip
         (log,) = place.glob("run.part*.log")
         return float(re.findall(r"^ +Time: +\S+ +(\S+)", log.read_text(encoding="utf-8", errors="replace"), re.M)[-1])
 

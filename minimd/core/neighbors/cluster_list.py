@@ -285,11 +285,15 @@ class ClusterList(VerletList):
             self._layers,
         )
         number = np.int64 if self._is_fixed else np.float64
-        forces = memory.array("forces", number, n_forces * n_block, in_page=HALF_A_PAGE, spare=1.0)
-        first_sum = memory.array("first sum", np.int64, n_in_windows if self._is_fixed else 0)
-        is_out = np.zeros(self.n_domains * self._is_fixed, dtype=np.int64)
-        needed = np.zeros(self.n_domains, dtype=np.int64)
-        self.memory = ClusterMemory(self._coordinates, self._shifts, forces, first_sum, self._far, is_out, needed)
+        self.memory = ClusterMemory(
+            self._coordinates,
+            self._shifts,
+            memory.array("forces", number, n_forces * n_block, in_page=HALF_A_PAGE, spare=1.0),
+            memory.array("first sum", np.int64, n_in_windows if self._is_fixed else 0),
+            self._far,
+            np.zeros(self.n_domains * self._is_fixed, dtype=np.int64),
+            np.zeros(self.n_domains, dtype=np.int64),
+        )
         self._arrange_building()
 
     def _arrange_building(self) -> None:
@@ -297,16 +301,14 @@ class ClusterList(VerletList):
         self.arrays = ClusterArrays(
             self.clusters, self.domains.cluster, self.domains, self.ghosts, self.rows, self.memory
         )
-        layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, self._coordinates, self._shifts)
         goes_along = self._pool.n_threads == 1 and not self._is_fixed
-        n_columns = min(int(self._columns.counts[0]), MOST_CHUNKS)
         self.building = Building(
             self._positions,
             self.arrays,
             self._bins,
-            layout,
+            Layout(self._columns, self.clusters, self.domains, self.ghosts, self._coordinates, self._shifts),
             self._room[2],
-            n_columns,
+            min(int(self._columns.counts[0]), MOST_CHUNKS),
             int(goes_along),
             self._entry_start,
             self._needed,

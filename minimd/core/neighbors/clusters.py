@@ -118,7 +118,7 @@ def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: A
     """Columns so wide that the atoms of a cluster fill about a cube of them.  region : see region_of."""
     origin = region[:3]
     extent = region[3:6]
-    filled = float(region[6] * region[3:6].prod())
+    filled = region[6] * extent.prod()
     is_crossed = cell.pbc & (extent == 1.0)
     widths = cell.heights * extent
     n_lanes = lanes.size
@@ -130,15 +130,13 @@ def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: A
     needed = np.ceil(WIDER * reach * across / widths[:2])
     needed = np.minimum(needed, np.where(is_crossed[:2], across, across - 1.0))
     counts = np.array([*across, bins]).astype(np.int64)
-    along = WIDER * reach / cell.heights
-    in_columns = needed.astype(np.int64)
     return Columns(
         counts,
         reach,
-        in_columns,
+        needed.astype(np.int64),
         cell.pbc,
         is_crossed,
-        along,
+        WIDER * reach / cell.heights,
         origin.copy(),
         extent.copy(),
         cell.lattice.copy(),
@@ -170,12 +168,17 @@ def make_clusters(n_clusters: int, columns: Columns, lanes: Lanes, for_build: Se
     """Arrays with room for so many.  for_build : bottom, top, boxes.  spare : see Buffers.array."""
     n_slots = n_clusters * lanes.size
     array = partial(memory.array, spare=spare)
-    column_start = array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1)
-    atom = array("atom", np.int32, n_slots)
-    filled = array("filled", np.int32, n_clusters)
     at = array("positions", np.float64, n_slots * DIMENSIONS)
-    wrapping = Wrapping(columns.inverse.copy(), columns.pbc.astype(np.float64), columns.lattice.copy(), columns.origin)
-    return Clusters(lanes, atom, filled, at, at, wrapping, column_start, *for_build)
+    return Clusters(
+        lanes,
+        array("atom", np.int32, n_slots),
+        array("filled", np.int32, n_clusters),
+        at,
+        at,
+        Wrapping(columns.inverse.copy(), columns.pbc.astype(np.float64), columns.lattice.copy(), columns.origin),
+        array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1),
+        *for_build,
+    )
 
 
 @scalar

@@ -106,13 +106,21 @@ def make_ghosts(n_clusters: int, n_ghosts: int, n_in_windows: int, for_search: S
                 memory: Buffers) -> GhostClusters:  # fmt: skip
     """Arrays with room for so many, for fill_ghosts and sort_ghosts.  for_search : those of ghosts_for_search."""
     room = functools.partial(memory.array, spare=1.0)
-    owner = room("owner", np.int32, n_ghosts)
-    of = room("of", np.int32, n_ghosts)
-    image = room("image", np.uint8, n_ghosts)
-    home, start, part_start = (room(name, np.int32, n_clusters + 1) for name in ("home", "start", "part start"))
-    parts = room("parts", np.int32, n_in_windows)
     bottom, top, boxes, lanes, is_used = for_search
-    return GhostClusters(owner, image, bottom, top, boxes, lanes, home, is_used, of, start, parts, part_start)
+    return GhostClusters(
+        room("owner", np.int32, n_ghosts),
+        room("image", np.uint8, n_ghosts),
+        bottom,
+        top,
+        boxes,
+        lanes,
+        room("home", np.int32, n_clusters + 1),
+        is_used,
+        room("of", np.int32, n_ghosts),
+        room("start", np.int32, n_clusters + 1),
+        room("parts", np.int32, n_in_windows),
+        room("part start", np.int32, n_clusters + 1),
+    )
 
 
 @scalar

@@ -22,7 +22,6 @@ from minimd.core.structure.observables import kinetic_energy, momentum
 __all__ = ["AndersenBath", "BerendsenBath", "BussiBath", "Chain", "LangevinBath", "NoseHooverBath"]
 
 BEFORE = (Thermalize(1.0), Kick(0.5), Drift(1.0), Kick(0.5))
-AFTER = (Kick(0.5), Thermalize(1.0), Drift(1.0), Kick(0.5))
 # of velocities in one step of Berendsen's bath, as in ASE
 LEAST_SCALE = 0.9
 MOST_SCALE = 1.1
@@ -100,7 +99,7 @@ class AndersenBath(Thermostat):
     """
 
     name = "andersen"
-    substeps = AFTER
+    substeps = (Kick(0.5), Thermalize(1.0), Drift(1.0), Kick(0.5))
     source = "H. C. Andersen, J. Chem. Phys. 72, 2384 (1980)"
 
     def __init__(self, timestep: float, temperature: float, probability: float, seed: int, keeps_center: bool) -> None:
@@ -157,7 +156,7 @@ class BerendsenBath(Splitting):
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """Rescale the velocities, see the class; atoms at rest stay at rest."""
         velocities = state.velocities
-        kinetic = kinetic_energy(state.velocities, state.masses)
+        kinetic = kinetic_energy(velocities, state.masses)
         if kinetic == 0.0:
             return
         ratio = 0.5 * self.n_dof * bath_of(around).k_B * self.temperature / kinetic

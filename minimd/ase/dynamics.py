@@ -89,10 +89,10 @@ class MinimdSteps(MolecularDynamics):
     def _advance(self, n_steps: int) -> None:
         """Make n_steps steps; atoms and nsteps are right also after an exception."""
         atoms = self.atoms
-        guard, is_same_run = self._guard_at(self.atoms)
+        guard, is_same_run = self._guard_at(atoms)
         engine = guard.engine
-        start = guard.engine.step
-        given = guard.engine.reservoir_energy
+        start = engine.step
+        given = engine.reservoir_energy
         engine.method = self.method()
         engine.noise_shift = self._steps_made - start
         try:

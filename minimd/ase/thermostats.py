@@ -159,8 +159,9 @@ class NoseHooverChainNVT(MinimdSteps, nose_hoover_chain.NoseHooverChainNVT):  # 
         **kwargs: Any,
     ) -> None:
         super().__init__(atoms, timestep, temperature_K, tdamp, tchain, tloop, **kwargs)
-        n_dof = int(atoms.get_number_of_degrees_of_freedom())
-        self._chain = Chain(units.kB * temperature_K, n_dof, tdamp, tchain, tloop)
+        self._chain = Chain(
+            units.kB * temperature_K, int(atoms.get_number_of_degrees_of_freedom()), tdamp, tchain, tloop
+        )
 
     def method(self) -> Splitting:
         """Velocity Verlet between two half steps of the chain."""

@@ -111,8 +111,16 @@ def bytes_per_atom(scene: str, n: int, threads: int) -> float | None:
     built and run, in a process of their own. None if the operating system does not give the peak, or this fails."""
     if not STATUS.exists():
         return None
-    code = f"from minimd.bench.scaling import growth; print(); print(growth({scene!r}, {n}, {threads}))"
-    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    answer = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            f"from minimd.bench.scaling import growth; print(); print(growth({scene!r}, {n}, {threads}))",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if answer.returncode:
         tell(f"memory could not be measured: {(answer.stderr.splitlines() or ['no reason given'])[-1]}")
         return None

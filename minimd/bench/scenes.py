@@ -225,8 +225,6 @@ def _lj(cutoff: float = CUTOFF, truncation: TruncationName = "shifted", scale=(1
 
 AT_MELT = "fcc at ρ* 0.8442, T* 1.44, r_c {} σ, {}, Δt* 0.005, NVE"
 UNBONDED = (0.0, 1.0, 1.0)
-THERMOSTAT = md.StochasticVelocityRescaling
-BAROSTAT = md.StochasticCellRescaling
 KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, pairs={("A", "B"): (1.5, 0.8)}, cutoff={
     ("A", "A"): CUTOFF, ("A", "B"): CUTOFF * 0.8, ("B", "B"): CUTOFF * 0.88})  # fmt: skip
 DECANE = (
@@ -257,7 +255,8 @@ PLANS = {
     "npt": Plan(
         "Lennard-Jones melt at constant pressure: T* 1.44, P* 5, r_c 2.5 σ, truncated, Δt* 0.005, NPT",
         partial(_fluid, MELT_DENSITY), (_lj(CUTOFF, "truncated"),),
-        method=THERMOSTAT(TIMESTEP, MELT_TEMPERATURE, 0.5, SEED), barostat=BAROSTAT(5.0, 0.03, 5.0, SEED)),
+        method=md.StochasticVelocityRescaling(TIMESTEP, MELT_TEMPERATURE, 0.5, SEED),
+        barostat=md.StochasticCellRescaling(5.0, 0.03, 5.0, SEED)),
     # after the bead-spring model of K. Kremer, G. S. Grest, J. Chem. Phys. 92, 5057 (1990)
     "chains": Plan(
         "Chains of 100 beads: harmonic bonds (k* 400, length 1 σ), bonded neighbors excluded, ρ* 0.85, T* 1.0, r_c "

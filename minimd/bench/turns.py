@@ -87,9 +87,8 @@ def take_turns(engines: Sequence[LoadedEngine], n_steps: Sequence[int], repeats:
 
 def steps_in_a_turn(seconds_per_step: float) -> int:
     """The number of steps of a turn: half a second, at least 40 steps, at most 5 seconds, and never less than one."""
-    in_time = SECONDS_A_TURN / seconds_per_step
-    at_most = LONGEST_TURN / seconds_per_step
-    return max(1, int(min(max(in_time, STEPS_A_TURN), at_most)))
+    wanted = max(SECONDS_A_TURN / seconds_per_step, STEPS_A_TURN)
+    return max(1, int(min(wanted, LONGEST_TURN / seconds_per_step)))
 
 
 def label(engine: LoadedEngine) -> str:

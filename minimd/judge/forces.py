@@ -116,9 +116,8 @@ class Probe:
     def place(self, r: float, along: Array | None = None) -> Any:
         """The argument of the function for two atoms at a distance."""
         apart = r * (self.along if along is None else along)
-        start = self.start
         distance = r * r if self.call.is_squared else r
-        return {"law": distance, "pair": apart, "forces": np.array([start, start + apart])}[self.call.kind]
+        return {"law": distance, "pair": apart, "forces": np.array([self.start, self.start + apart])}[self.call.kind]
 
     def both(self, r: float) -> tuple[float, float]:
         """f and u of a pair."""
@@ -313,7 +312,7 @@ class Probe:
         which is a fault, or many-body forces, which may be right."""
         n = len(self.x)
         forces = self.forces
-        parts = np.zeros((len(self.x), *self.x.shape))
+        parts = np.zeros((n, *self.x.shape))
         for i, j in zip(*np.triu_indices(n, 1), strict=True):
             parts[i, j], parts[j, i] = self.call(self.x[[i, j]])[0]
         pairs = parts.sum(axis=1)

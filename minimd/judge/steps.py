@@ -72,7 +72,7 @@ class Measured:
     def jacobian(self) -> Array:
         """∂(x₁, p₁)/∂(x, p) at Δt = 0.1."""
         where = self.where
-        start = np.array([self.where.x, self.where.mass * self.where.v])
+        start = np.array([where.x, where.mass * where.v])
 
         def end(y: Array) -> Array:
             x, p = y.reshape(start.shape)
@@ -133,7 +133,7 @@ class Measured:
             return np.array([(np.ravel(x)[0], np.ravel(v)[0] / omega) for x, v in ends]).T
 
         m = matrix(0.5)
-        off = np.linalg.det(matrix(0.5)) - 1.0
+        off = np.linalg.det(m) - 1.0
         if not abs(off) <= 1e-7:
             return off, np.inf, f"at ω dt = 0.5 the energy changes by the factor {1.0 + off:.4g} in each step"
         skew = (m[1, 1] - m[0, 0]) / m[0, 1]

@@ -117,7 +117,7 @@ def not_carried_over(simulation: Simulation) -> list[str]:
     """The promises of minimd that a run by LAMMPS does not keep, one sentence each."""
     engine = simulation.engine
     method = simulation.method
-    extra = simulation.engine.extra_observables
+    extra = engine.extra_observables
     is_fixed_point = engine.interactions.options.precision != "double"
     is_rigid = engine.constraint_set.bonds is not None
     rows = {  # sentence: whether it applies
@@ -344,8 +344,8 @@ def _brought_back(job: Job, model: Model, log: Log, scale: float, store_forces: 
     is_whole : whether LAMMPS has reached its end. If not, the frames that exist are kept if there is one after the
     first."""
     engine = job.engine
-    n_atoms = len(job.engine.system)
-    notes = job.engine.notes
+    n_atoms = len(engine.system)
+    notes = engine.notes
     record = Record(engine.system.units, n_atoms, job.folder / TRAJECTORY)
     end = job.first_step + job.steps
     found = (one for one in frames(job.folder / script.FRAMES, n_atoms) if one[0] > job.first_step)
@@ -398,7 +398,7 @@ def _brought_back(job: Job, model: Model, log: Log, scale: float, store_forces: 
 def _stand(job: Job, box: Box, step: int, columns: Array) -> None:
     """Put the engine in the state of LAMMPS at a step."""
     engine = job.engine
-    timestep = job.engine.method.timestep
+    timestep = engine.method.timestep
     velocities = box.back(columns[:, 3:])
     if not np.isfinite(columns).all():
         raise HandOverError(f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step "

@@ -125,7 +125,7 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
     shortest : the smallest cutoff [length].  skin : [length].
         Raises NonFiniteError if energies or forces of the scene are not finite."""
     system = engine.system
-    before = evaluated(engine, engine.system)
+    before = evaluated(engine, system)
     if not (np.isfinite(before.energies).all() and np.isfinite(before.forces).all()):
         raise NonFiniteError("forces or energies are not finite: "
                              f"{why_not_finite(system, engine.interactions.potentials)}")  # fmt: skip

@@ -255,7 +255,8 @@ class ClusterList(VerletList):
     def _arrange(self) -> None:
         """All arrays, with the room that there is now. Atoms are sorted where the entries are written afterwards."""
         memory = self._memory
-        spare = self._spare
+        # room to spare, for columns that go along with the atoms; others have room for atoms however they stand
+        spare = 1.0 if self._columns.is_crossed.all() else SPARE
         n_ghosts, n_in_windows, n_forces = self._room
         n_lanes = self.lanes.size
         n_block = n_lanes * DIMENSIONS
@@ -317,8 +318,3 @@ class ClusterList(VerletList):
             self._images,
         )
         self.version += 1
-
-    @property
-    def _spare(self) -> float:
-        """Room to spare where there is enough for atoms however they stand: for columns that go along with them."""
-        return 1.0 if self._columns.is_crossed.all() else SPARE

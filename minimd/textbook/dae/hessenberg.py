@@ -150,7 +150,7 @@ class Hessenberg(DifferentialAlgebraic):
         """The parts of a start, with zeros for algebraic variables that are not given; sizes are remembered."""
         # as g depends on it
         names = self.names
-        is_guess_needed = self.functions[-1][1] == len(self.names)
+        is_guess_needed = self.functions[-1][1] == len(names)
         if not isinstance(start, tuple) or not len(names) - (not is_guess_needed) <= len(start) <= len(names):
             raise ValueError(
                 f"the start must be a tuple of {', '.join(names)} ({names[-1]} "
@@ -247,8 +247,11 @@ class Hessenberg3(Hessenberg):
         y, z, _ = parts
         rate = self.f(t, y, z)
         z_rate = self.k(t, *parts)
-        unit = min(unit_of_time(y, rate), unit_of_time(z, z_rate))
-        return time_derivative(lambda e: self.f(t + e, y + e * rate, z + e * z_rate), 1, unit)
+        return time_derivative(
+            lambda e: self.f(t + e, y + e * rate, z + e * z_rate),
+            1,
+            min(unit_of_time(y, rate), unit_of_time(z, z_rate)),
+        )
 
 
 class Mechanical(Hessenberg):

@@ -127,7 +127,7 @@ class Implicit(DifferentialAlgebraic):
         mobility : (n,) how easily variables move, 0 for fixed ones.  unit : of time.  size : of the largest variable.
         """
         order = len(jet)
-        scales = unit ** np.arange(1, len(jet) + 1)
+        scales = unit ** np.arange(1, order + 1)
         is_free = mobility > 0.0
 
         def taken(x: Array) -> tuple[Array, Array]:

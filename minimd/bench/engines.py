@@ -248,15 +248,8 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
             integrator.step(n_steps)
             context.getState(getEnergy=True)  # waits for the last step
 
-    return LoadedEngine(
-        "OpenMM CPU",
-        threads,
-        "single",
-        partial(energy, is_total=False),
-        partial(energy, is_total=True),
-        run,
-        forces,
-    )
+    return LoadedEngine("OpenMM CPU", threads, "single", partial(energy, is_total=False),
+                        partial(energy, is_total=True), run, forces)  # fmt: skip
 
 
 @contextlib.contextmanager

@@ -43,8 +43,8 @@ if not TYPE_CHECKING:  # for a type checker the module would have any name
     def __getattr__(name: str) -> NoReturn:
         """Raise ImportError for a class, such as a dynamics of ASE that is not here; AttributeError for the rest."""
         if name[:1].isupper():
-            own = f"minimd.ase has the dynamics {', '.join(one.__name__ for one in DYNAMICS)}, but no {name}"
             raise ImportError(
-                f"{own}; a class of ASE works with minimd.ase.Calculator, at ASE's speed: see docs/ase.md"
+                f"minimd.ase has the dynamics {', '.join(one.__name__ for one in DYNAMICS)}, but no {name}; a class "
+                "of ASE works with minimd.ase.Calculator, at ASE's speed: see docs/ase.md"
             )
         raise AttributeError(f"module 'minimd.ase' has no attribute {name!r}")

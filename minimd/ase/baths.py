@@ -21,8 +21,10 @@ from minimd.core.structure.observables import kinetic_energy, momentum
 
 __all__ = ["AndersenBath", "BerendsenBath", "BussiBath", "Chain", "LangevinBath", "NoseHooverBath"]
 
-BEFORE, AFTER = (Thermalize(1.0), Kick(0.5), Drift(1.0), Kick(0.5)), (Kick(0.5), Thermalize(1.0), Drift(1.0), Kick(0.5))
-LEAST_SCALE, MOST_SCALE = 0.9, 1.1  # of velocities in one step of Berendsen's bath, as in ASE
+BEFORE = (Thermalize(1.0), Kick(0.5), Drift(1.0), Kick(0.5))
+# of velocities in one step of Berendsen's bath, as in ASE
+LEAST_SCALE = 0.9
+MOST_SCALE = 1.1
 _OUTER = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
 WEIGHTS = (_OUTER, 1.0 - 2.0 * _OUTER, _OUTER)  # of order 4: H. Yoshida, Phys. Lett. A 150, 262 (1990); M. Suzuki
 KEPT_STEPS = 1000  # steps whose states a chain keeps: many more than in a block, which is repeated if it fails
@@ -36,13 +38,15 @@ class LangevinBath(Thermostat):
     keeps_center : whether the bath leaves the velocity of the center of mass unchanged; 3N − 3 degrees are thermal.
     """
 
-    name, source = LangevinBAOAB.name, LangevinBAOAB.source
+    name = LangevinBAOAB.name
+    source = LangevinBAOAB.source
     substeps: ClassVar[Substeps] = LangevinBAOAB.substeps
     conserves_momentum = False
 
     def __init__(self, timestep: float, temperature: Any, friction: Any, seed: int, keeps_center: bool = False) -> None:
         super().__init__(timestep, 0.0, seed)
-        self.temperatures, self.frictions = np.asarray(temperature, float), np.asarray(friction, float)
+        self.temperatures = np.asarray(temperature, float)
+        self.frictions = np.asarray(friction, float)
         self.keeps_center = keeps_center
         for name, given in (("temperature", temperature), ("friction", friction)):
             if not ((np.asarray(given) >= 0.0) & (np.asarray(given) < np.inf)).all():
@@ -55,7 +59,8 @@ class LangevinBath(Thermostat):
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The Ornstein-Uhlenbeck process over a duration, see LangevinBAOAB."""
-        bath, kept = bath_of(around), np.exp(-self.frictions * duration)
+        bath = bath_of(around)
+        kept = np.exp(-self.frictions * duration)
         spread = np.sqrt(bath.k_B * self.temperatures * (1.0 - kept * kept) * state.inverse_masses[:, None])
         new = kept * state.velocities + spread * self.noise(bath).standard_normal(state.velocities.shape)
         if self.keeps_center:
@@ -73,12 +78,14 @@ class BussiBath(StochasticVelocityRescaling):
         Thermostat.__init__(self, timestep, temperature, seed)
         if not relaxation_time > 0.0:
             raise ValueError(f"taut must be positive; taut = {shown(relaxation_time)}")
-        self.relaxation_time, self.n_dof = relaxation_time, n_dof
+        self.relaxation_time = relaxation_time
+        self.n_dof = n_dof
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """See StochasticVelocityRescaling; for n_dof degrees of freedom."""
         bath = bath_of(around)
-        bath.n_dof, bath.conserves_momentum = self.n_dof, False
+        bath.n_dof = self.n_dof
+        bath.conserves_momentum = False
         super().thermalize(state, duration, around)
 
 
@@ -92,7 +99,7 @@ class AndersenBath(Thermostat):
     """
 
     name = "andersen"
-    substeps = AFTER
+    substeps = (Kick(0.5), Thermalize(1.0), Drift(1.0), Kick(0.5))
     source = "H. C. Andersen, J. Chem. Phys. 72, 2384 (1980)"
 
     def __init__(self, timestep: float, temperature: float, probability: float, seed: int, keeps_center: bool) -> None:
@@ -104,12 +111,17 @@ class AndersenBath(Thermostat):
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The collisions of one step."""
-        bath, velocities = bath_of(around), state.velocities
-        noise, thermal = self.noise(bath), bath.k_B * self.temperature
+        bath = bath_of(around)
+        velocities = state.velocities
+        noise = self.noise(bath)
+        thermal = bath.k_B * self.temperature
         if self.keeps_center:
             velocities += sqrt(thermal / state.masses.sum()) * noise.standard_normal(3)
-        fresh = np.sqrt(thermal * state.inverse_masses[:, None]) * noise.standard_normal(velocities.shape)
-        np.copyto(velocities, fresh, where=noise.random(velocities.shape) < self.probability)
+        np.copyto(
+            velocities,
+            np.sqrt(thermal * state.inverse_masses[:, None]) * noise.standard_normal(velocities.shape),
+            where=noise.random(velocities.shape) < self.probability,
+        )
         if self.keeps_center:
             velocities -= momentum(velocities, state.masses) / state.masses.sum()
 
@@ -127,7 +139,10 @@ class BerendsenBath(Splitting):
     name = "berendsen"
     substeps = BEFORE
     source = "H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984)"
-    order, is_symmetric, is_symplectic, is_thermostat = 1, False, False, True
+    order = 1
+    is_symmetric = False
+    is_symplectic = False
+    is_thermostat = True
 
     def __init__(
         self, timestep: float, temperature: float, relaxation_time: float, n_dof: int, keeps_center: bool
@@ -135,11 +150,13 @@ class BerendsenBath(Splitting):
         super().__init__(timestep)
         self.temperature = checked_number("temperature", temperature, "finite and not negative")
         self.relaxation_time = checked_number("taut", relaxation_time, "finite and not zero")
-        self.n_dof, self.keeps_center = n_dof, keeps_center
+        self.n_dof = n_dof
+        self.keeps_center = keeps_center
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """Rescale the velocities, see the class; atoms at rest stay at rest."""
-        velocities, kinetic = state.velocities, kinetic_energy(state.velocities, state.masses)
+        velocities = state.velocities
+        kinetic = kinetic_energy(velocities, state.masses)
         if kinetic == 0.0:
             return
         ratio = 0.5 * self.n_dof * bath_of(around).k_B * self.temperature / kinetic
@@ -163,9 +180,12 @@ class Chain:
     """
 
     def __init__(self, thermal: float, n_dof: int, relaxation_time: float, length: int, loops: int) -> None:
-        self.thermal, self.n_dof, self.loops = thermal, n_dof, loops
+        self.thermal = thermal
+        self.n_dof = n_dof
+        self.loops = loops
         self.inertia = [thermal * relaxation_time**2 * (n_dof if j == 0 else 1) for j in range(length)]
-        self.eta, self.p = [0.0] * length, [0.0] * length
+        self.eta = [0.0] * length
+        self.p = [0.0] * length
         self._starts: dict[int, tuple[list[float], list[float]]] = {}  # η and p at the start of steps, in their order
 
     @property
@@ -199,7 +219,8 @@ class Chain:
 
     def _push(self, j: int, twice_kinetic: float, h: float) -> None:
         """Advance p_j by a time h, with all others fixed: half of the friction, the force, half of the friction."""
-        p, q = self.p, self.inertia
+        p = self.p
+        q = self.inertia
         damped = exp(-0.5 * h * p[j + 1] / q[j + 1]) if j + 1 < len(p) else 1.0
         force = twice_kinetic - self.n_dof * self.thermal if j == 0 else p[j - 1] ** 2 / q[j - 1] - self.thermal
         p[j] = (p[j] * damped + h * force) * damped
@@ -212,7 +233,10 @@ class NoseHooverBath(Splitting):
     name = "nose-hoover-chain"
     substeps = (Thermalize(0.5), Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(0.5))
     source = "G. J. Martyna et al., Mol. Phys. 87, 1117 (1996)"
-    order, is_symmetric, is_symplectic, is_thermostat = 2, True, False, True
+    order = 2
+    is_symmetric = True
+    is_symplectic = False
+    is_thermostat = True
 
     def __init__(self, timestep: float, chain: Chain) -> None:
         super().__init__(timestep)

@@ -1,7 +1,5 @@
 """Potentials of minimd as a calculator of ASE."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -55,7 +53,9 @@ class Calculator(ASECalculator):
         """See the class. ASE's arguments restart, label, directory and atoms do not exist."""
         super().__init__()
         self._plan: tuple[Atoms, Forces] | None = None
-        self.potentials, self.bonds, self.options = potentials, bonds, Options(threads, precision, skin)
+        self.potentials = potentials
+        self.bonds = bonds
+        self.options = Options(threads, precision, skin)
 
     def __repr__(self) -> str:
         return f"Calculator({self._potentials!r})"
@@ -92,7 +92,8 @@ class Calculator(ASECalculator):
         """Fill results. The atoms themselves decide whether the list is kept, because system_changes includes neither
         masses nor failed calls."""
         super().calculate(atoms, list(properties), list(system_changes))
-        per_atom, forces = bool({"energies", "stresses"} & set(properties)), self._forces_at(self.atoms)
+        per_atom = bool({"energies", "stresses"} & set(properties))
+        forces = self._forces_at(self.atoms)
         forces.compute(PER_ATOM if per_atom else TOTALS)
         if not (np.isfinite(forces.potential_energy) and np.isfinite(forces.forces).all()):
             why = why_not_finite(forces.system, forces.potentials)
@@ -109,13 +110,15 @@ class Calculator(ASECalculator):
 
     def adopt(self, atoms: Atoms, forces: Forces) -> None:
         """Take over energy, forces and stress of these atoms from Forces with the same potentials, just computed."""
-        self.atoms, self.results = atoms.copy(), _results(atoms, forces)
+        self.atoms = atoms.copy()
+        self.results = _results(atoms, forces)
 
     def _forces_at(self, atoms: Atoms) -> Forces:
         """The Forces on these atoms: those of the last call and their list, if only positions or cell have changed."""
         if self._plan and same_scene(self._plan[0], atoms):
             forces = self._plan[1]
-            forces.system.positions[:], forces.system.cell = atoms.positions, cell_of(atoms)
+            forces.system.positions[:] = atoms.positions
+            forces.system.cell = cell_of(atoms)
             return forces
         forces = Forces(System(**system_arguments(atoms, self.bonds, constraints=False)), self.potentials, self.options)
         self._plan = atoms, forces
@@ -130,6 +133,7 @@ class Calculator(ASECalculator):
 
 def _results(atoms: Atoms, forces: Forces) -> dict[str, Any]:
     """Energy, forces and, if there is a volume, stress of the last compute with TOTALS or PER_ATOM."""
-    energy, volume = forces.potential_energy, volume_of(atoms)
+    energy = forces.potential_energy
+    volume = volume_of(atoms)
     results = {"energy": energy, "free_energy": energy, "forces": forces.forces.copy()}
     return results | {"stress": -full_3x3_to_voigt_6_stress(forces.virial) / volume} if volume else results

@@ -19,6 +19,7 @@ from minimd.core.integrators.rows import VelocityVerlet as Method
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.potentials.term import CalculatorTerm, calculators_said
 from minimd.core.structure.ase_atoms import fixes_center, same_scene
+from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
 
@@ -78,7 +79,7 @@ class MinimdSteps(MolecularDynamics):
         self._is_new_run = True
         return super().irun(steps)  # type: ignore[no-any-return]
 
-    def step(self, forces: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+    def step(self, forces: Array | None = None) -> Array:
         """Make one step, without changing nsteps; returns the forces after it, (N, 3) [eV/Å].
         forces : at the present positions, as in ASE's classes; they are ignored, because they are already known."""
         self._advance(1)
@@ -87,9 +88,13 @@ class MinimdSteps(MolecularDynamics):
 
     def _advance(self, n_steps: int) -> None:
         """Make n_steps steps; atoms and nsteps are right also after an exception."""
-        atoms, (guard, is_same_run) = self.atoms, self._guard_at(self.atoms)
-        engine, start, given = guard.engine, guard.engine.step, guard.engine.reservoir_energy
-        engine.method, engine.noise_shift = self.method(), self._steps_made - start
+        atoms = self.atoms
+        guard, is_same_run = self._guard_at(atoms)
+        engine = guard.engine
+        start = engine.step
+        given = engine.reservoir_energy
+        engine.method = self.method()
+        engine.noise_shift = self._steps_made - start
         try:
             with stop_on_signals(engine.surroundings):
                 guard.check_start(is_same_run)
@@ -97,7 +102,8 @@ class MinimdSteps(MolecularDynamics):
                 guard.make_steps(n_steps, with_energy=True)
                 guard.observe()
         finally:
-            self.nsteps, self._steps_made = self.nsteps + engine.step - start, self._steps_made + engine.step - start
+            self.nsteps += engine.step - start
+            self._steps_made += engine.step - start
             self._count_heat(engine.reservoir_energy - given)
             atoms.positions[:] = engine.positions
             atoms.set_momenta(_momenta(engine), apply_constraint=False)
@@ -110,10 +116,13 @@ class MinimdSteps(MolecularDynamics):
     def _guard_at(self, atoms: Atoms) -> tuple[RunGuard, bool]:
         """The guarded engine, with positions and momenta of the atoms; a new one if anything else was changed.
         Also returns whether this continues the run of its last steps, with atoms that were not moved since."""
-        made_for, is_new_run, self._is_new_run = self._made_for, self._is_new_run, False
+        made_for = self._made_for
+        is_new_run = self._is_new_run
+        self._is_new_run = False
         if not (made_for and same_scene(made_for, atoms) and np.array_equal(made_for.cell.array, atoms.cell.array)):
             return self._new_guard(atoms), False
-        engine, (potentials, constraints) = self._guard.engine, _essence(atoms)
+        engine = self._guard.engine
+        potentials, constraints = _essence(atoms)
         is_known = potentials is self._made_with[0] and constraints == self._made_with[1]
         # rigid bonds are measured again where atoms have moved
         if not is_known or (atoms.constraints and not np.array_equal(atoms.positions, engine.positions)):
@@ -137,8 +146,11 @@ class MinimdSteps(MolecularDynamics):
             self._is_told = True
         potentials, options = (calculator.potentials, calculator.options) if is_own else (ForcesOnAtoms(atoms), None)
         engine = Engine(system, potentials, self.method(), options=options)
-        engine.step, engine.counts_center = self.nsteps, True
-        self._guard, self._made_for, self._made_with = RunGuard(engine), atoms.copy(), _essence(atoms)
+        engine.step = self.nsteps
+        engine.counts_center = True
+        self._guard = RunGuard(engine)
+        self._made_for = atoms.copy()
+        self._made_with = _essence(atoms)
         self._made_for.calc = calculator
         return self._guard
 
@@ -163,7 +175,7 @@ class VelocityVerletDynamics(MinimdSteps, ase.md.verlet.VelocityVerlet):
 VelocityVerlet = VelocityVerletDynamics
 
 
-def _momenta(engine: Engine) -> NDArray[np.float64]:
+def _momenta(engine: Engine) -> Array:
     return engine.velocities * engine.system.masses[:, None]
 
 
@@ -198,5 +210,5 @@ class WithoutVirial(CalculatorTerm):
         if fixes_center(self._atoms):
             forces -= system.masses[:, None] / system.masses.sum() * forces.sum(axis=0)
 
-    def _virial(self, system: System, forces: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _virial(self, system: System, forces: Array) -> Array:
         return np.full(6, np.nan)

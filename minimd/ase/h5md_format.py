@@ -25,7 +25,8 @@ def read_minimd_h5md(filename: str, index: int | slice = -1) -> Iterator[Atoms]:
     Raises FileNotFoundError, OSError, ValueError as minimd.core.files.h5md_reader.read_file.
     """
     contents = read_file(filename)
-    template, numbers = atoms_from_system(contents.system), range(contents.n_frames)
+    template = atoms_from_system(contents.system)
+    numbers = range(contents.n_frames)
     chosen = numbers[index] if isinstance(index, slice) else [numbers[index]]
     for frame in frames_of(filename, chosen, contents.system.units, ("potential_energy", "stress")):
         yield atoms_of_frame(template, frame, frame.forces, contents.conserves_momentum)

@@ -46,9 +46,12 @@ class Noisy(MolecularDynamics):
             try:
                 rng = np.random.default_rng(rng)
             except (TypeError, ValueError):
-                wanted = "a RandomState, a Generator, an int that is not negative, or a SeedSequence"
-                raise TypeError(f"rng must be {wanted} of NumPy; rng = {shown(rng)}") from None
-        self._rng, self._seed = rng, None
+                raise TypeError(
+                    "rng must be a RandomState, a Generator, an int that is not negative, or a SeedSequence of "
+                    f"NumPy; rng = {shown(rng)}"
+                ) from None
+        self._rng = rng
+        self._seed = None
 
     def noise_seed(self) -> int:
         """The seed of the noise, drawn once from rng; the same for all processes of a parallel calculator."""
@@ -72,13 +75,17 @@ class Langevin(MinimdSteps, Noisy, langevin.Langevin):
 
     def method(self) -> Splitting:
         """BAOAB."""
-        keeps_center, temperature = fixes_center(self.atoms), self.temp / units.kB
+        keeps_center = fixes_center(self.atoms)
+        temperature = self.temp / units.kB
         if self.fix_com and _center_is_free(self.atoms):
             n_dof = self.atoms.get_number_of_degrees_of_freedom()
             if n_dof <= 3:
-                given = f"{len(self.atoms)} atoms have {n_dof}: use fixcm=False"
-                raise ValueError(f"fixcm = True needs more than 3 degrees of freedom; {given}")
-            keeps_center, temperature = True, temperature * n_dof / (n_dof - 3)
+                raise ValueError(
+                    f"fixcm = True needs more than 3 degrees of freedom; {len(self.atoms)} atoms have {n_dof}: use "
+                    "fixcm=False"
+                )
+            keeps_center = True
+            temperature = temperature * n_dof / (n_dof - 3)
         return LangevinBath(self.dt, temperature, self.fr, self.noise_seed(), keeps_center)
 
 
@@ -93,11 +100,11 @@ class LangevinBAOABDynamics(MinimdSteps, Noisy, langevinbaoab.LangevinBAOAB):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         if self.externalstress is not None:
-            others = (
-                "ase.md.langevinbaoab.LangevinBAOAB, or minimd.Simulation with barostat=StochasticCellRescaling(...)"
+            raise NotImplementedError(
+                f"externalstress = {shown(self.externalstress)}: this class needs a constant cell; use "
+                "ase.md.langevinbaoab.LangevinBAOAB, or minimd.Simulation with "
+                "barostat=StochasticCellRescaling(...)"
             )
-            given = f"externalstress = {shown(self.externalstress)}"
-            raise NotImplementedError(f"{given}: this class needs a constant cell; use {others}")
 
     def method(self) -> Splitting:
         """BAOAB, or velocity Verlet."""
@@ -152,8 +159,9 @@ class NoseHooverChainNVT(MinimdSteps, nose_hoover_chain.NoseHooverChainNVT):  # 
         **kwargs: Any,
     ) -> None:
         super().__init__(atoms, timestep, temperature_K, tdamp, tchain, tloop, **kwargs)
-        n_dof = int(atoms.get_number_of_degrees_of_freedom())
-        self._chain = Chain(units.kB * temperature_K, n_dof, tdamp, tchain, tloop)
+        self._chain = Chain(
+            units.kB * temperature_K, int(atoms.get_number_of_degrees_of_freedom()), tdamp, tchain, tloop
+        )
 
     def method(self) -> Splitting:
         """Velocity Verlet between two half steps of the chain."""
@@ -161,8 +169,11 @@ class NoseHooverChainNVT(MinimdSteps, nose_hoover_chain.NoseHooverChainNVT):  # 
 
     def get_conserved_energy(self) -> float:
         """U + K + the energy of the chain [eV]; constant except for the error of the time step."""
-        potential_energy = self.atoms.get_potential_energy(force_consistent=True)
-        return float(potential_energy + self.atoms.get_kinetic_energy() + self._chain.energy)
+        return float(
+            self.atoms.get_potential_energy(force_consistent=True)
+            + self.atoms.get_kinetic_energy()
+            + self._chain.energy
+        )
 
 
 class Andersen(MinimdSteps, Noisy, andersen.Andersen):
@@ -171,8 +182,13 @@ class Andersen(MinimdSteps, Noisy, andersen.Andersen):
 
     def method(self) -> Splitting:
         """Collisions between the first kick and the drift of velocity Verlet."""
-        keeps_center, temperature = _keeps_center(self.atoms, self.fix_com), self.temp / units.kB
-        return AndersenBath(self.dt, temperature, self.andersen_prob, self.noise_seed(), keeps_center)
+        return AndersenBath(
+            self.dt,
+            self.temp / units.kB,
+            self.andersen_prob,
+            self.noise_seed(),
+            _keeps_center(self.atoms, self.fix_com),
+        )
 
 
 class NVTBerendsen(MinimdSteps, nvtberendsen.NVTBerendsen):
@@ -181,8 +197,13 @@ class NVTBerendsen(MinimdSteps, nvtberendsen.NVTBerendsen):
 
     def method(self) -> Splitting:
         """One factor for all velocities, then velocity Verlet."""
-        n_dof = int(self.atoms.get_number_of_degrees_of_freedom())
-        return BerendsenBath(self.dt, self.temperature, self.taut, n_dof, _keeps_center(self.atoms, self.fix_com))
+        return BerendsenBath(
+            self.dt,
+            self.temperature,
+            self.taut,
+            int(self.atoms.get_number_of_degrees_of_freedom()),
+            _keeps_center(self.atoms, self.fix_com),
+        )
 
 
 def _center_is_free(atoms: Atoms) -> bool:

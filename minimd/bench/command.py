@@ -9,23 +9,31 @@ from minimd.commands.table import Argument, Command, at_least_one, flag, written
 if TYPE_CHECKING:
     from minimd.bench.outcome import Outcome
 
-REPEATS, REPEATS_QUICK = 7, 3
-OF_LAMMPS = "lammps, lammps-checked, lammps-tuned, lammps-shake, lammps-plain, lammps-omp"
-PEER_NAMES = f"{OF_LAMMPS}, gromacs, openmm, openmm-pme, ase, asap3"
-FLUIDS = "melt, cutoff-4, wca, kob-andersen, gas, droplet, slab, npt"
-SCENE_NAMES = f"{FLUIDS}, chains, chain, decane, dumbbells, triangles, water, water-fine"
+REPEATS = 7
+REPEATS_QUICK = 3
+PEER_NAMES = (
+    "lammps, lammps-checked, lammps-tuned, lammps-shake, lammps-plain, lammps-omp, gromacs, openmm, openmm-pme, ase, "
+    "asap3"
+)
+SCENE_NAMES = (
+    "melt, cutoff-4, wca, kob-andersen, gas, droplet, slab, npt, chains, chain, decane, dumbbells, triangles, water, "
+    "water-fine"
+)
 QUICK = flag("--quick", "take only a few minutes: fewer sizes, methods and rounds")
 
 
 def benchmark(name: str, text: str, *arguments: Argument, description: str = "") -> Command:
     """One benchmark, with the options that all benchmarks have."""
     rounds = f"rounds; every engine runs once in each (default: {REPEATS}, quick {REPEATS_QUICK})"
-    files = f"bench_{name.replace('-', '_')}.md, .json and .png"
-    shared = (QUICK, Argument("--repeats", rounds, at_least_one, "R"),
-              written_to("FOLDER", f"write {files} into this folder; older files are replaced"))  # fmt: skip
-    told = description or f"{text[0].upper()}{text[1:]}."
-    run = partial(bench, name)
-    return Command(name, text, told, (*shared, *arguments), run, epilog="Let no other program run meanwhile.")
+    files = f"write bench_{name.replace('-', '_')}.md, .json and .png into this folder; older files are replaced"
+    return Command(
+        name,
+        text,
+        description or f"{text[0].upper()}{text[1:]}.",
+        (QUICK, Argument("--repeats", rounds, at_least_one, "R"), written_to("FOLDER", files), *arguments),
+        partial(bench, name),
+        epilog="Let no other program run meanwhile.",
+    )
 
 
 def bench(name: str, arguments: argparse.Namespace) -> None:
@@ -49,7 +57,8 @@ def _outcome(name: str, given: argparse.Namespace, repeats: int) -> "Outcome":
         cells = given.cells or ((5, 10) if given.quick else (5, 10, 20, 40))
         options = PeersOptions((given.scene,), cells, given.threads, given.peers, repeats)
         if given.scenes is not None:
-            scenes, cells = tuple(dict.fromkeys(given.scenes or SCENES)), given.cells or (10,)
+            scenes = tuple(dict.fromkeys(given.scenes or SCENES))
+            cells = given.cells or (10,)
             peers = given.peers or tuple(name for name in BESIDE_SCENES if {*scenes} & {*PEERS[name].scenes})
             options = options._replace(scenes=scenes, cells=cells, threads=given.threads or (1,), peers=peers)
         return run_peers(options)

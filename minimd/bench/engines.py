@@ -19,17 +19,19 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 import minimd as md
 from minimd.bench import scenes
 from minimd.bench.scenes import CUTOFF, PLANS, SHIFT, SKIN_LAMMPS, WATER, BenchScene, pairs_in_range
 from minimd.core.structure.constraints import lengths_of
+from minimd.core.structure.observables import Array
 from minimd.lammps.model import Model
 from minimd.lammps.program import LIBRARIES
 from minimd.lammps.script import held, write_atoms
 
-SHAKE_TOLERANCE, SHAKE_ITERATIONS = 1e-12, 100  # of LAMMPS
+# of LAMMPS
+SHAKE_TOLERANCE = 1e-12
+SHAKE_ITERATIONS = 100
 # σ, of LAMMPS' benchmark, where it is not that of the melt; Å for water
 SKINS = {"chain": 0.4} | dict.fromkeys(WATER, 1.0)
 # σ, the fastest of several, for 4000 atoms on a Zen 4
@@ -98,17 +100,22 @@ class Minimd(LoadedEngine):
 
     def __init__(self, scene: BenchScene, threads: int = 1, every: int | None = None,
                  trajectory: Path | None = None) -> None:  # fmt: skip
-        given = scene.system, scene.potentials, scene.method, scene.constraints
-        self.simulation = simulation = md.Simulation(*given, threads=threads, barostat=scene.barostat)
+        self.simulation = simulation = md.Simulation(
+            scene.system, scene.potentials, scene.method, scene.constraints, threads=threads, barostat=scene.barostat
+        )
         simulation.frame()  # evaluates the forces
-        options: dict[str, Any] = {"trajectory": trajectory or (), "overwrite": True, "progress": False}
+
+        def run(n_steps: int) -> md.Record:
+            return simulation.run(
+                n_steps, every=every or n_steps, trajectory=trajectory or (), overwrite=True, progress=False
+            )
+
         super().__init__("minimd", threads, "double", lambda: float(simulation.frame().observables["potential_energy"]),
                          lambda: float(simulation.frame().observables["total_energy"]),
-                         lambda n_steps: simulation.run(n_steps, every=every or n_steps, **options),
-                         simulation.forces.copy())  # fmt: skip
+                         run, simulation.forces.copy())  # fmt: skip
 
     @property
-    def positions(self) -> NDArray[np.float64]:
+    def positions(self) -> Array:
         """(N, 3) [σ], not wrapped."""
         return self.simulation.positions
 
@@ -137,16 +144,24 @@ def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool =
     if scene.error:  # one style for both laws, with the table that LAMMPS makes itself; rms forces are about 1 eV/Å
         model.pair_styles = [one._replace(name="lj/cut/coul/long") for one in model.pair_styles]
         model.kspace = [f"kspace_style pppm {scene.accuracy:.17g}"]
-    special = f"special_bonds lj/coul {' '.join(map(str, model.special_bonds()))}"
-    program.commands_list(["units lj", "atom_style full", special])
+    program.commands_list(
+        ["units lj", "atom_style full", f"special_bonds lj/coul {' '.join(map(str, model.special_bonds()))}"]
+    )
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scene.data")
         write_atoms(file, model, model.box, scene.system.velocities)
         program.command(f'read_data "{file}"')
-    lines = [*model.commands(), f"neighbor {skin} bin",
-             f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}",
-             f"timestep {scene.method.timestep:.17g}", *_motion(scene), "thermo 1000000", "run 0 post no"]  # fmt: skip
-    program.commands_list(lines)
+    program.commands_list(
+        [
+            *model.commands(),
+            f"neighbor {skin} bin",
+            f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}",
+            f"timestep {scene.method.timestep:.17g}",
+            *_motion(scene),
+            "thermo 1000000",
+            "run 0 post no",
+        ]
+    )
     forces = np.array(program.gather_atoms("f", 1, 3)).reshape(-1, 3)
     program.commands_list([*held(model, rigid, SHAKE_TOLERANCE, SHAKE_ITERATIONS), "run 0 post no"])
 
@@ -157,17 +172,21 @@ def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool =
     def run(n_steps: int) -> None:
         program.command(f"run {n_steps} pre no post no")  # goes on from the last run, with its list
 
-    name = ", ".join(filter(None, words))
-    return LoadedEngine(name, threads, "double", partial(thermo, "pe"), partial(thermo, "etotal"), run, forces)
+    return LoadedEngine(
+        ", ".join(filter(None, words)), threads, "double", partial(thermo, "pe"), partial(thermo, "etotal"), run, forces
+    )
 
 
 def _motion(scene: BenchScene) -> list[str]:
     """The fixes of LAMMPS that make the steps of a scene; a bath is of the same kind as in minimd, if LAMMPS has it."""
-    method, barostat = scene.method, scene.barostat
+    method = scene.method
+    barostat = scene.barostat
     heat = f"{scene.temperature} {scene.temperature}"
     if barostat is not None and isinstance(method, md.StochasticVelocityRescaling):
-        press = f"iso {barostat.pressure} {barostat.pressure} {barostat.relaxation_time}"
-        return [f"fix motion all npt temp {heat} {method.relaxation_time} {press}"]
+        return [
+            f"fix motion all npt temp {heat} {method.relaxation_time} iso {barostat.pressure} {barostat.pressure} "
+            f"{barostat.relaxation_time}"
+        ]
     if isinstance(method, md.LangevinBAOAB):
         return ["fix motion all nve", f"fix bath all langevin {heat} {1.0 / method.friction:.17g} {scenes.SEED}"]
     return ["fix motion all nve"]
@@ -179,9 +198,12 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
     the caller, where it wakes up sooner: for 500 atoms steps are 1.7 times as fast."""
     import openmm
 
-    own, system, timestep = scene.system, openmm.System(), scene.method.timestep
+    own = scene.system
+    system = openmm.System()
+    timestep = scene.method.timestep
     system.setDefaultPeriodicBoxVectors(*np.diag(scene.edges).tolist())
-    force, springs = openmm.NonbondedForce(), openmm.HarmonicBondForce()
+    force = openmm.NonbondedForce()
+    springs = openmm.HarmonicBondForce()
     force.setNonbondedMethod(force.PME if scene.error else force.CutoffPeriodic)
     force.setCutoffDistance(scene.law.cutoff)
     force.setUseDispersionCorrection(False)
@@ -202,7 +224,8 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
     system.addForce(force)
     if springs.getNumBonds():
         system.addForce(springs)
-    integrator, platform = openmm.VerletIntegrator(timestep), openmm.Platform.getPlatformByName("CPU")
+    integrator = openmm.VerletIntegrator(timestep)
+    platform = openmm.Platform.getPlatformByName("CPU")
     with _on_one_core(threads):
         context = openmm.Context(system, integrator, platform, {"Threads": str(threads)})
     context.setPositions(own.positions)
@@ -225,8 +248,8 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
             integrator.step(n_steps)
             context.getState(getEnergy=True)  # waits for the last step
 
-    energies = partial(energy, is_total=False), partial(energy, is_total=True)
-    return LoadedEngine("OpenMM CPU", threads, "single", *energies, run, forces)
+    return LoadedEngine("OpenMM CPU", threads, "single", partial(energy, is_total=False),
+                        partial(energy, is_total=True), run, forces)  # fmt: skip
 
 
 @contextlib.contextmanager
@@ -253,7 +276,7 @@ def ase(scene: BenchScene, _threads: int) -> LoadedEngine:
     atoms = atoms_from_system(scene.system)
     atoms.calc = LennardJones(sigma=1.0, epsilon=1.0, rc=CUTOFF, smooth=False)
     # ASE's calculator adds a shift for each pair
-    shift: Callable[[], float] = lambda: SHIFT * pairs_in_range(scene, atoms.positions)  # noqa: E731
+    shift = lambda: SHIFT * pairs_in_range(scene, atoms.positions)  # noqa: E731
     return _on_ase("ASE (serial)", atoms, VelocityVerlet(atoms, scene.method.timestep), shift)
 
 
@@ -275,8 +298,8 @@ def asap3(scene: BenchScene, _threads: int) -> LoadedEngine:
 
 def _on_ase(name: str, atoms: Any, dynamics: Any, shift: Callable[[], float]) -> LoadedEngine:
     """An engine on ASE's atoms.  shift : to be added to the potential energy."""
-    potential: Callable[[], float] = lambda: float(atoms.get_potential_energy()) + shift()  # noqa: E731
-    total: Callable[[], float] = lambda: potential() + float(atoms.get_kinetic_energy())  # noqa: E731
+    potential = lambda: float(atoms.get_potential_energy()) + shift()  # noqa: E731
+    total = lambda: potential() + float(atoms.get_kinetic_energy())  # noqa: E731
     return LoadedEngine(name, 1, "double", potential, total, dynamics.run)
 
 
@@ -286,23 +309,31 @@ def gromacs(scene: BenchScene, threads: int) -> LoadedEngine:
     from MDAnalysis import Universe
 
     folder = tempfile.TemporaryDirectory(prefix="minimd-gromacs-")  # removed with the engine
-    edges, timestep = scene.edges, scene.method.timestep
-    place, environment = Path(folder.name), os.environ | {"GMX_MAXBACKUP": "-1", "GMX_SUPPRESS_DUMP": "1"}
+    edges = scene.edges
+    timestep = scene.method.timestep
+    place = Path(folder.name)
+    environment = os.environ | {"GMX_MAXBACKUP": "-1", "GMX_SUPPRESS_DUMP": "1"}
 
     def call(command: str, *arguments: str, given: str = "") -> None:
         """Raises RuntimeError with the last words that gmx printed, if it fails."""
-        words = ["gmx", "-quiet", command, *arguments]
-        answer = subprocess.run(words, cwd=folder.name, input=given, capture_output=True, text=True, env=environment,
-                                check=False)  # fmt: skip
+        answer = subprocess.run(
+            ["gmx", "-quiet", command, *arguments],
+            cwd=folder.name,
+            input=given,
+            capture_output=True,
+            text=True,
+            env=environment,
+            check=False,
+        )
         if answer.returncode:
             raise RuntimeError(f"gmx {command} failed: {' '.join(answer.stderr.split()[-40:])}")
 
     def run(n_steps: int) -> float:
         before = ("-cpi", "run.cpt") if (place / "run.cpt").exists() else ()
-        options = ("-nsteps", str(n_steps), "-ntmpi", "1", "-ntomp", str(threads), "-nb", "cpu", "-noappend")
         for old in place.glob("run.part*"):
             old.unlink()
-        call("mdrun", "-s", "run.tpr", "-deffnm", "run", "-cpo", "run.cpt", "-c", "last.gro", *before, *options)
+        call("mdrun", "-s", "run.tpr", "-deffnm", "run", "-cpo", "run.cpt", "-c", "last.gro", *before, "-nsteps",
+             str(n_steps), "-ntmpi", "1", "-ntomp", str(threads), "-nb", "cpu", "-noappend")  # fmt: skip
         (log,) = place.glob("run.part*.log")
         return float(re.findall(r"^ +Time: +\S+ +(\S+)", log.read_text(encoding="utf-8", errors="replace"), re.M)[-1])
 

@@ -4,11 +4,10 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 import minimd as md
 from minimd.bench import scenes
@@ -17,6 +16,8 @@ from minimd.bench.outcome import bars, spread, summary, table
 from minimd.bench.scenes import SCENES, BenchScene, equilibrated, pairs_in_range
 from minimd.bench.turns import take_turns, warm_up
 from minimd.core.compiled.terminal import tell
+from minimd.core.structure.observables import Array
+from minimd.core.structure.system import changed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,30 +31,40 @@ class IngredientCost(NamedTuple):
     name: str
     n_atoms: int
     n_pairs: float
-    seconds: NDArray[np.float64]
+    seconds: Array
 
 
-@dataclass(frozen=True)
+@dataclass
 class IngredientCosts:
     """The costs of all ingredients, the melt first."""
 
     costs: Sequence[IngredientCost]
     repeats: int
-    packages: Sequence[str] = ("h5py", "MDAnalysis")
-    name: ClassVar[str] = "scene"
+    packages = ("h5py", "MDAnalysis")
+    name = "scene"
 
-    def ratio(self, cost: IngredientCost) -> NDArray[np.float64]:
+    def ratio(self, cost: IngredientCost) -> Array:
         """Time of a step per atom divided by that of the melt, in each turn, (R,)."""
         return cost.seconds / cost.n_atoms * self.costs[0].n_atoms / self.costs[0].seconds
 
     def lines(self) -> list[str]:
         """See Outcome."""
-        base, cells = self.costs[0], []
+        base = self.costs[0]
+        cells = []
         for cost in self.costs:
-            ratio, pairs = self.ratio(cost), cost.n_pairs / cost.n_atoms
+            ratio = self.ratio(cost)
+            pairs = cost.n_pairs / cost.n_atoms
             by_pair = spread(ratio * (base.n_pairs / base.n_atoms) / pairs)
-            times = spread(1e6 * cost.seconds), spread(ratio)
-            cells.append([cost.name, str(cost.n_atoms), *times, f"{pairs:.1f}", by_pair])
+            cells.append(
+                [
+                    cost.name,
+                    cost.n_atoms,
+                    spread(1e6 * cost.seconds),
+                    spread(ratio),
+                    f"{pairs:.1f}",
+                    by_pair,
+                ]
+            )
         numbers = ("atoms", "µs per step", "ratio to the melt", "pairs per atom", "ratio per pair")
         head = (f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); only "
                 "pairs in range are counted.")  # fmt: skip
@@ -67,13 +78,15 @@ class IngredientCosts:
 
     def figure(self) -> "Figure":
         """A figure of the times relative to that of the melt."""
-        ratios = {cost.name: self.ratio(cost) for cost in self.costs}
-        return bars(ratios, "time of a step per atom, relative to the melt")
+        return bars(
+            {cost.name: self.ratio(cost) for cost in self.costs}, "time of a step per atom, relative to the melt"
+        )
 
 
 def run_ingredients(n: int, repeats: int) -> IngredientCosts:
     """Measure the time of the melt of 4 n³ atoms, and with one ingredient more or less, in turns."""
-    n_atoms, base = 4 * n**3, equilibrated(SCENES[scenes.MELT](n))
+    n_atoms = 4 * n**3
+    base = equilibrated(SCENES[scenes.MELT](n))
     with tempfile.TemporaryDirectory() as folder:
         rows = _ingredients(base, n, Path(folder))
         engines = [Minimd(scene, **how) for scene, how in rows.values()]
@@ -82,7 +95,8 @@ def run_ingredients(n: int, repeats: int) -> IngredientCosts:
         before = [pairs_in_range(scene, engine.positions) for scene, engine in loaded]
         seconds = 1.0 / take_turns(engines, n_steps, repeats, n_atoms)
         after = [pairs_in_range(scene, engine.positions) for scene, engine in loaded]
-    sizes, n_pairs = [len(scene.system) for scene, _ in loaded], 0.5 * np.add(before, after)
+    sizes = [len(scene.system) for scene, _ in loaded]
+    n_pairs = 0.5 * np.add(before, after)
     tell("done")
     return IngredientCosts(list(map(IngredientCost, rows, sizes, n_pairs.tolist(), seconds)), repeats)
 
@@ -92,7 +106,8 @@ def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, tuple[Benc
     bonds, length = partners(base.system)
     plain, excluding = (md.LennardJones(1.0, 1.0, scenes.CUTOFF, "truncated", bonded_scale=(scale, 1.0, 1.0))
                         for scale in (1.0, 0.0))  # fmt: skip
-    spring, rigid = md.HarmonicBond(400.0, length), md.DistanceConstraints(bonds)
+    spring = md.HarmonicBond(400.0, length)
+    rigid = md.DistanceConstraints(bonds)
     bonded = _with(base, bonds=bonds)
     labels = np.where(np.arange(len(base.system)) % 2 == 0, "A", "B")
     two_kinds = md.LennardJones({"A": (1.0, 1.0), "B": (1.0, 1.0)}, cutoff=scenes.CUTOFF, truncation="truncated")
@@ -111,30 +126,25 @@ def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, tuple[Benc
         "+ bonds, exclusions": (bonded._replace(potentials=(excluding, spring)), {}),
         "+ rigid bonds, exclusions": (bonded._replace(potentials=(excluding,), constraints=(rigid,)), {}),
         "+ Langevin bath": (base._replace(method=langevin), {}),
-        "− periodic boundaries (droplet)": (_with(base, pbc=False), {}),
+        "− periodic boundaries (droplet)": (_with(base, cell=base.system.cell.vectors, pbc=False), {}),
         "Kob-Andersen mixture": (equilibrated(SCENES["kob-andersen"](n)), {}),
         "chains of 100 beads": (equilibrated(SCENES["chains"](n)), {}),
     }  # fmt: skip
 
 
 def _with(scene: BenchScene, **changes: Any) -> BenchScene:
-    """The scene with other species, bonds or pbc."""
-    old = scene.system
-    kept = {"species": old.species, "bonds": old.bonds, "pbc": old.cell.pbc, "cell": old.cell.vectors} | changes
-    system = md.System(old.positions, velocities=old.velocities, masses=old.masses, units=old.units, **kept)
-    return scene._replace(system=system)
+    """The scene with other arguments of its system."""
+    return scene._replace(system=changed(scene.system, **changes))
 
 
 def partners(system: md.System) -> tuple[NDArray[np.int64], float]:
     """Pairs of neighbors, with each atom in at most one pair, (K, 2), and the mean of their distances [σ]."""
-    edges = np.diag(system.cell.vectors)
-    tree = cKDTree(scenes.wrapped(system.positions, edges), boxsize=edges)
-    taken, chosen = np.zeros(len(system), dtype=bool), []
-    for pair in tree.query_pairs(PARTNERS, output_type="ndarray"):
-        if not taken[pair].any():
-            taken[pair] = True
-            chosen.append(pair)
-    pairs = np.array(chosen)
-    apart = system.positions[pairs[:, 1]] - system.positions[pairs[:, 0]]
-    apart -= np.rint(apart / edges) * edges
-    return pairs, float(np.linalg.norm(apart, axis=1).mean())
+    taken = np.zeros(len(system), dtype=bool)
+    pairs = []
+    lengths = []
+    for i, j, length in zip(*md.neighbor_list("ijd", system, PARTNERS), strict=True):
+        if not (taken[i] or taken[j]):
+            taken[[i, j]] = True
+            pairs.append((i, j))
+            lengths.append(length)
+    return np.array(pairs), float(np.mean(lengths))

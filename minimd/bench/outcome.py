@@ -12,14 +12,14 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from math import floor, log10
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 import minimd as md
 from minimd.core.compiled.machine import MISSING, available_cores, processor_name, version
 from minimd.core.console.whole_file import write_picture, write_whole
+from minimd.core.structure.observables import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,14 +33,14 @@ MARKERS = "os^vD<"
 MOST_CURVES = len(MARKERS)  # in a panel
 BETWEEN_NAMES = 0.22  # inches, from one name to the next
 
-Ratios = NDArray[np.float64] | None
+Ratios = Array | None
 
 
 class Outcome(Protocol):
     """The outcome of one benchmark.  name : in its files.  packages : whose versions matter, besides minimd, numba and
     numpy."""
 
-    name: ClassVar[str]
+    name: str
 
     @property
     def packages(self) -> Sequence[str]: ...  # noqa: D102
@@ -58,19 +58,22 @@ class Outcome(Protocol):
 def markdown(outcome: Outcome) -> str:
     """The tables, below a description of machine and versions."""
     words = ", ".join(f"{name} {number}" for name, number in versions(outcome.packages).items())
-    head = [f"# minimd bench {outcome.name}", "", f"{machine()['text']}.  ", f"{words}.", ""]
-    return "\n".join([*head, *outcome.lines()])
+    return "\n".join(
+        [f"# minimd bench {outcome.name}", "", f"{machine()['text']}.  ", f"{words}.", "", *outcome.lines()]
+    )
 
 
 def as_json(outcome: Outcome) -> str:
     """All results as JSON, with machine and versions."""
-    content = {"machine": machine(), "versions": versions(outcome.packages)} | outcome.content()
-    return json.dumps(content, indent=2, ensure_ascii=False)
+    return json.dumps(
+        {"machine": machine(), "versions": versions(outcome.packages), **outcome.content()},
+        indent=2,
+        ensure_ascii=False,
+    )
 
 
 def write(outcome: Outcome, folder: Path) -> None:
     """Write bench_NAME.md, .json and .png into a folder; files of these names are replaced."""
-
     stem = folder / f"bench_{outcome.name.replace('-', '_')}"
     write_whole(stem.with_suffix(".md"), markdown(outcome) + "\n")
     write_whole(stem.with_suffix(".json"), as_json(outcome) + "\n")
@@ -93,16 +96,20 @@ def versions(packages: Sequence[str]) -> dict[str, str]:
 
 def machine() -> dict[str, str | int]:
     """The machine: processor, cores that this process may use, platform, Python; and all in one line."""
-    facts: dict[str, str | int] = {"processor": processor_name(), "cores": available_cores()}
-    facts |= {"platform": platform.platform(), "python": platform.python_version()}
+    facts: dict[str, str | int] = {
+        "processor": processor_name(),
+        "cores": available_cores(),
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+    }
     text = "{processor} ({kind}), {cores} cores for this process; {platform}; Python {python}"
-    return {"text": text.format(kind=platform.machine(), **facts)} | facts
+    return {"text": text.format(kind=platform.machine(), **facts), **facts}
 
 
-def table(titles: Mapping[str, type], cells: Sequence[Sequence[str]]) -> list[str]:
+def table(titles: Mapping[str, type], cells: Sequence[Sequence[Any]]) -> list[str]:
     """Lines of a Markdown table. titles : column → str or float, for left or right."""
     lines = [list(titles), [ALIGN[kind] for kind in titles.values()], *cells]
-    return [f"| {' | '.join(line)} |" for line in lines]
+    return [f"| {' | '.join(map(str, line))} |" for line in lines]
 
 
 def threads_text(n: int) -> str:
@@ -125,25 +132,18 @@ def summary(values: Ratios) -> dict[str, Any] | None:
     return None if values is None else {"median": float(np.median(values)), "turns": values.tolist()}
 
 
-class End(NamedTuple):
-    """The last point of a curve, and its color."""
-
-    x: float
-    y: float
-    color: str
-
-
-def new_figure(height: float, width: float = WIDTH) -> "Figure":
-    """An empty figure without a window.  width, height : inches."""
+def new_figure(height: float) -> "Figure":
+    """An empty figure without a window.  height : inches."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), layout="constrained")
+    return Figure(figsize=(WIDTH, height), layout="constrained")
 
 
-def bars(ratios: Mapping[str, NDArray[np.float64]], label: str) -> "Figure":
+def bars(ratios: Mapping[str, Array], label: str) -> "Figure":
     """Bars for the medians of ratios, with the ranges of their rounds, and a line at 1.  label : of the axis."""
     figure = new_figure(max(2.0, 0.3 * len(ratios)))
-    axes, rounds = figure.subplots(), np.array(list(ratios.values()))
+    axes = figure.subplots()
+    rounds = np.array(list(ratios.values()))
     middle = np.median(rounds, axis=1)
     ends = np.abs(np.array([rounds.min(axis=1), rounds.max(axis=1)]) - middle)
     axes.barh(list(ratios), middle, xerr=ends, color="tab:blue", ecolor="gray")
@@ -153,32 +153,40 @@ def bars(ratios: Mapping[str, NDArray[np.float64]], label: str) -> "Figure":
     return figure
 
 
-def draw(panel: "Axes", curves: Mapping[str, tuple[Sequence[float], NDArray[np.float64], bool]]) -> dict[str, End]:
-    """Draw medians of all rounds and their ranges, six curves at most; returns the ends of the curves.
+def draw(panel: "Axes", curves: Mapping[str, tuple[Sequence[float], Array, bool]]) -> None:
+    """Draw medians of all rounds and their ranges, six curves at most.
     curves : by name: x (P,), y (P, R), and whether it is minimd's."""
-    ends = {}
     for k, (name, (x, y, is_own)) in enumerate(curves.items()):
-        middle, color = np.median(y, axis=1), f"C{k}"
-        line, width = ("-", 2.5) if is_own else ("--", 1.5)
-        panel.plot(x, middle, marker=MARKERS[k % MOST_CURVES], ls=line, lw=width, color=color)
-        panel.fill_between(x, y.min(axis=1), y.max(axis=1), alpha=0.15, color=color)
-        ends[name] = End(x[-1], float(middle[-1]), color)
-    return ends
+        style, width = ("-", 2.5) if is_own else ("--", 1.5)
+        marker = MARKERS[k % MOST_CURVES]
+        panel.plot(x, np.median(y, axis=1), style, marker=marker, lw=width, color=f"C{k}", label=name)
+        panel.fill_between(x, y.min(axis=1), y.max(axis=1), alpha=0.15, color=f"C{k}")
 
 
-def name_curves(panel: "Axes", ends: Mapping[str, End]) -> None:
+def name_curves(panel: Any) -> None:
     """Write the name of each curve to the right of the panel, in its color, at the height of its end or as near as
     other names allow; a thin line connects each name with the end of its curve.
     All curves must have been drawn, also those of panels that share an axis."""
     to_panel = panel.transData + panel.transAxes.inverted()
     panel.get_ylim()  # fixes limits that matplotlib chooses
     gap = BETWEEN_NAMES / (0.8 * panel.bbox.height / panel.figure.dpi)
-    places = {name: to_panel.transform((end.x, end.y)) for name, end in ends.items()}
+
+    def place(curve: Any) -> tuple[float, float, float]:
+        """Of ends of about the same height, the one farthest to the right comes first, so that no line crosses a
+        curve."""
+        x, y = to_panel.transform(curve.get_xydata()[-1])
+        return round(y / gap), -round(x, 2), y
+
     height = -1.0
-    # If ends have about the same height, the one farthest to the right comes first, so that no line crosses a curve.
-    for name in sorted(ends, key=lambda name: (round(places[name][1] / gap), -round(places[name][0], 2),
-                                               places[name][1])):  # fmt: skip
-        height, color = max(places[name][1], height + gap), ends[name].color
-        line = {"arrowstyle": "-", "lw": 0.6, "color": color, "alpha": 0.6}
-        style: dict[str, Any] = {"textcoords": "axes fraction", "va": "center", "color": color, "arrowprops": line}
-        panel.annotate(name, ends[name][:2], (1.02, height), annotation_clip=False, **style)
+    for curve in sorted(panel.lines, key=place):
+        height = max(place(curve)[2], height + gap)
+        panel.annotate(
+            curve.get_label(),
+            curve.get_xydata()[-1],
+            (1.02, height),
+            textcoords="axes fraction",
+            va="center",
+            color=curve.get_color(),
+            arrowprops={"arrowstyle": "-", "lw": 0.6, "color": curve.get_color(), "alpha": 0.6},
+            annotation_clip=False,
+        )

@@ -3,10 +3,9 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.bench import outcome
 from minimd.bench.engines import PEERS, Load, LoadedEngine, Minimd
@@ -15,6 +14,7 @@ from minimd.bench.scaling import bytes_per_atom
 from minimd.bench.scenes import EXACT, MELT, SCENES, WATER_CUTOFFS, BenchScene, equilibrated
 from minimd.bench.turns import check_agreement, in_turns, thread_numbers
 from minimd.core.compiled.terminal import tell
+from minimd.core.structure.observables import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,7 +35,7 @@ class EngineSpeed(NamedTuple):
     precision: str
     scene: str
     n_atoms: int
-    speeds: NDArray[np.float64]
+    speeds: Array
     bytes_per_atom: float | None = None
 
     @property
@@ -66,7 +66,7 @@ class PeersOptions(NamedTuple):
     repeats: int = 7
 
 
-@dataclass(frozen=True)
+@dataclass
 class Peers:
     """The rows of each scene and size.  texts : descriptions of the scenes, by name.  packages : of the peers that took
     part."""
@@ -75,7 +75,7 @@ class Peers:
     repeats: int
     packages: Sequence[str]
     sizes: Sequence[Sequence[EngineSpeed]]
-    name: ClassVar[str] = "peers"
+    name = "peers"
 
     def lines(self) -> list[str]:
         """See Outcome."""
@@ -86,8 +86,16 @@ class Peers:
             titles = {"scene": str, "atoms": float, "minimd": float, "fastest peer, one thread": str}
             cells = []
             for own, peer in self.fastest():
-                speeds = [spread(own.speeds / 1e6), peer.engine, spread(peer.speeds / 1e6)]
-                cells.append([own.scene, str(own.n_atoms), *speeds, spread(own.speeds / peer.speeds)])
+                cells.append(
+                    [
+                        own.scene,
+                        own.n_atoms,
+                        spread(own.speeds / 1e6),
+                        peer.engine,
+                        spread(peer.speeds / 1e6),
+                        spread(own.speeds / peer.speeds),
+                    ]
+                )
             lines += ["", *table(titles | {"its speed": float, "minimd is faster by": float}, cells)]
         for rows in self.sizes:
             lines += ["", f"## {rows[0].scene}, {rows[0].n_atoms} atoms", "", f"{self.texts[rows[0].scene]}.", ""]
@@ -113,13 +121,14 @@ class Peers:
         """Speed against the number of atoms, with a panel for each number of threads; at most the six fastest engines
         are drawn. For several scenes, how much faster minimd is than the fastest peer."""
         if len(self.texts) > 1:
-            faster = {f"{own.scene}, {own.n_atoms}": own.speeds / peer.speeds for own, peer in self.fastest()}
-            return outcome.bars(faster, "speed of minimd, double, one thread, divided by that of the fastest peer")
+            return outcome.bars(
+                {f"{own.scene}, {own.n_atoms}": own.speeds / peer.speeds for own, peer in self.fastest()},
+                "speed of minimd, double, one thread, divided by that of the fastest peer",
+            )
         rows = [row for rows in self.sizes for row in rows]
         all_threads = sorted({row.threads for row in rows})
         figure = outcome.new_figure(3.8 * len(all_threads))
         panels = figure.subplots(len(all_threads), sharex=True, sharey=True, squeeze=False)[:, 0]
-        ends = []
         for panel, threads in zip(panels, all_threads, strict=True):
             curves = {one.engine: [row for row in rows if row[:2] == one[:2]] for one in rows if one.threads == threads}
             fastest = sorted(curves.items(), key=lambda curve: -np.median(curve[1][-1].speeds))[: outcome.MOST_CURVES]
@@ -127,13 +136,17 @@ class Peers:
             for name, points in fastest:
                 speeds = np.array([point.speeds for point in points]) / 1e6
                 drawn[name] = [point.n_atoms for point in points], speeds, points[0].is_minimd
-            ends.append(outcome.draw(panel, drawn))
-            title = f"{self.sizes[0][0].scene}, {threads_text(threads)}"
-            panel.set(xscale="log", yscale="log", ylabel="10⁶ atom-steps / s", title=title)
+            outcome.draw(panel, drawn)
+            panel.set(
+                xscale="log",
+                yscale="log",
+                ylabel="10⁶ atom-steps / s",
+                title=f"{self.sizes[0][0].scene}, {threads_text(threads)}",
+            )
             panel.yaxis.set_major_formatter("{x:g}")
             panel.yaxis.set_minor_formatter("{x:g}")
-        for panel, named in zip(panels, ends, strict=True):
-            outcome.name_curves(panel, named)
+        for panel in panels:
+            outcome.name_curves(panel)
         panels[-1].set_xlabel("atoms")
         return figure
 
@@ -146,7 +159,7 @@ def _table(rows: Sequence[EngineSpeed]) -> list[str]:
         name = f"**{row.engine}**" if row.is_minimd else row.engine
         memory = "" if row.bytes_per_atom is None else f"{row.bytes_per_atom:.0f}"
         numbers = spread(row.speeds / 1e6), *map(spread, ratios(rows, row))
-        cells.append([name, str(row.threads), row.precision, *numbers, memory])
+        cells.append([name, row.threads, row.precision, *numbers, memory])
     if any(row.bytes_per_atom is not None for row in rows):
         return table(titles | {"bytes per atom": float}, cells)
     return table(titles, [line[:-1] for line in cells])
@@ -162,7 +175,8 @@ def _content(rows: Sequence[EngineSpeed], row: EngineSpeed) -> dict[str, Any]:
 def run_peers(options: PeersOptions) -> Peers:
     """Measure one scene and one size after the other; progress is printed to standard error.
     Raises ValueError for options that do not fit, or if a peer does not start.  HandOverError as check_agreement."""
-    threads, texts = _checked(options), {name: SCENES[name](min(options.cells)).text for name in options.scenes}
+    threads = _checked(options)
+    texts = {name: SCENES[name](min(options.cells)).text for name in options.scenes}
     able = [name for name, peer in PEERS.items() if {*options.scenes} & {*peer.scenes}]
     able = [] if options.peers == NO_PEERS else able
     missing = {peer.package: peer for name in able if not (peer := PEERS[name]).is_installed}
@@ -180,17 +194,21 @@ def _checked(options: PeersOptions) -> tuple[int, ...]:
             ("peers", options.peers, (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS)):  # fmt: skip
         if unknown := [word for word in value if word not in allowed]:
             raise ValueError(f"--{name} must be one of {', '.join(allowed)}; it is {unknown[0]!r}")
-    threads, smallest = thread_numbers(options.threads), min(options.cells)
+    threads = thread_numbers(options.threads)
+    smallest = min(options.cells)
     for name in options.scenes:
         scene = SCENES[name](smallest)
         if scene.edges.min() < 2.0 * scene.law.cutoff:
-            told = f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {name!r}"
-            raise ValueError(f"{told}; give a larger number")
+            raise ValueError(
+                f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {name!r}; give a "
+                "larger number"
+            )
     for name in () if options.peers == NO_PEERS else options.peers:
         peer = PEERS[name]
         if not {*options.scenes} & {*peer.scenes}:
-            wrong = f"cannot run the scene {options.scenes[0]!r}; it runs {', '.join(peer.scenes)}"
-            raise ValueError(f"--peers {name} {wrong}")
+            raise ValueError(
+                f"--peers {name} cannot run the scene {options.scenes[0]!r}; it runs {', '.join(peer.scenes)}"
+            )
         if not peer.is_installed:
             raise ValueError(f"{peer.package} is not installed; {peer.installer.format(peer.package)} installs it")
     return threads
@@ -201,7 +219,8 @@ def _beside(name: str, n: int, options: PeersOptions, threads: Sequence[int],
     scene = SCENES[name](n)
     if name != MELT:  # the melt is equilibrated while the engines warm up
         scene = equilibrated(scene)
-    n_atoms, counts = len(scene.system), {"one": (1,), "each": threads, "most": (max(threads),)}
+    n_atoms = len(scene.system)
+    counts = {"one": (1,), "each": threads, "most": (max(threads),)}
     asked: list[tuple[Load, int]] = [(Minimd, count) for count in dict.fromkeys((1, *threads))]
     for peer in peers:
         if name in PEERS[peer].scenes and (peer in options.peers or n_atoms <= PEERS[peer].most_atoms):
@@ -210,7 +229,8 @@ def _beside(name: str, n: int, options: PeersOptions, threads: Sequence[int],
     for group in groups:
         check_agreement([*group.values()], scene)
     tell(f"{name}: the energies agree")
-    tried, best = [one for group in groups for one in group.items()], dict[int, EngineSpeed]()
+    tried = [one for group in groups for one in group.items()]
+    best = dict[int, EngineSpeed]()
     speeds = n_atoms * in_turns([engine for _, engine in tried], options.repeats, n_atoms)
     for (k, engine), speed in zip(tried, speeds, strict=True):
         if k not in best or np.median(speed) > np.median(best[k].speeds):

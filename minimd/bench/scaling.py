@@ -5,10 +5,9 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.bench.engines import Minimd
 from minimd.bench.outcome import draw, name_curves, new_figure, spread, summary, table, threads_text
@@ -16,12 +15,16 @@ from minimd.bench.scenes import MELT, SCENES
 from minimd.bench.turns import in_turns, thread_numbers
 from minimd.core.compiled.machine import STATUS, peak_memory
 from minimd.core.compiled.terminal import tell
+from minimd.core.structure.observables import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CELLS, CELLS_QUICK = (3, 5, 8, 12, 20, 32, 63), (3, 5, 10, 20)  # 108 to 1 000 188 atoms; quick: 108 to 32 000
-MEMORY_OF, MEMORY_OF_QUICK = 63, 40  # cells
+CELLS = (3, 5, 8, 12, 20, 32, 63)  # 108 to 1 000 188 atoms
+CELLS_QUICK = (3, 5, 10, 20)  # 108 to 32 000
+# cells
+MEMORY_OF = 63
+MEMORY_OF_QUICK = 40
 SMALL = 20  # cells: with a first scene of 32 000 atoms, the memory of Python and of the kernels does not count
 MEMORY_STEPS = 120  # enough for the snapshots to which a failed run goes back
 
@@ -30,10 +33,10 @@ class Size(NamedTuple):
     """Times for one number of atoms.  seconds : for each number of threads (R,), of a step in each turn."""
 
     n_atoms: int
-    seconds: dict[int, NDArray[np.float64]]
+    seconds: dict[int, Array]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Scaling:
     """Times by size and threads.  memory : bytes per atom between 32 000 and memory_atoms atoms, if it is known."""
 
@@ -41,8 +44,8 @@ class Scaling:
     memory: float | None
     memory_atoms: int
     repeats: int
-    packages: Sequence[str] = ()
-    name: ClassVar[str] = "scaling"
+    packages = ()
+    name = "scaling"
 
     def lines(self) -> list[str]:
         """See Outcome."""
@@ -52,37 +55,51 @@ class Scaling:
         cells = []
         for n_atoms, seconds in self.sizes:
             times = [spread(1e9 * seconds[t] / n_atoms) for t in threads]
-            cells.append([str(n_atoms), *times, *(spread(seconds[1] / seconds[t]) for t in threads if t > 1)])
+            cells.append([n_atoms, *times, *(spread(seconds[1] / seconds[t]) for t in threads if t > 1)])
         head = f"The melt, double precision; median of {self.repeats} rounds (least to most)."
-        atoms = f"from 32 000 to {self.memory_atoms} atoms"
-        grows = f"Peak memory {atoms} grows by {self.memory or nan:.0f} bytes per atom."
         lines = [head, "", *table(dict.fromkeys(titles, float), cells), ""]
-        return lines if self.memory is None else [*lines, grows]
+        if self.memory is not None:
+            lines.append(
+                f"Peak memory from 32 000 to {self.memory_atoms} atoms grows by {self.memory:.0f} bytes per atom."
+            )
+        return lines
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
         sizes = [{"n_atoms": n_atoms, "seconds_per_step": {str(t): summary(x) for t, x in seconds.items()}}
                  for n_atoms, seconds in self.sizes]  # fmt: skip
-        memory = {"bytes_per_atom": self.memory, "memory_atoms": self.memory_atoms}
-        return {"repeats": self.repeats, "sizes": sizes, **memory}
+        return {
+            "repeats": self.repeats,
+            "sizes": sizes,
+            "bytes_per_atom": self.memory,
+            "memory_atoms": self.memory_atoms,
+        }
 
     def figure(self) -> "Figure":
         """Time of a step per atom against the number of atoms."""
         figure = new_figure(4.0)
-        axes, n = figure.subplots(), [size.n_atoms for size in self.sizes]
-        times: Any = lambda t: np.array([1e9 * size.seconds[t] / size.n_atoms for size in self.sizes])  # noqa: E731
-        ends = draw(axes, {threads_text(t): (n, times(t), True) for t in self.sizes[0].seconds})
-        labels = {"xlabel": "atoms", "ylabel": "ns per atom and step", "title": "Lennard-Jones melt"}
-        axes.set(xscale="log", ylim=(0.0, None), **labels)
-        name_curves(axes, ends)
+        axes = figure.subplots()
+        n = [size.n_atoms for size in self.sizes]
+        times = lambda t: np.array([1e9 * size.seconds[t] / size.n_atoms for size in self.sizes])  # noqa: E731
+        draw(axes, {threads_text(t): (n, times(t), True) for t in self.sizes[0].seconds})
+        axes.set(
+            xscale="log",
+            ylim=(0.0, None),
+            xlabel="atoms",
+            ylabel="ns per atom and step",
+            title="Lennard-Jones melt",
+        )
+        name_curves(axes)
         return figure
 
 
 def run_scaling(threads: Sequence[int], quick: bool, repeats: int) -> Scaling:
     """Measure time and memory of the melt.  Raises ValueError for more threads than cores."""
-    kinds, sizes = tuple(dict.fromkeys((1, *thread_numbers(threads)))), []
+    kinds = tuple(dict.fromkeys((1, *thread_numbers(threads))))
+    sizes = []
     for n in CELLS_QUICK if quick else CELLS:
-        scene, n_atoms = SCENES[MELT](n), 4 * n**3
+        scene = SCENES[MELT](n)
+        n_atoms = 4 * n**3
         speeds = in_turns([Minimd(scene, t) for t in kinds], repeats, n_atoms)
         sizes.append(Size(n_atoms, dict(zip(kinds, 1.0 / speeds, strict=True))))
     n = MEMORY_OF_QUICK if quick else MEMORY_OF
@@ -94,8 +111,16 @@ def bytes_per_atom(scene: str, n: int, threads: int) -> float | None:
     built and run, in a process of their own. None if the operating system does not give the peak, or this fails."""
     if not STATUS.exists():
         return None
-    code = f"from minimd.bench.scaling import growth; print(); print(growth({scene!r}, {n}, {threads}))"
-    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    answer = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            f"from minimd.bench.scaling import growth; print(); print(growth({scene!r}, {n}, {threads}))",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if answer.returncode:
         tell(f"memory could not be measured: {(answer.stderr.splitlines() or ['no reason given'])[-1]}")
         return None
@@ -111,7 +136,8 @@ def growth(scene: str, n: int, threads: int) -> float:
 def _peak(name: str, n: int, threads: int) -> tuple[int, float]:
     """Build a scene and run it; returns the number of its atoms, and the peak memory afterwards."""
     scene = SCENES[name](n)
-    n_atoms, engine = len(scene.system), Minimd(scene, threads)
+    n_atoms = len(scene.system)
+    engine = Minimd(scene, threads)
     del scene  # the simulation has its own copy
     engine.run(MEMORY_STEPS)
     return n_atoms, peak_memory() or nan

@@ -11,7 +11,6 @@ from math import cbrt, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import minimd as md
@@ -20,7 +19,7 @@ from minimd.core.forces.forces import Potential
 from minimd.core.potentials.pair import Nonbonded
 from minimd.core.potentials.truncation import TruncationName
 from minimd.core.structure.lattice import constant_from_density, crystal
-from minimd.core.structure.observables import maxwell_boltzmann
+from minimd.core.structure.observables import Array, maxwell_boltzmann
 
 MELT = "melt"
 SEED = 87287
@@ -32,21 +31,32 @@ SKIN_LAMMPS = 0.3  # σ, as in LAMMPS' benchmark
 SCATTER = 5.0  # k_B T per √atom: twice the standard deviation between total energies of two independent liquids
 EQUILIBRATION = 500  # steps: 2.5 τ, in which a crystal at these temperatures melts
 
-MELT_DENSITY, MELT_TEMPERATURE = 0.8442, 1.44  # of LAMMPS' benchmark
-LIQUID_DENSITY, LIQUID_TEMPERATURE = 0.8, 0.75  # of droplet and slab
+# of LAMMPS' benchmark
+MELT_DENSITY = 0.8442
+MELT_TEMPERATURE = 1.44
+# of droplet and slab
+LIQUID_DENSITY = 0.8
+LIQUID_TEMPERATURE = 0.75
 WIDER = 4.0  # the cell of droplet and slab, in diameters of the droplet and thicknesses of the slab
 BEADS = 100  # in a chain
-BOND_CONSTANT, BOND_LENGTH = 400.0, 1.0
-FRICTION, CHAIN_TIMESTEP = 0.1, 0.012  # 1/τ, τ, of LAMMPS' benchmark
+BOND_CONSTANT = 400.0
+BOND_LENGTH = 1.0
+# 1/τ, τ, of LAMMPS' benchmark
+FRICTION = 0.1
+CHAIN_TIMESTEP = 0.012
 DUMBBELL_LENGTH = 0.6
 TRIANGLE_ANGLE = np.radians(75.0)  # between its sides of 1 σ
 
 # Units of decane are 46 K, 3.95 Å and the mass of CH2.
 DECANE_DENSITY = 0.19  # molecules per σ³: 0.73 g/cm³
-CARBONS, METHYL_MASS, DECANE_BOND, DECANE_ANGLE = 10, 15.035 / 14.027, 1.54 / 3.95, np.radians(114.0)
+CARBONS = 10
+METHYL_MASS = 15.035 / 14.027
+DECANE_BOND = 1.54 / 3.95
+DECANE_ANGLE = np.radians(114.0)
 
 # largest errors of the forces of charges, of their rms, by scene; cutoffs [Å] that each engine tries
-WATER, WATER_CUTOFFS = {"water": 2.5e-4, "water-fine": 1e-5}, (8.0, 9.0, 10.0, 12.0)
+WATER = {"water": 2.5e-4, "water-fine": 1e-5}
+WATER_CUTOFFS = (8.0, 9.0, 10.0, 12.0)
 EXACT = 1e-9  # accuracy of the sum with which errors are found
 
 
@@ -68,7 +78,7 @@ class BenchScene(NamedTuple):
     accuracy: float = 1e-3
 
     @property
-    def edges(self) -> NDArray[np.float64]:
+    def edges(self) -> Array:
         """(3,) of the cell, which is rectangular [σ]."""
         return np.diag(self.system.cell.vectors)
 
@@ -85,8 +95,13 @@ class BenchScene(NamedTuple):
     def cut(self, cutoff: float, accuracy: float) -> "BenchScene":
         """Water with both laws cut at a distance [Å], and charges summed to an accuracy."""
         own: Any = self.law.parameters
-        oxygens = md.LennardJones(own, None, cutoff, "truncated", bonded_scale=self.law.bonded_scale)
-        return self._replace(potentials=(oxygens, md.Coulomb(cutoff, accuracy)), accuracy=accuracy)
+        return self._replace(
+            potentials=(
+                md.LennardJones(own, None, cutoff, "truncated", bonded_scale=self.law.bonded_scale),
+                md.Coulomb(cutoff, accuracy),
+            ),
+            accuracy=accuracy,
+        )
 
 
 class Plan(NamedTuple):
@@ -101,11 +116,11 @@ class Plan(NamedTuple):
     rigid: Callable[[md.System], md.DistanceConstraints] | None = None
 
 
-def _atoms(positions: NDArray[np.float64], cell: NDArray[np.float64] | float, **more: Any) -> md.System:
+def _atoms(positions: Array, cell: Array | float, **more: Any) -> md.System:
     return md.System(positions, cell=cell, **{"species": ["A"] * len(positions)} | more)
 
 
-def _lattice(n: int, density: float, kind: str = "fcc") -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _lattice(n: int, density: float, kind: str = "fcc") -> tuple[Array, Array]:
     return crystal(kind, [n] * 3, constant_from_density(kind, density))
 
 
@@ -119,7 +134,7 @@ def _droplet(n: int) -> md.System:
     positions, edges = _lattice(2 * n, LIQUID_DENSITY)
     distances = np.linalg.norm(positions - 0.5 * edges, axis=1)
     inside = np.sort(np.argsort(distances, kind="stable")[: 4 * n**3])
-    cell = np.full(3, WIDER * 2.0 * float(distances[inside].max()))
+    cell = np.full(3, WIDER * 2.0 * distances[inside].max())
     return _atoms(positions[inside] - 0.5 * edges + 0.5 * cell, cell)
 
 
@@ -145,21 +160,25 @@ def _beads(density: float, n: int) -> md.System:
     if n_beads == 0:
         raise ValueError(f"a scene of chains needs at least {BEADS} sites, for one chain of {BEADS} beads; it has "
                          f"{width**3}")  # fmt: skip
-    edge, first = cbrt(n_beads / density), np.arange(n_beads - 1)
+    edge = cbrt(n_beads / density)
+    first = np.arange(n_beads - 1)
     first = first[(first + 1) % BEADS != 0]
     # a winding path: each site is the nearest neighbor of the one before
     z, y, x = np.unravel_index(np.arange(width**3), (width,) * 3)
-    y, row = np.where(z % 2 == 0, y, width - 1 - y), np.arange(width**3) // width
+    y = np.where(z % 2 == 0, y, width - 1 - y)
+    row = np.arange(width**3) // width
     path = np.column_stack([np.where(row % 2 == 0, x, width - 1 - x), y, z]).astype(np.float64)
     return _atoms(path[:n_beads] * (edge / width), edge, bonds=np.column_stack([first, first + 1]))
 
 
 def _decane(n: int) -> md.System:
     """About 4 n³ united atoms in all-trans molecules side by side."""
-    rise, amplitude = DECANE_BOND * np.sin(0.5 * DECANE_ANGLE), DECANE_BOND * np.cos(0.5 * DECANE_ANGLE)
+    rise = DECANE_BOND * np.sin(0.5 * DECANE_ANGLE)
+    amplitude = DECANE_BOND * np.cos(0.5 * DECANE_ANGLE)
     height = CARBONS * rise + 0.6  # σ, of a layer of molecules
     layers = max(2, round(cbrt(4 * n**3 / CARBONS / DECANE_DENSITY) / height))
-    rows, apart = round(sqrt(4 * n**3 / CARBONS / layers)), 1.0 / sqrt(DECANE_DENSITY * height)
+    rows = round(sqrt(4 * n**3 / CARBONS / layers))
+    apart = 1.0 / sqrt(DECANE_DENSITY * height)
     corners = np.stack(np.meshgrid(*map(np.arange, (rows, rows, layers)), indexing="ij"), axis=-1).reshape(-1, 1, 3)
     carbon = np.arange(CARBONS)
     molecule = np.column_stack([amplitude * (carbon % 2), 0.0 * carbon, rise * carbon])
@@ -186,7 +205,8 @@ def _dumbbells(n: int) -> md.System:
 def _triangles(n: int) -> md.System:
     """About 4 n³ / 3 triangles, all turned alike, on the fcc lattice; bonds are the two equal sides."""
     centers, edges = _lattice(round(cbrt(n**3 / 3)), 0.3187)  # molecules per σ³: 1.08 g/cm³
-    side, along = np.sin(0.5 * TRIANGLE_ANGLE) * np.eye(3)[1], np.cos(0.5 * TRIANGLE_ANGLE) * np.sqrt([0.5, 0.0, 0.5])
+    side = np.sin(0.5 * TRIANGLE_ANGLE) * np.eye(3)[1]
+    along = np.cos(0.5 * TRIANGLE_ANGLE) * np.sqrt([0.5, 0.0, 0.5])
     positions = (centers[:, None] + np.stack([np.zeros(3), along + side, along - side])).reshape(-1, 3)
     tips = np.arange(0, len(positions), 3)[:, None, None]
     return _atoms(positions, edges, bonds=(tips + np.array([[0, 1], [0, 2]])).reshape(-1, 2))
@@ -205,7 +225,6 @@ def _lj(cutoff: float = CUTOFF, truncation: TruncationName = "shifted", scale=(1
 
 AT_MELT = "fcc at ρ* 0.8442, T* 1.44, r_c {} σ, {}, Δt* 0.005, NVE"
 UNBONDED = (0.0, 1.0, 1.0)
-THERMOSTAT, BAROSTAT = md.StochasticVelocityRescaling, md.StochasticCellRescaling
 KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, pairs={("A", "B"): (1.5, 0.8)}, cutoff={
     ("A", "A"): CUTOFF, ("A", "B"): CUTOFF * 0.8, ("B", "B"): CUTOFF * 0.88})  # fmt: skip
 DECANE = (
@@ -236,7 +255,8 @@ PLANS = {
     "npt": Plan(
         "Lennard-Jones melt at constant pressure: T* 1.44, P* 5, r_c 2.5 σ, truncated, Δt* 0.005, NPT",
         partial(_fluid, MELT_DENSITY), (_lj(CUTOFF, "truncated"),),
-        method=THERMOSTAT(TIMESTEP, MELT_TEMPERATURE, 0.5, SEED), barostat=BAROSTAT(5.0, 0.03, 5.0, SEED)),
+        method=md.StochasticVelocityRescaling(TIMESTEP, MELT_TEMPERATURE, 0.5, SEED),
+        barostat=md.StochasticCellRescaling(5.0, 0.03, 5.0, SEED)),
     # after the bead-spring model of K. Kremer, G. S. Grest, J. Chem. Phys. 92, 5057 (1990)
     "chains": Plan(
         "Chains of 100 beads: harmonic bonds (k* 400, length 1 σ), bonded neighbors excluded, ρ* 0.85, T* 1.0, r_c "
@@ -302,19 +322,17 @@ def equilibrated(scene: BenchScene) -> BenchScene:
     return scene._replace(system=simulation.system)
 
 
-def wrapped(positions: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Positions (N, 3) in the cell, less than its edges (3,) also after rounding."""
-    inside = positions % edges
-    return np.where(inside < edges, inside, 0.0)
-
-
-def pairs_in_range(scene: BenchScene, positions: NDArray[np.float64]) -> int:
+def pairs_in_range(scene: BenchScene, positions: Array) -> int:
     """Number of pairs of atoms within their cutoff on which the pair potential acts: without bonded pairs if it
     excludes them. Pairs two and three bonds apart are counted.
     positions : (N, 3) [σ], of the atoms of the scene at any time. The cell must be wider than twice the cutoff,
         or open."""
-    box = scene.edges if scene.system.cell.is_periodic else None
-    places = positions if box is None else wrapped(positions, box)
+    box = None
+    places = positions
+    if scene.system.cell.is_periodic:
+        box = scene.edges
+        places = positions % box
+        places[places >= box] = 0.0  # by rounding
     names = scene.system.species_names
     trees = [cKDTree(places[scene.system.species == name], boxsize=box) for name in names]
     cutoffs = np.sqrt(np.broadcast_to(scene.law.table(names)[:, :, 0], (len(names),) * 2))

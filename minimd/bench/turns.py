@@ -5,7 +5,6 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.bench.engines import LoadedEngine
 from minimd.bench.outcome import threads_text
@@ -13,6 +12,7 @@ from minimd.bench.scenes import BenchScene
 from minimd.core.compiled.machine import available_cores
 from minimd.core.compiled.terminal import tell
 from minimd.core.structure.errors import HandOverError
+from minimd.core.structure.observables import Array
 
 # allowed relative difference of energies at step 0: rounding of single precision; GROMACS sums 32 000 atoms to 2e-5
 SAME_START = 5e-5
@@ -20,34 +20,40 @@ SAME_START = 5e-5
 STEPS_COMPARED = 10
 # k_B T per atom, allowed difference after these steps, in single precision; a time step 1 % longer makes a larger one
 SAME_COURSE = 7e-4
-WARM_UP, SECONDS_WARM_UP = 200, 5.0  # steps or seconds, whichever ends first: melts the lattice, fills caches
+# steps or seconds, whichever ends first: melts the lattice, fills caches
+WARM_UP = 200
+SECONDS_WARM_UP = 5.0
 # much longer than the resolution of the clock, much shorter than the minutes in which machines change their speed
 SECONDS_A_TURN = 0.5
 # least number of steps in a turn, so that it has two new lists, unless they take longer than so many seconds
-STEPS_A_TURN, LONGEST_TURN = 40, 5.0
+STEPS_A_TURN = 40
+LONGEST_TURN = 5.0
 
 
 def check_agreement(engines: Sequence[LoadedEngine], scene: BenchScene) -> None:
     """Check that all engines have loaded the same scene and make the same steps; for this they make some steps.
     The total energy alone does not show a wrong time step, because it is conserved. The potential energy of a melting
     crystal does.  Raises HandOverError if an engine differs from the first."""
-    n_atoms, heat = len(scene.system), scene.temperature * scene.system.units.k_B
+    n_atoms = len(scene.system)
+    heat = scene.temperature * scene.system.units.k_B
 
     def compare(quantity: str, energies: Sequence[float], relative: float, absolute: float) -> None:
         for engine, energy in zip(engines, energies, strict=True):
             if not abs(energy - energies[0]) <= relative * abs(energies[0]) + absolute:
-                first, other = f"{label(engines[0])} has {energies[0]:.8g}", f"{label(engine)} has {energy:.8g}"
-                raise HandOverError(f"{quantity}: {first}, {other}")
+                raise HandOverError(
+                    f"{quantity}: {label(engines[0])} has {energies[0]:.8g}, {label(engine)} has {energy:.8g}"
+                )
 
     compare("potential energy at step 0", [engine.potential_energy() for engine in engines], SAME_START, 0.0)
     for engine in engines:
         engine.run(STEPS_COMPARED)
-    when, allowed = f"per atom after {STEPS_COMPARED} steps", (SAME_COURSE + scene.scatter) * heat
+    when = f"per atom after {STEPS_COMPARED} steps"
+    allowed = (SAME_COURSE + scene.scatter) * heat
     compare(f"potential energy {when}", [engine.potential_energy() / n_atoms for engine in engines], 0.0, allowed)
     compare(f"total energy {when}", [engine.total_energy() / n_atoms for engine in engines], 0.0, allowed)
 
 
-def in_turns(engines: Sequence[LoadedEngine], repeats: int, n_atoms: int) -> NDArray[np.float64]:
+def in_turns(engines: Sequence[LoadedEngine], repeats: int, n_atoms: int) -> Array:
     """Steps per second of each engine in each turn, (E, repeats), after a warm-up."""
     return take_turns(engines, warm_up(engines, n_atoms), repeats, n_atoms)
 
@@ -57,7 +63,9 @@ def warm_up(engines: Sequence[LoadedEngine], n_atoms: int) -> list[int]:
     n_steps = []
     for engine in engines:
         tell(f"{n_atoms} atoms: warming up {label(engine)}")
-        started, done, burst = perf_counter(), 0, 1
+        started = perf_counter()
+        done = 0
+        burst = 1
         seconds = timed(engine.run, burst)[1]
         while (done := done + burst) < WARM_UP and perf_counter() - started <= SECONDS_WARM_UP:
             burst *= 2
@@ -66,9 +74,7 @@ def warm_up(engines: Sequence[LoadedEngine], n_atoms: int) -> list[int]:
     return n_steps
 
 
-def take_turns(
-    engines: Sequence[LoadedEngine], n_steps: Sequence[int], repeats: int, n_atoms: int
-) -> NDArray[np.float64]:
+def take_turns(engines: Sequence[LoadedEngine], n_steps: Sequence[int], repeats: int, n_atoms: int) -> Array:
     """Steps per second of each engine in each turn, (E, repeats).
     The engines take turns because the speed of a machine drifts: so the drift affects all of them.  n_steps : (E,),
     of a turn."""
@@ -81,8 +87,8 @@ def take_turns(
 
 def steps_in_a_turn(seconds_per_step: float) -> int:
     """The number of steps of a turn: half a second, at least 40 steps, at most 5 seconds, and never less than one."""
-    in_time, at_most = SECONDS_A_TURN / seconds_per_step, LONGEST_TURN / seconds_per_step
-    return max(1, int(min(max(in_time, STEPS_A_TURN), at_most)))
+    wanted = max(SECONDS_A_TURN / seconds_per_step, STEPS_A_TURN)
+    return max(1, int(min(wanted, LONGEST_TURN / seconds_per_step)))
 
 
 def label(engine: LoadedEngine) -> str:

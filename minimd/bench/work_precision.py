@@ -11,10 +11,9 @@ Errors of a run, all relative:
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 import minimd as md
 from minimd.bench import engines
@@ -25,21 +24,29 @@ from minimd.core.compiled.terminal import tell
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.table import SPLITTINGS
 from minimd.core.structure.errors import ConvergenceError
+from minimd.core.structure.observables import Array
 from minimd.textbook.methods import IMPLICIT
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DURATION, OBSERVATIONS = 4.0, 20  # τ of a run, and number of times at which its energy is read
+# τ of a run, and number of times at which its energy is read
+DURATION = 4.0
+OBSERVATIONS = 20
 SHORT = 0.2  # τ, time at which the distance is measured: before chaos has amplified rounding
-COSTS, COSTS_QUICK = (100, 141, 200, 283, 400, 566, 800, 1600, 3200), (100, 200, 400, 800)  # forces per τ
-REFERENCE, REFERENCE_COST = "kahan-li-8", 34_000
+# forces per τ
+COSTS = (100, 141, 200, 283, 400, 566, 800, 1600, 3200)
+COSTS_QUICK = (100, 200, 400, 800)
+REFERENCE = "kahan-li-8"
+REFERENCE_COST = 34_000
 QUICK_METHODS = ("velocity-verlet", "symplectic-euler-1", "candy-rozmus-4", "pefrl", "blanes-moan-rkn-4", "kahan-li-8")
 PEER_NAMES = ("lammps", "lammps-checked", "openmm")
-CELLS, CELLS_QUICK = 10, 6  # 4000 atoms; 864
+CELLS = 10  # 4000 atoms
+CELLS_QUICK = 6  # 864
 TARGETS = 10.0 ** np.arange(-1, -9, -1)
 ERRORS = ("oscillation", "drift", "distance")
-ECCENTRICITY, PERIODS = 0.6, 20
+ECCENTRICITY = 0.6
+PERIODS = 20
 Q0 = np.array([1.0 - ECCENTRICITY, 0.0])
 V0 = np.array([0.0, np.sqrt((1.0 + ECCENTRICITY) / (1.0 - ECCENTRICITY))])
 END = 2.0 * np.pi * PERIODS
@@ -81,52 +88,57 @@ class Case(NamedTuple):
         for target in TARGETS:
             able = [point for point in self.points if getattr(point, error) <= target]
             for p in sorted(able, key=lambda p: p.seconds)[:1]:
-                step = f"{p.method}, Δt = {p.timestep:.3g} {self.unit}, {p.who}"
-                lines.append(f"for {error} {target:.0e} use {step}: {p.seconds:.3g} s")
+                lines.append(
+                    f"for {error} {target:.0e} use {p.method}, Δt = {p.timestep:.3g} {self.unit}, {p.who}: "
+                    f"{p.seconds:.3g} s"
+                )
         return lines
 
-    def beside(self, error: str = "oscillation") -> list[str]:
-        """The time of each peer divided by that of the fastest run of minimd with the same error or a smaller one."""
-        ours, ratios = [p for p in self.points if p.who.startswith("minimd")], dict[str, list[float]]()
+    def beside(self) -> list[str]:
+        """The time of each peer divided by that of the fastest run of minimd with the same oscillation or a smaller
+        one."""
+        ours = [p for p in self.points if p.who.startswith("minimd")]
+        ratios = dict[str, list[float]]()
         for peer in self.points:
-            most = getattr(peer, error)
-            able = [p.seconds for p in ours if getattr(p, error) <= most]
-            if able and np.isfinite(most) and not peer.who.startswith("minimd"):
+            able = [p.seconds for p in ours if p.oscillation <= peer.oscillation]
+            if able and np.isfinite(peer.oscillation) and not peer.who.startswith("minimd"):
                 ratios.setdefault(peer.who, []).append(peer.seconds / min(able))
-        equal = f"times the time of minimd at equal {error}"
         return [
-            f"{who}: {np.median(each):.2f} {equal} ({min(each):.2f} to {max(each):.2f})" for who, each in ratios.items()
+            f"{who}: {np.median(each):.2f} times the time of minimd at equal oscillation ({min(each):.2f} to "
+            f"{max(each):.2f})"
+            for who, each in ratios.items()
         ]
 
-    def draw(self, panel: Any, error: str = "oscillation") -> None:
+    def draw(self, panel: Any) -> None:
         """Draw six curves at most: velocity Verlet, peers, and the other methods with most points on the front."""
         curves: dict[tuple[str, str], list[Point]] = {}
         for point in self.points:
-            if 0.0 < getattr(point, error) < np.inf:
+            if 0.0 < point.oscillation < np.inf:
                 curves.setdefault((point.who, point.method), []).append(point)
-        on_front = [(p.who, p.method) for p in self.front(error)]
+        on_front = [(p.who, p.method) for p in self.front("oscillation")]
         others = [one for one in curves if one[1] != md.VelocityVerlet.name]
         best = sorted(others, key=lambda one: (-on_front.count(one), min(p.oscillation for p in curves[one])))
         shown = {}
         for who, method in [*(one for one in curves if one not in others), *best][:MOST_CURVES]:
-            points, is_own = curves[who, method], who.startswith("minimd")
-            errors = np.array([[getattr(p, error)] for p in points])
+            points = curves[who, method]
+            is_own = who.startswith("minimd")
+            errors = np.array([[p.oscillation] for p in points])
             shown[method if is_own else who] = [p.seconds for p in points], errors, is_own
-        panel.set(xscale="log", yscale="log", xlabel="seconds", ylabel=f"{error} of the energy")
+        panel.set(xscale="log", yscale="log", xlabel="seconds", ylabel="oscillation of the energy")
         panel.set_title(f"{self.name}: time of a run of {self.duration}")
-        ends = draw(panel, shown)
+        draw(panel, shown)
         panel.xaxis.set_minor_formatter("")  # minor labels would overlap
         panel.grid(alpha=0.3)
-        name_curves(panel, ends)
+        name_curves(panel)
 
 
-@dataclass(frozen=True)
+@dataclass
 class WorkPrecision:
     """The cases that ran."""
 
     cases: Sequence[Case]
     packages: Sequence[str]
-    name: ClassVar[str] = "work-precision"
+    name = "work-precision"
 
     def lines(self) -> list[str]:
         """See Outcome."""
@@ -171,8 +183,10 @@ def run_work_precision(names: Sequence[str], quick: bool, repeats: int) -> WorkP
     Raises ValueError for an unknown name."""
     if unknown := [name for name in names if name not in CASES]:
         raise ValueError(f"a scene must be one of {', '.join(CASES)}; it is {unknown[0]!r}")
-    cases = [CASES[name](name, quick, repeats) for name in names or (QUICK_CASES if quick else CASES)]
-    return WorkPrecision(cases, [p for p in ("lammps", "openmm") if engines.PEERS[p].is_installed])
+    return WorkPrecision(
+        [CASES[name](name, quick, repeats) for name in names or (QUICK_CASES if quick else CASES)],
+        [p for p in ("lammps", "openmm") if engines.PEERS[p].is_installed],
+    )
 
 
 def _dynamics(name: str, quick: bool, repeats: int) -> Case:
@@ -186,7 +200,8 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
     names = () if name == "argon-smooth" else PEER_NAMES  # no peer has this potential
     peers = [engines.PEERS[one] for one in names if engines.PEERS[one].is_installed]
     runs = [(SPLITTINGS[one], None) for one in methods] + [(md.VelocityVerlet, peer) for peer in peers]
-    reference, points = _path(scene, SPLITTINGS[REFERENCE], REFERENCE_COST), []
+    reference = _path(scene, SPLITTINGS[REFERENCE], REFERENCE_COST)
+    points = []
     for method, peer in runs:
         for cost in costs:
             steps = OBSERVATIONS * max(1, round(cost * DURATION / method.stages / OBSERVATIONS))
@@ -194,16 +209,21 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
             tell(f"{name}: {peer.package if peer else method.name}, Δt = {timestep:.3g}")
             own = scene._replace(method=method(timestep))
             if peer is None:
-                distance = float(np.sqrt(np.mean((_path(scene, method, cost) - reference) ** 2)))
-                make = partial(engines.Minimd, own, 1, steps // OBSERVATIONS)
-                points.append(measured(own, steps, make, repeats, distance))
+                make: Any = partial(engines.Minimd, own, 1, steps // OBSERVATIONS)
+                distance = np.sqrt(np.mean((_path(scene, method, cost) - reference) ** 2))
             else:
-                points.append(measured(own, steps, partial(peer.load, own, 1), repeats, np.nan))
-    text = f"{scene.text}{'; ' if words else ''}{words}; {len(scene.system)} atoms, one thread, {DURATION:g} τ"
-    return Case(name, text, "τ", points)
+                make = partial(peer.load, own, 1)
+                distance = np.nan
+            points.append(measured(own, steps, make, repeats, distance))
+    return Case(
+        name,
+        f"{scene.text}{'; ' if words else ''}{words}; {len(scene.system)} atoms, one thread, {DURATION:g} τ",
+        "τ",
+        points,
+    )
 
 
-def _path(scene: BenchScene, method: type[Splitting], cost: float) -> NDArray[np.float64]:
+def _path(scene: BenchScene, method: type[Splitting], cost: float) -> Array:
     """Positions (N, 3) after a short time; NaN if the run fails."""
     steps = max(1, round(cost * SHORT / method.stages))
     engine = engines.Minimd(scene._replace(method=method(SHORT / steps)))
@@ -231,7 +251,8 @@ def measured(
                 record, taken = timed(engine.run, steps)
                 energies = record.total_energy
             else:
-                seen, taken = [engine.total_energy()], 0.0
+                seen = [engine.total_energy()]
+                taken = 0.0
                 for _ in range(OBSERVATIONS):
                     taken += timed(engine.run, steps // OBSERVATIONS)[1]
                     seen.append(engine.total_energy())
@@ -244,7 +265,7 @@ def measured(
     return point._replace(seconds=seconds, **errors, distance=distance)
 
 
-def about_line(time: NDArray[np.float64], energies: NDArray[np.float64]) -> dict[str, Any]:
+def about_line(time: Array, energies: Array) -> dict[str, Any]:
     """Oscillation, the standard deviation about the line of regression, and drift, its |slope|;
     infinite if the run failed.  Both (T,)."""
     if not np.isfinite(energies).all():
@@ -262,19 +283,22 @@ def _kepler(_name: str, quick: bool, repeats: int) -> Case:
     """Kepler's ellipse, by every explicit splitting and every symmetric implicit method."""
     from numba import njit
 
-    problem, points = md.integrators.SecondOrder(njit(attraction)), []
+    problem = md.integrators.SecondOrder(njit(attraction))
+    points = []
     for method in (*SPLITTINGS.values(), *(method for method in IMPLICIT.values() if method.is_symmetric)):
         for cost in COSTS_QUICK if quick else COSTS:
             # a tenth of the forces: orbits are slow
             n = PERIODS * max(1, round(cost / method.stages * END / PERIODS / 10))
-            every, point = max(1, n // (20 * PERIODS)), Point("minimd", method.name, method.order, END / n, cost)
+            every = max(1, n // (20 * PERIODS))
+            point = Point("minimd", method.name, method.order, END / n, cost)
             run = partial(md.integrators.run_steps, problem, method(END / n), (Q0, V0), every=every)
             try:
                 runs = [timed(run, n) for _ in range(repeats)]
             except (ConvergenceError, ArithmeticError):
                 points.append(point)
                 continue
-            path, seconds = runs[-1][0], min(taken for _, taken in runs)
+            path = runs[-1][0]
+            seconds = min(taken for _, taken in runs)
             energy = 0.5 * (path.v**2).sum(axis=1) - 1.0 / np.linalg.norm(path.q, axis=1)
             errors = about_line(path.t / END, energy) | {"distance": float(np.linalg.norm(path.q[-1] - Q0))}
             points.append(point._replace(forces=path.nfev / END, seconds=seconds, **errors))

@@ -4,17 +4,15 @@ Parameters of steps with other names take the free places in step(x, v, force, m
 called in the first manner in which it returns without an error, and in the right shape.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import product
 from typing import Any
 
 import numpy as np
 
-from minimd.judge.problems import SHAPES, Array, TrialProblem, problem
+from minimd.judge.problems import SHAPES, Array, Function, TrialProblem, problem
 
 PLACES = ("x", "v", "force", "m", "dt")
 Names = tuple[tuple[str, str], ...]  # role, and pattern of the name in lower case without underscores: the first counts
@@ -39,17 +37,23 @@ OF_FORCES: Names = (
 )
 PHYSICAL = ("epsilon", "sigma", "stiffness", "strength")
 REST = r"^(r0|req|l0|d0|length|rest\w*|b0|x0)$"  # of a bond, if there is also a parameter for the stiffness
-SQUARED, DISTANCE = r"^(r2|rsq|rsq\w*|d2|dist2|rsquared|rr)$", r"^(r|d|dist\w*|rij|s)$"
+SQUARED = r"^(r2|rsq|rsq\w*|d2|dist2|rsquared|rr)$"
+DISTANCE = r"^(r|d|dist\w*|rij|s)$"
 SEPARATION = r"^(rij|dr|d|dx|rvec|vec\w*|delta|disp\w*|sep\w*|r12)$"
 ONE_OF_TWO = r"^(r|x|q|p|pos\w*|atom|vec)?(i|j|1|2|a|b)$"
-IS_FUNCTION, IS_BEFORE = r"func|fn|compute|calc|get|eval|callable|law|field", r"old|prev|last|before|minus|m1"
-FORCES, ANSWERS = ("force", "acceleration", "gradient"), ("F", "(F, U)", "(U, F)")
+IS_FUNCTION = r"func|fn|compute|calc|get|eval|callable|law|field"
+IS_BEFORE = r"old|prev|last|before|minus|m1"
+FORCES = ("force", "acceleration", "gradient")
+ANSWERS = ("F", "(F, U)", "(U, F)")
 VELOCITIES = ("v", "p", "half", "old")  # roles that take the place of velocities
 MASSES = {"(N,)": 1, "(N, 1)": 2, "one number": 0}  # how they are given, and the least dimensions of positions
 TOLD = {(5, 3): "(N, 3)", (5, 2): "(N, 2)", (5,): "(N,)", (): "one number"}
 KINDS = {"forces": "forces on all atoms", "law": "a law of the distance", "pair": "the force of a pair"}
-FAR, TINY = 1e6, 1e-6  # edge of the box for a step that has such a parameter; time step of the first call
-START, SEPARATE = 1.1, np.array([1.1, 0.2, 0.1])  # σ: the distance and the vector of a pair in trial calls
+FAR = 1e6  # edge of the box for a step that has such a parameter
+TINY = 1e-6  # time step of the first call
+# σ: the distance and the vector of a pair in trial calls
+START = 1.1
+SEPARATE = np.array([1.1, 0.2, 0.1])
 TRIANGLE = np.array([[1.0, 1.0, 1.0], [2.1, 1.2, 1.1], [1.1, 2.3, 1.2]])  # three atoms in trial calls
 # fmt: on
 
@@ -70,8 +74,9 @@ class Called:
     Raises TypeError for what has no parameters, or for a method without its object.
     """
 
-    def __init__(self, function: Callable[..., Any], names: Names, example: str) -> None:
-        self.function, self.name = function, getattr(function, "__name__", "function")
+    def __init__(self, function: Function, names: Names, example: str) -> None:
+        self.function = function
+        self.name = getattr(function, "__name__", "function")
         try:
             parameters = inspect.signature(function).parameters
         except (TypeError, ValueError):
@@ -85,7 +90,7 @@ class Called:
         self.defaults = {name: value for name, value in kept.items() if value is not inspect.Parameter.empty}
 
 
-def manners(function: Callable[..., Any]) -> Iterator[StudentStep]:
+def manners(function: Function) -> Iterator["StudentStep"]:
     """The manners in which a step may be called, the most likely first; optional parameters with unknown names are
     left out.  Raises TypeError for parameters that do not make a step."""
     one = Called(function, OF_STEPS, "step(x, v, force, m, dt)")
@@ -94,7 +99,8 @@ def manners(function: Callable[..., Any]) -> Iterator[StudentStep]:
              if name not in one.defaults or (role and (has_force or role != "m"))}  # fmt: skip
     have = {"force" if role in FORCES else "v" if role in VELOCITIES else role for role in known.values()}
     left = iter([place for place in PLACES if place not in have and not ("state" in have and place in ("x", "v"))])
-    names, roles = tuple(known), [role or next(left, "") for role in known.values()]
+    names = tuple(known)
+    roles = [role or next(left, "") for role in known.values()]
     if "dt" not in roles or not ("state" in roles or ("x" in roles and {*VELOCITIES} & {*roles})) or "" in roles:
         unknown = " and ".join(name for name in names if not known[name]) or "none"
         raise TypeError("a step takes positions, velocities, a force function, masses and a time step, as step(x, v, "
@@ -102,7 +108,7 @@ def manners(function: Callable[..., Any]) -> Iterator[StudentStep]:
                         "Give them these names, or pos, vel, frc, forces, compute_forces, acc, mass, h, "
                         "timestep, p, x_old, v_half; m may be left out")  # fmt: skip
     forces = [k for k, role in enumerate(roles) if role in FORCES]
-    is_old = [bool(re.search(IS_BEFORE, name.lower())) for name in names]
+    is_old = [re.search(IS_BEFORE, name.lower()) for name in names]
     choices = [[], forces] if forces else [[]]  # of the parameters that are arrays
     if len(forces) > 1:
         like = {k: (bool(re.search(IS_FUNCTION, names[k].lower())), not is_old[k], len(names[k])) for k in forces}
@@ -125,12 +131,19 @@ class StudentStep:
     are all the same.  stiffness : of the oscillator inside a step without a force function.
     """
 
-    n_evaluations, stiffness, third = 0, 0.0, np.array([])
+    n_evaluations = 0
+    stiffness = 0.0
+    third = np.array([])
     swapped = in_place = rows_alike = False
 
     def __init__(self, function: Any, roles: dict[str, str], shape: Any, masses: str, answers: str) -> None:
-        self.function, self.names, self.shape, self.masses, self.answers = function, roles, shape, masses, answers
-        self.roles, self.words = [*roles.values()], {*" ".join(roles.values()).split()}
+        self.function = function
+        self.names = roles
+        self.shape = shape
+        self.masses = masses
+        self.answers = answers
+        self.roles = [*roles.values()]
+        self.words = {*" ".join(roles.values()).split()}
         kinds = {"x": TOLD[shape], "m": masses, **dict.fromkeys(FORCES, f"a function: {answers}")}
         told = (f"{name}: {kinds[role]}" if role in kinds else name for name, role in roles.items())
         self.told = f"{getattr(function, '__name__', 'step')}({', '.join(told)})"
@@ -146,7 +159,8 @@ class StudentStep:
 
     def __call__(self, where: TrialProblem, x: Array, v: Array, h: float) -> tuple[Array, Array]:
         """One step.  Raises what the function raises, and ValueError for results that are not x and v."""
-        roles, one = self.roles, float if x.ndim == 0 else np.array
+        roles = self.roles
+        one = float if x.ndim == 0 else np.array
         m: Any = {"(N,)": where.m, "(N, 1)": where.m.reshape(-1, 1), "one number": where.m.flat[0]}[self.masses]
         half = v - 0.5 * h * where.force(x) / where.mass if self.takes("half", "old") else v
         before = x - h * v + 0.5 * h * h * where.force(x) / where.mass if self.takes("before") else x
@@ -178,7 +192,7 @@ class StudentStep:
         push = 0.5 * h * where.force(new_x) / where.mass if of_v in ("half", "old") else 0.0
         return new_x, (new_v / where.mass if of_v == "p" else new_v + push)
 
-    def _force(self, role: str, where: TrialProblem) -> Callable[..., Any]:
+    def _force(self, role: str, where: TrialProblem) -> Function:
         def force(x: Any, *_: Any) -> Any:
             self.n_evaluations += 1
             x = np.array(x, dtype=float)
@@ -213,14 +227,14 @@ class StudentStep:
         self.stiffness = 1.0
         where = self.problem(0)
         rate = self(where, where.x, 0.0 * where.v, TINY)[1] / TINY
-        k = -float(np.sum(rate * where.x) / np.sum(where.x**2))
+        k = -np.sum(rate * where.x) / np.sum(where.x**2)
         if not k > 0.0 or np.abs(rate + k * where.x).max() > 1e-4 * max(k, 1.0):
             raise TypeError("the step takes no force function, and its own force is not that of a spring, −k x: make "
                             "the force function an argument, as step(x, v, force, m, dt)")  # fmt: skip
         self.stiffness = round(k, 5)
 
 
-def understood(function: Callable[..., Any]) -> StudentStep:
+def understood(function: Function) -> StudentStep:
     """The step, called in the first manner that works.
 
     Raises TypeError for other arguments, and ValueError for a step that fails in every manner, with the first error
@@ -256,7 +270,10 @@ class StudentForce(Called):
     after the positions.  takes : their roles.  physical : values of ε, σ and others, by name.
     """
 
-    kind, dimensions, has_energy, changes_input = "forces", 3, False, False
+    kind = "forces"
+    dimensions = 3
+    has_energy = False
+    changes_input = False
     energy_first: bool | None = None
 
     def __init__(self, function: Any, options: dict[str, Any], kind: str | None, positions: Array | None) -> None:
@@ -266,7 +283,7 @@ class StudentForce(Called):
             raise TypeError(f"{self.name} has no parameter for the positions; a force function is called as "
                             "forces(positions)")  # fmt: skip
         first = plain(self.names[0])
-        self.is_squared = bool(re.search(SQUARED, first))
+        self.is_squared = re.search(SQUARED, first)
         may_be_pair = len(self.names) > 1 and not self.is_squared and kind != "law"
         self.is_of_two = may_be_pair and all(re.search(ONE_OF_TWO, plain(name)) for name in self.names[:2])
         extra = self.names[1 + self.is_of_two :]
@@ -276,7 +293,8 @@ class StudentForce(Called):
                             "cell= and cutoff=")  # fmt: skip
         given = [*extra, *(name for name in self.defaults if options.get(f"{self.roles[name]} given"))]
         self.values = {name: options.get(self.roles[name], 1.0) for name in given}
-        self.takes, values = {self.roles[name] for name in given}, {**self.defaults, **self.values}
+        self.takes = {self.roles[name] for name in given}
+        values = {**self.defaults, **self.values}
         has_stiffness = "stiffness" in self.roles.values()  # then a rest length is physical, too
         self.physical = {name: float(value) for name, value in values.items() if isinstance(value, (int, float))
                          and value > 0 and not isinstance(value, bool) and (self.roles[name] in PHYSICAL or (
@@ -290,7 +308,8 @@ class StudentForce(Called):
     def _look(self, kinds: list[str], positions: Array | None) -> None:
         """Find the kind, and the place of the energy in the result.  Raises ValueError for functions that cannot be
         called, and results of other shapes."""
-        wrong, is_free = list[str](), kinds[-1] == "forces" and positions is None
+        wrong = list[str]()
+        is_free = kinds[-1] == "forces" and positions is None
         for self.kind, self.dimensions in [*((kind, 3) for kind in kinds), *[("forces", 2)] * is_free]:
             atoms = TRIANGLE[:, : self.dimensions] if positions is None else positions
             trial: Any = {"law": START**2 if self.is_squared else START, "pair": SEPARATE}.get(self.kind, atoms)
@@ -300,9 +319,11 @@ class StudentForce(Called):
                 wrong.append(f"{np.shape(trial)}, and raised {type(error).__name__}: {error}")
             if not wrong[-1]:
                 return
-        call, told = f"{self.name}({', '.join(self.names)})", f"{self.names[0]} of shape {wrong[len(kinds) - 1]}"
-        advice = f"If {self.name} is written for a fixed number of atoms, pass them: positions=..."
-        raise ValueError(f"{call} was called with {told}. {advice}")
+        raise ValueError(
+            f"{self.name}({', '.join(self.names)}) was called with {self.names[0]} of shape "
+            f"{wrong[len(kinds) - 1]}. If {self.name} is written for a fixed number of atoms, pass them: "
+            "positions=..."
+        )
 
     def _misfit(self, answer: Any, shape: tuple[int, ...], may_be_pair: bool) -> str:
         """What is wrong with a result for an argument of a shape; "" if nothing is."""
@@ -347,7 +368,8 @@ class StudentForce(Called):
 
     def _energy_is_first(self) -> bool:
         """Whether the first of two numbers of a law is the energy: the other one is its slope times a power of r."""
-        r, h = np.linspace(0.95, 1.6, 12), 1e-4
+        r = np.linspace(0.95, 1.6, 12)
+        h = 1e-4
         at = np.array([[self.answer(x**2 if self.is_squared else x)[:2] for x in r + e] for e in (-h, 0.0, h)], float)
 
         def off(u: int) -> float:

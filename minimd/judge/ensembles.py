@@ -1,7 +1,5 @@
 """Laws of the ensembles: each a row of a table, with its measure in a run, and what a wrong number means."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -13,7 +11,8 @@ from minimd.judge.findings import Law, Measurement, nearest
 from minimd.judge.scenes import SOFT, Array, Frames, Scene, joined
 
 LEAST = 0.2  # mean of a measure, for its error
-ACTED, NEVER = 0.2, 1e-6  # of the energy, or the volume, is new at the end of a run, at least; if nothing acts
+ACTED = 0.2  # of the energy, or the volume, is new at the end of a run, at least
+NEVER = 1e-6  # the same, at most, if nothing acts
 
 
 class Seen:
@@ -21,39 +20,52 @@ class Seen:
     the total momentum is kept at zero.  all : frames of all runs.  pressure : [eV/Å³]."""
 
     def __init__(self, scene: Scene, runs: list[Frames], is_still: bool, pressure: float, rate: float) -> None:
-        self.scene, self.runs, self.is_still, self.pressure, self.rate = scene, runs, is_still, pressure, rate
-        self.has, self.all, self.kt = {*scene.has.split()}, joined(runs), runs[0].kt
-        self.masses, self.n = self.all.masses, 3 * len(self.all.masses)
+        self.scene = scene
+        self.runs = runs
+        self.is_still = is_still
+        self.pressure = pressure
+        self.rate = rate
+        self.has = {*scene.has.split()}
+        self.all = joined(runs)
+        self.kt = runs[0].kt
+        self.masses = self.all.masses
+        self.n = 3 * len(self.masses)
         self.shares = 1.0 - is_still * self.masses / self.masses.sum() - scene.rigid  # <p²/m>/kT of a component
-        self.n_free = round(3.0 * float(self.shares.sum()))
+        self.n_free = round(3.0 * self.shares.sum())
         # a body at rest whose momenta change with the volume; other than by moves of a Monte Carlo method, some of
         # which are rejected: those of a barostat that acts every few steps are at regular distances
         moved = np.diff(self.all.volumes.reshape(len(runs), -1), axis=1) != 0.0
         gaps = np.concatenate([np.diff(np.flatnonzero(row)) for row in moved])
-        n, has_moves = scene.n_bodies, bool(gaps.size and np.ptp(gaps) > 1)
+        n = scene.n_bodies
+        has_moves = gaps.size and np.ptp(gaps) > 1
         self.n_volume = n + 1 - (is_still and not has_moves)  # P<V>/kT
         self.excess = self.n_volume - (n - is_still)  # (P<V> − <P_int V>)/kT
-        self.heat = float(self.all.kinetic.sum(axis=1).mean()) / self.n_free
+        self.heat = self.all.kinetic.sum(axis=1).mean() / self.n_free
         self.runs_p2 = (self.all.p**2).mean(axis=(0, 2))
-        self.log_volume = float(np.log(self.all.volumes).mean())
+        self.log_volume = np.log(self.all.volumes).mean()
 
-    def over_runs(self, measure: Measure, said: Said, spare: float) -> Measurement:
+    def over_runs(self, measure: "Measure", said: "Said", spare: float) -> Measurement:
         """The mean of a measure over the runs, and how far it is off beside its error; of several, the worst. The
         spread of runs goes with the mean: where the mean is small by chance, the spread is too small."""
         values = np.array([np.atleast_1d(measure(one, self)) for one in self.runs])
-        means, errors = values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(len(values))
+        means = values.mean(axis=0)
+        errors = values.std(axis=0, ddof=1) / np.sqrt(len(values))
         quantile = stats.t.isf(0.5 * self.rate / len(means), len(values) - 1)
         limits = quantile * errors / np.clip(means, LEAST, 1.0) + spare + self.scene.error
-        k = int(np.argmax(np.abs(means - 1.0) / limits))
-        mean, error, limit = float(means[k]), float(errors[k]), float(limits[k])
+        k = np.argmax(np.abs(means - 1.0) / limits)
+        mean = means[k]
+        error = errors[k]
+        limit = float(limits[k])
         return Measurement(mean, (mean - 1.0) / limit, said(means, self), error, limit)
 
     def acted(self) -> Measurement:
         """How much of the energy, or of the volume, is new at the end of a run."""
         ends = self.all.ends[:, :, int("volume" in self.has)]
-        found = float(((ends[:, 1] - ends[:, 0]) ** 2).mean()) / max(2.0 * float(ends.var()), 1e-300)
-        few = ": too little to judge; take a shorter relaxation time, or more steps=" * bool(found < ACTED)
-        return Measurement(min(found, 1.0), 1.0 if found < NEVER else np.nan if few else 0.0, few)
+        found = ((ends[:, 1] - ends[:, 0]) ** 2).mean() / max(2.0 * ends.var(), 1e-300)
+        if found >= ACTED:
+            return Measurement(min(found, 1.0), 0.0)
+        off = 1.0 if found < NEVER else np.nan
+        return Measurement(found, off, ": too little to judge; take a shorter relaxation time, or more steps=")
 
 
 Measure: TypeAlias = Callable[[Frames, Seen], Any]
@@ -62,7 +74,8 @@ Said: TypeAlias = Callable[[Array, Seen], str]
 
 def temperature_said(means: Array, seen: Seen) -> str:
     """What a wrong temperature means."""
-    free, ratio = seen.n_free, float(means[0])
+    free = seen.n_free
+    ratio = means[0]
     table = {
         0.25: "the noise is half as strong as the friction demands: a momentum needs √(2 γ kT m Δt)",
         0.5: "the noise is too weak by a factor √2, or the friction acts twice per step",
@@ -70,7 +83,7 @@ def temperature_said(means: Array, seen: Seen) -> str:
         4.0: "the noise is twice as strong as the friction demands",
         (free - 3.0) / free: f"{free - 3} degrees of freedom are counted where {free} move: three are subtracted twice",
     }
-    n_rigid = round(3.0 * float(seen.scene.rigid.sum()))
+    n_rigid = round(3.0 * seen.scene.rigid.sum())
     if n_rigid:
         table[1.0 + n_rigid / free] = (
             f"{free + n_rigid} degrees of freedom are counted where {free} move: bonds are rigid"
@@ -84,17 +97,18 @@ def temperature_said(means: Array, seen: Seen) -> str:
 def masses_said(means: Array, seen: Seen) -> str:
     """What a temperature that depends on the mass means."""
     masses = np.unique(seen.masses)
-    power = float(np.polyfit(np.log(masses), np.log(np.maximum(means, 1e-9)), 1)[0])
+    power = np.polyfit(np.log(masses), np.log(np.maximum(means, 1e-9)), 1)[0]
     each = ", ".join(f"{mean:.2f} ({mass:g} amu)" for mean, mass in zip(means, masses, strict=True))
-    noise = f"; the temperature goes as m^{power:.1f}: momenta need noise as √m, velocities as 1/√m"
-    return f"atoms of different masses have different temperatures, relative to the mean: {each}" + noise * (
-        abs(power) > 0.3
-    )
+    words = f"atoms of different masses have different temperatures, relative to the mean: {each}"
+    if abs(power) > 0.3:
+        words += f"; the temperature goes as m^{power:.1f}: momenta need noise as √m, velocities as 1/√m"
+    return words
 
 
 def volume_said(means: Array, seen: Seen) -> str:
     """What a wrong mean volume means."""
-    n, found = seen.scene.n_bodies, float(means[0]) * seen.n_volume
+    n = seen.scene.n_bodies
+    found = means[0] * seen.n_volume
     table = {float(k): f"p(V) goes as V^{k - 1} exp(−PV/kT)" for k in (n - 1, n, n + 1)}
     table |= {2.0 * k: "this is the value of free atoms: is the virial in the pressure?" for k in (n, n + 0.5)}
     table |= {3.0 * k: "the kinetic energy counts twice in the pressure" for k in (n, n + 1 / 3)}
@@ -103,7 +117,7 @@ def volume_said(means: Array, seen: Seen) -> str:
 
 def pressure_said(means: Array, seen: Seen) -> str:
     """What a wrong balance of the pressures means."""
-    found = (float(means[0]) - 1.0) * seen.n_volume + seen.excess
+    found = (means[0] - 1.0) * seen.n_volume + seen.excess
     table = {
         seen.excess - 1.0: "p(V) lacks one power of V: N where N + 1 is right",
         seen.excess + 1.0: "p(V) has one power of V too many: N + 2 where N + 1 is right",
@@ -111,7 +125,8 @@ def pressure_said(means: Array, seen: Seen) -> str:
         "of the kinetic energy); a Monte Carlo move of ln V needs the power N + 1 of V for N particles, not N",
     }
     near = min(table, key=lambda one: abs(found - one))
-    return f"P<V> − <P_int V> is {found:.2f} kT, not {seen.excess} kT" + f": {table[near]}" * (abs(found - near) < 0.3)
+    words = f"P<V> − <P_int V> is {found:.2f} kT, not {seen.excess} kT"
+    return f"{words}: {table[near]}" if abs(found - near) < 0.3 else words
 
 
 def spread_said(means: Array, seen: Seen) -> str:
@@ -124,8 +139,10 @@ def spread_said(means: Array, seen: Seen) -> str:
 
 def kinetic_said(means: Array, seen: Seen) -> str:
     """What a wrong fluctuation of the kinetic energy means."""
-    why = ": velocities are scaled toward a temperature, and not drawn from its distribution" * bool(means[0] < 1.0)
-    return f"the variance of the kinetic energy is {means[0]:.2f} times the canonical one{why}"
+    words = f"the variance of the kinetic energy is {means[0]:.2f} times the canonical one"
+    if means[0] < 1.0:
+        words += ": velocities are scaled toward a temperature, and not drawn from its distribution"
+    return words
 
 
 def of_masses(run: Frames, seen: Seen) -> Array:
@@ -148,7 +165,8 @@ def of_positions(run: Frames, seen: Seen) -> Array:
 
 def of_pairs(run: Frames, seen: Seen) -> float:
     """1 + the correlation of momenta of different atoms, less that of a body at rest."""
-    u, root = run.p / np.sqrt(seen.heat * seen.kt * seen.masses)[:, None], np.sqrt(seen.masses)
+    u = run.p / np.sqrt(seen.heat * seen.kt * seen.masses)[:, None]
+    root = np.sqrt(seen.masses)
     pairs = (u.sum(axis=1) ** 2).sum(axis=1).mean() - (u**2).sum(axis=(1, 2)).mean()
     at_rest = -3.0 * seen.is_still * (root.sum() ** 2 - seen.masses.sum()) / seen.masses.sum()
     return 1.0 + float(pairs - at_rest) / seen.n
@@ -157,7 +175,7 @@ def of_pairs(run: Frames, seen: Seen) -> float:
 def of_noise(run: Frames, seen: Seen) -> float:
     """1 + the correlation of one change of the total momentum with the next."""
     jumps = np.diff(run.p.sum(axis=1), axis=0)
-    size = float((jumps**2).sum())
+    size = (jumps**2).sum()
     if seen.is_still:
         return 1.0
     return 1.0 + (float((jumps[1:] * jumps[:-1]).sum()) / size if size > 1e-20 * seen.kt * seen.masses.sum() else 1.0)
@@ -165,7 +183,8 @@ def of_noise(run: Frames, seen: Seen) -> float:
 
 def of_kinetic(run: Frames, seen: Seen) -> float:
     """The variance of the kinetic energy over that at its mean."""
-    each, mean = run.kinetic.sum(axis=1), seen.heat * seen.n_free
+    each = run.kinetic.sum(axis=1)
+    mean = seen.heat * seen.n_free
     return float(((each - mean) ** 2).mean()) * seen.n_free / (2.0 * mean**2)
 
 

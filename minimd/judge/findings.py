@@ -1,7 +1,5 @@
 """The contents of a grade: findings with a tick, a cross or a question mark, the faults in words, and a verdict."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -11,7 +9,8 @@ from typing import Any, NamedTuple
 from minimd.core.console.display import Displayed, Rows
 
 TICKS = {True: "✓", False: "✗", None: "?"}
-EXACT, DENOMINATOR = 2e-6, 24  # coefficients that differ by less are equal; the largest denominator in their fractions
+EXACT = 2e-6  # coefficients that differ by less are equal
+DENOMINATOR = 24  # the largest denominator in their fractions
 
 
 @dataclass(frozen=True)
@@ -45,8 +44,11 @@ class Measurement(NamedTuple):
     limit: float = nan
 
 
+Answer = tuple[Any, ...]  # a number, how far it is off, and what else the words of a law need
+
+
 class Law(NamedTuple):
-    """One law.  measure : of what is judged; a number, or a number, how far it is off, and what else the words need.
+    """One law.  measure : of what is judged; a number, or an Answer.
     bound : the law holds if the number is off by less; if that is NaN, the reader has to judge.  words, cause : formats
     of a Finding.  needs : what must be there."""
 
@@ -61,7 +63,8 @@ class Law(NamedTuple):
         """The finding from what was measured."""
         numbers = answer if isinstance(answer, tuple) else (answer, answer)
         passed = None if isnan(numbers[1]) else bool(abs(numbers[1]) < self.bound)
-        words, cause = self.words.format(*numbers), self.cause.format(*numbers)
+        words = self.words.format(*numbers)
+        cause = self.cause.format(*numbers)
         limit = numbers.limit if isinstance(numbers, Measurement) else nan
         return Finding(self.name, passed, words, float(numbers[0]), cause, limit)
 
@@ -112,7 +115,8 @@ class Grade(Displayed):
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
-        failed, n = [finding.name for finding in self.findings if finding.passed is False], len(self.faults)
+        failed = [finding.name for finding in self.findings if finding.passed is False]
+        n = len(self.faults)
         kept = f"laws that do not hold: {', '.join(failed)}" if failed else "all laws that were tested hold"
         found = f"{n} fault{'s' * (n != 1)} found; {kept}" if n else kept
         return "nothing wrong was found" if self.passed else found
@@ -120,7 +124,8 @@ class Grade(Displayed):
     def display_rows(self) -> Rows:
         """See Displayed."""
         rows = [("called as", self.function)]
-        rows += [("recognized", self.method)] if self.method else []
+        if self.method:
+            rows.append(("recognized", self.method))
         rows += [(finding.name, f"{TICKS[finding.passed]} {finding.words}") for finding in self.findings]
         rows += [("fault" if k == 0 else "", sentence) for k, sentence in enumerate(self.faults)]
         rows += [("remark" if k == 0 else "", sentence) for k, sentence in enumerate(self.remarks)]

@@ -1,10 +1,8 @@
 """The grade of a force function: whether forces are a gradient, pairwise, symmetric, periodic, cut off correctly, and
 equal to minimd's. The laws are those of many atoms, and those of one pair at a distance, with f > 0 for repulsion."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
@@ -12,18 +10,35 @@ import numpy as np
 
 from minimd.core.structure.checks import checked_sizes
 from minimd.judge.calling import KINDS, REST, StudentForce, plain
-from minimd.judge.findings import Grade, Law, causes, first_of, is_near, judged
+from minimd.judge.findings import Answer, Grade, Law, causes, first_of, is_near, judged
 from minimd.judge.powers import Powers, compared, jumps, powers_of
-from minimd.judge.problems import Array, difference, multiple_of
+from minimd.judge.problems import Array, Function, difference, multiple_of
 
-BOX, CUTOFF = 12.0, 2.5  # σ: cell and cutoff for a function that takes them, if the user gives none
-SPACING, JITTER, TRIALS = 1.25, 0.12, 30  # of the atoms in the test [σ]; the best of some configurations is used
-ROUNDING, SAME, EQUAL, CAPPED = 1e-9, 1e-8, 1e-6, 1e-4  # relative differences: sums; moved atoms; slopes; capped forces
-PROBE, LONGEST = 1.25, 40.0  # σ: of two atoms across a boundary; largest distance at which a period is searched
-CLOSEST, NEAREST, FARTHEST = 0.3, 0.77, 6.0  # σ: distances of the search for a cap, of ordinary forces, for an end
-POINTS, GRID, DELTA, FACTOR = 40, 500, 3e-4, 1.15  # of profiles; of jumps; of differences; of larger parameters
+# σ: cell and cutoff for a function that takes them, if the user gives none
+BOX = 12.0
+CUTOFF = 2.5
+# of the atoms in the test [σ]; the best of some configurations is used
+SPACING = 1.25
+JITTER = 0.12
+TRIALS = 30
+# relative differences
+ROUNDING = 1e-9  # of sums
+SAME = 1e-8  # of moved atoms
+EQUAL = 1e-6  # of slopes
+CAPPED = 1e-4  # of capped forces
+PROBE = 1.25  # σ: of two atoms across a boundary
+LONGEST = 40.0  # largest distance at which a period is searched
+# σ: distances of the search for a cap, of ordinary forces, for an end
+CLOSEST = 0.3
+NEAREST = 0.77
+FARTHEST = 6.0
+POINTS = 40  # of profiles
+GRID = 500  # of jumps
+DELTA = 3e-4  # of differences
+FACTOR = 1.15  # of larger parameters
 SKEW = np.array([0.9, 0.5, -0.4])  # a vector of a pair that is parallel to no plane of the axes
-WHERE, ALONG = np.array([0.31, 0.47, 0.23]), {2: np.array([0.6, 0.8]), 3: np.array([0.6, 0.48, 0.64])}
+WHERE = np.array([0.31, 0.47, 0.23])
+ALONG = {2: np.array([0.6, 0.8]), 3: np.array([0.6, 0.48, 0.64])}
 SHIFTS = np.array([[0.013, -0.007, 0.021], [0.002, 0.001, 0.003]])
 CURE = "use dx − L · round(dx/L)"
 
@@ -35,22 +50,33 @@ class Probe:
     """
 
     def __init__(self, call: StudentForce, cell: Array | None, cutoff: Any, given: Any, potential: Any) -> None:
-        self.call, self.d, self.cell, self.cutoff, self.potential = call, call.dimensions, cell, cutoff, potential
+        self.call = call
+        self.d = call.dimensions
+        self.cell = cell
+        self.cutoff = cutoff
+        self.potential = potential
         self.lengths: Any = None if cell is None else cell[: self.d]
-        self.along, self.units = ALONG[self.d], np.eye(self.d)
+        self.along = ALONG[self.d]
+        self.units = np.eye(self.d)
         self.start = WHERE[: self.d] * (1.0 if self.lengths is None else 0.3 * self.lengths / self.lengths.max())
         self.f, self.u = (np.vectorize(lambda r, k=k: self.both(float(r))[k], [float]) for k in range(2))
         self.values = np.zeros(0)
-        self.is_over_r, self.remarks, self.name = False, list[str](), ""
-        self.farthest = FARTHEST if cell is None else min(FARTHEST, 0.4995 * float(cell.min()))
+        self.is_over_r = False
+        self.remarks = list[str]()
+        self.name = ""
+        self.farthest = FARTHEST if cell is None else min(FARTHEST, 0.4995 * cell.min())
         self.has = {call.kind, "free" if cell is None else "cell", "energy" if call.has_energy else "noenergy"}
-        self.has |= {"known"} if potential is not None else set()
-        self.has |= {"cutoff"} if cutoff and cutoff < self.farthest else set()
+        if potential is not None:
+            self.has.add("known")
+        if cutoff and cutoff < self.farthest:
+            self.has.add("cutoff")
         self.skew = call(SKEW)[0] if call.kind == "pair" else SKEW
         self.x = self.place(PROBE) if call.kind != "forces" else self.cluster() if given is None else given
         self.forces = call(self.x)[0]
-        self.scale, is_many = float(np.abs(self.forces).max()) or 1.0, call.kind == "forces"
-        self.has |= {"field"} if is_many and self.takes(1) and call(self.place(PROBE)[:1])[0].any() else {"nofield"}
+        self.scale = np.abs(self.forces).max() or 1.0
+        is_many = call.kind == "forces"
+        is_field = is_many and self.takes(1) and call(self.place(PROBE)[:1])[0].any()
+        self.has.add("field" if is_field else "nofield")
         self.order = np.random.default_rng(2).permutation(len(self.x)) if is_many else 0
         self.turn = np.linalg.qr(np.random.default_rng(4).normal(size=(self.d, self.d)))[0]
         is_turned = not self.has >= {"forces", "free"} or self.off(self.x @ self.turn, self.forces @ self.turn) < SAME
@@ -68,16 +94,19 @@ class Probe:
     def cluster(self) -> Array:
         """Atoms near the sites of a cubic lattice, no two closer than σ; in a cell, around one of its corners. No
         pair is near the cutoff, or half the cell along an axis, where forces may jump."""
-        lengths, sides = self.lengths, [5 - self.d] * self.d
+        lengths = self.lengths
+        sides = [5 - self.d] * self.d
         if lengths is not None:
             sides = [*np.clip((lengths / SPACING).astype(int), 1, 6 - self.d)]
         lattice = SPACING * np.array([*product(*map(range, sides))], dtype=float)
         first, second = np.triu_indices(len(lattice), 1)
 
         def margin(x: Array) -> float:
-            apart, half = np.abs(x[first] - x[second]), np.inf
+            apart = np.abs(x[first] - x[second])
+            half = np.inf
             if lengths is not None:
-                apart, half = np.minimum(apart, lengths - apart), float(np.abs(apart - 0.5 * lengths).min())
+                half = np.abs(apart - 0.5 * lengths).min()
+                apart = np.minimum(apart, lengths - apart)
             return min(half, float(np.abs(np.linalg.norm(apart, axis=1) - (self.cutoff or CUTOFF)).min()))
 
         randoms = [np.random.default_rng(seed) for seed in range(TRIALS)]
@@ -86,9 +115,9 @@ class Probe:
 
     def place(self, r: float, along: Array | None = None) -> Any:
         """The argument of the function for two atoms at a distance."""
-        apart, start = r * (self.along if along is None else along), self.start
+        apart = r * (self.along if along is None else along)
         distance = r * r if self.call.is_squared else r
-        return {"law": distance, "pair": apart, "forces": np.array([start, start + apart])}[self.call.kind]
+        return {"law": distance, "pair": apart, "forces": np.array([self.start, self.start + apart])}[self.call.kind]
 
     def both(self, r: float) -> tuple[float, float]:
         """f and u of a pair."""
@@ -123,7 +152,7 @@ class Probe:
 
         if not self.has >= {"forces", "pairs", "free"} or not (first := at(1.5)):
             return 0.0
-        large = [d for d in np.arange(3.0, LONGEST, 0.25) if abs(at(float(d))) > 0.5 * abs(first)]
+        large = [d for d in np.arange(3.0, LONGEST, 0.25) if abs(at(d)) > 0.5 * abs(first)]
         guesses = np.arange(large[0] - 2.0, large[0] + 3.0, 0.005) if large else np.zeros(1)
         edge = float(np.round(min(guesses, key=lambda d: abs(at(d + 1.5) - first) + abs(at(d - 1.5) + first)), 3))
         return edge if abs(at(edge + 1.5) - first) < 0.05 * abs(first) else 0.0
@@ -132,14 +161,17 @@ class Probe:
         """The relative difference of the forces at x from those that are right."""
         return float(np.abs(self.call(x)[0] - right).max()) / self.scale
 
-    def without_effect(self) -> tuple[int, int, str]:
+    def without_effect(self) -> Answer:
         """The physical parameters, such as ε and σ, that have no effect when they are increased."""
-        call, still, own = self.call, list[str](), self.forces
+        call = self.call
+        still = list[str]()
+        own = self.forces
         given = call.values
         for name, value in call.physical.items() if np.isfinite(own).all() and own.any() else ():
             call.values = {**given, name: FACTOR * value}
             try:
-                still += [name] * int(np.array_equal(own, call(self.x)[0]))
+                if np.array_equal(own, call(self.x)[0]):
+                    still.append(name)
             except Exception:  # whatever a student's function raises
                 continue
             finally:
@@ -148,73 +180,85 @@ class Probe:
         told = f"forces do not change when {' or '.join(still)} is increased{hint}"
         return len(still), len(still), told
 
-    def like(self, right: Array, other: str) -> tuple[float, float, str]:
+    def like(self, right: Array, other: str) -> Answer:
         """The force of a pair beside the one that it should be."""
         c, _, fault = compared(self.values, right, self.r, other)
-        return c, float(bool(fault)), fault
+        return c, bool(fault), fault
 
-    def of_powers(self) -> tuple[float, float, str, Powers | None]:
+    def of_powers(self) -> Answer:
         """The powers of r; those of Lennard-Jones are needed with the function's ε and σ, or without an energy."""
         units = {self.call.roles[name]: value for name, value in self.call.physical.items()}
-        epsilon, sigma, is_given = units.get("epsilon", 1.0), units.get("sigma", 1.0), {"epsilon", "sigma"} <= {*units}
-        own, fault = self.powers or Powers({}), ""
-        n, c = [*own.terms], [*own.terms.values()]
+        epsilon = units.get("epsilon", 1.0)
+        sigma = units.get("sigma", 1.0)
+        is_given = {"epsilon", "sigma"} <= {*units}
+        own = self.powers or Powers({})
+        fault = ""
+        n = [*own.terms]
+        c = [*own.terms.values()]
         is_alone = is_given or not {"known", "energy"} & self.has
         if n == [1] and is_alone and self.call.kind != "law":
             self.remarks.append("the force of a pair decreases as r^−1. If q²/r² is meant, a factor 1/r is missing: "
                                 "q² r_ij/r³, not q² r_ij/r²")  # fmt: skip
             return np.nan, np.nan, "", self.powers
         if len(n) == 2 and abs(n[0] - 13) <= 2 and abs(n[1] - 7) <= 2:
-            right, s6 = {13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6}, abs(c[0] / c[1]) / 2.0
+            right = {13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6}
+            s6 = abs(c[0] / c[1]) / 2.0
             told = f"48 ε σ¹² r^−13 − 24 ε σ⁶ r^−7 with ε = {epsilon:g}, σ = {sigma:g}"
             self.name = f"Lennard-Jones with ε = {abs(c[1]) / 24.0 / s6:.6g}, σ = {s6 ** (1 / 6):.6g}"
             is_odd = n != [13, 7] or c[0] < 0.0 or c[1] > 0.0 or is_near(s6, 1.0) or is_given
             if is_odd or is_near(c[0], 48.0) or is_near(c[1], -24.0):  # else it has its own ε and σ
                 fault = compared(self.values, Powers(right, own.constant).at(self.r), self.r, told)[2]
-        return np.nan, float(bool(fault)) if is_alone or not fault else np.nan, fault, self.powers
+        return np.nan, bool(fault) if is_alone or not fault else np.nan, fault, self.powers
 
-    def cap(self) -> tuple[float, float]:
+    def cap(self) -> Answer:
         """The largest close distance at which the force is not its law, a sum of powers or −du/dr, or is constant."""
-        r, far = np.geomspace(CLOSEST, 1.0, POINTS), self.r > 1.0
-        f, powers = self.f(r), self.powers or powers_of(self.values[far], self.r[far])
+        r = np.geomspace(CLOSEST, 1.0, POINTS)
+        far = self.r > 1.0
+        f = self.f(r)
+        powers = self.powers or powers_of(self.values[far], self.r[far])
         right = powers.at(r) if powers else self.slopes(r) if "energy" in self.has else f
-        is_flat, rest = np.ptp(f[:4]) == 0.0 != np.ptp(f), np.abs(f / right - 1.0)
+        is_flat = np.ptp(f[:4]) == 0.0 != np.ptp(f)
+        rest = np.abs(f / right - 1.0)
         off = r[(rest > CAPPED) | ((f == f[0]) & is_flat)] if np.isfinite(rest).all() else r[:0]
-        return float(off.max(initial=0.0)), float(len(off))
+        return off.max(initial=0.0), len(off)
 
-    def ending(self) -> tuple[float, float, float]:
+    def ending(self) -> Answer:
         """The largest force beyond the cutoff."""
-        beyond = float(np.abs(self.f(np.linspace(1.001 * self.cutoff, self.farthest, 20))).max())
+        beyond = np.abs(self.f(np.linspace(1.001 * self.cutoff, self.farthest, 20))).max()
         return beyond, beyond, self.cutoff
 
-    def end(self) -> tuple[float, float, str]:
+    def end(self) -> Answer:
         """Where the force ends, if it jumps to zero; whether it should end there."""
         found = jumps(self.f, np.linspace(NEAREST, self.farthest, GRID))
-        end, cutoff = next((r for r, _, above in found if above == 0.0), np.inf), self.cutoff or np.inf
+        end = next((r for r, _, above in found if above == 0.0), np.inf)
+        cutoff = self.cutoff or np.inf
         is_odd = self.cutoff is None and end < np.inf and is_near(2.0 * end**2, round(2.0 * end**2))
         is_early = end < 0.999 * cutoff < np.inf or (is_odd and not is_near(100.0 * end, round(100.0 * end)))
         words = "; ".join(f"jumps by {b - a:+.4g} at r = {r:.6g}" for r, a, b in found[:3]) or "continuous"
         return end, float(is_early) or (np.nan if found else 0.0), words
 
-    def jump(self) -> tuple[float, float, float, float]:
+    def jump(self) -> Answer:
         """The first jump of the energy."""
         r, below, above = (*jumps(self.u, np.linspace(NEAREST, self.farthest, GRID)), (0.0, 0.0, 0.0))[0]
         is_meant = getattr(self.potential, "truncation", "") == "truncated"  # minimd's energy jumps, too
         return above - below, np.nan if is_meant else above - below, r, below
 
-    def all_beside(self) -> tuple[float, float, str]:
+    def all_beside(self) -> Answer:
         """All forces and the energy beside those of minimd."""
         answer = evaluated(np.pad(self.x, ((0, 0), (0, 3 - self.d))), self.potential, self.cell)
-        known, energy, right = answer.forces[:, : self.d], self.call(self.x)[1], float(answer.potential_energy)
-        off = float(np.abs(self.forces - known).max() / (np.abs(known).max() or 1.0))
+        known = answer.forces[:, : self.d]
+        energy = self.call(self.x)[1]
+        right = answer.potential_energy
+        off = np.abs(self.forces - known).max() / (np.abs(known).max() or 1.0)
         if "energy" in self.has and off < ROUNDING and not np.isclose(energy, right, rtol=1e-9):
             return off, 1.0, f"the energy is {energy:.8g}, not {right:.8g}"
         c = multiple_of(self.forces, known, EQUAL)
         return off, off, f"the forces differ by {off:.1%} of the largest (or by a factor: {c:.6g})"
 
-    def reaction(self) -> tuple[float, float, str]:
+    def reaction(self) -> Answer:
         """The sum of all forces, and what is wrong with a pair."""
-        off, (one, two) = float(np.abs(self.forces.sum(axis=0)).max()) / self.scale, np.zeros((2, self.d))
+        off = np.abs(self.forces.sum(axis=0)).max() / self.scale
+        one, two = np.zeros((2, self.d))
         if self.takes(2):
             one, two = self.call(self.place(PROBE))[0]
         sizes = np.linalg.norm([one, two], axis=1)
@@ -224,12 +268,13 @@ class Probe:
             (sizes.any() and np.allclose(one, two), ": both atoms of a pair get the same force; the second needs the "
                                                     "other sign"), (True, ""))[0]  # fmt: skip
 
-    def all_slopes(self) -> tuple[float, float, str]:
+    def all_slopes(self) -> Answer:
         """The forces of all atoms beside −∇U."""
         steps = np.eye(self.x.size).reshape(-1, *self.x.shape) * DELTA
         slopes = -np.array([difference(lambda x: float(self.call(x)[1]), self.x, e) for e in steps]) / DELTA
-        off, c = float(np.abs(self.forces.ravel() - slopes).max()), multiple_of(self.forces.ravel(), slopes, EQUAL)
-        return off, off / (float(np.abs(slopes).max()) or 1.0), f": they are {c:.6g} (−∇U)" if np.isfinite(c) else ""
+        off = np.abs(self.forces.ravel() - slopes).max()
+        c = multiple_of(self.forces.ravel(), slopes, EQUAL)
+        return off, off / (np.abs(slopes).max() or 1.0), f": they are {c:.6g} (−∇U)" if np.isfinite(c) else ""
 
     def curl(self) -> float:
         """Whether forces without an energy can be a gradient: ∂F_i/∂x_j = ∂F_j/∂x_i."""
@@ -237,19 +282,23 @@ class Probe:
         matrix = np.array([np.ravel(difference(lambda x: self.call(x)[0], self.x, e))[: len(some)] for e in some])
         return float(np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300))
 
-    def images(self) -> tuple[int, float, str]:
+    def images(self) -> Answer:
         """Nearest images across each face, in both directions."""
-        bad, middle = list[tuple[int, float]](), 0.5 * self.lengths  # axes, and the part of the force that is there
+        # axes, and the part of the force that is there
+        bad = list[tuple[int, float]]()
+        middle = 0.5 * self.lengths
         for axis, sign in product(range(self.d), (1, -1)):
-            unit, edge = sign * self.units[axis], self.lengths[axis]
+            unit = sign * self.units[axis]
+            edge = self.lengths[axis]
             face = middle + (0.5 * edge - 0.2) * unit
             ends = (middle, middle + PROBE * unit), (face, face + (PROBE - edge) * unit)
             inside, across = (self.call(np.array(pair))[0] for pair in ends)
             if np.abs(across - inside).max() > SAME * np.abs(inside).max():
-                bad.append((axis, float(np.abs(across).max() / np.abs(inside).max())))
+                bad.append((axis, np.abs(across).max() / np.abs(inside).max()))
         pair = np.array([-0.5, 0.5])[:, None] * PROBE * self.units[0]  # wrapped positions interact across the origin
         origin, center = (np.abs(self.call(place + pair)[0]).max() for place in (0.0 * middle + 0.1, middle))
-        axes, verb = sorted({axis for axis, _ in bad}), "missing" if any(part < 0.2 for _, part in bad) else "wrong"
+        axes = sorted({axis for axis, _ in bad})
+        verb = "missing" if any(part < 0.2 for _, part in bad) else "wrong"
         where = "along " + ", ".join("xyz"[axis] for axis in axes)
         return len(bad), len(bad) + float(center < 0.2 * origin), first_of(
             (center < 0.2 * origin, f"positions are wrapped into the cell, but differences are not: {CURE}"),
@@ -258,14 +307,18 @@ class Probe:
             (True, f"minimum image is {verb} in one direction {where}: only one of dx > L/2 and dx < −L/2 is treated"),
         )[0]  # fmt: skip
 
-    def sum_of_pairs(self) -> tuple[float, float, str]:
+    def sum_of_pairs(self) -> Answer:
         """The forces beside the sum, over pairs, of the forces on two atoms alone: other forces are a multiple of it,
         which is a fault, or many-body forces, which may be right."""
-        n, forces, parts = len(self.x), self.forces, np.zeros((len(self.x), *self.x.shape))
+        n = len(self.x)
+        forces = self.forces
+        parts = np.zeros((n, *self.x.shape))
         for i, j in zip(*np.triu_indices(n, 1), strict=True):
             parts[i, j], parts[j, i] = self.call(self.x[[i, j]])[0]
-        pairs, small = parts.sum(axis=1), SAME * self.scale
-        off, c = float(np.abs(pairs - forces).max()) / self.scale, multiple_of(forces, pairs, SAME)
+        pairs = parts.sum(axis=1)
+        small = SAME * self.scale
+        off = np.abs(pairs - forces).max() / self.scale
+        c = multiple_of(forces, pairs, SAME)
         single = (np.abs(forces[:, None] - parts).max(axis=2) + np.diag(np.full(n, np.inf))).min(axis=1).max()
         fault = first_of(
             (off < SAME, ""),
@@ -335,7 +388,7 @@ GENERAL = (  # told if no other law says why; of two translations, one may take 
 
 
 def grade_forces(
-    function: Callable[..., Any], potential: Any = None, cell: float | Sequence[float] | None = None,
+    function: Function, potential: Any = None, cell: float | Sequence[float] | None = None,
     cutoff: float | None = None, positions: Any = None, kind: str | None = None,
 ) -> Grade:  # fmt: skip
     """See grade."""
@@ -363,7 +416,7 @@ def grade_forces(
             )
         telling, general = (judged(laws, one) for laws in (LAWS, GENERAL))
         if one.cell is not None and cutoff is None and one.has >= {"forces", "pairs"}:
-            rest = abs(one.f(0.4999 * float(one.cell.min())))
+            rest = abs(one.f(0.4999 * one.cell.min()))
             one.remarks += first_of(
                 (rest, f"the force jumps by {rest:.2g} where the nearest image changes: use a cutoff")
             )

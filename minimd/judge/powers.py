@@ -1,7 +1,5 @@
 """Functions of a distance: sums of powers of r, their ratios, and their jumps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import combinations, product
 from typing import NamedTuple
@@ -11,9 +9,12 @@ import numpy as np
 from minimd.judge.findings import coefficient, first_of, is_near
 from minimd.judge.problems import Array, bisected
 
-EXPONENTS, FITTED = range(1, 21), 1e-7  # of 1/r; largest relative rest of a fit of powers that is exact
-SAME, JUMP = 1e-5, 1e-6  # relative differences of equal functions, one of them a slope; of values, which are no jump
-TWICE, HALF = ": pairs are counted twice, or a factor ½ is missing", ": a factor 2 is missing, or energies count twice"
+EXPONENTS = range(1, 21)  # of 1/r
+FITTED = 1e-7  # largest relative rest of a fit of powers that is exact
+SAME = 1e-5  # relative difference of equal functions, one of them a slope
+JUMP = 1e-6  # relative difference of values that are no jump
+TWICE = ": pairs are counted twice, or a factor ½ is missing"
+HALF = ": a factor 2 is missing, or energies count twice"
 
 
 class Powers(NamedTuple):
@@ -49,13 +50,16 @@ def powers_of(values: Array, r: Array) -> Powers | None:
 def compared(f: Array, g: Array, r: Array, other: str) -> tuple[float, float, str]:
     """c and k if f = c rᵏ g, or NaN; and what is wrong if f should be g.  other : what g is."""
     large = (np.abs(g) > 1e-3 * np.median(np.abs(g))) & (np.abs(f) > 0.0) & np.isfinite(f) & np.isfinite(g)
-    ratio, logs = f[large] / g[large], np.log(r[large])
+    ratio = f[large] / g[large]
+    logs = np.log(r[large])
     k, log_c = np.polyfit(logs, np.log(np.abs(ratio)), 1) if large.sum() > 4 else (0.0, np.nan)
     if np.isnan(log_c) or np.ptp(np.sign(ratio)) or np.abs(np.log(np.abs(ratio)) - k * logs - log_c).max() > SAME:
-        own, right = powers_of(f, r), powers_of(g, r)
+        own = powers_of(f, r)
+        right = powers_of(g, r)
         told = f": wrong exponent, coefficient or sign in F = {own} where {right} is needed" if own and right else ""
         return np.nan, np.nan, f"the force is not {other}{told or ', nor a multiple of it'}"
-    c, k = float(np.sign(ratio[0]) * np.exp(log_c)), round(float(k), 4)
+    c = np.sign(ratio[0]) * np.exp(log_c)
+    k = round(k, 4)
     faults = [
         *first_of((c < 0.0, "the force has the wrong sign, so atoms that should repel each other attract each other")),
         *first_of((k == 1.0, "the factor 1/r is missing: du/dr is multiplied by r_ij, not by the unit vector"),
@@ -74,11 +78,14 @@ def jumps(law: Callable[[float], float], r: Array) -> list[tuple[float, float, f
     def is_low(low: float, middle: float, high: float) -> bool:
         return not abs(law(middle) - law(low)) > abs(law(high) - law(middle))
 
-    values, found = np.array([law(float(one)) for one in r]), list[tuple[float, float, float]]()
-    change, scale = np.abs(np.diff(values)), np.abs(values[r >= min(1.0, r[-1])]).max()
+    values = np.array([law(one) for one in r])
+    found = list[tuple[float, float, float]]()
+    change = np.abs(np.diff(values))
+    scale = np.abs(values[r >= min(1.0, r[-1])]).max()
     for k in range(2, len(change) - 2):
         beside = max(change[k - 2], change[k - 1], min(change[k + 1], change[k - 1]))
         if change[k] > JUMP * scale and change[k] > 3.0 * beside:
-            low, high = bisected(is_low, float(r[k]), float(r[k + 1]), 45)
-            found += [(high, law(low), law(high))] * int(abs(law(high) - law(low)) > 0.3 * change[k])
+            low, high = bisected(is_low, r[k], r[k + 1], 45)
+            if abs(law(high) - law(low)) > 0.3 * change[k]:
+                found.append((high, law(low), law(high)))
     return found

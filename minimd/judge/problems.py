@@ -1,16 +1,17 @@
 """The problem on which a student's step is tested: a few particles with smooth, anharmonic forces in its dimensions,
 U = Σ_{i<j} ½ k r² + ¼ g r⁴, or one number, U = ½ q² + ¼ 0.3 q⁴. Frequencies are about 1, and all masses differ."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-STIFFNESS, QUARTIC = 0.25, 0.06  # k and g for N particles
+from minimd.core.structure.observables import Array
+
+Function = Callable[..., Any]  # a student's
+# k and g for N particles
+STIFFNESS = 0.25
+QUARTIC = 0.06
 MASSES = np.array([1.0, 1.7, 0.6, 2.3, 1.2])
 SHAPES: tuple[tuple[int, ...], ...] = ((5, 3), (5, 2), (5,), ())
 
@@ -86,6 +87,9 @@ class TrialProblem(NamedTuple):
 def problem(shape: tuple[int, ...], seed: int, same_mass: bool, stiffness: float) -> TrialProblem:
     """A random state.  same_mass : the same mass for all particles; it depends on the seed."""
     random = np.random.default_rng(seed)
-    x, v, masses = random.uniform(0.5, 2.5, shape), random.normal(0.0, 0.6, shape), np.roll(MASSES, seed)[:1]
-    m = masses * np.ones(shape[:1]) if same_mass or not shape else np.roll(MASSES, seed)
-    return TrialProblem(np.asarray(x), np.asarray(v), m if shape else m[0] * np.ones(()), stiffness)
+    x = random.uniform(0.5, 2.5, shape)
+    v = random.normal(0.0, 0.6, shape)
+    masses = np.roll(MASSES, seed)
+    if same_mass or not shape:
+        masses = masses[0] * np.ones(shape[:1])
+    return TrialProblem(np.asarray(x), np.asarray(v), np.asarray(masses), stiffness)

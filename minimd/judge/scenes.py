@@ -5,8 +5,6 @@ runs are independent samples, and their spread is the error. kT, the time step a
 whose answers are those of NIST, start from a crystal that has melted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -18,9 +16,9 @@ from ase.calculators.abc import GetPropertiesMixin
 from ase.calculators.lj import LennardJones
 from ase.constraints import FixBondLengths
 from ase.md.verlet import VelocityVerlet
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from minimd.core.structure.observables import Array
+
 Make = Callable[[Atoms, np.random.RandomState], Any]
 
 MASSES = np.repeat([2.0, 8.0, 30.0, 120.0], 2)  # amu, of the atoms of a ring
@@ -29,10 +27,16 @@ QUARTIC = 0.05  # of k²/kT: makes the motion chaotic
 STRETCH = 4.0  # length of the bonds of molecules, in units of their thermal motion
 SOFT = 1e-6  # a rigid bond that is off by more is none
 SMALLEST = 1e-4  # volume of a run, over that at its start
-MOLECULES, OF_MOLECULES, RIGID = 6, 0.12, 4  # of the gas, and ω Δt; of the chain
+# of the gas, and ω Δt; of the chain
+MOLECULES = 6
+OF_MOLECULES = 0.12
+RIGID = 4
 COARSE = 4.0  # times the frequencies of the ring: for the error of a long time step
 STATES = (0.85, 0.82, -5.7947, 0.55355), (0.9, 0.776, -5.4689, 0.24056)  # T, ρ, U/N, P of liquids, of NIST [ε, σ]
-CUTOFF, PACE, SIDE = 2.5, 0.004, 3  # of the liquids [σ], their time step [σ √(m/ε)], cells of their crystal
+# of the liquids [σ], their time step [σ √(m/ε)], cells of their crystal
+CUTOFF = 2.5
+PACE = 0.004
+SIDE = 3
 MELTING = 1500  # steps in which that becomes a liquid
 
 
@@ -49,16 +53,18 @@ class AnharmonicSprings(GetPropertiesMixin):
     draw: Callable[[np.random.RandomState], Atoms]
 
     def __init__(self, first: Any, second: Any, k: Array, q: Array, lengths: Array) -> None:
-        self.first, self.second, self.k, self.q, self.lengths = first, second, k, q, lengths
+        self.first = first
+        self.second = second
+        self.k = k
+        self.q = q
+        self.lengths = lengths
         self.results: dict[str, Any] = {}
 
-    def get_property(self, name: str, atoms: Atoms | None = None, allow_calculation: bool = True) -> Any:
+    def get_property(self, name: str, atoms: Any = None, allow_calculation: bool = True) -> Any:
         """See ASE."""
-        del allow_calculation
-        assert atoms is not None
         d, e, r2 = self.bonds(atoms.positions)
         if name not in ("forces", "stress"):
-            return float((0.5 * self.k * r2 + 0.25 * self.q * r2**2).sum())
+            return (0.5 * self.k * r2 + 0.25 * self.q * r2**2).sum()
         pull = (self.k + self.q * r2)[:, None] * e
         if name == "stress":
             return (d.T @ pull).ravel()[[0, 4, 8, 5, 2, 1]] / atoms.get_volume()
@@ -78,7 +84,8 @@ class AnharmonicSprings(GetPropertiesMixin):
 
     def curvature(self, x: Array) -> Array:
         """∇²U of each atom (N,), of a crystal."""
-        r2, found = self.bonds(x)[2], np.zeros(len(x))
+        r2 = self.bonds(x)[2]
+        found = np.zeros(len(x))
         for ends in (self.first, self.second):
             np.add.at(found, ends, 3.0 * self.k + 5.0 * self.q * r2)
         return found
@@ -89,10 +96,10 @@ class Rigid(AnharmonicSprings):
 
     length = 1.0
 
-    def softness(self, seen: Frames) -> float:
+    def softness(self, seen: "Frames") -> float:
         """How far lengths are off, or velocities along bonds beside thermal ones."""
-        (d, v), kt = (one[:, 1::2] - one[:, ::2] for one in (seen.x, seen.p / seen.masses[:, None])), seen.kt
-        along = (d * v).sum(axis=2) / self.length * np.sqrt(seen.masses[:2].mean() / kt)
+        d, v = (one[:, 1::2] - one[:, ::2] for one in (seen.x, seen.p / seen.masses[:, None]))
+        along = (d * v).sum(axis=2) / self.length * np.sqrt(seen.masses[:2].mean() / seen.kt)
         return float(max(np.abs(np.linalg.norm(d, axis=2) / self.length - 1.0).max(), np.abs(along).max()))
 
 
@@ -132,35 +139,36 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
     angles = 2.0 * np.pi * first / n
     places = 50.0 + 10.0 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
     springs = AnharmonicSprings(first, second, k, QUARTIC * k**2 / kt, places[second] - places[first])
-    hessian = np.zeros((n, n))
-    for i, j, one in zip(first, second, k, strict=True):
-        hessian[[i, j, i, j], [i, j, j, i]] += one * np.array([1.0, 1.0, -1.0, -1.0])
+    bonds = np.eye(n)[second] - np.eye(n)
+    hessian = bonds.T @ (k[:, None] * bonds)
     values, modes = np.linalg.eigh(hessian)
     spread = modes[:, 1:] * np.sqrt(kt / values[1:])  # without the translation
 
     def draw(rng: np.random.RandomState) -> Atoms:
         while True:  # of the quadratic part alone, and accepted by the energy of the rest
-            atoms = Atoms("H8", places + spread @ rng.standard_normal((n - 1, 3)), masses=MASSES)
-            if rng.random_sample() < np.exp(-(springs.q * springs.bonds(atoms.positions)[2] ** 2).sum() / (4.0 * kt)):
+            x = places + spread @ rng.standard_normal((n - 1, 3))
+            if rng.random_sample() < np.exp(-(springs.q * springs.bonds(x)[2] ** 2).sum() / (4.0 * kt)):
                 break
-        atoms.set_cell([100.0] * 3)
-        atoms.pbc, atoms.calc = True, springs
+        atoms = Atoms("H8", x, masses=MASSES, cell=[100.0] * 3, pbc=True, calculator=springs)
         atoms.set_momenta(momenta(rng, MASSES, kt, is_still))
         return atoms
 
     springs.draw = draw
     largest = np.linalg.eigvalsh(hessian / np.sqrt(np.outer(MASSES, MASSES)))[-1]
     name, has = ("ring", "ring masses spread") if scale == 1.0 else ("coarse ring", "coarse")
-    return Scene(name, draw, springs, f"{has} places fixed", float(0.5 * largest * timestep**2))
+    return Scene(name, draw, springs, f"{has} places fixed", 0.5 * largest * timestep**2)
 
 
 def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
     """Rigid molecules of two atoms, in a chain of bonds as those of the ring."""
-    n, masses = RIGID, np.tile([4.0, 12.0], RIGID)
-    k, first = 3.0 * (OF_MOLECULES / timestep) ** 2, np.arange(1, 2 * n - 1, 2)
-    length, apart = np.sqrt(kt / k), np.array([[5.0, 0.0, 0.0]])
+    n = RIGID
+    masses = np.tile([4.0, 12.0], RIGID)
+    k = 3.0 * (OF_MOLECULES / timestep) ** 2
+    first = np.arange(1, 2 * n - 1, 2)
+    length = np.sqrt(kt / k)
+    apart = np.array([[5.0, 0.0, 0.0]])
     springs = Rigid(first, first + 1, np.full(n - 1, k), np.zeros(n - 1), np.repeat(apart, n - 1, axis=0))
-    springs.length = float(length)
+    springs.length = length
 
     def draw(rng: np.random.RandomState) -> Atoms:
         ways = rng.standard_normal((n, 3))
@@ -189,7 +197,8 @@ def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: i
         8.0 / 3.0 * np.pi * density * np.array([CUTOFF**-9.0 / 3.0 - CUTOFF**-3.0, CUTOFF**-9.0 / 1.5 - CUTOFF**-3.0])
     )
     at_cutoff = 4.0 * (CUTOFF**-12.0 - CUTOFF**-6.0)  # by which ASE's energies of pairs are shifted
-    n, epsilon = 4 * SIDE**3, kt / heat
+    n = 4 * SIDE**3
+    epsilon = kt / heat
     own = energy - tail[0] - 2.0 / 3.0 * np.pi * density * CUTOFF**3 * at_cutoff
     sigma = ((p - 2.0 * density * tail[1]) * epsilon / pressure) ** (1.0 / 3.0) if pressure else 3.0
     calculator = LennardJones(sigma=sigma, epsilon=epsilon, rc=CUTOFF * sigma)
@@ -205,13 +214,15 @@ def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: i
         return atoms
 
     wanted = n * sigma**3 / density if pressure else n * epsilon * own
-    name, has, slowness = f"liquid {state + 1}", "pressed" if pressure else "liquid fixed", 4 if pressure else 1
-    return Scene(name, draw, calculator, has, 0.01, wanted=wanted, slowness=slowness)
+    name = f"liquid {state + 1}"
+    has = "pressed" if pressure else "liquid fixed"
+    return Scene(name, draw, calculator, has, 0.01, wanted=wanted, slowness=4 if pressure else 1)
 
 
 def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
     """Molecules of two atoms, which do not see each other, under pressure: p(V) ∝ Vⁿ exp(−PV/kT), n molecules."""
-    n, masses = MOLECULES, np.tile([4.0, 12.0], MOLECULES)
+    n = MOLECULES
+    masses = np.tile([4.0, 12.0], MOLECULES)
     k = 3.0 * (OF_MOLECULES / timestep) ** 2
     length = STRETCH * np.sqrt(kt / k)
     springs = AnharmonicSprings(
@@ -222,7 +233,7 @@ def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
 
     def draw(rng: np.random.RandomState) -> Atoms:
         volume = rng.standard_gamma(n + (not is_still)) * kt / pressure
-        edge = float(volume ** (1.0 / 3.0))
+        edge = volume ** (1.0 / 3.0)
         ways = rng.standard_normal((n, 3))
         apart = r[np.searchsorted(weights, rng.random_sample(n) * weights[-1])]
         apart = apart[:, None] * ways / np.linalg.norm(ways, axis=1)[:, None]
@@ -271,14 +282,16 @@ class Frames(NamedTuple):
 
 def joined(runs: Sequence[Frames]) -> Frames:
     """All frames of several runs."""
-    x, p, f, volumes, u = (np.concatenate([one[k] for one in runs]) for k in range(2, 7))  # type: ignore[arg-type]
-    return Frames(runs[0].masses, runs[0].kt, x, p, f, volumes, u, np.stack([one.ends for one in runs]))
+    series = (np.concatenate([one[k] for one in runs]) for k in range(2, 7))  # type: ignore[arg-type]
+    return Frames._make([runs[0].masses, runs[0].kt, *series, np.stack([one.ends for one in runs])])
 
 
 def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) -> Frames:
     """One run, of which the second half is seen.  Raises FloatingPointError if numbers are not finite."""
     atoms, dynamics = started(make, scene, seed)
-    seen, ends, start = list[Sequence[Any]](), [ends_of(atoms)], atoms.get_volume()
+    seen = list[Sequence[Any]]()
+    ends = [ends_of(atoms)]
+    start = atoms.get_volume()
     for k in range(steps // every):
         dynamics.run(every)
         if not SMALLEST < (volume := atoms.get_volume()) / start < 1.0 / SMALLEST:
@@ -292,8 +305,7 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
         raise FloatingPointError("the shape of the cell changes; a gas resists no shear: let only its volume change")
     if not np.isfinite(ends).all():
         raise FloatingPointError(f"not finite: energy {ends[1][0]:.3g} eV or volume {atoms.get_volume():.3g} Å³")
-    x, p, f, volumes, u = (np.array(one) for one in zip(*seen, strict=True))
-    return Frames(atoms.get_masses(), kt, x, p, f, volumes, u, np.array(ends))
+    return Frames._make([atoms.get_masses(), kt, *map(np.array, zip(*seen, strict=True)), np.array(ends)])
 
 
 def started(make: Make, scene: Scene, seed: int) -> tuple[Atoms, Any]:
@@ -307,4 +319,4 @@ def started(make: Make, scene: Scene, seed: int) -> tuple[Atoms, Any]:
 def ends_of(atoms: Atoms) -> tuple[float, float]:
     """Energy, and log of the volume."""
     with np.errstate(all="ignore"):
-        return float(atoms.get_potential_energy() + atoms.get_kinetic_energy()), float(np.log(atoms.get_volume()))
+        return atoms.get_potential_energy() + atoms.get_kinetic_energy(), np.log(atoms.get_volume())

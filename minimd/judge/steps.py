@@ -1,7 +1,5 @@
 """The grade of a step: its order, its symmetries, and what it conserves. All is measured on a few particles."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
@@ -11,16 +9,26 @@ import numpy as np
 
 from minimd.judge.calling import FORCES, StudentStep, understood
 from minimd.judge.faults import faults_of, hidden
-from minimd.judge.findings import Finding, Grade, Law, causes, judged
+from minimd.judge.findings import Answer, Finding, Grade, Law, causes, judged
 from minimd.judge.methods import Numbers, named, numbers_of
-from minimd.judge.problems import Array, TrialProblem, difference
+from minimd.judge.problems import Array, Function, TrialProblem, difference
 
 STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}  # needed to distinguish all terms, by the shape of x
-DURATION, COUNTS = 0.8, (8, 16, 32, 64)  # errors are compared after this time, made in these numbers of steps
-ORDER_OFF, HIGH = 0.25, 2.5  # of the slope from the order; a step of higher order has the right terms up to dt²
-PACE, BACK, SOME, LONG = 0.05, 10, 20, 1000  # time step of runs; steps back and forth, for momenta, for the energy
-DELTA, NOISE, EXACTLY = 2e-3, 1e-13, 1e-13  # of differences; of a step in float64; of an energy that is rescaled
-TOO_LARGE, SYMPLECTIC = 1e6, 1e-9  # an energy; JᵀΩJ − Ω
+# errors are compared after this time, made in these numbers of steps
+DURATION = 0.8
+COUNTS = (8, 16, 32, 64)
+ORDER_OFF = 0.25  # of the slope from the order
+HIGH = 2.5  # a step of higher order has the right terms up to dt²
+# time step of runs; steps back and forth, for momenta, for the energy
+PACE = 0.05
+BACK = 10
+SOME = 20
+LONG = 1000
+DELTA = 2e-3  # of differences
+NOISE = 1e-13  # of a step in float64
+EXACTLY = 1e-13  # of an energy that is rescaled
+TOO_LARGE = 1e6  # an energy
+SYMPLECTIC = 1e-9  # JᵀΩJ − Ω
 LENGTHS = np.arange(0.01, 6.001, 0.01)  # ω dt at which stability is tested
 
 
@@ -28,29 +36,34 @@ class Measured:
     """A step and what is measured on it: see Law.measure."""
 
     def __init__(self, step: StudentStep, where: TrialProblem, expected: int) -> None:
-        self.step, self.where, self.expected = step, where, expected
+        self.step = step
+        self.where = where
+        self.expected = expected
         line = [np.ravel(step(where, where.x * (1.0 + 1e-6 * k), where.v, 0.1)[0]) for k in range(12)]
-        self.noise = float(np.abs(np.diff(line, n=3, axis=0)).max() / 8.0 / np.abs(where.x).max())
+        self.noise = np.abs(np.diff(line, n=3, axis=0)).max() / 8.0 / np.abs(where.x).max()
         self.fuzz = max(1.0, self.noise / NOISE)
-        self.has = {"atoms", "vectors"} if where.x.ndim == 2 else {"atoms"} if where.x.ndim else set[str]()
-        self.has = set() if where.stiffness else self.has  # springs to the origin conserve no momenta
-        self.has |= {"force"} if step.takes(*FORCES) else set()
+        n_dimensions = 0 if where.stiffness else where.x.ndim  # springs to the origin conserve no momenta
+        self.has = {*("atoms", "vectors")[:n_dimensions]}
+        if step.takes(*FORCES):
+            self.has.add("force")
 
-    def run(self, h: float, n: int, x: Array | None = None, v: Array | None = None) -> tuple[Array, Array]:
-        """x and v after n steps."""
-        x, v = self.where.x if x is None else x, self.where.v if v is None else v
+    def run(self, h: float, n: int, start: Any = None) -> tuple[Array, Array]:
+        """x and v after n steps.  start : (x, v), those of the problem if not given."""
+        x, v = start or self.where[:2]
         for _ in range(n):
             x, v = self.step(self.where, x, v, h)
         return x, v
 
-    def order(self) -> tuple[float, float, str]:
+    def order(self) -> Answer:
         """The slope, in a logarithmic plot, of the error after a fixed time against the time step."""
-        right, counts = np.array(self.where.flow(DURATION)), np.array(COUNTS)
+        right = np.array(self.where.flow(DURATION))
+        counts = np.array(COUNTS)
         errors = np.array([np.linalg.norm(np.array(self.run(DURATION / n, n)) - right) for n in COUNTS])
         kept = np.flatnonzero(errors > 1e-11)[-3:]
         kept = kept if len(kept) == 3 else np.arange(2)
-        is_finite, logs = np.isfinite(errors).all(), np.log(np.maximum(errors[kept], 1e-300))
-        slope = float(-np.polyfit(np.log(counts[kept]), logs, 1)[0]) if is_finite else 0.0
+        is_finite = np.isfinite(errors).all()
+        logs = np.log(np.maximum(errors[kept], 1e-300))
+        slope = -np.polyfit(np.log(counts[kept]), logs, 1)[0] if is_finite else 0.0
         off = np.inf if slope < ORDER_OFF else max(self.expected - slope, 0.0)  # the error does not decrease with dt
         told = f"{self.expected} expected; error {errors[-1]:.1e} at t = {DURATION:g}, dt = {DURATION / counts[-1]:g}"
         return slope, off, f"{max(slope, 0.0):.2f} measured, {told}"
@@ -58,7 +71,8 @@ class Measured:
     @cached_property
     def jacobian(self) -> Array:
         """∂(x₁, p₁)/∂(x, p) at Δt = 0.1."""
-        where, start = self.where, np.array([self.where.x, self.where.mass * self.where.v])
+        where = self.where
+        start = np.array([where.x, where.mass * where.v])
 
         def end(y: Array) -> Array:
             x, p = y.reshape(start.shape)
@@ -73,12 +87,12 @@ class Measured:
         omega = np.kron([[0.0, 1.0], [-1.0, 0.0]], np.eye(self.where.x.size))
         return float(np.abs(self.jacobian.T @ omega @ self.jacobian - omega).max()) / self.fuzz
 
-    def reversal(self) -> tuple[float, float, float]:
+    def reversal(self) -> Answer:
         """The distance from the start after steps forwards and as many back, and the way."""
         x, v = self.run(PACE, BACK)
-        way = float(np.abs(x - self.where.x).max())
-        x, v = self.run(PACE, BACK, x, -v)
-        back = float(max(np.abs(x - self.where.x).max(), np.abs(v + self.where.v).max()))
+        way = np.abs(x - self.where.x).max()
+        x, v = self.run(PACE, BACK, (x, -v))
+        back = max(np.abs(x - self.where.x).max(), np.abs(v + self.where.v).max())
         return back, back / self.fuzz / max(1.0, way), way
 
     def momentum(self, of: Callable[[Array, Array], Array]) -> float:
@@ -86,44 +100,50 @@ class Measured:
         before, after = (of(x, self.where.mass * v) for x, v in (self.where[:2], self.run(PACE, SOME)))
         return float(np.abs((after - before).sum(axis=0)).max() / np.abs(before).sum()) / self.fuzz
 
-    def energy(self) -> tuple[float, float, str]:
+    def energy(self) -> Answer:
         """Drift of the total energy per step in a long run; a symplectic step has none, only slow oscillations."""
-        (x, v), energies, times = self.where[:2], list[tuple[float, float]](), np.arange(LONG)
+        x, v = self.where[:2]
+        energies = list[tuple[float, float]]()
+        times = np.arange(LONG)
         while len(energies) < LONG:
             x, v = self.step(self.where, x, v, PACE)
-            energies.append((float(0.5 * np.sum(self.where.mass * v * v)), self.where.at(x)[1]))
+            energies.append((0.5 * np.sum(self.where.mass * v * v), self.where.at(x)[1]))
             if not abs(sum(energies[-1])) < TOO_LARGE:
                 return np.inf, np.inf, f"grows beyond {TOO_LARGE:g} in {len(energies)} steps of {PACE:g}"
-        series, k = np.sum(energies, axis=1), float(np.mean(energies, axis=0)[0])
+        series = np.sum(energies, axis=1)
+        k = np.mean(energies, axis=0)[0]
         slope, start = np.polyfit(times, series / k, 1)
-        oscillation = float(np.std(series / k - slope * times - start))
+        oscillation = np.std(series / k - slope * times - start)
         if oscillation < EXACTLY:
             return 0.0, np.inf, "constant to rounding: no explicit step has this property by itself"
-        off = float(abs(slope) * LONG / max(1e-9, oscillation)) if self.form > SYMPLECTIC else 0.0
+        off = abs(slope) * LONG / max(1e-9, oscillation) if self.form > SYMPLECTIC else 0.0
         words = f"changes by {slope:.1e} of the kinetic energy per step" if off > 1.0 else "does not drift"
-        return float(slope), off, f"{words}; it oscillates by {oscillation:.1e} (dt = {PACE:g})"
+        return slope, off, f"{words}; it oscillates by {oscillation:.1e} (dt = {PACE:g})"
 
-    def oscillator(self) -> tuple[float, float, str]:
+    def oscillator(self) -> Answer:
         """The step as a matrix, for x″ = −x: its determinant, the quadratic form that it conserves, and the longest
         stable step."""
         omega = np.sqrt(self.step.stiffness or 1.0)
         where = self.step.problem(1, stiffness=float(omega**2))
-        one, where = np.ones_like(where.x), where._replace(m=np.ones_like(where.m))
+        one = np.ones_like(where.x)
+        where = where._replace(m=np.ones_like(where.m))
 
         def matrix(h: float) -> Array:
             ends = [self.step(where, x * one, v * one, h / omega) for x, v in ((1.0, 0.0), (0.0, omega))]
             return np.array([(np.ravel(x)[0], np.ravel(v)[0] / omega) for x, v in ends]).T
 
-        m, off = matrix(0.5), float(np.linalg.det(matrix(0.5))) - 1.0
+        m = matrix(0.5)
+        off = np.linalg.det(m) - 1.0
         if not abs(off) <= 1e-7:
             return off, np.inf, f"at ω dt = 0.5 the energy changes by the factor {1.0 + off:.4g} in each step"
-        skew, stiffness = (m[1, 1] - m[0, 0]) / m[0, 1], -m[1, 0] / m[0, 1]
+        skew = (m[1, 1] - m[0, 0]) / m[0, 1]
+        stiffness = -m[1, 0] / m[0, 1]
         stable = next((k for k, h in enumerate(LENGTHS) if abs(np.trace(matrix(h))) > 2.0 + 1e-9), len(LENGTHS))
         mixed = f" {skew:+.4g} ω x v" if abs(skew) > 1e-9 else ""
-        words = f"at ω dt = 0.5 it conserves v² {stiffness:+.6g} ω² x²{mixed}"
-        return 0.01 * stable, 0.0 if stable else np.inf, f"{words}; stable up to ω dt = {0.01 * stable:.2f}"
+        words = f"at ω dt = 0.5 it conserves v² {stiffness:+.6g} ω² x²{mixed}; stable up to ω dt = {0.01 * stable:.2f}"
+        return 0.01 * stable, 0.0 if stable else np.inf, words
 
-    def cost(self) -> tuple[int, float, str]:
+    def cost(self) -> Answer:
         """The number of force evaluations in one step."""
         self.step.n_evaluations = 0
         self.run(PACE, 1)
@@ -161,28 +181,32 @@ NO_MAP = {"reversible", "symplectic", "volume", "angular momentum", "energy", "o
 RUNGE_KUTTA = "a Runge-Kutta method: it is not symplectic, and its energy drifts at any order"
 
 
-def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
+def grade_step(function: Function, order: int = 2) -> Grade:
     """See grade."""
     step = understood(function)
     problems = [step.problem(seed) for seed in range(STATES[step.shape])]
-    where, remarks = problems[0], [words for is_so, words in REMARKS if is_so(step)]
+    where = problems[0]
+    remarks = [words for is_so, words in REMARKS if is_so(step)]
     with np.errstate(all="ignore"):
         if faults := hidden(step, where):
             return Grade(step.told, (Finding("a map of x and v", False, faults[0]),), tuple(faults), "", tuple(remarks))
         one = Measured(step, where, order)
         laws = {finding.name: finding for finding in judged(LAWS, one)}
-        reached, is_right, is_symplectic = laws["order"].value, laws["order"].passed, laws["symplectic"].passed
+        reached = laws["order"].value
+        is_right = laws["order"].passed
+        is_symplectic = laws["symplectic"].passed
         numbers = None if step.takes("before") else numbers_of(step, where)
         method, near = named(numbers) if isinstance(numbers, Numbers) else ("", numbers or "")
         is_low = is_symplectic and order == 1  # and asked for
         n_powers = 2 if reached > HIGH or is_low else 3
-        faults = [near] * bool(near) or faults_of(step, problems, one.noise, n_powers, laws["energy"].value == 0.0)
+        faults = [near] if near else faults_of(step, problems, one.noise, n_powers, laws["energy"].value == 0.0)
         is_open = NO_MAP if step.takes("before") else set[str]()
         if is_symplectic and is_right and (reached > HIGH or is_low):  # as Ruth's method of order 3, which is right
             is_open = {"reversible"}
         elif isinstance(numbers, Numbers) and not numbers.substeps and not is_symplectic and not faults:
             if is_right and abs(reached - order) < 0.5 and (order > 2 or method):
-                is_open, remarks = {name for name, law in laws.items() if law.passed is False}, [*remarks, RUNGE_KUTTA]
+                is_open = {name for name, law in laws.items() if law.passed is False}
+                remarks = [*remarks, RUNGE_KUTTA]
             else:
                 faults = [f"{RUNGE_KUTTA}. If it is meant, ask for its order: md.grade(step, order={round(reached)})"]
     laws |= {name: replace(laws[name], passed=None) for name in is_open if name in laws}

@@ -1,7 +1,5 @@
 """A grade for others: as JSON, as a picture, and its laws as tests of another suite."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import cache
@@ -50,9 +48,10 @@ def named(place: str) -> Callable[..., Any]:
     try:
         return (run_path(module) if module.endswith(".py") else vars(import_module(module)))[name]
     except (ImportError, OSError, KeyError, SyntaxError, TypeError, ValueError) as error:
-        wanted = "module:class, as ase.md.langevin:Langevin, or file.py:class"
         said = f"{module} has no {name!r}" if isinstance(error, KeyError) else error
-        raise ValueError(f"dynamics must be {wanted}; got {place!r}: {said}") from error
+        raise ValueError(
+            f"dynamics must be module:class, as ase.md.langevin:Langevin, or file.py:class; got {place!r}: {said}"
+        ) from error
 
 
 def laws_of(dynamics: Callable[..., Any], **options: Any) -> list[Any]:
@@ -74,7 +73,8 @@ class LawOf:
     """One law of a class of dynamics."""
 
     def __init__(self, name: str, graded: Callable[[], Grade]) -> None:
-        self.name, self._graded = name, graded
+        self.name = name
+        self._graded = graded
 
     def __repr__(self) -> str:
         return self.name

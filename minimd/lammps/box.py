@@ -30,13 +30,15 @@ class Box:
         images = np.where(self.open, 0.0, np.floor(hand * (system.positions @ cell.inverse)))
         self._shifts = images @ (hand * cell.lattice)
         self.positions = self.turned(system.positions - self._shifts)
-        self.low, self.high = np.zeros(3), np.diag(self.edges).copy()
+        self.low = np.zeros(3)
+        self.high = np.diag(self.edges).copy()
 
     def make_room(self, length: float) -> None:
         """Set open bounds, which LAMMPS moves, at a distance from the atoms [length]: a box is thicker than cutoffs."""
         for k in np.flatnonzero(self.open):
             column = self.positions[:, k]
-            self.low[k], self.high[k] = column.min() - length, column.max() + length
+            self.low[k] = column.min() - length
+            self.high[k] = column.max() + length
 
     def turned(self, vectors: Array) -> Array:
         """Vectors (N, 3) of minimd, turned as in LAMMPS."""

@@ -51,7 +51,9 @@ class Symbol:
     decisions : truth values for the conditions in this call of a law, in their order."""
 
     def __init__(self, operation: str, arguments: tuple[Any, ...], decisions: Iterator[bool]) -> None:
-        self.operation, self.arguments, self.decisions = operation, arguments, decisions
+        self.operation = operation
+        self.arguments = arguments
+        self.decisions = decisions
 
     def of(self, operation: str, *arguments: Any) -> "Symbol":
         """An operation or a function of Lepton with these arguments. √(r²) is r."""
@@ -214,7 +216,8 @@ def written(expression: Any) -> str:
                 raise UnwritableError(f"it contains the number {number}")
             return repr(number) if number >= 0.0 else f"(0-{-number!r})"
         if id(one) not in texts:
-            arguments, operation = [text(argument) for argument in one.arguments], one.operation
+            arguments = [text(argument) for argument in one.arguments]
+            operation = one.operation
             whole = f"({operation.join(arguments)})" if operation in "+-*/^" else f"{operation}({','.join(arguments)})"
             if uses[id(one)] > 1 and arguments:
                 named.append(f"t{len(named) + 1}={whole}")

@@ -15,7 +15,6 @@ from typing import Any, BinaryIO
 from uuid import uuid4
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.progress import progress_of
@@ -30,6 +29,7 @@ from minimd.core.potentials.term import bound
 from minimd.core.simulation.simulation import Simulation
 from minimd.core.structure.checks import checked_count, checked_flag
 from minimd.core.structure.errors import HandOverError, sentence
+from minimd.core.structure.observables import Array
 from minimd.lammps import script
 from minimd.lammps.box import IMAGES, Box
 from minimd.lammps.model import Model
@@ -39,7 +39,7 @@ from minimd.lammps.verification import LEAST, Verification, compare, in_both
 MAGIC = b"DUMPCUSTOM"
 
 
-def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
+def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, Array]]:
     """For each frame, its step and all columns but the first, (N, C); the first must be the id, which orders the rows.
     A file that does not exist has no frame; one that is cut off or lacks atoms ends the iteration.  Raises ValueError
     for a file that is not such a dump."""
@@ -48,7 +48,7 @@ def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, NDArray[np.float64]]
             yield _frame(file, n_atoms)
 
 
-def _frame(file: BinaryIO, expected: int) -> tuple[int, NDArray[np.float64]]:
+def _frame(file: BinaryIO, expected: int) -> tuple[int, Array]:
     """The next frame.  Raises EOFError if it is cut off, or has another number of atoms."""
 
     def read(kind: str) -> tuple[Any, ...]:
@@ -67,7 +67,8 @@ def _frame(file: BinaryIO, expected: int) -> tuple[int, NDArray[np.float64]]:
     _unit_style, has_time = read(f"{size}sb")
     size = read("di" if has_time else "i")[-1]
     _names_of_columns, n_processes = read(f"{size}si")
-    rows, filled = np.empty((n_atoms, n_columns - 1)), 0
+    rows = np.empty((n_atoms, n_columns - 1))
+    filled = 0
     for _ in range(n_processes):
         (n_numbers,) = read("i")
         part = np.frombuffer(read(f"{8 * n_numbers}s")[0]).reshape(-1, n_columns)
@@ -79,7 +80,8 @@ def _frame(file: BinaryIO, expected: int) -> tuple[int, NDArray[np.float64]]:
 
 
 TRAJECTORY = "run.h5md"
-BYTES_PER_ATOM, BYTES_PER_FRAME = 490, 130  # of the input and of step 0; of a frame in the files of LAMMPS and minimd
+BYTES_PER_ATOM = 490  # of the input and of step 0
+BYTES_PER_FRAME = 130  # of a frame in the files of LAMMPS and minimd
 DISAGREEMENT = 1e-8  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
 MOST_STEPS = 2**31  # one run of LAMMPS makes fewer
 
@@ -104,16 +106,18 @@ class HandOver(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        most = f"energies of both programs differ by at most {self.energy_difference:.1e} of Σ|e_i| or N k_B T"
         return [("LAMMPS", f"{self.version}, on {_named(self.processes)}"), ("verified", f"{self.verification}"),
-                ("frames", f"{len(self.record)}; {most}"),
+                ("frames", f"{len(self.record)}; energies of both programs differ by at most "
+                           f"{self.energy_difference:.1e} of Σ|e_i| or N k_B T"),
                 ("time", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in self.seconds.items())),
                 ("written", str(self.trajectory))]  # fmt: skip
 
 
 def not_carried_over(simulation: Simulation) -> list[str]:
     """The promises of minimd that a run by LAMMPS does not keep, one sentence each."""
-    engine, method, extra = simulation.engine, simulation.method, simulation.engine.extra_observables
+    engine = simulation.engine
+    method = simulation.method
+    extra = engine.extra_observables
     is_fixed_point = engine.interactions.options.precision != "double"
     is_rigid = engine.constraint_set.bonds is not None
     rows = {  # sentence: whether it applies
@@ -161,7 +165,9 @@ def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, process
     frames, the complete frames are kept, and the simulation is in the state of the last one.
     """
     job = _checked(simulation, Path(folder), steps, processes, every, checked_flag("overwrite", overwrite))
-    with_forces, tell, engine = checked_flag("store_forces", store_forces), tell or (lambda line: None), job.engine
+    with_forces = checked_flag("store_forces", store_forces)
+    tell = tell or (lambda line: None)
+    engine = job.engine
     with _in_folder(job), stop_on_signals(job):
         with phase(job, "writing"):
             engine.begin()
@@ -175,7 +181,9 @@ def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, process
         tell(f"verified       {verification}")
         _remove_raw(job)
         (job.folder / script.LOG).unlink()
-        log, failure, first = Log(job.folder / script.LOG), "", job.first_step
+        log = Log(job.folder / script.LOG)
+        failure = ""
+        first = job.first_step
         with phase(job, "running"), progress_of(job.steps, "LAMMPS", progress) as show:
             try:
                 run(job.command(script.RUN), job.folder, script.LOG, job, lambda step: show(step - first))
@@ -183,10 +191,19 @@ def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, process
                 failure = str(error)
         log.read_on()
         with phase(job, "reading back"):
-            back = _brought_back(job, model, log, verification.scale, with_forces, not (failure or job.stop_requested))
-        _judge(job, failure, log, max(DISAGREEMENT, model.tolerance), *back)
-        found = back[0], verification, back[1], job.seconds
-        done = HandOver(job.folder, job.folder / TRAJECTORY, *found, job.program.version, job.processes)
+            is_whole = not (failure or job.stop_requested)
+            record, difference, n_missing = _brought_back(job, model, log, verification.scale, with_forces, is_whole)
+        _judge(job, failure, log, max(DISAGREEMENT, model.tolerance), record, difference, n_missing)
+        done = HandOver(
+            job.folder,
+            job.folder / TRAJECTORY,
+            record,
+            verification,
+            difference,
+            job.seconds,
+            job.program.version,
+            job.processes,
+        )
         for line in str(done).splitlines()[2:]:
             tell(line)
         return done
@@ -241,7 +258,8 @@ def _checked(simulation: Simulation, folder: Path, steps: int, processes: int, e
     if simulation.barostat is not None:
         raise ValueError("a run with a barostat cannot be handed over to LAMMPS, which has other barostats than "
                          "minimd; run it with minimd")  # fmt: skip
-    steps, every = checked_count("steps", steps, limit=MOST_STEPS), checked_count("every", every)
+    steps = checked_count("steps", steps, limit=MOST_STEPS)
+    every = checked_count("every", every)
     processes = checked_count("processes", processes)
     check_extras(simulation.engine)
     script.check_method(simulation.engine)
@@ -258,7 +276,8 @@ def _checked(simulation: Simulation, folder: Path, steps: int, processes: int, e
     parent = folder.absolute().parent
     if not parent.is_dir():
         raise FileNotFoundError(f"folder {str(parent)!r} does not exist; make it first")
-    n_atoms, n_frames = len(simulation.system), 2 + steps // every
+    n_atoms = len(simulation.system)
+    n_frames = 2 + steps // every
     needed = n_atoms * (BYTES_PER_ATOM + BYTES_PER_FRAME * n_frames)
     if needed > (free := shutil.disk_usage(parent).free):
         raise OSError(f"the hand-over needs {needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the "
@@ -270,7 +289,9 @@ def _checked(simulation: Simulation, folder: Path, steps: int, processes: int, e
 @contextmanager
 def _in_folder(job: Job) -> Iterator[None]:
     """Context in which the folder exists; if something fails, it is removed, unless frames are kept in it."""
-    before, old, folder = job.engine.snapshot(), None, job.folder
+    before = job.engine.snapshot()
+    old = None
+    folder = job.folder
     if folder.is_dir() and any(folder.iterdir()):
         folder.rename(old := folder.with_name(f"{folder.name}.before-{uuid4().hex[:8]}"))
     folder.mkdir(exist_ok=True)
@@ -322,33 +343,45 @@ def _brought_back(job: Job, model: Model, log: Log, scale: float, store_forces: 
     Returns the record of the frames, the energy difference (see HandOver), and the number of frames that are missing.
     is_whole : whether LAMMPS has reached its end. If not, the frames that exist are kept if there is one after the
     first."""
-    engine, n_atoms, notes = job.engine, len(job.engine.system), job.engine.notes
-    record, end = Record(engine.system.units, n_atoms, job.folder / TRAJECTORY), job.first_step + job.steps
+    engine = job.engine
+    n_atoms = len(engine.system)
+    notes = engine.notes
+    record = Record(engine.system.units, n_atoms, job.folder / TRAJECTORY)
+    end = job.first_step + job.steps
     found = (one for one in frames(job.folder / script.FRAMES, n_atoms) if one[0] > job.first_step)
     first = next(found, None)
     job.keeps_frames = first is not None
     if first is None and not is_whole:
         return record, 0.0, 0
-    start, title, differences = engine.reservoir_energy, notes["title"], list[float]()
+    start = engine.reservoir_energy
+    title = notes["title"]
+    differences = list[float]()
     # [energy], of tail corrections, which LAMMPS does not compute
-    tail = sum(float(bound(one, engine.system).tail(engine.system)[0]) for one in engine.interactions.potentials)
+    tail = sum(bound(one, engine.system).tail(engine.system)[0] for one in engine.interactions.potentials)
 
-    def stand(step: int, columns: NDArray[np.float64]) -> None:
+    def stand(step: int, columns: Array) -> None:
         _stand(job, model.box, step, columns)
         engine.reservoir_energy = start - sum(log.rows.get(step, ())[1:])  # a second number if there is a bath
 
-    options: dict[str, Any] = {"every": job.every, "n_steps": job.steps, "store_forces": store_forces}
-    notes["title"], n_missing = f"{title or f'{n_atoms} atoms'}, run by LAMMPS {job.program.version}", 0
+    notes["title"] = f"{title or f'{n_atoms} atoms'}, run by LAMMPS {job.program.version}"
+    n_missing = 0
     try:
-        with open_trajectories(job.folder / TRAJECTORY, engine, overwrite=False, **options) as writers:
+        with open_trajectories(
+            job.folder / TRAJECTORY,
+            engine,
+            every=job.every,
+            n_steps=job.steps,
+            store_forces=store_forces,
+            overwrite=False,
+        ) as writers:
             for step, columns in chain([(job.first_step, None)], [first] if first else [], found):
                 if columns is not None:
                     stand(step, columns)
                 record.append(frame := observe(engine))
                 for writer in writers:
                     writer.write(frame)
-                energy = float(frame.observables["potential_energy"]) - tail
-                heat = n_atoms * engine.system.units.k_B * float(frame.observables["temperature"])
+                energy = frame.observables["potential_energy"] - tail
+                heat = n_atoms * engine.system.units.k_B * frame.observables["temperature"]
                 theirs = log.rows.get(step, (np.nan,))[0]
                 differences.append(abs(theirs - energy) / max(scale, abs(energy), heat, LEAST))
             if is_whole:
@@ -362,9 +395,11 @@ def _brought_back(job: Job, model: Model, log: Log, scale: float, store_forces: 
     return record, float(np.max(differences)), n_missing
 
 
-def _stand(job: Job, box: Box, step: int, columns: NDArray[np.float64]) -> None:
+def _stand(job: Job, box: Box, step: int, columns: Array) -> None:
     """Put the engine in the state of LAMMPS at a step."""
-    engine, timestep, velocities = job.engine, job.engine.method.timestep, box.back(columns[:, 3:])
+    engine = job.engine
+    timestep = engine.method.timestep
+    velocities = box.back(columns[:, 3:])
     if not np.isfinite(columns).all():
         raise HandOverError(f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step "
                             f"({timestep:g})")  # fmt: skip
@@ -373,8 +408,7 @@ def _stand(job: Job, box: Box, step: int, columns: NDArray[np.float64]) -> None:
         raise HandOverError(f"it is unknown how many cells the atoms have crossed at step {step}: their places are "
                             f"uncertain by {most:.3g} cells since step {engine.step}, and LAMMPS counts {IMAGES // 2} "
                             f"at most; bring frames back more often (every = {job.every})")  # fmt: skip
-    expected = engine.positions + half * (velocities + engine.velocities)
-    engine.positions[:] = box.positions_back(columns[:, :3], expected)
+    engine.positions[:] = box.positions_back(columns[:, :3], engine.positions + half * (velocities + engine.velocities))
     engine.velocities[:] = velocities
     engine.count(step - engine.step)
     engine.moved()

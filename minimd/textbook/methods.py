@@ -8,17 +8,28 @@ from minimd.textbook.ode import bdf, runge_kutta
 __all__ = ["METHODS"]
 
 
+YES = {True: "yes", False: "no"}
+
+
 class MethodTable(Displayed, dict[str, type[Method]]):
     """Methods by name, displayed as a table of their properties."""
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        kinds = "class", "order", "stages", "symmetric", "symplectic", "explicit", "source"
-        rows: list[tuple[str, ...]] = [("name", *kinds)]
+        rows = [("name", "class", "order", "stages", "symmetric", "symplectic", "explicit", "source")]
         for method in self.values():
-            answers = (method.is_symmetric, method.is_symplectic, method.is_explicit)
-            known = ("yes" if answer else "no" for answer in answers)
-            rows.append((method.name, method.__name__, str(method.order), str(method.stages), *known, method.source))
+            rows.append(
+                (
+                    method.name,
+                    method.__name__,
+                    str(method.order),
+                    str(method.stages),
+                    YES[method.is_symmetric],
+                    YES[method.is_symplectic],
+                    YES[method.is_explicit],
+                    method.source,
+                )
+            )
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return [(row[0], "  ".join(map(str.ljust, row[1:], widths[1:])).rstrip()) for row in rows]
 

@@ -11,8 +11,6 @@ step, so that overlaps are resolved however large the forces are. A step that le
 that overstretches a FENE bond, is taken back and shortened.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
@@ -37,21 +35,31 @@ from minimd.core.structure.errors import ConstraintError, Interrupted, NonFinite
 from minimd.core.structure.observables import Array, longest
 from minimd.core.structure.system import AnySystem, System
 
-FORCE_TOLERANCE, MAX_STEPS = 1e-6, 10_000  # [energy/length], in reduced units and in eV/Å
+# [energy/length], in reduced units and in eV/Å
+FORCE_TOLERANCE = 1e-6
+MAX_STEPS = 10_000
 MAX_STEP_LENGTH = 0.1  # [length], in σ and in Å
 # N_delay, f_inc, f_dec, α_start, f_α: Guénolé et al., table 2
-DELAY, FASTER, SLOWER, MIXING, LESS_MIXING = 20, 1.1, 0.5, 0.25, 0.99
+DELAY = 20
+FASTER = 1.1
+SLOWER = 0.5
+MIXING = 0.25
+LESS_MIXING = 0.99
 # √κ Δt at the start, and at most; symplectic Euler is unstable above 2, and κ may be underestimated
-FIRST, LONGEST = 0.3, 1.0
+FIRST = 0.3
+LONGEST = 1.0
 PROBE = 1e-3  # of the longest step: displacements for measuring the curvature
 # displacements, each along the change of the forces in the one before; steps between two such series; series at first
-PROBES, PROBE_EVERY, FIRST_SERIES = 5, 50, 4
+PROBES = 5
+PROBE_EVERY = 50
+FIRST_SERIES = 4
 SEED = 1  # of the first displacement
 FALLING = 0.9  # the largest force must fall by this factor in a step of steepest descent
 # of a force: if one is larger, all are scaled down by the same factor, so that their squares are finite
 LARGEST = 1e100
 # largest numbers of pushes that separate pairs with infinite forces, and of steps taken back, each shorter than before
-PUSHES, REFUSALS = 100, 50
+PUSHES = 100
+REFUSALS = 50
 
 
 @dataclass(frozen=True)
@@ -128,8 +136,14 @@ def minimize(
     E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006); J. Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020).
     """
     system = system.copy() if isinstance(system, System) else System.from_ase(system)
-    held = ConstraintSet(system, system.constraints if constraints is None else constraints)
-    return minimized(Forces(system, potentials), held, force_tolerance, max_steps, max_step_length, progress)
+    return minimized(
+        Forces(system, potentials),
+        ConstraintSet(system, system.constraints if constraints is None else constraints),
+        force_tolerance,
+        max_steps,
+        max_step_length,
+        progress,
+    )
 
 
 def minimized(
@@ -143,16 +157,26 @@ def minimized(
     """Minimize the system of some forces in place; see minimize."""
     tolerance = checked_number("force_tolerance", force_tolerance, "positive and finite")
     max_step_length = checked_number("max_step_length", max_step_length, "positive and finite")
-    max_steps, system = checked_count("max_steps", max_steps, 0), forces.system
-    evaluated, energy_before = forces.n_evaluations, _potential_energy(forces)
+    max_steps = checked_count("max_steps", max_steps, 0)
+    system = forces.system
+    evaluated = forces.n_evaluations
+    energy_before = _potential_energy(forces)
     constraint_set.fit(system)
     descent = Descent(forces, constraint_set.with_equal_masses(system), max_step_length, tolerance, max_steps)
     with progress_of(max_steps, "minimizing", progress) as tell, stop_on_signals(descent):
         largest_before = descent.run(tell)
         constraint_set.project(system.velocities, system.positions)
-        counts = descent.n_steps, forces.n_evaluations - evaluated + 1
-        found = descent.largest_force, largest_before, _potential_energy(forces), energy_before
-        result = Minimization(system, descent.largest_force <= tolerance, *counts, *found, tolerance)
+        result = Minimization(
+            system,
+            descent.largest_force <= tolerance,
+            descent.n_steps,
+            forces.n_evaluations - evaluated + 1,
+            descent.largest_force,
+            largest_before,
+            _potential_energy(forces),
+            energy_before,
+            tolerance,
+        )
         if descent.stop_requested and not result.converged:
             raise Interrupted(f"stopped after step {result.n_steps} of the minimization", result)
     return result
@@ -206,15 +230,23 @@ class Descent:
     def __init__(
         self, forces: Forces, constraint_set: ConstraintSet, longest_step: float, tolerance: float, max_steps: int
     ) -> None:
-        self._engine, self._constraint_set, self._longest = forces, constraint_set, longest_step
-        self._tolerance, self._max_steps, self._curvature = tolerance, max_steps, 0.0
-        self._system, self._positions = forces.system, forces.system.positions
-        self._forces, self._velocities = np.zeros_like(self._positions), np.zeros_like(self._positions)
+        self._engine = forces
+        self._constraint_set = constraint_set
+        self._longest = longest_step
+        self._tolerance = tolerance
+        self._max_steps = max_steps
+        self._curvature = 0.0
+        self._system = forces.system
+        self._positions = forces.system.positions
+        self._forces = np.zeros_like(self._positions)
+        self._velocities = np.zeros_like(self._positions)
         self._probe = np.random.default_rng(SEED).standard_normal(self._positions.shape)
         # minimd's own laws have no finite force where they have no energy
         own = (isinstance(one, OwnPotential) and not is_user_law(getattr(one, "law", ())) for one in forces.potentials)
         self._detail = FORCES if all(own) else TOTALS
-        self.n_steps, self.largest_force, self.stop_requested = 0, np.inf, False
+        self.n_steps = 0
+        self.largest_force = np.inf
+        self.stop_requested = False
 
     def run(self, tell: Callable[[int], Any]) -> float:
         """Correct the constrained lengths, and descend until no force exceeds the tolerance, or for max_steps steps.
@@ -225,7 +257,8 @@ class Descent:
         Raises NonFiniteError if energy or forces are not finite for another reason than overlaps.  ConstraintError if
         the lengths cannot be corrected, or if no step keeps them.
         """
-        bonds, n_pushes = self._constraint_set.bonds, 0
+        bonds = self._constraint_set.bonds
+        n_pushes = 0
         if bonds is not None and bonds.violation(self._positions).max() > bonds.tolerance:
             bonds.project_positions(self._positions)
         while not self._evaluate():
@@ -243,13 +276,17 @@ class Descent:
     def _steepest(self, tell: Callable[[int], Any]) -> None:
         """Steepest descent, as long as the largest force decreases; its atom moves by the longest step."""
         while self._goes_on():
-            before, forces, largest = self._positions.copy(), self._forces.copy(), self.largest_force
+            before = self._positions.copy()
+            forces = self._forces.copy()
+            largest = self.largest_force
             if self._moved(self._forces * (self._longest / largest), 1.0) and self._evaluate():
                 self.n_steps += 1
                 tell(self.n_steps)
                 if self.largest_force < FALLING * largest:
                     continue
-            self._positions[:], self._forces[:], self.largest_force = before, forces, largest
+            self._positions[:] = before
+            self._forces[:] = forces
+            self.largest_force = largest
             return
 
     def _fire(self, tell: Callable[[int], Any]) -> None:
@@ -257,39 +294,57 @@ class Descent:
         energy, is taken back."""
         for _ in range(FIRST_SERIES):
             self._try_curvature()
-        timestep, mixing, downhill, refused = FIRST / np.sqrt(self._curvature), MIXING, 0, 0
+        timestep = FIRST / np.sqrt(self._curvature)
+        mixing = MIXING
+        downhill = 0
+        refused = 0
         while self._goes_on():
             before = self._positions.copy()
             if overlap(self._forces, self._velocities) > 0.0:  # P = F·v > 0
                 downhill += 1
                 if downhill > DELAY:
-                    timestep, mixing = timestep * FASTER, mixing * LESS_MIXING  # Δt ← 1.1 Δt, α ← 0.99 α
+                    # Δt ← 1.1 Δt, α ← 0.99 α
+                    timestep *= FASTER
+                    mixing *= LESS_MIXING
             elif self._velocities.any():  # P ≤ 0
                 self._moved(self._velocities.copy(), -0.5 * timestep)  # r ← r − ½ Δt v
-                timestep, mixing, downhill = timestep * SLOWER, MIXING, 0  # Δt ← ½ Δt, α ← ¼
+                # Δt ← ½ Δt, α ← ¼
+                timestep *= SLOWER
+                mixing = MIXING
+                downhill = 0
                 self._velocities[:] = 0.0  # v ← 0
             timestep = min(timestep, LONGEST / np.sqrt(self._curvature))
             # v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|
             steer(self._velocities, self._forces, timestep, mixing, self._longest)
             has_moved = self._moved(self._velocities, timestep)  # r ← r + Δt v
             if has_moved and self._evaluate():
-                self.n_steps, refused = self.n_steps + 1, 0
+                self.n_steps += 1
+                refused = 0
                 tell(self.n_steps)
                 if self.n_steps % PROBE_EVERY == 0:
                     self._try_curvature()
                 continue
-            timestep, mixing, downhill, refused = timestep * SLOWER, MIXING, 0, refused + 1
-            self._positions[:], self._velocities[:] = before, 0.0
+            timestep *= SLOWER
+            mixing = MIXING
+            downhill = 0
+            refused += 1
+            self._positions[:] = before
+            self._velocities[:] = 0.0
             if refused > REFUSALS:
                 kinds = (ConstraintError, "keeps the constraints"), (NonFiniteError, "leads to a finite energy")
                 kind, wanted = kinds[has_moved]
-                length = f"{timestep**2 * self.largest_force:.2g} {self._system.units.length}"
-                raise kind(f"the minimization found no step that {wanted}, down to one of {length}")
+                raise kind(
+                    f"the minimization found no step that {wanted}, down to one of "
+                    f"{timestep**2 * self.largest_force:.2g} {self._system.units.length}"
+                )
 
     def _try_curvature(self) -> None:
         """Estimate κ by power iterations, which continue the last series; a lower bound keeps the first step within
         the longest."""
-        before, forces, largest, shown = self._positions.copy(), self._forces.copy(), self.largest_force, 0.0
+        before = self._positions.copy()
+        forces = self._forces.copy()
+        largest = self.largest_force
+        shown = 0.0
         for _ in range(PROBES):
             self._constraint_set.project(self._probe, before)
             if not self._probe.any():  # no curvature at all
@@ -302,13 +357,16 @@ class Descent:
                 break
             self._probe = forces - self._forces
             shown = np.sqrt(overlap(self._probe, self._probe) / overlap(steps, steps))
-        self._positions[:], self._forces[:], self.largest_force = before, forces, largest
+        self._positions[:] = before
+        self._forces[:] = forces
+        self.largest_force = largest
         self._curvature = max(shown, largest / self._longest)
 
     def _moved(self, velocities: Array, duration: float) -> bool:
         """Move all atoms, and change velocities as constraints require; False, without any motion, if constraints
         cannot be kept."""
-        before, bonds = self._positions.copy(), self._constraint_set.bonds
+        before = self._positions.copy()
+        bonds = self._constraint_set.bonds
         try:
             if bonds is None:
                 self._positions += duration * velocities
@@ -342,11 +400,14 @@ class Descent:
         If they are at the same place, all atoms that share a place with another take directions of their own, which are
         always the same; the one that moves farthest moves by half the longest step.
         """
-        pair, positions, cell = closest_pair(self._system), self._positions, self._system.cell
+        pair = closest_pair(self._system)
+        positions = self._positions
+        cell = self._system.cell
         words = "energy or forces are not finite: "
         if pair is None or pair.distance > self._longest or n_pushes > PUSHES or not np.isfinite(positions).all():
             raise NonFiniteError(words + why_not_finite(self._system, self._engine.potentials))
-        arm, velocities = nearest_vectors(positions, cell, np.array([pair[:2]]))[0], np.zeros_like(positions)
+        arm = nearest_vectors(positions, cell, np.array([pair[:2]]))[0]
+        velocities = np.zeros_like(positions)
         if arm.any():
             arm /= np.abs(arm).max()  # squares of tiny numbers may be zero
             velocities[[pair.first, pair.second]] = -arm, arm

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 SPARE = 1.05  # room for this much more than was asked for: from build to build of a liquid sizes change by less
 CACHE_LINE = 64  # bytes; vectors that straddle two cost twice
-PAGE, HALF_A_PAGE = 4096, 2048  # bytes
+# bytes
+PAGE = 4096
+HALF_A_PAGE = 2048
 DEVIATIONS = 16.0  # of a number that is a sum of independent ones
 
 Fields = Sequence[tuple[type, tuple[int, ...]]]  # types and shapes of arrays
@@ -35,7 +37,8 @@ class Buffers:
         """
         if name not in self._all or n > len(self._all[name]):
             self._all.pop(name, None)  # first: the old one is not needed beside the new one
-            rows, item = int(spare * n) + 1, np.dtype(dtype).itemsize
+            rows = int(spare * n) + 1
+            item = np.dtype(dtype).itemsize
             size = rows * prod(more)
             raw: NDArray[Any] = np.empty(size + PAGE // item, dtype)
             first = ((in_page - raw.ctypes.data) % PAGE) // item
@@ -46,7 +49,8 @@ class Buffers:
         """For each of several uses of one piece of memory, one at a time, the arrays, one after the other.
         Uses that begin with the same fields share these."""
         most = max(sum(_padded(*field) for field in fields) for fields in uses)
-        piece, found = self.array(name, np.uint8, most, spare=spare), list[list[NDArray[Any]]]()
+        piece = self.array(name, np.uint8, most, spare=spare)
+        found = list[list[NDArray[Any]]]()
         for fields in uses:
             starts = accumulate((_padded(*field) for field in fields), initial=0)
             each = [(start, start + _bytes(*field), *field) for start, field in zip(starts, fields, strict=False)]

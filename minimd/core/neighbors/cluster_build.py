@@ -123,7 +123,8 @@ def place_ghosts(building, domain):
 @filling_kernel
 def list_rows(building, domain):
     """The rows of a domain.  NEEDS_ROOM if there is too little: how much is needed is then in needed."""
-    first, last = building.entry_start[domain], building.entry_start[domain + 1]
+    first = building.entry_start[domain]
+    last = building.entry_start[domain + 1]
     needed = find_rows(domain, building.layout, building.arrays.rows, (first, last), make_work(building.layout))
     building.needed[domain] = needed
     return GO_ON if needed <= last - first else NEEDS_ROOM

@@ -28,7 +28,10 @@ from minimd.core.structure.cell import minimum_image
 LANES_FROM = 24  # the bits of an entry below this one number a ghost, those above it stand for lanes
 GHOST_BITS = (1 << LANES_FROM) - 1
 LAYERS = 2  # of each row; with more, a build costs as much more as steps cost less
-IN_USE, BUILDS, PREPARED_FOR = 0, 1, 2  # places in Rows.layers
+# places in Rows.layers
+IN_USE = 0
+BUILDS = 1
+PREPARED_FOR = 2
 AHEAD = 2 * BOXES  # see Rows
 WORD = 64  # candidates, one for each bit of a number
 AT_A_TIME = 4  # entries written without a branch
@@ -60,13 +63,17 @@ class SearchMemory(namedtuple("SearchMemory", "ahead candidates entries near")):
 @inlined
 def make_work(layout):
     """Enough for any cluster of any domain."""
-    domains, columns, n_lanes = layout.domains, layout.columns, count(layout.clusters.lanes)
+    domains = layout.domains
+    columns = layout.columns
+    n_lanes = count(layout.clusters.lanes)
     n_runs = (columns.reach[0] + 1) * (2 * columns.reach[1] + 1)
     n = 0
     for k in range(domains.first.size):
         n = max(n, domains.window[k + 1] - domains.window[k])
-    ahead, candidates = np.empty((n_runs, 2), dtype=np.int64), np.empty(n + BOXES, dtype=np.int32)
-    entries, near = np.empty(n + WORD + 1, dtype=np.uint32), (n // WORD + 1) * LAYERS * n_lanes
+    ahead = np.empty((n_runs, 2), dtype=np.int64)
+    candidates = np.empty(n + BOXES, dtype=np.int32)
+    entries = np.empty(n + WORD + 1, dtype=np.uint32)
+    near = (n // WORD + 1) * LAYERS * n_lanes
     return SearchMemory(ahead, candidates, entries, np.empty(near, dtype=np.int64))
 
 

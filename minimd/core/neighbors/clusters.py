@@ -27,6 +27,7 @@ from minimd.core.neighbors.buffers import Buffers
 from minimd.core.neighbors.search import ATOMS_PER_BIN, WIDER, into_cell
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.system import local_density
+from minimd.core.structure.vectors import Array
 
 N_FIXED = 5  # fields of Columns that stay as the cell is strained
 DIMENSIONS = 3  # numbers of an atom; a cluster of n atoms is a block of 3 n numbers in memory: n x, n y, n z
@@ -93,26 +94,34 @@ def offsets_of(start, clusters):
     return x, y, a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
 
 
-def region_of(cell: Cell, positions: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
+def region_of(cell: Cell, positions: Array, reach: float) -> Array:
     """Where atoms are: (7,) origin and extent of Columns; and how many atoms a cell as dense everywhere would have.
     On both sides there is room for half the reach. A periodic direction is crossed and covered as a whole, unless there
     is a gap in it that leaves a reach between the two ends of the region."""
-    origin, extent, margin = np.zeros(3), np.ones(3), WIDER * reach / cell.heights
+    origin = np.zeros(3)
+    extent = np.ones(3)
+    margin = WIDER * reach / cell.heights
     for k, s in enumerate(np.einsum("ij,jk->ki", positions, cell.inverse)):  # not @: see observables
         s = np.sort(s - np.floor(s) if cell.pbc[k] else s)
         gaps = np.diff(s, append=s[0] + 1.0 if cell.pbc[k] else np.inf)
         widest = int(np.argmax(gaps)) if cell.pbc[k] else len(s) - 1
-        first, width = s[(widest + 1) % len(s)], 1.0 - gaps[widest] if cell.pbc[k] else s[-1] - s[0]
+        first = s[(widest + 1) % len(s)]
+        width = 1.0 - gaps[widest] if cell.pbc[k] else s[-1] - s[0]
         if not cell.pbc[k] or width + 2.0 * margin[k] <= 1.0:
-            origin[k], extent[k] = first - 0.5 * margin[k], width + margin[k]
+            origin[k] = first - 0.5 * margin[k]
+            extent[k] = width + margin[k]
     filled = local_density(positions, cell, reach) * abs(np.linalg.det(cell.lattice))
     return np.array([*origin, *extent, filled])
 
 
-def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: NDArray[np.float64]) -> Columns:
+def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: Array) -> Columns:
     """Columns so wide that the atoms of a cluster fill about a cube of them.  region : see region_of."""
-    origin, extent, filled = region[:3], region[3:6], float(region[6] * region[3:6].prod())
-    is_crossed, widths, n_lanes = cell.pbc & (extent == 1.0), cell.heights * extent, lanes.size
+    origin = region[:3]
+    extent = region[3:6]
+    filled = region[6] * extent.prod()
+    is_crossed = cell.pbc & (extent == 1.0)
+    widths = cell.heights * extent
+    n_lanes = lanes.size
     cube = (n_lanes * widths.prod() / filled) ** (1.0 / 3.0)
     most = max(1.0, min(filled, n_atoms) / n_lanes)  # a flat scene has few; many that are empty would cost time
     across = np.clip(widths[:2] / cube, 1.0, most)
@@ -121,9 +130,18 @@ def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: N
     needed = np.ceil(WIDER * reach * across / widths[:2])
     needed = np.minimum(needed, np.where(is_crossed[:2], across, across - 1.0))
     counts = np.array([*across, bins]).astype(np.int64)
-    along, in_columns = WIDER * reach / cell.heights, needed.astype(np.int64)
-    moving = along, origin.copy(), extent.copy(), cell.lattice.copy(), cell.inverse.copy()
-    return Columns(counts, reach, in_columns, cell.pbc, is_crossed, *moving)
+    return Columns(
+        counts,
+        reach,
+        needed.astype(np.int64),
+        cell.pbc,
+        is_crossed,
+        WIDER * reach / cell.heights,
+        origin.copy(),
+        extent.copy(),
+        cell.lattice.copy(),
+        cell.inverse.copy(),
+    )
 
 
 @kernel
@@ -148,12 +166,19 @@ def columns_fit(positions, columns):
 def make_clusters(n_clusters: int, columns: Columns, lanes: Lanes, for_build: Sequence[NDArray], memory: Buffers,
                   spare: float) -> Clusters:  # fmt: skip
     """Arrays with room for so many.  for_build : bottom, top, boxes.  spare : see Buffers.array."""
-    n_slots, array = n_clusters * lanes.size, partial(memory.array, spare=spare)
-    column_start = array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1)
-    atom, filled = array("atom", np.int32, n_slots), array("filled", np.int32, n_clusters)
+    n_slots = n_clusters * lanes.size
+    array = partial(memory.array, spare=spare)
     at = array("positions", np.float64, n_slots * DIMENSIONS)
-    wrapping = Wrapping(columns.inverse.copy(), columns.pbc.astype(np.float64), columns.lattice.copy(), columns.origin)
-    return Clusters(lanes, atom, filled, at, at, wrapping, column_start, *for_build)
+    return Clusters(
+        lanes,
+        array("atom", np.int32, n_slots),
+        array("filled", np.int32, n_clusters),
+        at,
+        at,
+        Wrapping(columns.inverse.copy(), columns.pbc.astype(np.float64), columns.lattice.copy(), columns.origin),
+        array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1),
+        *for_build,
+    )
 
 
 @scalar

@@ -46,8 +46,13 @@ from minimd.core.neighbors.clusters import DIMENSIONS, Columns, offsets_of
 SIDES = 6  # of a box: smallest x, y, z, and largest
 BOXES = 8  # compared at a time
 OUTWARD = 2e-7  # of a coordinate: boxes in float32 are larger by its rounding
-IMAGES, HOME = 27, 13  # number of images, and the code of image (0, 0, 0)
-LATE, BLOCKS, GHOSTS = 0, 1, 2  # places in Domains.numbers
+# number of images, and the code of image (0, 0, 0)
+IMAGES = 27
+HOME = 13
+# places in Domains.numbers
+LATE = 0
+BLOCKS = 1
+GHOSTS = 2
 ATOMS_PER_DOMAIN = 800  # at least, on average: with fewer, handing out the work costs more than a second thread gains
 
 
@@ -92,7 +97,8 @@ def make_domains(columns: Columns, n_atoms: int) -> Domains:
 
 def ghosts_for_search(n_ghosts: int, n_in_windows: int) -> Fields:
     """Those arrays of GhostClusters that are needed for a build only: bottom, top, boxes, lanes, is_used."""
-    heights, boxes = (np.float64, (n_ghosts,)), (np.float32, (SIDES * (n_ghosts + BOXES),))
+    heights = (np.float64, (n_ghosts,))
+    boxes = (np.float32, (SIDES * (n_ghosts + BOXES),))
     return heights, heights, boxes, (np.uint8, (n_ghosts,)), (np.bool_, (n_in_windows + n_ghosts,))
 
 
@@ -100,11 +106,21 @@ def make_ghosts(n_clusters: int, n_ghosts: int, n_in_windows: int, for_search: S
                 memory: Buffers) -> GhostClusters:  # fmt: skip
     """Arrays with room for so many, for fill_ghosts and sort_ghosts.  for_search : those of ghosts_for_search."""
     room = functools.partial(memory.array, spare=1.0)
-    (owner, of), image = (room(name, np.int32, n_ghosts) for name in ("owner", "of")), room("image", np.uint8, n_ghosts)
-    home, start, part_start = (room(name, np.int32, n_clusters + 1) for name in ("home", "start", "part start"))
-    parts = room("parts", np.int32, n_in_windows)
     bottom, top, boxes, lanes, is_used = for_search
-    return GhostClusters(owner, image, bottom, top, boxes, lanes, home, is_used, of, start, parts, part_start)
+    return GhostClusters(
+        room("owner", np.int32, n_ghosts),
+        room("image", np.uint8, n_ghosts),
+        bottom,
+        top,
+        boxes,
+        lanes,
+        room("home", np.int32, n_clusters + 1),
+        is_used,
+        room("of", np.int32, n_ghosts),
+        room("start", np.int32, n_clusters + 1),
+        room("parts", np.int32, n_in_windows),
+        room("part start", np.int32, n_clusters + 1),
+    )
 
 
 @scalar

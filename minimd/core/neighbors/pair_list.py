@@ -13,7 +13,7 @@ from minimd.core.neighbors.search import bins_of, find_pairs, make_grid, sort_in
 from minimd.core.neighbors.verlet_list import VerletList, any_moved, partners, raise_not_finite, starts
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.system import System, local_density
-from minimd.core.structure.vectors import strained
+from minimd.core.structure.vectors import Array, strained
 
 MOST_PAIRS = 2**30  # 8 bytes each
 MOST_OF_AN_ATOM = 2**18  # pairs, in the mean: a reach of some 40 atoms
@@ -48,20 +48,21 @@ class PairList(VerletList):
 
     def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
         super().__init__(cutoff, skin)
-        self._excluded, self._reference = partners(excluded, n_atoms), np.empty((n_atoms, 3))
-        self._original: NDArray[np.float64] | None = None  # positions at the last build, if the cell was strained since
+        self._excluded = partners(excluded, n_atoms)
+        self._reference = np.empty((n_atoms, 3))
+        self._original: Array | None = None  # positions at the last build, if the cell was strained since
         self.reach = Reach(np.zeros((n_atoms, 3)), self._reference, np.full(1, NEVER))
 
-    def ready(self, positions: NDArray[np.float64], cell: Cell) -> None:
+    def ready(self, positions: Array, cell: Cell) -> None:
         """See VerletList: what is_in_reach needs."""
         if positions is not self.reach.positions:
             self.reach = self.reach._replace(positions=positions)
-        is_same = self._cell is not None and (cell is self._cell or cell.same_as(self._cell))
+        is_same = self._cell is not None and cell.same_as(self._cell)
         self.reach.limit2[0] = self.limit2 if is_same else NEVER
 
-    def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
+    def update(self, positions: Array, cell: Cell) -> bool:
         """See VerletList."""
-        is_same = self._cell is not None and (cell is self._cell or cell.same_as(self._cell))
+        is_same = self._cell is not None and cell.same_as(self._cell)
         if is_same and not any_moved(positions, self._reference, self.limit2):
             return False
         self._cell = None  # no list until the new one is whole
@@ -69,25 +70,29 @@ class PairList(VerletList):
         self._build_in(cell, positions)
         return True
 
-    def _built_at(self) -> NDArray[np.float64]:
+    def _built_at(self) -> Array:
         return self._reference.copy() if self._original is None else self._original.copy()
 
-    def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
-        self._original = self._reference.copy() if self._original is None else self._original
+    def _strain(self, strain: Array, before: Cell, cell: Cell) -> None:
+        if self._original is None:
+            self._original = self._reference.copy()
         strained(self._original, strain, self._reference)
         before.follow(cell, self.offsets)
         before.follow(cell, self.pairs.translations)
         self.limit2 = self._limit2(self.skin)
 
-    def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        self._reference[:], self._original, self.limit2 = positions, None, self._limit2(self.skin)
+    def _build(self, positions: Array, cell: Cell) -> None:
+        self._reference[:] = positions
+        self._original = None
+        self.limit2 = self._limit2(self.skin)
         self.version += 1
         if self.cutoff == np.inf:
             return self._list_all_pairs(positions)
         reach = self.cutoff + self.skin
         grid = make_grid(cell, positions, reach)
         self.order, self.offsets, bin_start = sort_into_bins(positions, cell.lattice, cell.inverse, cell.pbc, grid)
-        local, bins = positions[self.order] + self.offsets, bins_of(cell, grid, bin_start)
+        local = positions[self.order] + self.offsets
+        bins = bins_of(cell, grid, bin_start)
         start = np.empty(len(positions) + 1, dtype=np.int64)
         while True:
             found = Pairs(start, self._second, self._image, bins.translations)
@@ -97,20 +102,22 @@ class PairList(VerletList):
             self._second, self._image = np.empty((2, int(SPARE * n_pairs)), dtype=np.uint32)
         self.pairs = Pairs(start, self._second[:n_pairs], self._image[:n_pairs], bins.translations)
 
-    def _list_all_pairs(self, positions: NDArray[np.float64]) -> None:
+    def _list_all_pairs(self, positions: Array) -> None:
         """Every pair once, in the user's order: the list without a cutoff, never built again."""
         n = len(positions)
-        self.order, self.offsets = np.arange(n), np.zeros((n, 3))
-        first, second = np.triu_indices(n, k=1)
-        apart = np.ones((n, n), dtype=bool)
-        apart[np.repeat(np.arange(n), np.diff(self._excluded[0])), self._excluded[1]] = False
-        first, second = first[apart[first, second]], second[apart[first, second]]
+        self.order = np.arange(n)
+        self.offsets = np.zeros((n, 3))
+        is_listed = np.triu(np.ones((n, n), dtype=bool), k=1)
+        is_listed[np.repeat(self.order, np.diff(self._excluded[0])), self._excluded[1]] = False
+        first, second = np.nonzero(is_listed)
         self.pairs = Pairs(starts(first, n), second.astype(np.uint32), np.empty(0, dtype=np.uint32), np.zeros((0, 3)))
 
 
 def check_size(system: System, cutoff: float, skin: float) -> None:
     """Raise ValueError for more pairs or images than a list can hold: a huge reach, or a huge scene without cutoff."""
-    n_atoms, reach, cell = len(system), cutoff + skin, system.cell
+    n_atoms = len(system)
+    reach = cutoff + skin
+    cell = system.cell
     n_pairs = 0.5 * n_atoms**2
     if reach < np.inf:
         in_reach = 0.5 * n_atoms * local_density(system.positions, cell, reach) * 4.0 / 3.0 * np.pi * reach**3

@@ -34,19 +34,25 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
         raise TypeError(f"system must be a minimd System; got {type(system).__name__}")
     cutoff = checked_number("cutoff", cutoff, "positive and finite")
     check_size(system, cutoff, 0.0)
-    cell, positions = system.cell, system.positions
+    cell = system.cell
+    positions = system.positions
     pair_list = PairList(len(system), cutoff, 0.0, np.zeros((0, 2), dtype=np.int64))
     pair_list.update(positions, cell)
-    pairs, order = pair_list.pairs, pair_list.order
+    pairs = pair_list.pairs
+    order = pair_list.order
     first = np.repeat(np.arange(len(system)), np.diff(pairs.start))
-    steps = (pair_list.offsets @ cell.inverse)[pairs.second] - (pair_list.offsets @ cell.inverse)[first]
+    cells = pair_list.offsets @ cell.inverse
+    steps = cells[pairs.second] - cells[first]
     if cell.is_periodic:
-        steps = steps + (pairs.translations @ cell.inverse)[pairs.image]
+        steps += (pairs.translations @ cell.inverse)[pairs.image]
     shifts = np.rint(steps).astype(np.int64) @ cell.reduction
-    both, shifts = np.stack([order[first], order[pairs.second]]), np.concatenate([shifts, -shifts])
+    both = np.stack([order[first], order[pairs.second]])
+    shifts = np.concatenate([shifts, -shifts])
     i, j = np.concatenate([both, both[::-1]], axis=1)
     by_first = np.lexsort((*shifts.T, j, i))
-    i, j, shifts = i[by_first], j[by_first], shifts[by_first]
+    i = i[by_first]
+    j = j[by_first]
+    shifts = shifts[by_first]
     vectors = positions[j] - positions[i] + shifts @ cell.vectors
     found = {"i": i, "j": j, "d": np.linalg.norm(vectors, axis=1), "D": vectors, "S": shifts}
     answer = tuple(found[quantity] for quantity in quantities)
@@ -72,7 +78,8 @@ def closest_pair(system: System) -> ClosestPair | None:
     """The two closest atoms; None for a single atom in an open cell or where no distance is finite.
     First the closest pair within one cell, in N log N however uneven the atoms; then a closer one through an image,
     near the faces of the cell."""
-    known, cell = np.flatnonzero((np.abs(system.positions) <= LARGEST).all(axis=1)), system.cell
+    known = np.flatnonzero((np.abs(system.positions) <= LARGEST).all(axis=1))
+    cell = system.cell
     if known.size == 0 or (known.size == 1 and not cell.is_periodic):
         return None
     fractional = np.einsum("ij,jk->ik", system.positions[known], cell.inverse)
@@ -85,14 +92,14 @@ def closest_pair(system: System) -> ClosestPair | None:
         distances, partners = KDTree(here).query(here, k=2)
         i = int(np.argmin(distances[:, 1]))
         j = int(partners[i, 0] if partners[i, 0] != i else partners[i, 1])
-        best = ClosestPair(min(i, j), max(i, j), float(distances[i, 1]))
-    own = float(np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf))  # an atom and its own image
+        best = ClosestPair(min(i, j), max(i, j), distances[i, 1])
+    own = np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf)  # an atom and its own image
     reach = BEYOND * min(best.distance, own)
     from_faces = (np.minimum(fractional, 1.0 - fractional) * cell.heights)[:, cell.pbc]
     near = np.flatnonzero((from_faces <= reach).any(axis=1))
     if near.size and reach > 0.0:
         first, second, d = neighbor_list("ijd", System(here[near], cell=cell), reach)
         if d.min(initial=np.inf) < best.distance:
-            p = int(np.argmin(d))
-            best = ClosestPair(int(near[first[p]]), int(near[second[p]]), float(d[p]))
-    return ClosestPair(int(known[best.first]), int(known[best.second]), best.distance)
+            p = np.argmin(d)
+            best = ClosestPair(near[first[p]], near[second[p]], d[p])
+    return ClosestPair(int(known[best.first]), int(known[best.second]), float(best.distance))

@@ -6,11 +6,12 @@ Atoms are sorted into bins, a grid along the lattice vectors; then the bins with
 from collections import namedtuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.kernels import kernel, scalar
 from minimd.core.neighbors.buffers import Fields
+from minimd.core.structure.bond_graph import Indices
 from minimd.core.structure.cell import Cell, minimum_image
+from minimd.core.structure.vectors import Array
 
 ATOMS_PER_BIN = 0.25  # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
 FLATTEST = 1e-9  # of the reach: a thinner scene counts as this thick, so that no width is zero
@@ -23,7 +24,7 @@ class BinGrid(namedtuple("BinGrid", "counts reach origin extent")):
     origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions."""
 
 
-def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> BinGrid:
+def make_grid(cell: Cell, positions: Array, reach: float) -> BinGrid:
     """A grid whose bins are about half the reach wide, wider where there would be many more bins than atoms."""
     fractional = np.einsum("ij,jk->ik", positions, cell.inverse)  # not @: see observables
     origin = np.where(cell.pbc, 0.0, fractional.min(axis=0))
@@ -45,9 +46,10 @@ class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
     height : (N,) fractional coordinate along the third lattice vector, in the cell."""
 
 
-def bins_for_sort(n_atoms: int, counts: NDArray[np.int64]) -> Fields:
+def bins_for_sort(n_atoms: int, counts: Indices) -> Fields:
     """Arrays of Binned for so many atoms and bins. Its cells are left out: they are computed again."""
-    each, of_bins = (np.int32, (n_atoms,)), (np.int32, (int(counts.prod()) + 1,))
+    each = (np.int32, (n_atoms,))
+    of_bins = (np.int32, (int(counts.prod()) + 1,))
     return each, each, of_bins, of_bins, (np.float64, (0, 3)), (np.float64, (n_atoms,))
 
 
@@ -113,18 +115,27 @@ class Bins(namedtuple("Bins", "bin_start counts forward crossed translations pbc
     pbc, lattice, inverse, safe_distance2 : of the Cell."""
 
 
-def bins_of(cell: Cell, grid: BinGrid, bin_start: NDArray[np.int64]) -> Bins:
+def bins_of(cell: Cell, grid: BinGrid, bin_start: Indices) -> Bins:
     """The bins of a grid, ready for a search."""
     within = _steps(grid.reach)
     forward = within[len(within) // 2 + 1 :].copy()
     crossed = np.where(cell.pbc, -(-grid.reach // grid.counts), 0)
     periodic = np.where(cell.pbc[:, None], cell.lattice, 0.0)
     translations = _steps(crossed) @ periodic if cell.is_periodic else np.zeros((0, 3))
-    image = cell.pbc, cell.lattice, cell.inverse, cell.safe_distance2
-    return Bins(bin_start, grid.counts, forward, crossed, translations, *image)
+    return Bins(
+        bin_start,
+        grid.counts,
+        forward,
+        crossed,
+        translations,
+        cell.pbc,
+        cell.lattice,
+        cell.inverse,
+        cell.safe_distance2,
+    )
 
 
-def _steps(most: NDArray[np.int64]) -> NDArray[np.int64]:
+def _steps(most: Indices) -> Indices:
     """(K, 3) int: all triples from −most to most, the last number running fastest."""
     return np.stack(np.meshgrid(*(np.arange(-n, n + 1) for n in most), indexing="ij"), axis=-1).reshape(-1, 3)
 

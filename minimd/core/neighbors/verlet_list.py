@@ -4,11 +4,12 @@ from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.kernels import kernel
+from minimd.core.structure.bond_graph import Indices
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.errors import NonFiniteError
+from minimd.core.structure.vectors import Array
 
 DEFAULT_SKIN = 0.12  # of the cutoff, if nothing is known about the speed of the atoms
 LEAST_SKIN = 0.02  # of the cutoff
@@ -44,9 +45,9 @@ class Built(NamedTuple):
     region : (7,) of its columns, see region_of in clusters; None if it has none."""
 
     skin: float
-    positions: NDArray[np.float64] | None
+    positions: Array | None
     cell: Cell | None = None
-    region: NDArray[np.float64] | None = None
+    region: Array | None = None
 
 
 class VerletList(ABC):
@@ -62,11 +63,14 @@ class VerletList(ABC):
     limit2 : square of the distance that an atom may move before the list is outdated [length²]."""
 
     def __init__(self, cutoff: float, skin: float) -> None:
-        self.cutoff, self.skin, self.n_builds, self.version = cutoff, skin, 0, 0
+        self.cutoff = cutoff
+        self.skin = skin
+        self.n_builds = 0
+        self.version = 0
         self._cell: Cell | None = None
         self._built_in: Cell | None = None
         self._stretch = 1.0  # s
-        self._region: NDArray[np.float64] | None = None
+        self._region: Array | None = None
         self.limit2 = self._limit2(skin)
 
     def _limit2(self, margin: float) -> float:
@@ -77,24 +81,24 @@ class VerletList(ABC):
         return limit * limit if limit >= 0.0 else -1.0
 
     @abstractmethod
-    def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
+    def _build(self, positions: Array, cell: Cell) -> None:
         """List what is within cutoff + skin."""
 
     @abstractmethod
-    def ready(self, positions: NDArray[np.float64], cell: Cell) -> None:
+    def ready(self, positions: Array, cell: Cell) -> None:
         """Arrange memory for operations on these positions in this cell; a list of another cell counts no more."""
 
     @abstractmethod
-    def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
+    def update(self, positions: Array, cell: Cell) -> bool:
         """Build the list anew if it may miss a pair; True if it was built.
         Raises NonFiniteError if a position is not finite."""
 
     @abstractmethod
-    def _built_at(self) -> NDArray[np.float64]:
+    def _built_at(self) -> Array:
         """Positions at the last build, (N, 3), a copy."""
 
     @abstractmethod
-    def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
+    def _strain(self, strain: Array, before: Cell, cell: Cell) -> None:
         """Positions of the last build become r F, F = strain (3, 3), lattice vectors of a cell new; limit2 is set."""
 
     def follow(self, cell: Cell) -> None:
@@ -116,16 +120,19 @@ class VerletList(ABC):
 
     def build_again(self, built: Built, cell: Cell) -> None:
         """Build a list again; it must have the same skin."""
-        self._cell, self._region = None, built.region
+        self._cell = None
+        self._region = built.region
         if built.positions is not None:
             self._build_in(cell if built.cell is None else built.cell, built.positions)
             if built.cell is not None:
                 self.follow(cell)
 
-    def _build_in(self, cell: Cell, positions: NDArray[np.float64]) -> None:
+    def _build_in(self, cell: Cell, positions: Array) -> None:
         self._stretch = 1.0
         self._build(positions, cell)
-        self._cell, self._built_in, self.n_builds = cell, cell, self.n_builds + 1
+        self._cell = cell
+        self._built_in = cell
+        self.n_builds += 1
 
     def settle(self) -> None:  # noqa: B027 - there may be nothing to do
         """After operations: take note of what they have done to the list."""
@@ -153,21 +160,21 @@ def count_not_finite(positions):
     return n_bad, first
 
 
-def raise_not_finite(positions: NDArray[np.float64]) -> None:
+def raise_not_finite(positions: Array) -> None:
     """Raise NonFiniteError if positions (N, 3) are not all finite."""
     n_bad, first = count_not_finite(positions)
     if n_bad:
         raise NonFiniteError(f"positions of {n_bad} atoms are not finite; the first of them is atom {first}")
 
 
-def partners(pairs: NDArray[np.int64], n_atoms: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def partners(pairs: Indices, n_atoms: int) -> tuple[Indices, Indices]:
     """Partners of each atom in pairs (P, 2): (start, values), those of atom a are values[start[a] : start[a + 1]]."""
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.argsort(both[:, 0], kind="stable")]
     return starts(both[:, 0], n_atoms), np.ascontiguousarray(both[:, 1])
 
 
-def starts(first: NDArray[np.int64], n_atoms: int) -> NDArray[np.int64]:
+def starts(first: Indices, n_atoms: int) -> Indices:
     """(N + 1,) int: in a table sorted by first, the rows of atom a are start[a] to start[a + 1] − 1."""
     start = np.zeros(n_atoms + 1, dtype=np.int64)
     np.cumsum(np.bincount(first, minlength=n_atoms), out=start[1:])

@@ -50,9 +50,12 @@ class Hessenberg(DifferentialAlgebraic):
 
     def __init__(self, solver: Newton, *functions: Function) -> None:
         super().__init__(solver)
-        asked = [(name, " ".join(("t", *self.names[:n]))) for name, n in self.functions]
-        self._functions = [taking(one, names, name) for one, (name, names) in zip(functions, asked, strict=True)]
-        self.f, self.g = self._functions[0], self._functions[-1]
+        self._functions = [
+            taking(function, " ".join(("t", *self.names[:n])), name)
+            for function, (name, n) in zip(functions, self.functions, strict=True)
+        ]
+        self.f = self._functions[0]
+        self.g = self._functions[-1]
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, its algebraic variables solved for.
@@ -86,8 +89,9 @@ class Hessenberg(DifferentialAlgebraic):
             return self.g(t, *parts[: self.functions[-1][1]])
         rate = self.f(t, *parts[:2])
         second = self._highest_derivative(t, *parts) if k == 2 else np.zeros_like(rate)
-        unit = unit_of_time(y, rate, second)
-        return time_derivative(lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), k, unit)
+        return time_derivative(
+            lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), k, unit_of_time(y, rate, second)
+        )
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """1 for the differential variables, 0 for the algebraic ones."""
@@ -100,27 +104,32 @@ class Hessenberg(DifferentialAlgebraic):
         parts = self._begun(start, t)
         last = len(self.chain) - 1
         for k, chained in enumerate(self.chain):
-            i, step = len(parts) - len(self.chain) + k, WIDE if k > 0 else CENTRAL
+            i = len(parts) - len(self.chain) + k
+            step = WIDE if k > 0 else CENTRAL
 
             def violation(x: Array) -> Array:
                 return self.constraint(k, t, *parts[:i], x, *parts[i + 1 :])
 
-            sizes = [float(np.abs(part).max()) for part in parts]
+            sizes = [np.abs(part).max() for part in parts]
             own = sizes[i] if sizes[i] > KEPT * max(sizes) else max(sizes)  # else it is only rounding
-            own = self._size_of_algebraic(t, parts) if k == last else own
+            if k == last:
+                own = self._size_of_algebraic(t, parts)
             if not are_independent(violation, parts[i], step, own):
-                what = f"the constraints 0 = {chained} do not determine {self.names[i]}"
-                when = f"at the start, t = {t:g}, or the index is higher than {self.index}"
-                raise ValueError(f"{self.regular} must have full rank {when}: {what}")
+                raise ValueError(
+                    f"{self.regular} must have full rank at the start, t = {t:g}, or the index is higher than "
+                    f"{self.index}: the constraints 0 = {chained} do not determine {self.names[i]}"
+                )
             root = nearest_root(violation, parts[i], step, size=own)
-            move, size = np.abs(root - parts[i]).max(), max(own, np.abs(root).max())
+            move = np.abs(root - parts[i]).max()
+            size = max(own, np.abs(root).max())
             if k < last and move > refused * size:
                 off = violation(parts[i])
-                worst = int(np.argmax(np.abs(off)))
-                found = f"its element {worst} is {off[worst]:.2e} at t = {t:g}"
-                needed = f"{self.names[i]} would have to move by {move:.1e}"
-                name = f"{'hidden ' if k else ''}constraint 0 = {chained}"
-                raise ValueError(f"the start violates the {name}: {found}, and {needed}; {ADVICE}")
+                worst = np.argmax(np.abs(off))
+                raise ValueError(
+                    f"the start violates the {'hidden ' if k else ''}constraint 0 = {chained}: its element {worst} "
+                    f"is {off[worst]:.2e} at t = {t:g}, and {self.names[i]} would have to move by {move:.1e}; "
+                    f"{ADVICE}"
+                )
             if k == last or move > kept * size:
                 parts[i] = root
         return np.concatenate(parts)
@@ -139,10 +148,15 @@ class Hessenberg(DifferentialAlgebraic):
 
     def _begun(self, start: Any, t: float) -> list[Array]:
         """The parts of a start, with zeros for algebraic variables that are not given; sizes are remembered."""
-        names, is_guess_needed = self.names, self.functions[-1][1] == len(self.names)  # as g depends on it
+        # as g depends on it
+        names = self.names
+        is_guess_needed = self.functions[-1][1] == len(names)
         if not isinstance(start, tuple) or not len(names) - (not is_guess_needed) <= len(start) <= len(names):
-            last = f"{names[-1]} {'as a guess, because g depends on it' if is_guess_needed else 'may be left out'}"
-            raise ValueError(f"the start must be a tuple of {', '.join(names)} ({last}); got {shown(start)}")
+            raise ValueError(
+                f"the start must be a tuple of {', '.join(names)} ({names[-1]} "
+                f"{'as a guess, because g depends on it' if is_guess_needed else 'may be left out'}); got "
+                f"{shown(start)}"
+            )
         parts = [np.array(part, dtype=float).reshape(-1) for part in start]
         if len(parts) < len(names):
             parts.append(np.zeros(self.constraint(0, t, *parts).size))
@@ -154,8 +168,10 @@ class Hessenberg(DifferentialAlgebraic):
         self.levels = np.repeat(np.maximum(np.arange(len(parts)) + self.index - len(parts), 0), sizes)
         for (name, _), answer, part in zip(self.functions, self._answers(t, *parts), parts, strict=True):
             if answer.size != part.size:
-                needed = f"as many numbers as it has variables, {part.size} as in the start"
-                raise ValueError(f"{name} must answer with {needed}; got {answer.size}")
+                raise ValueError(
+                    f"{name} must answer with as many numbers as it has variables, {part.size} as in the start; got "
+                    f"{answer.size}"
+                )
         return parts
 
     def _answers(self, t: float, *parts: Array) -> Parts:
@@ -173,7 +189,11 @@ class Hessenberg1(Hessenberg):
     The start is (y, z), with a guess of z.
     """
 
-    index, names, functions, chain, regular = 1, ("y", "z"), (("f", 2), ("g", 2)), ("g",), "g_z"
+    index = 1
+    names = ("y", "z")
+    functions = (("f", 2), ("g", 2))
+    chain = ("g",)
+    regular = "g_z"
 
     def __init__(self, f: Function, g: Function, solver: Newton = Newton()) -> None:
         super().__init__(solver, f, g)
@@ -189,7 +209,10 @@ class Hessenberg2(Hessenberg):
     The start is (y,), or (y, z) with a guess of z.
     """
 
-    index, names, functions, regular = 2, ("y", "z"), (("f", 2), ("g", 1)), "g_y f_z"
+    index = 2
+    names = ("y", "z")
+    functions = (("f", 2), ("g", 1))
+    regular = "g_y f_z"
     chain = ("g", "dg/dt = g_t + g_y f")
 
     def __init__(self, f: Function, g: Function, solver: Newton = Newton()) -> None:
@@ -209,7 +232,10 @@ class Hessenberg3(Hessenberg):
     The start is (y, z), or (y, z, u) with a guess of u.
     """
 
-    index, names, functions, regular = 3, ("y", "z", "u"), (("f", 2), ("k", 3), ("g", 1)), "g_y f_z k_u"
+    index = 3
+    names = ("y", "z", "u")
+    functions = (("f", 2), ("k", 3), ("g", 1))
+    regular = "g_y f_z k_u"
     chain = ("g", "dg/dt = g_t + g_y f", "d²g/dt²")
 
     def __init__(self, f: Function, k: Function, g: Function, solver: Newton = Newton()) -> None:
@@ -219,9 +245,13 @@ class Hessenberg3(Hessenberg):
     def _highest_derivative(self, t: float, *parts: Array) -> Array:
         """y″ = f_t + f_y f + f_z k."""
         y, z, _ = parts
-        rate, z_rate = self.f(t, y, z), self.k(t, *parts)
-        unit = min(unit_of_time(y, rate), unit_of_time(z, z_rate))
-        return time_derivative(lambda e: self.f(t + e, y + e * rate, z + e * z_rate), 1, unit)
+        rate = self.f(t, y, z)
+        z_rate = self.k(t, *parts)
+        return time_derivative(
+            lambda e: self.f(t + e, y + e * rate, z + e * z_rate),
+            1,
+            min(unit_of_time(y, rate), unit_of_time(z, z_rate)),
+        )
 
 
 class Mechanical(Hessenberg):
@@ -244,7 +274,10 @@ class Mechanical(Hessenberg):
     this force: for all digits of λ and v′ give the jacobian. The message of a solution says how large the error is.
     """
 
-    index, names, functions, regular = 3, ("q", "v", "λ"), (("q′", 2), ("force", 2), ("g", 1)), "G M⁻¹ Gᵀ"
+    index = 3
+    names = ("q", "v", "λ")
+    functions = (("q′", 2), ("force", 2), ("g", 1))
+    regular = "G M⁻¹ Gᵀ"
     chain = ("g", "dg/dt = G v + g_t", "d²g/dt²")
 
     def __init__(self, mass: ArrayLike | Function, force: Function, g: Function, jacobian: Function | None = None,
@@ -257,7 +290,7 @@ class Mechanical(Hessenberg):
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """See Hessenberg."""
         y = super().begin(start, t0)
-        self.remark = remark_on_differences("G = ∂g/∂q", partial(self.g, t0), self._jacobian, self.parts(y)[0])
+        self.remark = remark_on_differences(partial(self.g, t0), self._jacobian, self.parts(y)[0])
         return y
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
@@ -281,11 +314,14 @@ class Mechanical(Hessenberg):
         def momentum(q: Array, v: Array) -> Array:
             return np.dot(self.mass(q), v_slope) - self._pull(t, q, v, multipliers)
 
-        here, jacobian, matrix = momentum(q, v), self.jacobian(t, q), np.zeros((y.size, y.size))
+        here = momentum(q, v)
+        jacobian = self.jacobian(t, q)
+        matrix = np.zeros((y.size, y.size))
         matrix[of_q, of_v] = -np.eye(q.size)
         matrix[of_v, of_q] = forward_differences(lambda x: momentum(x, v), q, here)
         matrix[of_v, of_v] = forward_differences(lambda x: momentum(q, x), v, here)
-        matrix[of_v, of_multipliers], matrix[of_multipliers, of_q] = jacobian.T, jacobian
+        matrix[of_v, of_multipliers] = jacobian.T
+        matrix[of_multipliers, of_q] = jacobian
         return matrix
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
@@ -306,10 +342,12 @@ class Mechanical(Hessenberg):
 
     def mass(self, q: Array) -> Array:
         """M(q), (n, n)."""
-        mass, n = self._mass(q), q.size
+        mass = self._mass(q)
+        n = q.size
         if mass.size not in (1, n, n * n):
-            needed = f"one number, {n} or {n} × {n}, as q has {n} elements"
-            raise ValueError(f"mass must be {needed}; got {mass.size} numbers")
+            raise ValueError(
+                f"mass must be one number, {n} or {n} × {n}, as q has {n} elements; got {mass.size} numbers"
+            )
         return mass.reshape(n, n) if mass.size == n * n else np.eye(n) * mass
 
     def jacobian(self, t: float, q: Array) -> Array:

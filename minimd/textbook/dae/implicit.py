@@ -22,10 +22,13 @@ __all__ = ["Implicit", "pencil_index"]
 
 ABSENT = 1e-12  # relative to the largest ∂F/∂y′: smaller ones count as zero
 # relative singular values that count as zero, of matrices from differences and from differences of differences
-RANK, NOISY_RANK = 1e-7, 1e-4
+RANK = 1e-7
+NOISY_RANK = 1e-4
 PENCIL_RANK = 1e-10  # singular values of scaled matrices below this are rounding
 LEAST_MOBILITY = 0.1  # mobility of variables whose derivative occurs in F, relative to that of the others
-SOLVED, NEGLIGIBLE = 1e-7, 1e-12  # what may be left of an equation, relative to its terms and to its largest variable
+# what may be left of an equation, relative to its terms and to its largest variable
+SOLVED = 1e-7
+NEGLIGIBLE = 1e-12
 HIGHEST_INDEX = 3
 ADVICE = "give consistent values, or take them from problem.corrected(start, t0)"
 ORDINALS = ("", "the first time derivative of ", "the second time derivative of ")
@@ -45,9 +48,12 @@ class Implicit(DifferentialAlgebraic):
     def __init__(self, F: Function, F_y: Function | None = None, F_slope: Function | None = None,
                  solver: Newton = Newton()) -> None:  # fmt: skip
         super().__init__(solver)
-        self._F, self._slope = taking(F, "t y slope", "F"), np.zeros(0)
-        self.given_state_jacobian = None if F_y is None else taking(F_y, "t y slope", "F_y")
-        self.given_slope_jacobian = None if F_slope is None else taking(F_slope, "t y slope", "F_slope")
+        self._F = taking(F, "t y slope", "F")
+        self._slope = np.zeros(0)
+        if F_y is not None:
+            self.state_jacobian = _matrix(F_y, "F_y")  # type: ignore[method-assign]
+        if F_slope is not None:
+            self.slope_jacobian = _matrix(F_slope, "F_slope")  # type: ignore[method-assign]
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, with variables whose derivative does not occur in F solved for; field(t0, y) is its y′.
@@ -77,23 +83,33 @@ class Implicit(DifferentialAlgebraic):
         y, slope = (np.array(part, float) for part in (start if is_pair else (start, np.zeros(np.shape(start)))))
         is_finite = np.isfinite(y).all() and np.isfinite(slope).all()
         if y.ndim != 1 or y.size == 0 or y.shape != slope.shape or not is_finite:
-            needed = "y, or (y, y′), one-dimensional arrays of the same length with finite elements"
-            raise ValueError(f"the start must be {needed}; got {shown(start)}")
+            raise ValueError(
+                "the start must be y, or (y, y′), one-dimensional arrays of the same length with finite elements; "
+                f"got {shown(start)}"
+            )
         if (n_equations := self.residual(t, y, slope).size) != y.size:
             raise ValueError(f"there must be as many equations as variables; F has {n_equations}, y has {y.size}")
         self._slope = slope
         derivatives = np.abs(self.slope_jacobian(t, y, slope))
         mobility = np.where(derivatives.max(axis=0) <= ABSENT * derivatives.max(), 1.0, least)
-        size = float(np.abs(y).max())
+        size = np.abs(y).max()
         y, slope = self._solved(t, y, [slope], mobility, 1.0, size)
         of_slope, of_state = self._pencil(t, y, slope)
         self.index = pencil_index(of_slope, -of_state, RANK)
         if self.index > HIGHEST_INDEX:
-            found = f"that of F_y′ y′ + F_y y at the start is {self.index}"
-            raise ValueError(f"the index must be at most {HIGHEST_INDEX}; {found}; differentiate constraints")
+            raise ValueError(
+                f"the index must be at most {HIGHEST_INDEX}; that of F_y′ y′ + F_y y at the start is {self.index}; "
+                "differentiate constraints"
+            )
         if self.index > 1:
-            unit = unit_of_time(np.append(y, size), slope)
-            y, slope = self._solved(t, y, [slope, *np.zeros((self.index - 1, y.size))], mobility, unit, size)
+            y, slope = self._solved(
+                t,
+                y,
+                [slope, *np.zeros((self.index - 1, y.size))],
+                mobility,
+                unit_of_time(np.append(y, size), slope),
+                size,
+            )
         # the larger levels of those at the start and at a random point near it, where no derivative vanishes by chance
         aside = 0.01 * (np.abs(y).max() or 1.0) * np.random.default_rng(0).uniform(0.5, 1.0, y.size)
         self.levels = np.maximum(_levels(*self._pencil(t, y, slope)), _levels(*self._pencil(t, y + aside, slope)))
@@ -110,7 +126,8 @@ class Implicit(DifferentialAlgebraic):
         """y and y′ with F = 0 and dᵏF/dtᵏ = 0 for k below the number of derivatives in the jet (y′, y″, …).
         mobility : (n,) how easily variables move, 0 for fixed ones.  unit : of time.  size : of the largest variable.
         """
-        order, scales = len(jet), unit ** np.arange(1, len(jet) + 1)
+        order = len(jet)
+        scales = unit ** np.arange(1, order + 1)
         is_free = mobility > 0.0
 
         def taken(x: Array) -> tuple[Array, Array]:
@@ -132,16 +149,25 @@ class Implicit(DifferentialAlgebraic):
         guess = np.concatenate([y[is_free] / mobility[is_free], *known])
         step, dependent = (CENTRAL, RANK) if order == 1 else (WIDE, NOISY_RANK)
         x = nearest_root(array, guess, step, dependent, size)
-        left, terms = array(x), np.abs(central_differences(array, x, step, size))
+        left = array(x)
+        terms = np.abs(central_differences(array, x, step, size))
         allowed = SOLVED * (terms @ np.abs(x)) + NEGLIGIBLE * terms.max(axis=1) * max(np.abs(x).max(), size)
-        k = int(np.argmax(np.abs(left) - allowed))
+        k = np.argmax(np.abs(left) - allowed)
         if not abs(left[k]) <= allowed[k]:
             n, equation = divmod(k, y.size)
-            stays = f"{ORDINALS[n]}equation {equation} stays at {left[k] / unit**n:.2e} at t = {t:g}"
-            why = f"{stays} for every choice of y′ and of the variables that have no derivative in F"
-            raise ValueError(f"the start violates F(t, y, y′) = 0: {why}; {ADVICE}")
+            raise ValueError(
+                f"the start violates F(t, y, y′) = 0: {ORDINALS[n]}equation {equation} stays at "
+                f"{left[k] / unit**n:.2e} at t = {t:g} for every choice of y′ and of the variables that have no "
+                f"derivative in F; {ADVICE}"
+            )
         moved, derivatives = taken(x)
         return moved, derivatives[0]
+
+
+def _matrix(function: Function, name: str) -> Function:
+    """A function of t, y and slope with n × n numbers, as one that answers with an (n, n) array."""
+    answer = taking(function, "t y slope", name)
+    return lambda t, y, slope: answer(t, y, slope).reshape(y.size, y.size)
 
 
 def _taylor(coefficients: list[Array], e: float) -> Array:
@@ -155,7 +181,8 @@ def _taylor(coefficients: list[Array], e: float) -> Array:
 def _levels(of_slope: Array, of_state: Array) -> Array:
     """(n,) powers of 1/h by which errors of equations are amplified in each variable, 0, 1 or 2: from (F_y′/h + F_y)⁻¹
     at two small h."""
-    m, a = of_slope / (np.abs(of_slope).max() or 1.0), of_state / (np.abs(of_state).max() or 1.0)
+    m = of_slope / (np.abs(of_slope).max() or 1.0)
+    a = of_state / (np.abs(of_state).max() or 1.0)
     long, short = (np.abs(np.linalg.inv(m / h + a)).max(axis=1) for h in (1e-3, 1e-4))
     return np.clip(np.round(np.log10(short / long)), 0, HIGHEST_INDEX - 1).astype(int)
 
@@ -185,9 +212,11 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
         raise ValueError(f"M and A must be square matrices of the same size; got shapes {m.shape} and {a.shape}")
     if not (np.isfinite(m).all() and np.isfinite(a).all()):
         raise ValueError("M and A must be finite")
-    n, index = len(m), 0
+    n = len(m)
+    index = 0
     # in a unit of time of its own, on which the index does not depend
-    m, a = m / (np.abs(m).max() or 1.0), a / (np.abs(a).max() or 1.0)
+    m = m / (np.abs(m).max() or 1.0)
+    a = a / (np.abs(a).max() or 1.0)
     while True:
         left, sizes, _ = np.linalg.svd(m)
         rank = int((sizes > tolerance * max(sizes[0], np.abs(a).max())).sum())
@@ -196,11 +225,14 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
         constraints = left[:, rank:].T @ a
         independent = np.linalg.svd(constraints, compute_uv=False)
         if not independent[-1] > tolerance or index == n:
-            what = f"after {index} differentiations {n - rank} equations without y′ depend on each other"
-            spread = f"singular values from {independent[0]:.1e} to {independent[-1]:.1e}"
-            why = f"det(λM − A) = 0 for all λ: {what} ({spread}), so that some variable is not determined"
-            raise ValueError(f"the pencil is singular, {why}")
+            raise ValueError(
+                f"the pencil is singular, det(λM − A) = 0 for all λ: after {index} differentiations {n - rank} "
+                f"equations without y′ depend on each other (singular values from {independent[0]:.1e} to "
+                f"{independent[-1]:.1e}), so that some variable is not determined"
+            )
         m = np.vstack([left[:, :rank].T @ m, constraints])
         a = np.vstack([left[:, :rank].T @ a, np.zeros_like(constraints)])
         sizes = np.linalg.norm(m, axis=1)
-        m, a, index = m / sizes[:, None], a / sizes[:, None], index + 1
+        m = m / sizes[:, None]
+        a = a / sizes[:, None]
+        index += 1

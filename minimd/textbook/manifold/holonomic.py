@@ -53,7 +53,9 @@ class Holonomic(SecondOrder):
         super().__init__(f, solver=solver)
         if "v" in self.f.takes:
             raise ValueError("a constrained step needs forces that do not depend on v; f takes v")
-        self._g, self._jacobian, self._masses = g, jacobian, np.asarray(masses, dtype=float)
+        self._g = g
+        self._jacobian = jacobian
+        self._masses = np.asarray(masses, dtype=float)
 
     def violation(self, q: Array) -> Array:
         """g(q), (m,), for q of length n."""
@@ -76,22 +78,25 @@ class Holonomic(SecondOrder):
             raise ValueError(f"masses must be positive; the smallest is {masses.min()}")
         sizes = np.linalg.svd(self.jacobian(q) / np.sqrt(masses), compute_uv=False)
         if sizes.size > q.size or not sizes[-1] > DEPENDENT * sizes[0]:
-            spread = f"singular values of G M^(-1/2) from {sizes[0]:.1e} to {sizes[-1]:.1e}"
-            raise ValueError(f"the gradients of g must be independent at the start; {spread}")
-        off = float(np.abs(self.violation(q)).max())
+            raise ValueError(
+                "the gradients of g must be independent at the start; singular values of G M^(-1/2) from "
+                f"{sizes[0]:.1e} to {sizes[-1]:.1e}"
+            )
+        off = np.abs(self.violation(q)).max()
         q1 = projected(self, q, q) if off > 0.0 else q
         v1 = tangent(self, q1, v)
-        moved, turned = np.abs(q1 - q).max(), np.abs(v1 - v).max()
+        moved = np.abs(q1 - q).max()
+        turned = np.abs(v1 - v).max()
         if moved > KEPT * np.abs(q).max() or turned > KEPT * max(np.abs(v).max(), np.finfo(float).tiny):
-            moves = f"q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}"
-            warn(f"the start was projected onto the constraints: {moves}")
-        self.remark = remark_on_differences("G = ∂g/∂q", self.violation, self._jacobian, q1)
+            warn(f"the start was projected onto the constraints: q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}")
+        self.remark = remark_on_differences(self.violation, self._jacobian, q1)
         return np.concatenate([q1, v1])
 
     def drift(self, t: float, q: Array, v: Array, duration: float, iteration: Iteration) -> None:
         """A constrained drift, in place."""
         new = projected(self, q, q + duration * v, iteration)
-        v[:], q[:] = (new - q) / duration, new
+        v[:] = (new - q) / duration
+        q[:] = new
 
     def settle(self, q: Array, v: Array) -> None:
         """The projection of velocities, in place."""
@@ -100,14 +105,15 @@ class Holonomic(SecondOrder):
     def sequence_order(self, substeps: Substeps) -> int:
         """Compositions of velocity Verlet keep their order, as each of their steps is a RATTLE step; others have 2 at
         most."""
+        order = nystrom_order(substeps)
         verlet = repeated(VERLET, [one.coefficient for one in substeps if isinstance(one, Drift)])
-        return nystrom_order(substeps) if are_alike(substeps, verlet) else min(nystrom_order(substeps), 2)
+        return order if are_alike(substeps, verlet) else min(order, 2)
 
     def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
         """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
-        q, v = np.asarray(q, dtype=float).reshape(-1), np.asarray(v, dtype=float).reshape(-1)
-        gradient, unit = self.jacobian(q), unit_of_time(q, v)
-        turning = time_derivative(lambda e: self.jacobian(q + e * v) @ v, 1, unit)
+        q, v = (np.asarray(part, dtype=float).reshape(-1) for part in (q, v))
+        gradient = self.jacobian(q)
+        turning = time_derivative(lambda e: self.jacobian(q + e * v) @ v, 1, unit_of_time(q, v))
         force = self.f(t, q.reshape(self.shape), v.reshape(self.shape))
         return np.asarray(np.linalg.solve(gradient @ self.directions(gradient), gradient @ force + turning))
 
@@ -117,7 +123,8 @@ def projected(problem: Holonomic, q0: Array, q: Array, iteration: Iteration | No
     directions = problem.directions(problem.jacobian(q0))
     residual = lambda x: problem.violation(q + directions @ x)  # noqa: E731
     jacobian = lambda x: problem.jacobian(q + directions @ x) @ directions  # noqa: E731
-    solve, scale = (iteration or problem.solver.iteration()).solve, np.abs(q).max() / np.abs(directions).max()
+    solve = (iteration or problem.solver.iteration()).solve
+    scale = np.abs(q).max() / np.abs(directions).max()
     return q + directions @ solve(residual, np.zeros(directions.shape[1]), jacobian, scale=scale)
 
 
@@ -130,6 +137,7 @@ def tangent(problem: Holonomic, q: Array, v: Array) -> Array:
         for _ in range(2):
             v = v - directions @ np.linalg.solve(matrix, gradient @ v)
     except np.linalg.LinAlgError:
-        why = "the gradients of the constraints depend on each other here, so that constraint forces are not determined"
-        raise ConvergenceError(why) from None
+        raise ConvergenceError(
+            "the gradients of the constraints depend on each other here, so that constraint forces are not determined"
+        ) from None
     return np.asarray(v)

@@ -70,18 +70,24 @@ class Manifold:
     """{y : g(y) = value}. value : (m,).  Arguments and errors : see Invariants.through."""
 
     def __init__(self, invariants: Invariants, y: Array, shape: Shape) -> None:
-        answer, given = invariants.g(y, shape), invariants.jacobian
+        answer = invariants.g(y, shape)
+        given = invariants.jacobian
         self.value = answer if invariants.value is None else invariants.value
-        self._invariants, self._shape = invariants, shape
+        self._invariants = invariants
+        self._shape = shape
         if answer.size != self.value.size:
-            sizes = f"g has {answer.size}, value has {self.value.size}"
-            raise ValueError(f"value must have one number per invariant; {sizes}")
+            raise ValueError(
+                f"value must have one number per invariant; g has {answer.size}, value has {self.value.size}"
+            )
         if not 0 < answer.size < y.size:
-            sizes = f"{answer.size} invariants of {y.size} unknowns"
-            raise ValueError(f"there must be fewer invariants than unknowns, and at least one; got {sizes}")
+            raise ValueError(
+                f"there must be fewer invariants than unknowns, and at least one; got {answer.size} invariants of "
+                f"{y.size} unknowns"
+            )
         if not (np.isfinite(answer).all() and np.isfinite(self.value).all()):
-            values = f"g = {_shown(answer)}, value = {_shown(self.value)}"
-            raise ValueError(f"g and its value must be finite at the start; {values}")
+            raise ValueError(
+                f"g and its value must be finite at the start; g = {_shown(answer)}, value = {_shown(self.value)}"
+            )
         if given is not None and (size := given(y, shape).size) != answer.size * y.size:
             raise ValueError(f"jacobian must have {answer.size} × {y.size} numbers, ∂g/∂y; got {size}")
 
@@ -101,10 +107,11 @@ class Manifold:
         q, r = np.linalg.qr(gradients)
         sines = np.abs(np.diagonal(r)) / np.maximum(np.linalg.norm(gradients, axis=0), np.finfo(float).tiny)
         if not np.all(sines > PARALLEL):
-            k = int(np.argmin(sines > PARALLEL))
-            why = f"its gradient {_shown(gradients[:, k])} vanishes, or lies in the span of earlier gradients"
-            needed = "the Jacobian of invariants must have full rank"
-            raise ConvergenceError(f"invariant {k} is not independent: {why}; {needed}")
+            k = np.argmin(sines > PARALLEL)
+            raise ConvergenceError(
+                f"invariant {k} is not independent: its gradient {_shown(gradients[:, k])} vanishes, or lies in the "
+                "span of earlier gradients; the Jacobian of invariants must have full rank"
+            )
         return q, r
 
 
@@ -122,7 +129,10 @@ class Corrected(Problem):
 
     def keep(self, problem: Any, correction: Map, begun: Begun) -> None:
         """What is corrected."""
-        self._problem, self._correction, self._begun, self.shape = problem, correction, begun, problem.shape
+        self._problem = problem
+        self._correction = correction
+        self._begun = begun
+        self.shape = problem.shape
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state."""
@@ -139,32 +149,33 @@ class Corrected(Problem):
 class CorrectedPartitioned(Corrected, Partitioned):
     """q′ = g + c_q, v′ = f + c_v with a correction c(q, v)."""
 
-    def __init__(self, problem: Partitioned, correction: Map, begun: Begun) -> None:
-        def of(q: Array, v: Array) -> Array:
-            return correction(np.concatenate([q.reshape(-1), v.reshape(-1)]))
-
-        super().__init__(lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size],
-                         lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :], solver=problem.solver)  # fmt: skip
-        self.keep(problem, correction, begun)
-
 
 class CorrectedFirstOrder(Corrected, FirstOrder):
     """y′ = f + c(y)."""
-
-    def __init__(self, problem: FirstOrder, correction: Map, begun: Begun) -> None:
-        super().__init__(problem.field, solver=problem.solver)
-        self.keep(problem, correction, begun)
 
 
 def corrected(problem: Problem, correction: Map, begun: Begun) -> CorrectedPartitioned | CorrectedFirstOrder:
     """A problem of the same kind with a term added to y′; one with q and v is then Partitioned, and its steps implicit.
     Raises TypeError for problems of other kinds."""
+    new: CorrectedPartitioned | CorrectedFirstOrder
     if isinstance(problem, Partitioned):
-        return CorrectedPartitioned(problem, correction, begun)
-    if isinstance(problem, FirstOrder):
-        return CorrectedFirstOrder(problem, correction, begun)
-    kinds = "SecondOrder, Partitioned and FirstOrder problems"
-    raise TypeError(f"y′ can be corrected in {kinds}; got {type(problem).__name__}")
+
+        def of(q: Array, v: Array) -> Array:
+            return correction(np.concatenate([q.reshape(-1), v.reshape(-1)]))
+
+        new = CorrectedPartitioned(
+            lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size],
+            lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :],
+            solver=problem.solver,
+        )
+    elif isinstance(problem, FirstOrder):
+        new = CorrectedFirstOrder(problem.field, solver=problem.solver)
+    else:
+        raise TypeError(
+            f"y′ can be corrected in SecondOrder, Partitioned and FirstOrder problems; got {type(problem).__name__}"
+        )
+    new.keep(problem, correction, begun)
+    return new
 
 
 def stabilized(problem: Problem, invariants: Invariants, gamma: float) -> CorrectedPartitioned | CorrectedFirstOrder:
@@ -256,7 +267,8 @@ class ManifoldStep:
     is_symmetric = True  # whether it keeps the symmetry of the method
 
     def __init__(self, problem: Problem, method: type[Method], invariants: Invariants) -> None:
-        self._shape, self._invariants = problem.shape, invariants
+        self._shape = problem.shape
+        self._invariants = invariants
         self._manifold: Manifold | None = None  # known with the first state
         self._step: Step = method.on(problem)
 
@@ -298,7 +310,8 @@ class SymmetricProjection(ManifoldStep):
             """The end y₁ = free + G(y₁)ᵀ μ of the step, by iteration: the image depends weakly on y₁."""
             y1 = free = self._step(t, y + gradients @ mu, h)
             for _ in range(MAX_CORRECTIONS):
-                y1, before = free + manifold.jacobian(y1).T @ mu, y1
+                before = y1
+                y1 = free + manifold.jacobian(y1).T @ mu
                 if np.abs(y1 - before).max() <= EPS * np.abs(y1).max():
                     break
             return y1
@@ -331,7 +344,8 @@ class IndexTwo(Hessenberg2):
     def __init__(self, problem: Problem, invariants: Invariants) -> None:
         super().__init__(lambda t, y, z: problem.field(t, y) - self._manifold.jacobian(y).T @ z,
                          lambda y: self._manifold.defect(y), problem.solver)  # fmt: skip
-        self._problem, self._invariants = problem, invariants
+        self._problem = problem
+        self._invariants = invariants
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start of the problem itself, (q, v) or y, as a state.
@@ -370,7 +384,8 @@ def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Arra
     # rounding errors of the invariants are EPS times |g₀|, or Σ |G y|, whose terms may cancel in g
     scale = np.maximum(np.abs(manifold.value), np.abs(manifold.jacobian(y)) @ np.abs(y)) + np.finfo(float).tiny
     defect = manifold.defect(y)
-    least, n_stalls = float(np.max(np.abs(defect) / scale)), 0
+    least = np.max(np.abs(defect) / scale)
+    n_stalls = 0
     matrix = slope() if least > EPS else np.eye(z.size)
     for _ in range(MAX_CORRECTIONS):
         if least <= EPS or n_stalls > 1 or not np.isfinite(defect).all() or not np.linalg.det(matrix):
@@ -379,16 +394,17 @@ def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Arra
         z = z + dz
         y = arrive(z)
         defect = manifold.defect(y)
-        error = float(np.max(np.abs(defect) / scale))
+        error = np.max(np.abs(defect) / scale)
         if error < least or error > SMALL:  # else it is rounding, from which no slope follows
             matrix = matrix + np.outer(defect, dz) / (dz @ dz)
         n_stalls += least <= error <= SMALL
         best, least = (y, error) if error < least else (best, least)
     if least <= SMALL:
         return best
-    k = int(np.argmax(np.abs(defect) / scale))
-    off = f"invariant {k} is off by {defect[k]:.1e}"
-    raise ConvergenceError(f"the state could not be brought to the manifold of the invariants: {off}")
+    k = np.argmax(np.abs(defect) / scale)
+    raise ConvergenceError(
+        f"the state could not be brought to the manifold of the invariants: invariant {k} is off by {defect[k]:.1e}"
+    )
 
 
 def _gram(manifold: Manifold, y: Array) -> Array:
@@ -400,7 +416,7 @@ def _gram(manifold: Manifold, y: Array) -> Array:
 def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:
     """The function as one of the state and the shape of q and v, with fresh flat answers."""
     taken, call = reading(function, "t y q v", name, "q v", "a function of y, or of q and v", unknown="y")
-    takes_halves = bool({"q", "v"} & set(taken))
+    takes_halves = {"q", "v"} & set(taken)
     if "t" in taken:
         raise TypeError(f"{name} must not depend on t; invariants are functions of y, or of q and v")
 

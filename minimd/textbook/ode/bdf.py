@@ -43,7 +43,9 @@ class BDFStep:
     """One step, which must continue from the state that the last one returned."""
 
     def __init__(self, problem: Problem, k: int) -> None:
-        self._k, self._problem, self._equations = k, problem, StageEquations(problem)
+        self._k = k
+        self._problem = problem
+        self._equations = StageEquations(problem)
         self._start = StageStep(problem, radau_iia(k))
         self._states: deque[Array] = deque(maxlen=k)  # the newest first
         self._steps: deque[float] = deque(maxlen=k - 1)  # lengths of the steps between them
@@ -59,9 +61,11 @@ class BDFStep:
         if not self._states or self._k == 1:
             self._states.appendleft(y)
         if self._states[0] is not y:
-            why = f"bdf-{self._k} uses the last {self._k} states of its path and cannot start anew at every step"
-            wanted = "step doubling, reversible steps and projections require that"
-            raise TypeError(f"{why}; {wanted}: use run_steps or run_until, or a one-step method such as RadauIIA3")
+            raise TypeError(
+                f"bdf-{self._k} uses the last {self._k} states of its path and cannot start anew at every step; "
+                "step doubling, reversible steps and projections require that: use run_steps or run_until, or a "
+                "one-step method such as RadauIIA3"
+            )
         if len(self._states) < self._k:
             y_new = self._start(t, y, h)
         else:

@@ -30,7 +30,7 @@ Methods in ODEs (1962), 6.4; E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs 
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import repeat
 from math import copysign, isfinite, log
 from typing import Any
@@ -52,7 +52,9 @@ __all__ = ["DensityControl", "Solution", "StepControl", "run_adaptive", "run_rev
 REACHED = "the end was reached"
 LEFTOVER = 1e-12  # of a step: a shorter rest is rounding of the times, and belongs to the step before
 # factor of the proposed step; bounds of its change from one step to the next: Hairer et al., II.4
-SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
+SAFETY = 0.9
+SHRINK = 0.2
+GROW = 5.0
 EXPONENT = 0.75  # ρ ∝ |f|^¾: around a mass ρ ∝ r^(−3/2), so that steps are proportional to the free-fall time
 # of the time in which q changes by its size: truncation and rounding of d ln |f|/dt are then alike, 1e-10
 DIFFERENCE = 1e-5
@@ -68,7 +70,8 @@ class Solution(Displayed):
     t : (n + 1,) times.  y : (n + 1, size) states.  q, v : (n + 1, …) positions and velocities, of problems with them.
     nfev : evaluations of the right-hand side (of f, for problems with q and v).  n_rejected : steps tried in vain.
     success, message : whether the end was reached, and if not, why; if so, what limits the accuracy beside the method
-        and rounding."""
+        and rounding.
+    density : of run_reversible, (n + 1,) values of ρ at its times, dimensionless, for a run on or back."""
 
     t: Array
     y: Array
@@ -77,6 +80,7 @@ class Solution(Displayed):
     success: bool = True
     message: str = REACHED
     n_rejected: int = 0
+    density: Array | None = None
 
     def __repr__(self) -> str:
         return f"Solution({len(self.t)} states at t = {self.t[0]:.6g} to {self.t[-1]:.6g})"
@@ -105,13 +109,6 @@ class Solution(Displayed):
         return self.y.reshape(-1, 2, *self.shape)
 
 
-@dataclass
-class ReversibleSolution(Solution):
-    """A Solution with density : (n + 1,) values of ρ at its times, dimensionless, for a run on or back."""
-
-    density: Array = field(default_factory=lambda: np.empty(0))
-
-
 class Path:
     """The states that are kept of a run: every so many, and the last one.
     counts : what has counted evaluations, in nfev.  stopped : why a run ended early; empty if it did not.
@@ -122,8 +119,12 @@ class Path:
             raise TypeError(f"problem must be a differential equation, such as SecondOrder(f); got {shown(problem)}")
         self.problem: Any = problem
         self._every = checked_count("every", every)
-        self.times, self.states, self.n_rejected, self.stopped = [t0], [problem.begin(start, t0)], 0, ""
-        self.counts, self.densities = list[Any](), dict[float, float]()
+        self.times = [t0]
+        self.states = [problem.begin(start, t0)]
+        self.n_rejected = 0
+        self.stopped = ""
+        self.counts = list[Any]()
+        self.densities = dict[float, float]()
 
     def step(self, method: type[Method]) -> Any:
         """The step of a method, whose evaluations are counted."""
@@ -133,7 +134,10 @@ class Path:
     def through(self, states: States, timestep: float | None = None) -> Any:
         """The solution with these states, each the next one.
         Raises ConvergenceError or NonFiniteError if a step cannot be made; error.solution is the path before."""
-        kept_times, kept_states, every, n = self.times, self.states, self._every, 0
+        kept_times = self.times
+        kept_states = self.states
+        every = self._every
+        n = 0
         try:
             for t, y in states:
                 if n % every != 0:  # the last one is kept only if its number is a multiple of every
@@ -150,12 +154,19 @@ class Path:
     def solution(self) -> Solution:
         """Of the states so far."""
         reached = f"{REACHED}; {self.problem.remark}" if self.problem.remark else REACHED
-        nfev, message = sum(getattr(one, "nfev", 0) for one in self.counts), self.stopped or reached
+        nfev = sum(getattr(one, "nfev", 0) for one in self.counts)
+        message = self.stopped or reached
         t = np.array(self.times)
-        found = Solution(t, np.array(self.states), nfev, self.problem.shape, not self.stopped, message, self.n_rejected)
-        if not self.densities:
-            return found
-        return ReversibleSolution(**vars(found), density=np.array([self.densities[t] for t in self.times]))
+        return Solution(
+            t,
+            np.array(self.states),
+            nfev,
+            self.problem.shape,
+            not self.stopped,
+            message,
+            self.n_rejected,
+            np.array([self.densities[t] for t in self.times]) if self.densities else None,
+        )
 
 
 def failed(kind: type[ConvergenceError | NonFiniteError], path: Solution) -> ConvergenceError | NonFiniteError:
@@ -192,9 +203,7 @@ def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: fl
     Parameters, Raises : as run_steps; t_end must lie on the side of t0 to which the time step leads."""
     check_method(method)
     h = method.timestep
-    n_steps = (checked_number("t_end", t_end) - checked_number("t0", t0)) / h
-    if not (isfinite(n_steps) and n_steps > 0.0):
-        raise ValueError(f"t_end must be finite and lie ahead of t0; t0 = {t0!r}, t_end = {t_end!r}, timestep = {h!r}")
+    n_steps = checked_span(t0, t_end, h)
     whole = int(n_steps * (1.0 + LEFTOVER) + LEFTOVER)
     rest = t_end - (t0 + whole * h)
     lengths = [h] * whole + ([rest] if rest / h > LEFTOVER * n_steps else [])
@@ -204,10 +213,12 @@ def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: fl
 def _fixed(path: Path, method: Method, lengths: Iterable[float], t_end: float | None = None) -> Solution:
     """Steps of these lengths.  The states are looked at once they are all there; those before the first that is not
     finite are the solution of the NonFiniteError."""
-    h, step = method.timestep, path.step(type(method))
+    h = method.timestep
+    step = path.step(type(method))
 
     def states() -> States:
-        [t0], [y] = path.times, path.states
+        t0 = path.times[0]
+        y = path.states[0]
         for n, length in enumerate(lengths, 1):
             y = step(t0 + (n - 1) * h, y, length)
             yield t0 + n * h, y
@@ -217,7 +228,7 @@ def _fixed(path: Path, method: Method, lengths: Iterable[float], t_end: float | 
         found.t[-1] = t_end
     if np.isfinite(found.y[-1]).all():
         return found
-    first = int(np.argmin(np.isfinite(found.y).all(axis=1)))
+    first = np.argmin(np.isfinite(found.y).all(axis=1))
     why = (f"the state is not finite at t = {found.t[first]:g}; the last finite one is at t = {found.t[first - 1]:g}; "
            f"reduce the timestep ({h:g}), or look for a singularity of the problem")  # fmt: skip
     raise failed(NonFiniteError, Solution(found.t[:first], found.y[:first], found.nfev, found.shape, False, why))
@@ -226,14 +237,21 @@ def _fixed(path: Path, method: Method, lengths: Iterable[float], t_end: float | 
 def check_method(method: Method) -> None:
     """TypeError for anything but a method with its time step."""
     if not isinstance(method, Method):
-        needed = "a method with its time step, such as VelocityVerlet(0.05)"
-        raise TypeError(f"method must be {needed}; got {shown(method)}")
+        raise TypeError(
+            f"method must be a method with its time step, such as VelocityVerlet(0.05); got {shown(method)}"
+        )
 
 
-def check_ahead(t0: float, t_end: float) -> None:
-    """ValueError unless both times are finite, and differ."""
-    if checked_number("t0", t0) == checked_number("t_end", t_end):
-        raise ValueError(f"t0 and t_end must be finite and differ; t0 = {t0!r}, t_end = {t_end!r}")
+def checked_span(t0: float, t_end: float, timestep: float | None = None) -> float:
+    """The time from t0 to t_end, in time steps or, without one, whichever its direction.
+    ValueError unless both times are finite, and t_end lies on the side of t0 to which the time step leads."""
+    span = checked_number("t_end", t_end) - checked_number("t0", t0)
+    n_steps = abs(span) if timestep is None else span / timestep
+    if not (isfinite(n_steps) and n_steps > 0.0):
+        raise ValueError(
+            f"t_end must be finite and lie ahead of t0; t0 = {t0!r}, t_end = {t_end!r}, timestep = {timestep!r}"
+        )
+    return n_steps
 
 
 @dataclass(frozen=True)
@@ -264,14 +282,16 @@ class StepControl:
         atol = checked_numbers("atol", self.atol, "one number, or one for each component")
         is_positive = checked_number("rtol", self.rtol) > 0.0 or np.all(atol > 0.0)
         if not (self.rtol >= 0.0 and np.all(atol >= 0.0) and is_positive):
-            given = f"rtol = {self.rtol!r}, atol = {self.atol!r}"
-            raise ValueError(f"rtol and atol must not be negative, nor both zero; {given}")
+            raise ValueError(
+                f"rtol and atol must not be negative, nor both zero; rtol = {self.rtol!r}, atol = {self.atol!r}"
+            )
         if self.first_step is not None:
             checked_number("first_step", self.first_step, "positive and finite")
         longest = self.max_step if self.max_step == np.inf else checked_number("max_step", self.max_step)
         if not 0.0 <= checked_number("min_step", self.min_step) <= longest or longest == 0.0:
-            given = f"min_step = {self.min_step!r}, max_step = {self.max_step!r}"
-            raise ValueError(f"0 <= min_step <= max_step is needed; {given}")
+            raise ValueError(
+                f"0 <= min_step <= max_step is needed; min_step = {self.min_step!r}, max_step = {self.max_step!r}"
+            )
         checked_count("max_steps", self.max_steps)
 
     def excess(self, error: Array, y: Array, y_new: Array) -> float:
@@ -281,7 +301,8 @@ class StepControl:
 
     def first(self, slope: Array, y: Array, span: float, shortest: float) -> float:
         """The first step: first_step, or a hundredth of the time in which the state changes by its own size."""
-        size, rate = self._norm(y, np.abs(y)), self._norm(slope, np.abs(y))
+        size = self._norm(y, np.abs(y))
+        rate = self._norm(slope, np.abs(y))
         guess = min(span, 0.01 * size / rate if size > 0.0 < rate < np.inf else 1e-3 * span)
         return self.clipped(self.first_step or max(guess, shortest))
 
@@ -322,49 +343,65 @@ def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: floa
     A run that needs too many steps, or steps below min_step or the spacing of numbers at t, ends early:
     solution.success is False.
     """
-    check_ahead(t0, t_end)
+    checked_span(t0, t_end)
     if not (isinstance(method, type) and issubclass(method, Method)):
         raise TypeError(f"method must be a class, such as VelocityVerlet, not an object; got {shown(method)}")
     if not isinstance(control, StepControl):
         raise TypeError(f"control must be StepControl(rtol, atol); got {shown(control)}")
     path = Path(problem, start, t0)
     if (given := np.shape(control.atol)) not in ((), path.states[0].shape):
-        needed = f"a number, or an array of length {path.states[0].size}, one for each component of y"
-        raise ValueError(f"atol must be {needed}; got shape {given}")
+        raise ValueError(
+            f"atol must be a number, or an array of length {path.states[0].size}, one for each component of y; got "
+            f"shape {given}"
+        )
     return path.through(_adaptive(path, method, t_end, control))
 
 
 def _adaptive(path: Path, method: type[Method], t_end: float, control: StepControl) -> States:
     """The accepted states, each after two steps of h/2."""
-    problem, order, n, [t], [y] = path.problem, method.order_on(path.problem), 0, path.times, path.states
-    coarse, fine = path.step(method), path.step(method)  # each remembers its own last state
-    direction, span = copysign(1.0, t_end - t), abs(t_end - t)
+    problem = path.problem
+    order = method.order_on(problem)
+    tried = 0
+    t = path.times[0]
+    y = path.states[0]
+    # each remembers its own last state
+    coarse = path.step(method)
+    fine = path.step(method)
+    direction = copysign(1.0, t_end - t)
+    span = abs(t_end - t)
     h = control.first(problem.field(t, y), y, span, control.shortest(t, span))
     while (rest := abs(t_end - t)) > 0.0:
-        is_last, h = h >= rest * (1.0 - LEFTOVER), min(h, rest)
+        is_last = h >= rest * (1.0 - LEFTOVER)
+        h = min(h, rest)
         signed = direction * h
         try:
             one = coarse(t, y, signed)
             two = fine(t + 0.5 * signed, fine(t, y, 0.5 * signed), 0.5 * signed)
         except ConvergenceError as reason:
-            error, why = np.inf, str(reason)
+            error = np.inf
+            why = str(reason)
         else:
             weights = problem.error_weights(signed) if isinstance(problem, DifferentialAlgebraic) else 1.0
             error = control.excess(weights * (two - one) / (2.0**order - 1.0), y, two)
             why = f"its error is {error:.1e} times what is allowed"
         if error <= 1.0:
-            t, y, n = t_end if is_last else t + signed, two, n + 1
+            t = t_end if is_last else t + signed
+            y = two
             yield t, y
         elif h <= control.shortest(t, span):
-            limit = f"shorter ones are not allowed (min_step = {control.min_step:g})"
-            path.stopped = f"stopped at t = {t:g}: a step of {h:.1e} is too long, {why}, and {limit}"
+            path.stopped = (
+                f"stopped at t = {t:g}: a step of {h:.1e} is too long, {why}, and shorter ones are not allowed "
+                f"(min_step = {control.min_step:g})"
+            )
             return
         else:
             path.n_rejected += 1
-        tried = n + path.n_rejected
+        tried += 1
         if tried >= control.max_steps and t != t_end:
-            what = f"after {tried} steps, the last of {h:.1e}; loosen rtol and atol, or raise max_steps"
-            path.stopped = f"stopped at t = {t:g} {what}"
+            path.stopped = (
+                f"stopped at t = {t:g} after {tried} steps, the last of {h:.1e}; loosen rtol and atol, or raise "
+                "max_steps"
+            )
             return
         h = control.after(h, error, order)
 
@@ -393,7 +430,7 @@ class DensityControl:
 
 
 def run_reversible(problem: Partitioned, method: Method, start: Start, t_end: float, t0: float = 0.0,
-                   control: DensityControl = DensityControl(), every: int = 1) -> ReversibleSolution:  # fmt: skip
+                   control: DensityControl = DensityControl(), every: int = 1) -> Solution:  # fmt: skip
     """Steps of length timestep/ρ up to t_end, the last one shortened to end there.
 
     Parameters
@@ -410,21 +447,22 @@ def run_reversible(problem: Partitioned, method: Method, start: Start, t_end: fl
     A run that needs too many steps ends early: solution.success is False.
     """
     check_method(method)
-    check_ahead(t0, t_end)
-    checked_count("every", every)
+    checked_span(t0, t_end, method.timestep)
     if not isinstance(control, DensityControl):
         raise TypeError(f"control must be DensityControl(rate, density, max_steps); got {shown(control)}")
     if not method.is_symmetric:
         raise ValueError(f"reversible steps need a symmetric method, such as VelocityVerlet; {method.name} is not")
-    if (t_end - t0) * method.timestep < 0.0:
-        raise ValueError(f"t_end must lie ahead; t0 = {t0!r}, t_end = {t_end!r}, {method!r}")
     path = Path(problem, start, t0, every)
     return path.through(_reversible(path, method, t_end, control), method.timestep)
 
 
 def _reversible(path: Path, method: Method, t_end: float, control: DensityControl) -> States:
     """States of steps ε/ρ; ρ changes by half of ε G before and after each."""
-    problem, epsilon, n, [t], [y] = path.problem, method.timestep, 0, path.times, path.states
+    problem = path.problem
+    epsilon = method.timestep
+    n = 0
+    t = path.times[0]
+    y = path.states[0]
     step = path.step(type(method))
     rate = control.rate or _Fall(problem, abs(epsilon))
     path.counts.append(rate)
@@ -434,24 +472,30 @@ def _reversible(path: Path, method: Method, t_end: float, control: DensityContro
         rho += 0.5 * change
         if not rho > 0.0 or t + epsilon / rho == t:
             raise ConvergenceError(f"the density of steps {'fell' if rho <= 0.0 else 'grew'} to {rho:.1e}")
-        h, rest = epsilon / rho, t_end - t
+        h = epsilon / rho
+        rest = t_end - t
         is_last = abs(h) >= abs(rest) - LEFTOVER * max(abs(t), abs(t_end))
-        y, t, n = step(t, y, rest if is_last else h), t_end if is_last else t + h, n + 1
+        y = step(t, y, rest if is_last else h)
+        t = t_end if is_last else t + h
+        n += 1
         if not np.isfinite(y).all():
             raise NonFiniteError("the state is no longer finite")
         change = epsilon * float(rate(t, *problem.halves(y)))
         rho = path.densities[t] = rho + 0.5 * change
         yield t, y
     if t != t_end:
-        stopped = f"stopped at t = {t:g} after {n} steps, where their density ρ is {rho:.1e}"
-        path.stopped = f"{stopped}; raise max_steps or the timestep"
+        path.stopped = (
+            f"stopped at t = {t:g} after {n} steps, where their density ρ is {rho:.1e}; raise max_steps or the timestep"
+        )
 
 
 class _Fall:
     """G = ¾ d ln |f(t, q)|/dt along v, by a central difference: exactly odd in v, and independent of units."""
 
     def __init__(self, problem: Partitioned, timestep: float) -> None:
-        self.problem, self.timestep, self.nfev = problem, timestep, 0
+        self.problem = problem
+        self.timestep = timestep
+        self.nfev = 0
 
     def __call__(self, t: float, q: Array, v: Array) -> float:
         speed = float(np.linalg.norm(v))
@@ -503,7 +547,8 @@ def _stormer(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_s
              advance: Callable[..., None]) -> Solution:  # fmt: skip
     """The path without the position after the end, which is needed for the last velocity only.
     advance : finds q_{n+1} and the increments from q_{n−1}, q_n and Δt² f(q_n)."""
-    q0, v0 = np.asarray(q0, dtype=float), np.asarray(v0, dtype=float)
+    q0 = np.asarray(q0, dtype=float)
+    v0 = np.asarray(v0, dtype=float)
     checked_number("timestep", timestep, "finite and not zero")
     checked_count("n_steps", n_steps)
     a0 = np.asarray(f(q0), dtype=float)
@@ -511,7 +556,9 @@ def _stormer(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_s
         raise ValueError(f"q0, v0 and f(q0) must have the same shape; got {q0.shape}, {v0.shape} and {a0.shape}")
     q, increments, v = (np.empty((n_steps + n, *q0.shape)) for n in (2, 1, 1))
     increments[0] = timestep * v0 + 0.5 * timestep**2 * a0
-    q[0], q[1], v[0] = q0, q0 + increments[0], v0
+    q[0] = q0
+    q[1] = q0 + increments[0]
+    v[0] = v0
     for n in range(1, n_steps + 1):
         advance(q, increments, n, timestep**2 * np.asarray(f(q[n])))
     v[1:] = (increments[1:] + increments[:-1]) / (2.0 * timestep)

@@ -53,8 +53,10 @@ def arguments(function: Function, names: str, label: str, usual: str | None, wan
     if len(taken) == len(places) and all(given == place or given not in every for given, place in pairs):
         return places
     alone = "" if most == every else f"{', '.join(most)}, or "
-    needed = f"{alone}some of {', '.join(every)}, in this order and under these names"
-    raise TypeError(f"{label} must take {needed}; it takes ({', '.join(taken)})")
+    raise TypeError(
+        f"{label} must take {alone}some of {', '.join(every)}, in this order and under these names; it takes "
+        f"({', '.join(taken)})"
+    )
 
 
 def reading(function: Function, names: str, label: str, usual: str | None = None, wanted: str = "a function",
@@ -100,7 +102,7 @@ def checked_values(answer: Any, shape: tuple[int, ...] | None, name: str) -> Arr
 def check_finite(y: Array) -> None:
     """Raise ValueError if an element of the initial state is not finite."""
     if not np.isfinite(y).all():
-        k = int(np.argmin(np.isfinite(y)))
+        k = np.argmin(np.isfinite(y))
         raise ValueError(f"the start must be finite; element {k} is {y[k]}")
 
 
@@ -119,7 +121,8 @@ NOISE = 10.0 * EPS  # rounding of a function, relative to its change over the wi
 SPACINGS = 0.1 / 3.0 ** np.arange(12)  # in units of the time in which a path changes by its size
 NARROWING = 2.0**-8 / 4.0 ** np.arange(12)  # in units of a variable: powers of two, so that x ± s has no rounding
 # an error that has grown by this factor, of a derivative this near the best one, is noise: it grows with spacing
-GROWN, NEAR = 16.0, 0.03
+GROWN = 16.0
+NEAR = 0.03
 ENOUGH = 1e-9  # relative error of the formula of order 4 with which the search ends: that of order 6 is then some 1e-13
 
 
@@ -138,7 +141,8 @@ def _differences(function: Map, x: Array, steps: Array, at_x: Array | None = Non
     """Those between x + step and x − step, or x itself if the value there is given."""
     columns = []
     for k, step in enumerate(steps):
-        ahead, behind = x.copy(), x.copy()
+        ahead = x.copy()
+        behind = x.copy()
         ahead[k] += step
         behind[k] -= step if at_x is None else 0.0
         columns.append((function(ahead) - (function(behind) if at_x is None else at_x)) / (ahead[k] - behind[k]))
@@ -150,7 +154,8 @@ def accurate_differences(function: Map, x: Array, narrowed: float = 1.0) -> Arra
     six evaluations of it for a variable.
     Spacings are up to 1/256 of a variable, and are narrowed while the formulas of order 6 and 4 differ, or the function
     has no value there.  narrowed : factor of all spacings.  The result is NaN where no spacing gives one."""
-    here, sizes = function(x), np.maximum(np.abs(x), LEAST_WIDE * (np.abs(x).max() or 1.0))
+    here = function(x)
+    sizes = np.maximum(np.abs(x), LEAST_WIDE * (np.abs(x).max() or 1.0))
     units = narrowed * np.exp2(np.floor(np.log2(sizes)))
 
     def along_each(e: float) -> Array:
@@ -166,16 +171,17 @@ def derivative(function: Map, given: Map | None, x: Array) -> Array:
 
 def error_of_differences(function: Map, x: Array) -> float:
     """Relative error of accurate_differences, estimated from those with half the spacing."""
-    wide, narrow = accurate_differences(function, x), accurate_differences(function, x, 0.5)
+    wide = accurate_differences(function, x)
+    narrow = accurate_differences(function, x, 0.5)
     return float(np.abs(wide - narrow).max() / (np.abs(wide).max() or 1.0))
 
 
-def remark_on_differences(name: str, function: Map, given: Any, x: Array) -> str:
-    """Says that a derivative that is not given is found by accurate differences, with their error at x."""
+def remark_on_differences(function: Map, given: Any, x: Array) -> str:
+    """Says that G = ∂g/∂q, if it is not given, is found by accurate differences, with their error at x."""
     if given is not None:
         return ""
     error = max(error_of_differences(function, x), EPS)
-    return f"{name} by differences, with a relative error of {error:.0e} at the start"
+    return f"G = ∂g/∂q by differences, with a relative error of {error:.0e} at the start"
 
 
 def unit_of_time(y: Array, *derivatives: Array) -> float:
@@ -193,7 +199,9 @@ def time_derivative(path: Path, order: int, unit: float) -> Array:
 def _derivative(path: Path, here: Array, order: int, spacings: list[float], enough: float = 0.0) -> Array:
     """A derivative at 0, each element from the spacing with its least estimated error: |order 6 − order 4| + rounding.
     here : path(0).  spacings : widest first.  enough : relative error with which an element is settled."""
-    best, least, largest = np.full(here.shape, np.nan), np.full(here.shape, np.inf), np.zeros(here.shape)
+    best = np.full(here.shape, np.nan)
+    least = np.full(here.shape, np.inf)
+    largest = np.zeros(here.shape)
     for spacing in spacings:
         try:
             with np.errstate(all="ignore"):
@@ -205,7 +213,8 @@ def _derivative(path: Path, here: Array, order: int, spacings: list[float], enou
         largest = np.fmax(largest, changes)
         error = np.abs(sixth - fourth) + NOISE * largest / spacing**order
         better = error < least
-        best[better], least[better] = sixth[better], error[better]
+        best[better] = sixth[better]
+        least[better] = error[better]
         is_noise = (error > GROWN * least) & (np.abs(sixth - best) < NEAR * np.abs(best))
         least[is_noise | (error <= enough * changes / spacing**order)] = 0.0
         if not least.any():

@@ -52,7 +52,8 @@ class Newton:
     slow = SLOW
 
     def __init__(self, max_iterations: int = 50, small: float = SMALL) -> None:
-        self.max_iterations, self.small = checked_count("max_iterations", max_iterations), small
+        self.max_iterations = checked_count("max_iterations", max_iterations)
+        self.small = small
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(max_iterations={self.max_iterations})"
@@ -73,8 +74,9 @@ class Newton:
             matrix *= rows[:, None]
         factors, pivots, zero_pivot = scipy.linalg.lapack.dgetrf(matrix)
         if zero_pivot:
-            unknown = f"unknown {zero_pivot - 1} is not determined"
-            raise ConvergenceError(f"the equations of the step are singular: {unknown}")
+            raise ConvergenceError(
+                f"the equations of the step are singular: unknown {zero_pivot - 1} is not determined"
+            )
         return factors, pivots, sizes, rows
 
     def correction(self, factors: Any, r: Array) -> Array:
@@ -124,7 +126,9 @@ class Iteration:
         scale : least sizes of the unknowns for relative errors, one number or an array; the equations are scaled by an
             array too.  floor : the same for corrections that no longer shrink; scale if not given.
         nothing : corrections up to this size end the iteration, whatever the unknowns."""
-        before, last, slow = np.inf, np.inf, self.solver.slow
+        before = np.inf
+        last = np.inf
+        slow = self.solver.slow
         for _ in range(self.solver.max_iterations):
             r = residual(x)
             if not r.any():
@@ -132,7 +136,8 @@ class Iteration:
             if not np.isfinite(r).all():
                 break
             if self._factors is None or key != self._key:
-                self._factors, self._key = self.solver.factorized(residual, x, r, jacobian, scale), key
+                self._factors = self.solver.factorized(residual, x, r, jacobian, scale)
+                self._key = key
             dx = self.solver.correction(self._factors, r)
             x = x - dx
             size = _relative_size(dx, x, scale)
@@ -142,7 +147,9 @@ class Iteration:
                 is_small = _relative_size(dx, x, scale if floor is None else floor) <= self.solver.small
                 if size <= NEAR or (is_small and size > STALLED * last):
                     return x
-                last, before, self._factors = size if is_small else np.inf, np.inf, None
+                last = size if is_small else np.inf
+                before = np.inf
+                self._factors = None
             else:
                 before = size
         self._factors = None
@@ -163,19 +170,22 @@ def nearest_root(function: Map, x: Array, step: float = CENTRAL, dependent: floa
     step : of central differences, relative to x; WIDE for functions that are numerical derivatives themselves.
     dependent : ratio of singular values below which equations count as dependent.
     size : of the largest variable, where x may be smaller by chance."""
-    best, least, size = x, np.inf, max(size, np.abs(x).max())
+    least = np.inf
+    size = max(size, np.abs(x).max())
     for _ in range(MAX_ITERATIONS):
         c = function(x)
         if not (c.any() and np.isfinite(c).all()):
-            return best if c.any() else x
+            return x
         dx = np.linalg.lstsq(central_differences(function, x, step, size), -c, rcond=dependent)[0]
-        move, largest = float(np.abs(dx).max()), float(max(size, np.abs(x + dx).max()))
+        move = np.abs(dx).max()
+        largest = max(size, np.abs(x + dx).max())
         if move > 0.5 * least and move <= SMALL_OF_NOISY * largest:
-            return best
-        x, best, least = x + dx, x + dx, move
+            return x
+        x = x + dx
+        least = move
         if move <= EPS * largest:
             return x
-    return best
+    return x
 
 
 def are_independent(function: Map, x: Array, step: float = CENTRAL, size: float = 0.0) -> bool:

@@ -75,8 +75,9 @@ class FirstOrder(Problem):
         another shape."""
         y = np.array(start, dtype=float)
         if y.ndim != 1 or y.size == 0:
-            needed = "a one-dimensional array with at least one element"
-            raise ValueError(f"the start must be {needed}; got shape {y.shape}")
+            raise ValueError(
+                f"the start must be a one-dimensional array with at least one element; got shape {y.shape}"
+            )
         check_finite(y)
         return y
 
@@ -104,7 +105,8 @@ class Partitioned(Problem):
 
     def __init__(self, g: Function, f: Function, g_q: Function | None = None, f_v: Function | None = None,
                  solver: Newton = Newton()) -> None:  # fmt: skip
-        self.g, self.f = VectorField(g, "v", "g"), VectorField(f, "q", "f")
+        self.g = VectorField(g, "v", "g")
+        self.f = VectorField(f, "q", "f")
         self.g_q = g_q if g_q is None else VectorField(g_q, "t q v", "g_q")
         self.f_v = f_v if f_v is None else VectorField(f_v, "t q v", "f_v")
         self.solver = checked_solver(solver)
@@ -127,8 +129,9 @@ class Partitioned(Problem):
             raise ValueError(f"the start must be a pair, (q, v); got {shown(start)}")
         q, v = (np.array(part, dtype=float) for part in start)
         if q.shape != v.shape or q.size == 0:
-            needed = "the same shape, and at least one element"
-            raise ValueError(f"q and v of the start must have {needed}; got {q.shape} and {v.shape}")
+            raise ValueError(
+                f"q and v of the start must have the same shape, and at least one element; got {q.shape} and {v.shape}"
+            )
         self.shape = self.g.shape = self.f.shape = q.shape
         y = np.concatenate([q.reshape(-1), v.reshape(-1)])
         check_finite(y)
@@ -194,25 +197,21 @@ class DifferentialAlgebraic(Problem):
     shape = None
     index: int
     levels: Array
-    given_state_jacobian: Function | None = None  # of t, y, slope
-    given_slope_jacobian: Function | None = None
 
     def __init__(self, solver: Newton) -> None:
         if not isinstance(solver, Newton) or isinstance(solver, FixedPoint):
-            why = "differential-algebraic equations need Newton's method, because they are no fixed-point equations"
-            raise TypeError(f"{why}; got solver = {solver!r}")
+            raise TypeError(
+                "differential-algebraic equations need Newton's method, because they are no fixed-point equations; "
+                f"got solver = {solver!r}"
+            )
         self.solver = solver
 
     def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
-        """∂F/∂y, (n, n): as given, or by differences."""
-        if self.given_state_jacobian is not None:
-            return self.given_state_jacobian(t, y, slope).reshape(y.size, y.size)
+        """∂F/∂y, (n, n), by differences."""
         return forward_differences(lambda x: self.residual(t, x, slope), y, self.residual(t, y, slope))
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
-        """∂F/∂y′, (n, n): as given, or by differences."""
-        if self.given_slope_jacobian is not None:
-            return self.given_slope_jacobian(t, y, slope).reshape(y.size, y.size)
+        """∂F/∂y′, (n, n), by differences."""
         return forward_differences(lambda x: self.residual(t, y, x), slope, self.residual(t, y, slope))
 
     def error_weights(self, h: float) -> Array:
@@ -234,13 +233,16 @@ class SequenceStep:
     """Kicks and drifts in turn; the force at the end of a step is that at the start of the next."""
 
     def __init__(self, problem: Partitioned, substeps: Substeps) -> None:
-        self.nfev, self._problem, self._iteration = 0, problem, problem.solver.iteration()
+        self.nfev = 0
+        self._problem = problem
+        self._iteration = problem.solver.iteration()
         self._substeps = [(isinstance(substep, Kick), substep.coefficient) for substep in substeps]
         self._known: tuple[Array | None, Array | None] = None, None
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
-        problem, n = self._problem, y.size // 2
+        problem = self._problem
+        n = y.size // 2
         force = self._known[1] if self._known[0] is y else None
         y = y.copy()
         q, v = y[:n], y[n:]
@@ -269,7 +271,9 @@ class EulerStep:
     """Symplectic Euler methods in turn; each implicit equation is solved to rounding, from its explicit guess."""
 
     def __init__(self, problem: Partitioned, substeps: Substeps) -> None:
-        self.nfev, self._problem, self._factors = 0, problem, list[tuple[type[Substep], float, Iteration]]()
+        self.nfev = 0
+        self._problem = problem
+        self._factors = list[tuple[type[Substep], float, Iteration]]()
         rest = 0.0
         for substep in substeps:  # kick-first and drift-first in turn, each with the rest of its neighbor
             rest = substep.coefficient - rest
@@ -280,7 +284,8 @@ class EulerStep:
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
-        problem, n = self._problem, y.size // 2
+        problem = self._problem
+        n = y.size // 2
         q, v = y[:n].copy(), y[n:].copy()
         for kind, weight, iteration in self._factors:
             duration = weight * h
@@ -295,7 +300,8 @@ class EulerStep:
         return np.concatenate([q, v])
 
     def _value(self, field: VectorField, t: float, q: Array, v: Array) -> Array:
-        self.nfev, shape = self.nfev + (field is self._problem.f), self._problem.shape
+        shape = self._problem.shape
+        self.nfev += field is self._problem.f
         return field(t, q.reshape(shape), v.reshape(shape))
 
     def _solved(self, field: VectorField, jacobian: VectorField | None, x0: Array, place: Place, duration: float,

@@ -11,8 +11,7 @@ E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5.
 """
 
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import Legendre
@@ -34,8 +33,7 @@ UNSEEN = 1e-22  # of the state: a millionth of its rounding, too small to change
 VANISHING = 1e-30  # smallest size of a variable relative to the largest one, so that no size is zero
 
 
-@dataclass(frozen=True)
-class Tableau:
+class Tableau(NamedTuple):
     """Coefficients of a Runge-Kutta method with s stages.
 
     beta : (s, s).  weights, nodes : (s,).  All dimensionless; Σ_j β_ij = c_i."""
@@ -75,7 +73,8 @@ class Tableau:
     @property
     def stage_order(self) -> int:
         """Largest η for which C(η) holds, see order: the order of the stages."""
-        c, k = self.nodes[:, None], np.arange(1, HIGHEST_ORDER + 1)
+        c = self.nodes[:, None]
+        k = np.arange(1, HIGHEST_ORDER + 1)
         return _first_failure(self.beta @ c ** (k - 1) - c**k / k)
 
     @property
@@ -84,9 +83,12 @@ class Tableau:
         1964): a lower bound of the order.
 
         B(p): Σ w_i c_iᵏ⁻¹ = 1/k;  C(η): Σ_j β_ij c_jᵏ⁻¹ = c_iᵏ/k;  D(ζ): Σ_i w_i c_iᵏ⁻¹ β_ij = w_j (1 − c_jᵏ)/k."""
-        w, c, k = self.weights, self.nodes, np.arange(1, HIGHEST_ORDER + 1)
+        w = self.weights
+        c = self.nodes
+        k = np.arange(1, HIGHEST_ORDER + 1)
         powers = c[:, None] ** (k - 1)
-        b, eta = _first_failure(w @ powers - 1.0 / k), self.stage_order
+        b = _first_failure(w @ powers - 1.0 / k)
+        eta = self.stage_order
         zeta = _first_failure((w[:, None] * powers).T @ self.beta - w * (1.0 - c ** k[:, None]) / k[:, None], axis=1)
         return min(b, eta + zeta + 1, 2 * eta + 2)
 
@@ -107,10 +109,6 @@ def gauss(n_stages: int) -> Tableau:
     """Gauss-Legendre nodes, the zeros of P_s(2c − 1): order 2s, symplectic and symmetric.
 
     J. C. Butcher, Math. Comput. 18, 50 (1964)."""
-    if n_stages == 2:
-        r = np.sqrt(3.0) / 6.0
-        beta = np.array([[0.25, 0.25 - r], [0.25 + r, 0.25]])
-        return Tableau(beta, np.array([0.5, 0.5]), np.array([0.5 - r, 0.5 + r]))
     rounded = collocation((1.0 + np.polynomial.legendre.leggauss(n_stages)[0]) / 2.0)
     # else invariants drift with the rounding of M
     beta = rounded.beta - rounded.symplecticity_defect / (2.0 * rounded.weights[:, None])
@@ -128,7 +126,8 @@ def radau_iia(n_stages: int) -> Tableau:
 def _lagrange_integrals(nodes: Array, end: float) -> Array:
     """∫₀^end ℓ_j for all j, by a Gauss quadrature that is exact for them; ℓ_j is one on node j, zero on the others."""
     x, w = np.polynomial.legendre.leggauss(nodes.size)
-    x, w = end * (1.0 + x) / 2.0, end * w / 2.0
+    x = end * (1.0 + x) / 2.0
+    w = end * w / 2.0
     # of ℓ_j at x_k, for [k, j]
     factors = (x[:, None, None] - nodes) / np.where(np.eye(nodes.size, dtype=bool), 1.0, nodes[:, None] - nodes)
     factors[:, np.arange(nodes.size), np.arange(nodes.size)] = 1.0
@@ -151,12 +150,16 @@ class RungeKutta(Method):
         Raises TypeError for Gauss-Legendre methods on problems of index 3, where errors of the multipliers do not
         shrink with the time step; and for a tableau with equal nodes, as explicit methods have them."""
         if isinstance(problem, DifferentialAlgebraic) and problem.index > 2 and not cls.tableau.is_stiffly_accurate:
-            why = f"does not converge on problems of index {problem.index}, whose multipliers stay wrong however short"
-            advice = "take RadauIIA3 or BDF3, or a Holonomic problem with a splitting"
-            raise TypeError(f"{cls.name} {why} the steps; {advice}")
-        if len(set(nodes := cls.tableau.nodes.tolist())) < len(nodes):
-            why = f"has equal nodes, {nodes}, and implicit methods must have different ones"
-            raise TypeError(f"{cls.name} {why}; for explicit Runge-Kutta methods use scipy.integrate.solve_ivp")
+            raise TypeError(
+                f"{cls.name} does not converge on problems of index {problem.index}, whose multipliers stay wrong "
+                "however short the steps; take RadauIIA3 or BDF3, or a Holonomic problem with a splitting"
+            )
+        nodes = cls.tableau.nodes.tolist()
+        if len(set(nodes)) < len(nodes):
+            raise TypeError(
+                f"{cls.name} has equal nodes, {nodes}, and implicit methods must have different ones; for explicit "
+                "Runge-Kutta methods use scipy.integrate.solve_ivp"
+            )
         return StageStep(problem, cls.tableau)
 
     @classmethod
@@ -179,7 +182,8 @@ class StageEquations:
 
     def __init__(self, problem: Problem) -> None:
         self.nfev = 0
-        self._problem, self._iteration = problem, problem.solver.iteration()
+        self._problem = problem
+        self._iteration = problem.solver.iteration()
 
     def slopes(self, times: Array, base: Array, weights: Array, guess: Array, h: float) -> Array:
         """(s, n) K with F(t_i, b_i + Σ_j weights_ij K_j, K_i) = 0.  Raises ConvergenceError with the largest residual.
@@ -191,7 +195,8 @@ class StageEquations:
 
         def jacobian(unknowns: Array) -> Array:
             k = unknowns.reshape(guess.shape)
-            n, matrix = base.size, np.empty((k.size, k.size))
+            n = base.size
+            matrix = np.empty((k.size, k.size))
             for i, stage in enumerate(zip(times, base + weights @ k, k, strict=True)):
                 of_state, of_slope = self._jacobians(*stage)
                 rows = matrix[i * n : (i + 1) * n]
@@ -200,8 +205,8 @@ class StageEquations:
             return matrix
 
         sizes = self._sizes(base, guess, h)
-        found = self._iteration.solve(residual, guess.reshape(-1), jacobian, (h, *weights[0]), *sizes)
-        return found.reshape(guess.shape)
+        slopes = self._iteration.solve(residual, guess.reshape(-1), jacobian, (h, *weights[0]), *sizes)
+        return slopes.reshape(guess.shape)
 
     def _residual(self, t: float, y: Array, slope: Array) -> Array:
         self.nfev += 1
@@ -215,8 +220,8 @@ class StageEquations:
             return problem.state_jacobian(t, y, slope), problem.slope_jacobian(t, y, slope)
         if isinstance(problem, FirstOrder) and problem.jacobian is not None:
             return -np.asarray(problem.jacobian(t, y), dtype=float), np.eye(y.size)
-        at_y = self._residual(t, y, slope)
-        return forward_differences(lambda x: self._residual(t, x, slope), y, at_y), np.eye(y.size)
+        of_state = forward_differences(lambda x: self._residual(t, x, slope), y, self._residual(t, y, slope))
+        return of_state, np.eye(y.size)
 
     def _sizes(self, base: Array, guess: Array, h: float) -> tuple[Array | float, Array | float, float]:
         """scale, floor and nothing of Iteration.solve.
@@ -225,7 +230,7 @@ class StageEquations:
         of algebraic variables that no longer shrink are rounding if the others are solved for."""
         problem = self._problem
         if not isinstance(problem, DifferentialAlgebraic):
-            largest = float(np.abs(base).max())
+            largest = np.abs(base).max()
             return 0.0, largest / abs(h), UNSEEN * largest / abs(h)
         sizes = np.maximum(np.abs(base), np.abs(h * guess).max(axis=0))
         own = np.maximum(sizes, VANISHING * sizes.max()) * AMPLIFIED**problem.levels / abs(h)
@@ -249,12 +254,14 @@ class StageStep(StageEquations):
         slopes = self._all_slopes(t, y, h)
         increment = h * (self._tableau.weights @ slopes) + (lost if known is y else 0.0)
         y_new = y + increment
-        self._known, self._last = (y_new, increment - (y_new - y)), (t, h, slopes)
+        self._known = (y_new, increment - (y_new - y))
+        self._last = (t, h, slopes)
         return y_new
 
     def _all_slopes(self, t: float, y: Array, h: float) -> Array:
         """(s, n) slopes; the guess is the polynomial through the last ones, or y′ if that is far or fails."""
-        times, weights = t + self._tableau.nodes * h, h * self._tableau.beta
+        times = t + self._tableau.nodes * h
+        weights = h * self._tableau.beta
         if self._last is not None:
             t_last, h_last, slopes = self._last
             nodes = (t - t_last + self._tableau.nodes * h) / h_last
@@ -269,16 +276,15 @@ def _method(title: str, name: str, tableau: Tableau, source: str, doc: str) -> t
     return type(title, (RungeKutta,), {"__doc__": doc, "name": name, "tableau": tableau, "source": source})
 
 
-BUTCHER = "J. C. Butcher, Math. Comput. 18, 50 (1964)"
 BOOK = "E. Hairer, G. Wanner, Solving ODEs II (1996)"
 GaussLegendre1, GaussLegendre2, GaussLegendre3, GaussLegendre4 = (
-    _method(f"GaussLegendre{s}", f"gauss-legendre-{s}", gauss(s), BUTCHER,
+    _method(f"GaussLegendre{s}", f"gauss-legendre-{s}", gauss(s), "J. C. Butcher, Math. Comput. 18, 50 (1964)",
             f"Gauss-Legendre with {stages}: order {2 * s}, symplectic, symmetric.")
     for s, stages in enumerate(
         ("one stage, the implicit midpoint rule", "two stages", "three stages", "four stages"), start=1)
 )  # fmt: skip
-EULER = "Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate."
-ImplicitEuler = _method("ImplicitEuler", "implicit-euler", radau_iia(1), f"{BOOK}, IV.3", EULER)
+ImplicitEuler = _method("ImplicitEuler", "implicit-euler", radau_iia(1), f"{BOOK}, IV.3",
+                        "Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate.")  # fmt: skip
 RadauIIA2, RadauIIA3 = (
     _method(f"RadauIIA{s}", f"radau-iia-{s}", radau_iia(s), f"B. L. Ehle (1969); {BOOK}, IV.5",
             f"Radau IIA with {stages}: order {2 * s - 1}, stiffly accurate.")

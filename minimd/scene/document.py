@@ -22,7 +22,9 @@ from minimd.scene.sections import Numbers, SceneSections, TabulatedSection, as_s
 
 D = TypeVar("D", bound="Document")
 Made = TypeVar("Made")
-DEEP_KEY = re.compile(r"(?:[\w\"'-]+\s*\.\s*){64}")  # of tables in tables, for which tomllib would take gigabytes
+DEEP_KEY = re.compile(
+    r"(?<![\w\"'-])(?:[\w\"'-]+\s*\.\s*){64}"
+)  # of tables in tables, for which tomllib would take gigabytes
 
 
 @dataclass(frozen=True)

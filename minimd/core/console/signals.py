@@ -4,6 +4,7 @@ import signal
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from math import inf
 from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn, Protocol
@@ -20,6 +21,34 @@ class Stoppable(Protocol):
     """Something that checks a flag between its steps."""
 
     stop_requested: bool
+
+
+@contextmanager
+def stop_in_time(run: Stoppable, seconds: float) -> Iterator[None]:
+    """While active, run.stop_requested is set after so many seconds; the KeyboardInterrupt with which the run then ends
+    goes no further. A sentence on standard error tells it, as in stop_on_signals, within which this is called."""
+    if seconds == inf:  # no thread is needed
+        yield
+        return
+    is_over = threading.Event()
+
+    def stop() -> None:
+        is_over.set()
+        run.stop_requested = True
+
+    timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), stop)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    except KeyboardInterrupt as stopped:
+        if not is_over.is_set():
+            raise
+        if not _callers:
+            tell(f"minimd: {stopped}, because max_seconds = {seconds:g} have passed{_kept(stopped)}")
+    finally:
+        timer.cancel()
+        timer.join()
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """Structures, and the bonds, angles and dihedrals in them, from files that ASE or MDAnalysis reads;
 masses of chemical elements; trajectories that ASE writes."""
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -19,10 +20,13 @@ from minimd.core.console.quiet import quiet, warn
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.record import Frame
 from minimd.core.files.claim import Claim
+from minimd.core.files.h5md_reader import TEXT, looked_at
 from minimd.core.files.trajectory import Writer
 from minimd.core.structure.ase_atoms import atoms_from_system, calculators_stress, label_by_tags
 from minimd.core.structure.bond_graph import GROUPS, Joined, joined_in
 from minimd.core.structure.cell import Cell
+from minimd.core.structure.checks import checked_path
+from minimd.core.structure.errors import sentence
 from minimd.core.structure.system import System, changed
 from minimd.core.structure.units import ASE, LJ, UnitSystem
 
@@ -66,12 +70,40 @@ def system_from_file(
     Species of LAMMPS data are its types, unless units are ASE's and the masses are those of as many chemical elements,
     to 0.1 %.
 
+    The file is read in a child process, whose memory and time are limited by the size of the file.
+
     Raises
     ------
     ValueError : if a file does not exist or cannot be read, with the reader's reason in one sentence; and as System.
     """
-    path = Path(file)
+    path = checked_path("file", file)
     form = format or SUFFIXES.get(path.suffix.lower())
+    if form not in (None, *ioformats) or path.suffix[1:].upper() in NAMES_BONDS:
+        import MDAnalysis  # noqa: F401 - once, and not in each child
+
+    def read() -> tuple[System, list[str]]:
+        with warnings.catch_warnings(record=True, action="always", category=UserWarning) as given:
+            system = _read(path, form, cell, pbc, units, bonds)
+        return system, [str(one.message) for one in given]
+
+    try:
+        system, hints = looked_at(path, read, TEXT)
+    except OSError as error:
+        raise ValueError(sentence(error)) from None
+    for hint in hints:
+        warn(hint)
+    return system
+
+
+def _read(
+    path: Path,
+    form: str | None,
+    cell: ArrayLike | None,
+    pbc: ArrayLike | None,
+    units: UnitSystem | None,
+    bonds: ArrayLike | str | Path | None,
+) -> System:
+    """See system_from_file."""
     with _read_as(path, "a structure", form):
         source = _source(path, form, units or ASE)
         system = _system(source, units or ASE, form)

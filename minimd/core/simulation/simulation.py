@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from math import inf
 from pathlib import Path
 from time import monotonic
 from typing import Any, Literal, Self
@@ -12,7 +13,7 @@ from typing import Any, Literal, Self
 import minimd.core.diagnosis.shadow_energy  # noqa: F401 - registers an observable, of runs and of files
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.progress import progress_of
-from minimd.core.console.signals import stop_on_signals
+from minimd.core.console.signals import stop_in_time, stop_on_signals
 from minimd.core.constraints.solver import ConstraintSolver
 from minimd.core.diagnosis.judge import RUNAWAY
 from minimd.core.diagnosis.report import Report
@@ -182,6 +183,7 @@ class Simulation(Closed, Displayed):
         observers: Sequence[Observer] = (),
         progress: bool | None = None,
         crash_report: str | Path | bool = True,
+        max_seconds: float | None = None,
     ) -> Record:
         """Make n_steps steps, or those up to until_step; observe the first state, and those at multiples of every.
         Return the Record of these steps only; minimd.read_record(file) has all frames of a file.
@@ -202,6 +204,8 @@ class Simulation(Closed, Displayed):
         crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at
             a path, or nowhere (False). It holds the last good state and what minimd.replay needs;
             an existing file is kept unless overwrite, and the new one numbered.
+        max_seconds : of wall time, after which the run ends with a whole step, all files valid, and a sentence on
+            standard error; sim.step says how far it came. It can go on with append.
 
         Raises
         ------
@@ -218,12 +222,14 @@ class Simulation(Closed, Displayed):
         files = {name: checked_flag(name, flag) for name, flag in files.items()}
         attached = Attached(observers, engine)
         check_extras(engine)
+        seconds = inf if max_seconds is None else checked_number("max_seconds", max_seconds, "positive and finite")
         place, start = crash_file_place(crash_report, trajectory), engine.step
         # the crash file is written after all others are closed
         with self._running(engine.noise_shift), crash_file_left(place, guard, files["overwrite"]):
             guard.check_start()
             with (
                 stop_on_signals(engine.surroundings),
+                stop_in_time(engine.surroundings, seconds),
                 open_trajectories(
                     trajectory, engine, every=every, n_steps=end - start, observers=attached.accumulators, **files
                 ) as writers,

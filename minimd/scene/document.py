@@ -22,9 +22,8 @@ from minimd.scene.sections import Numbers, SceneSections, TabulatedSection, as_s
 
 D = TypeVar("D", bound="Document")
 Made = TypeVar("Made")
-DEEP_KEY = re.compile(
-    r"(?<![\w\"'-])(?:[\w\"'-]+\s*\.\s*){64}"
-)  # of tables in tables, for which tomllib would take gigabytes
+# of tables in tables, for which tomllib would take gigabytes
+DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+\s*\.\s*){64}")
 
 
 @dataclass(frozen=True)

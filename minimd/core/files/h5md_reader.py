@@ -204,9 +204,7 @@ def looked_at(
         with suppress(ChildProcessError):  # not known, because this process ignores the ends of its children
             status = os.waitpid(child, 0)[1]
     if status or not answer:
-        raise OSError(
-            f"file {str(path)!r} is damaged: reading it crashes or takes too long; copy it again, or run again"
-        )
+        raise OSError(f"file {str(path)!r} is damaged: its reader crashes or finds no end; copy it again, or run again")
     found, error = pickle.loads(answer)
     if error is not None:
         raise error

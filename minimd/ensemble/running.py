@@ -28,7 +28,7 @@ from minimd.core.console.signals import (
 )
 from minimd.core.console.words import shown
 from minimd.core.simulation.simulation import Simulation
-from minimd.core.structure.checks import checked_count, checked_flag
+from minimd.core.structure.checks import checked_count, checked_flag, checked_path
 from minimd.core.structure.errors import EnsembleError, Interrupted, sentence
 from minimd.ensemble.folder import ENTROPIES, Asked, EnsembleFolder, name_of
 from minimd.ensemble.member import DONE, FAILED, Job, Member, Plan, Row, checked_parameters, work_through
@@ -110,7 +110,7 @@ def ensemble(
     KeyboardInterrupt : after Ctrl-C; finished members are kept, and the next call goes on.
     OSError : if the folder cannot be written.
     """
-    rows, place = checked_parameters(parameters), Path(folder)
+    rows, place = checked_parameters(parameters), checked_path("folder", folder)
     steps, every = checked_count("steps", steps, 0), checked_count("every", every)
     resume, seed = checked_flag("resume", resume), None if seed is None else checked_count("seed", seed, 0, ENTROPIES)
     plan, retries = Plan(build, prepare, run, every, uuid4().hex), checked_count("retries", retries, 0)

@@ -23,7 +23,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Make = Callable[[Atoms, np.random.RandomState], Any]
 
-MASSES = np.repeat([2.0, 8.0, 30.0, 120.0], 2)  # amu, of the atoms of a ring
+MASSES = np.repeat([2.45, 8.35, 30.4, 120.3], 2)  # amu, of the atoms of a ring
+LIGHT, HEAVY = 4.45, 12.35  # amu, of the atoms of a molecule
+REDUCED = LIGHT * HEAVY / (LIGHT + HEAVY)
+SHARES = np.array([HEAVY, LIGHT]) / (LIGHT + HEAVY)  # of the length, and of the motion along it, of each
 STIFF = 0.06  # ω Δt of a bond of the ring, with the lighter of its atoms
 QUARTIC = 0.05  # of k²/kT: makes the motion chaotic
 STRETCH = 4.0  # length of the bonds of molecules, in units of their thermal motion
@@ -156,8 +159,8 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
 
 def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
     """Rigid molecules of two atoms, in a chain of bonds as those of the ring."""
-    n, masses = RIGID, np.tile([4.0, 12.0], RIGID)
-    k, first = 3.0 * (OF_MOLECULES / timestep) ** 2, np.arange(1, 2 * n - 1, 2)
+    n, masses = RIGID, np.tile([LIGHT, HEAVY], RIGID)
+    k, first = REDUCED * (OF_MOLECULES / timestep) ** 2, np.arange(1, 2 * n - 1, 2)
     length, apart = np.sqrt(kt / k), np.array([[5.0, 0.0, 0.0]])
     springs = Rigid(first, first + 1, np.full(n - 1, k), np.zeros(n - 1), np.repeat(apart, n - 1, axis=0))
     springs.length = float(length)
@@ -170,7 +173,7 @@ def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
         x[1::2] = x[0::2] + length * ways
         atoms = Atoms("H" * 2 * n, x + 30.0, masses=masses, cell=[100.0] * 3, pbc=True, calculator=springs)
         p = momenta(rng, masses, kt, is_still)
-        along = 3.0 * ((p[1::2] / 12.0 - p[0::2] / 4.0) * ways).sum(axis=1)[:, None] * ways  # of the reduced mass
+        along = REDUCED * ((p[1::2] / HEAVY - p[0::2] / LIGHT) * ways).sum(axis=1)[:, None] * ways
         p[0::2] += along
         p[1::2] -= along
         atoms.set_momenta(p)
@@ -179,7 +182,7 @@ def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
 
     springs.draw = draw
     return Scene("chain", draw, springs, "masses spread rigid fixed", 0.5 * OF_MOLECULES**2,
-                 rigid=np.tile([0.75, 0.25], n) / 3.0, slowness=4)  # fmt: skip
+                 rigid=np.tile(SHARES, n) / 3.0, slowness=4)  # fmt: skip
 
 
 def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: int = 0) -> Scene:
@@ -211,8 +214,8 @@ def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: i
 
 def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
     """Molecules of two atoms, which do not see each other, under pressure: p(V) ∝ Vⁿ exp(−PV/kT), n molecules."""
-    n, masses = MOLECULES, np.tile([4.0, 12.0], MOLECULES)
-    k = 3.0 * (OF_MOLECULES / timestep) ** 2
+    n, masses = MOLECULES, np.tile([LIGHT, HEAVY], MOLECULES)
+    k = REDUCED * (OF_MOLECULES / timestep) ** 2
     length = STRETCH * np.sqrt(kt / k)
     springs = AnharmonicSprings(
         np.arange(0, 2 * n, 2), np.arange(1, 2 * n, 2), np.full(n, k), np.zeros(n), np.full(n, length)
@@ -227,8 +230,8 @@ def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
         apart = r[np.searchsorted(weights, rng.random_sample(n) * weights[-1])]
         apart = apart[:, None] * ways / np.linalg.norm(ways, axis=1)[:, None]
         x = np.repeat(edge * rng.random_sample((n, 3)), 2, axis=0)
-        x[0::2] -= 0.75 * apart
-        x[1::2] += 0.25 * apart
+        x[0::2] -= SHARES[0] * apart
+        x[1::2] += SHARES[1] * apart
         atoms = Atoms("H" * 2 * n, x, masses=masses, cell=[edge] * 3, pbc=True, calculator=springs)
         atoms.set_momenta(momenta(rng, masses, kt, is_still))
         return atoms

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.progress import progress_of
 from minimd.core.console.signals import stop_on_signals
+from minimd.core.console.words import shown
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import check_extras, observe
 from minimd.core.engine.record import Record
@@ -28,7 +29,7 @@ from minimd.core.integrators.thermostats import LangevinBAOAB
 from minimd.core.potentials.coulomb import Coulomb
 from minimd.core.potentials.term import bound
 from minimd.core.simulation.simulation import Simulation
-from minimd.core.structure.checks import checked_count, checked_flag
+from minimd.core.structure.checks import checked_count, checked_flag, checked_path
 from minimd.core.structure.errors import HandOverError, sentence
 from minimd.lammps import script
 from minimd.lammps.box import IMAGES, Box
@@ -160,7 +161,7 @@ def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, process
     The simulation is then in its state before, and the folder is removed. But if LAMMPS fails after it has written
     frames, the complete frames are kept, and the simulation is in the state of the last one.
     """
-    job = _checked(simulation, Path(folder), steps, processes, every, checked_flag("overwrite", overwrite))
+    job = _checked(simulation, folder, steps, processes, every, overwrite)
     with_forces, tell, engine = checked_flag("store_forces", store_forces), tell or (lambda line: None), job.engine
     with _in_folder(job), stop_on_signals(job):
         with phase(job, "writing"):
@@ -195,7 +196,7 @@ def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, process
 def check_hand_over(simulation: Simulation, folder: str | Path, steps: int, *, processes: int = 1, every: int = 100,
                     overwrite: bool = False) -> None:  # fmt: skip
     """Raise the errors that hand_over raises before it starts: a scene LAMMPS cannot run, no LAMMPS, the folder."""
-    Model(_checked(simulation, Path(folder), steps, processes, every, overwrite).engine)
+    Model(_checked(simulation, folder, steps, processes, every, overwrite).engine)
 
 
 @dataclass
@@ -235,9 +236,14 @@ def _named(processes: int) -> str:
     return f"{processes} process{'es' * (processes > 1)}"
 
 
-def _checked(simulation: Simulation, folder: Path, steps: int, processes: int, every: int, overwrite: bool) -> Job:
+def _checked(
+    simulation: Simulation, folder: str | Path, steps: int, processes: int, every: int, overwrite: bool
+) -> Job:
     """The hand-over.  Raises ValueError for a scene or numbers that LAMMPS cannot run; FileNotFoundError,
     FileExistsError or OSError if LAMMPS is not found, or the files cannot be written there."""
+    if not isinstance(simulation, Simulation):
+        raise TypeError(f"simulation must be a Simulation; simulation = {shown(simulation)}")
+    folder, overwrite = checked_path("folder", folder), checked_flag("overwrite", overwrite)
     if simulation.barostat is not None:
         raise ValueError("a run with a barostat cannot be handed over to LAMMPS, which has other barostats than "
                          "minimd; run it with minimd")  # fmt: skip

@@ -8,7 +8,7 @@ from pathlib import Path
 from minimd.core.console.whole_file import write_whole
 from minimd.core.engine.record import Record
 from minimd.core.forces.forces import Potential
-from minimd.core.structure.checks import checked_count
+from minimd.core.structure.checks import checked_count, checked_path
 
 FRAMES = 200  # largest number of frames if not given
 HEIGHT = 720  # of the page in a notebook [pixels]
@@ -70,7 +70,7 @@ def view(
     from minimd.core.files.h5md_reader import verify_frames
     from minimd.view.page import failure_story, page, run_story
 
-    path = Path(place)
+    path = checked_path("file", place)
     verify_frames(path)
     has_failed = is_crash_file(path)
     if potentials is not None and not has_failed:

@@ -21,6 +21,7 @@ from typing import Protocol
 
 import numpy as np
 
+from minimd.core.console.words import shown
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look, Observable, register
 from minimd.core.integrators.rows import PositionVerlet, VelocityVerlet
@@ -46,7 +47,8 @@ def shadow_energy(simulation: HasEngine) -> float:
     It costs three evaluations of the forces; the state stays as it is.
 
     Raises ValueError for a method other than velocity Verlet, leapfrog and position Verlet, a bath, and rigid bonds."""
-    engine = simulation.engine
+    if not isinstance(engine := getattr(simulation, "engine", None), Engine):
+        raise TypeError(f"simulation must be a Simulation; simulation = {shown(simulation)}")
     check_has_shadow(engine)
     engine.moved()
     engine.evaluate()

@@ -26,7 +26,7 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5t
 import minimd.core.diagnosis.shadow_energy  # noqa: F401 - registers an observable, of runs and of files
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.quiet import quiet
-from minimd.core.console.words import printable, shown
+from minimd.core.console.words import printable
 from minimd.core.engine.engine import Checkpoint, scene_in_words
 from minimd.core.engine.observer import StoredObserver
 from minimd.core.engine.record import SERIES, Frame, Record
@@ -38,6 +38,7 @@ from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.table import METHODS
 from minimd.core.structure.bond_graph import GROUPS
 from minimd.core.structure.cell import Cell
+from minimd.core.structure.checks import checked_path
 from minimd.core.structure.errors import sentence
 from minimd.core.structure.system import System
 from minimd.core.structure.units import SYSTEMS, UnitSystem
@@ -68,7 +69,7 @@ def opened(path: str | Path) -> h5py.File:
     Raises FileNotFoundError if it does not exist.  ValueError if it is not HDF5, or not written by minimd.  OSError if
     it is damaged, as admitted.  BlockingIOError if a run is writing it.
     """
-    if not Path(path).is_file():
+    if not checked_path("file", path).is_file():
         raise FileNotFoundError(f"file {str(path)!r} does not exist; give the .h5md file of a run")
     try:
         repair(path)
@@ -178,10 +179,9 @@ def looked_at(
     """Return or raise what look() does; it is called in a child process if the system can fork, else in this one.
     limits : bytes that it reads in a second, at least; memory that it takes besides MEMORY, in sizes of the file.
     Raises OSError if the child crashes, or takes more time or memory than reading could take."""
+    checked_path("file", path)
     if not hasattr(os, "fork"):
         return look()
-    if not isinstance(path, str | os.PathLike):
-        raise TypeError(f"a file must be given by its name, such as 'run.h5md'; got {shown(path)}")
     parent, (listening, telling) = os.getpid(), os.pipe()
     try:
         with quiet():  # Python warns of forks with threads; h5py holds its lock in a fork

@@ -17,6 +17,7 @@ from minimd.core.engine.engine import Engine
 from minimd.core.engine.observer import StoredObserver
 from minimd.core.engine.record import Frame
 from minimd.core.files.claim import Claim, read_at
+from minimd.core.structure.checks import checked_flag, checked_path
 
 
 class Writer(Protocol):
@@ -211,7 +212,7 @@ def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Pat
         isinstance(path, str | Path) and Path(path).name for path in several
     ):
         raise TypeError(f"{name} must be the path of a file, or a list of paths; {name} = {shown(paths)}")
-    return [Path(path) for path in several]
+    return [checked_path(name, path) for path in several]
 
 
 def first_h5md(paths: str | Path | Sequence[str | Path]) -> Path | None:
@@ -222,7 +223,7 @@ def first_h5md(paths: str | Path | Sequence[str | Path]) -> Path | None:
 def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:
     """The path, if a new file with one of the suffixes can be written there; no file is created.  Raises as
     open_trajectories."""
-    file = Path(path)
+    file, overwrite = checked_path("output", path), checked_flag("overwrite", overwrite)
     if file.suffix.lower() not in suffixes:
         other = "; docs/formats.md says how other formats are made from an .h5md file" * (suffixes is FORMATS)
         wanted = f"the suffix of a trajectory must be one of {', '.join(suffixes)}"

@@ -32,6 +32,7 @@ from minimd.core.structure.checks import checked_choice, checked_flag, checked_i
 Array = NDArray[np.float64]
 FINITE, NOT_NEGATIVE, POSITIVE, WHOLE = "finite", "finite and not negative", "positive and finite", "whole numbers"
 ANGLE, SIGNED_ANGLE = "between 0 and pi (radians)", "between -pi and pi (radians)"
+PHASE = "between -2 pi and 2 pi (radians)"
 DEMANDS: Mapping[str, Callable[[Array], Any]] = {  # of finite numbers
     FINITE: lambda _: True,
     NOT_NEGATIVE: lambda x: x >= 0.0,
@@ -39,6 +40,7 @@ DEMANDS: Mapping[str, Callable[[Array], Any]] = {  # of finite numbers
     WHOLE: lambda x: (x >= 0.0) & (np.rint(x) == x),
     ANGLE: lambda x: (x >= 0.0) & (x <= pi),
     SIGNED_ANGLE: lambda x: np.abs(x) <= pi,
+    PHASE: lambda x: np.abs(x) <= 2.0 * pi,
 }
 UNITS = {  # by dimension
     "energy": "energy", "length": "length", "time": "time", "force": "energy/length", "angle": "rad",
@@ -59,7 +61,7 @@ class Kind(NamedTuple):
 
 class Parameter(NamedTuple):
     """What is declared of an argument.  words : what it is.  dimension : a key of UNITS.  demand : one of DEMANDS.
-    of : atoms in a group, names to choose from, or what stands for no number."""
+    of : atoms in a group, names to choose from, or, of a number, its default, which may be none."""
 
     kind: Kind
     words: str = ""
@@ -93,7 +95,7 @@ def declared(
     init: bool = True,
 ) -> Any:
     """A field of a Declared.  See Parameter."""
-    parameter = Parameter(kind, words, dimension, demand, of)
+    parameter = Parameter(kind, words, dimension, demand, default if kind is number else of)
     return field(default=default, kw_only=kw_only, init=init, metadata={"parameter": parameter})
 
 
@@ -184,12 +186,11 @@ def _of_atoms(shape: tuple) -> bool:
 
 
 def _coefficients(name: str, values: Any, asked: Parameter) -> tuple[Array, ...]:
-    try:
-        given = list(values)
-    except TypeError:
-        raise TypeError(f"{name} must be a list, c0 to c5 at most; {name} = {shown(values)}") from None
-    if len(given) > MOST_COEFFICIENTS:
-        raise ValueError(f"{name} must be at most {MOST_COEFFICIENTS}, c0 to c5; there are {len(given)}")
+    if not isinstance(values, Sequence | np.ndarray) or np.ndim(values) == 0:
+        raise TypeError(f"{name} must be a list, c0 to c5 at most; {name} = {shown(values)}")
+    given = list(values)
+    if not 0 < len(given) <= MOST_COEFFICIENTS:
+        raise ValueError(f"{name} must be 1 to {MOST_COEFFICIENTS} numbers, c0 to c5; there are {len(given)}")
     given += [0.0] * (MOST_COEFFICIENTS - len(given))
     return tuple(each.check(f"c{k}", one, asked) for k, one in enumerate(given))
 

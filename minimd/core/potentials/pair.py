@@ -198,7 +198,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
     def _checked_parameters(self, given: Any, pairs: Any) -> tuple[Parameters | dict[Label, Parameters], dict]:
         """Parameters of all atoms or of each species, and those of pairs in both orders."""
         if not isinstance(given, Mapping):
-            if pairs is not None and len(pairs):
+            if pairs is not None and not (isinstance(pairs, Mapping) and not pairs):
                 wanted = f"need parameters that are a mapping from species; parameters = {shown(given)}"
                 raise ValueError(f"pairs of {type(self).__name__} {wanted}")
             return self._checked_numbers(given, None), {}

@@ -14,6 +14,7 @@ import minimd.core.diagnosis.shadow_energy  # noqa: F401 - registers an observab
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.progress import progress_of
 from minimd.core.console.signals import stop_in_time, stop_on_signals
+from minimd.core.console.words import shown
 from minimd.core.constraints.solver import ConstraintSolver
 from minimd.core.diagnosis.judge import RUNAWAY
 from minimd.core.diagnosis.report import Report
@@ -423,7 +424,9 @@ class Simulation(Closed, Displayed):
         return self.engine.snapshot()
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Restore the state of a snapshot."""
+        """Restore the state of a snapshot.  Raises TypeError for anything else."""
+        if not isinstance(snapshot, Snapshot):
+            raise TypeError(f"snapshot must be what sim.snapshot() has returned; snapshot = {shown(snapshot)}")
         self.engine.restore(snapshot)
 
 

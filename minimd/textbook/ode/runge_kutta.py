@@ -19,6 +19,7 @@ from numpy.polynomial.legendre import Legendre
 from numpy.typing import ArrayLike
 
 from minimd.core.integrators.method import Array, ClassProperty, Method, Problem, Step
+from minimd.core.structure.checks import checked_count
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.ode.functions import forward_differences
 from minimd.textbook.ode.problems import DifferentialAlgebraic, FirstOrder
@@ -28,6 +29,7 @@ __all__ = ["GaussLegendre1", "GaussLegendre2", "GaussLegendre3", "GaussLegendre4
 
 FARTHEST = 3.0  # times the last step: how far its slopes are extrapolated at most
 TABLEAU_ROUNDING = 1e-13  # of sums of a few products of coefficients of order one
+MOST_STAGES = 64  # of a tableau whose numbers are not all rounding
 HIGHEST_ORDER = 10  # conditions are evaluated up to this order
 AMPLIFIED = 3e1  # factor of rounding per level, for steps of some hundredth of the time in which the solution varies
 UNSEEN = 1e-22  # of the state: a millionth of its rounding, too small to change even a compensated sum
@@ -106,7 +108,8 @@ def collocation(nodes: ArrayLike) -> Tableau:
 def gauss(n_stages: int) -> Tableau:
     """Gauss-Legendre nodes, the zeros of P_s(2c − 1): order 2s, symplectic and symmetric.
 
-    J. C. Butcher, Math. Comput. 18, 50 (1964)."""
+    J. C. Butcher, Math. Comput. 18, 50 (1964).  Raises ValueError for a number of stages below 1 or too large."""
+    n_stages = checked_count("n_stages", n_stages, limit=MOST_STAGES)
     if n_stages == 2:
         r = np.sqrt(3.0) / 6.0
         beta = np.array([[0.25, 0.25 - r], [0.25 + r, 0.25]])
@@ -121,6 +124,7 @@ def radau_iia(n_stages: int) -> Tableau:
     """Radau nodes with c_s = 1, the zeros of P_s(2c − 1) − P_{s−1}(2c − 1): order 2s − 1, stiffly accurate.
 
     B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5."""
+    n_stages = checked_count("n_stages", n_stages, limit=MOST_STAGES)
     inner = (Legendre.basis(n_stages) - Legendre.basis(n_stages - 1)).roots()
     return collocation([*(1.0 + np.sort(np.real(inner))[:-1]) / 2.0, 1.0])
 

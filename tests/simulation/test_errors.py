@@ -310,7 +310,8 @@ def checked_hand_over(**options):
 
 
 DECAY = md.integrators.FirstOrder(lambda t, y: -y)
-OF_DECAY = {"problem": DECAY, "method": md.integrators.RadauIIA5, "start": [1.0], "t_end": 0.1, "t0": 0.0}
+OF_DECAY = {"problem": DECAY, "method": md.integrators.BDF2, "start": [1.0], "t_end": 0.1, "t0": 0.0}
+HAND_OVER = {"simulation": simulation(), "folder": "new", "steps": 3}
 OTHER_DOORS = [  # as DOORS; found by a stranger who called everything with everything
     ("shadow_energy", md.shadow_energy, {"simulation": simulation()}),
     ("gauss", md.integrators.gauss, {"n_stages": 3}), ("radau_iia", md.integrators.radau_iia, {"n_stages": 3}),
@@ -322,8 +323,7 @@ OTHER_DOORS = [  # as DOORS; found by a stranger who called everything with ever
     ("RyckaertBellemans", torsion(md.RyckaertBellemans), {"coefficients": [1.0, 2.0]}),
     ("PeriodicDihedral", torsion(md.PeriodicDihedral), {"k": 1.0, "n": 2, "phase": 0.5}),
     ("run", called("run"), {"n_steps": 2, "max_seconds": 60.0, "crash_report": False, "append": False}),
-    ("check_hand_over", checked_hand_over, {"simulation": simulation(), "folder": "new", "steps": 3, "every": 1}),
-    ("check_hand_over", checked_hand_over, {"simulation": simulation(), "folder": "new", "steps": 3, "overwrite": True}),
+    ("check_hand_over", checked_hand_over, HAND_OVER | {"every": 1, "processes": 1, "overwrite": True}),
     ("Stream", md.observers.Stream, {"port": 0, "every": 5, "host": "localhost", "wait": False}),
 ]  # fmt: skip
 NO_PATHS = [5, None, 1.5, b"run.h5md", [], {}, object(), print, np.zeros(3), "a\0b", "x" * 10**5, "x" * 300 + ".h5md"]

@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from time import monotonic, time
+from time import time
 from typing import TYPE_CHECKING, Any
 
 from minimd.core.console.display import NAME_WIDTH
@@ -16,7 +16,6 @@ from minimd.core.files.h5md_reader import read_file, verify_frames
 from minimd.core.files.h5md_schema import other_potentials
 from minimd.core.files.trajectory import FORMATS, checked_output
 from minimd.core.simulation.simulation import Simulation
-from minimd.core.structure.checks import checked_number
 from minimd.core.structure.errors import ConstraintError, NonFiniteError, sentence
 from minimd.observers import Accumulator
 from minimd.scene.document import h5md_files, stored
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 Tell = Callable[[str], None]
 OF_THE_START = ("structure.", "water.seed", "minimization.", "equilibration.")
 LONGEST_VALUE = 60  # characters of a value in a message
-LEAST_SECONDS = 1e-3  # for a run whose equilibration has taken all of them
 CLOCK = 1.0  # s, the coarsest time stamps of a file system
 
 
@@ -52,7 +50,7 @@ def run_scene(
     overwrite : replace files that exist. Without it, an error is raised at the start if a trajectory exists, or a
         picture whose name the scene gives; a picture without a name in the scene is not drawn if it exists.
     max_seconds : of wall time, in place of those of the scene, as for Simulation.run; minimization and equilibration
-        take their part of it, but are not cut short.
+        do not count.
     progress : as for Simulation.run.  tell : called with each line about the run.
 
     Raises
@@ -60,7 +58,6 @@ def run_scene(
     ValueError, OSError : for a scene that cannot be built, and files that cannot be written.  NonFiniteError,
         KeyboardInterrupt : as Simulation.run.
     """
-    time_left = _time_left(scene, max_seconds)
     output, n_steps = scene.sections.output, scene.sections.dynamics.steps if steps is None else steps
     files = scene.trajectories(trajectory)
     picture = scene.plot_name(files, beside=trajectory is not None)
@@ -73,8 +70,9 @@ def run_scene(
     equilibrate(scene, simulation, progress, tell, crash_file_place(True, files))
     observers = scene.observers()
     named: dict[str, Any] = {"trajectory": files, "store_forces": output.forces, "overwrite": overwrite}
+    named["max_seconds"] = scene.sections.dynamics.max_seconds if max_seconds is None else max_seconds
     with kept(scene, files, n_steps):
-        simulation.run(n_steps, every=output.every, observers=observers, progress=progress, **named | time_left())
+        simulation.run(n_steps, every=output.every, observers=observers, progress=progress, **named)
     _tell_stop(simulation, files, n_steps, tell)
     tell_results(simulation, observers, tell)
     drawn = []
@@ -124,7 +122,6 @@ def resume_run(
         resumed = f"sim = minimd.Simulation.resume({str(file)!r}, potentials)"
         script = f"go on in the script: {resumed}; sim.run(n_steps, trajectory={str(file)!r}, append=True)"
         raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; {script}")
-    time_left = _time_left(scene, max_seconds)
     end = scene.sections.dynamics.steps if steps is None else contents.step + steps
     if steps is None and end <= contents.step:
         if not contents.lacks_results:
@@ -158,21 +155,13 @@ def resume_run(
         tell(f"               only {file} is continued; the other trajectories keep their frames up to this step")
     observers = scene.observers()
     named: dict[str, Any] = {"every": scene.sections.output.every, "trajectory": path, "append": True}
+    named["max_seconds"] = scene.sections.dynamics.max_seconds if max_seconds is None else max_seconds
     with kept(scene, [path], end):
-        simulation.run(until_step=end, observers=observers, progress=progress, **named | time_left())
+        simulation.run(until_step=end, observers=observers, progress=progress, **named)
     _tell_stop(simulation, [path], end, tell)
     tell_results(simulation, observers, tell)
     tell(f"written        {file}")
     return simulation
-
-
-def _time_left(scene: Scene, max_seconds: float | None) -> Callable[[], dict[str, float]]:
-    """A function for what is left of the limit on the wall time, from now on, as an argument of Simulation.run."""
-    seconds = scene.sections.dynamics.max_seconds if max_seconds is None else max_seconds
-    if seconds is None:
-        return dict
-    end = monotonic() + checked_number("max_seconds", seconds, "positive and finite")
-    return lambda: {"max_seconds": max(LEAST_SECONDS, end - monotonic())}
 
 
 def _tell_stop(simulation: Simulation, files: Sequence[Path], end: int, tell: Tell) -> None:

@@ -60,7 +60,7 @@ REASONS = {  # why a file cannot be opened, by the words of HDF5
 SECONDS, BYTES_PER_SECOND = 10, 10_000_000  # of processor time that a look may take; reading needs a hundredth of it
 # bytes that a look may take, and besides so many times those of the file: texts of a file may claim the same bytes
 MEMORY, SIZES = 2**32, 4
-TEXT = 100_000, 64  # bytes per second and sizes of the file, for readers of texts
+OF_TEXT = 32  # times as much time and memory for readers of texts
 
 
 def opened(path: str | Path) -> h5py.File:
@@ -173,11 +173,9 @@ def damage_told(path: str | Path) -> Iterator[None]:
         raise OSError(f"file {str(path)!r} is damaged: {reason}; copy it again, or run again") from error
 
 
-def looked_at(
-    path: str | Path, look: Callable[[], Found], limits: tuple[int, int] = (BYTES_PER_SECOND, SIZES)
-) -> Found:
+def looked_at(path: str | Path, look: Callable[[], Found], effort: int = 1) -> Found:
     """Return or raise what look() does; it is called in a child process if the system can fork, else in this one.
-    limits : bytes that it reads in a second, at least; memory that it takes besides MEMORY, in sizes of the file.
+    effort : how much more time and memory it may take for each byte of the file than a look at HDF5.
     Raises OSError if the child crashes, or takes more time or memory than reading could take."""
     checked_path("file", path)
     if not hasattr(os, "fork"):
@@ -191,7 +189,7 @@ def looked_at(
         os.close(telling)
         raise
     if child == 0:
-        _tell(parent, telling, path, look, limits)
+        _tell(parent, telling, path, look, effort)
     os.close(telling)
     try:
         with open(listening, "rb") as pipe:
@@ -211,7 +209,7 @@ def looked_at(
     return found
 
 
-def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any], limits: tuple[int, int]) -> NoReturn:
+def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any], effort: int) -> NoReturn:
     """In the child: call look with little time and memory, send its result or error, and end without any output."""
     status = 1
     try:
@@ -220,13 +218,12 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any], lim
         end_with(parent)
         faulthandler.disable()
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-        n_bytes = os.path.getsize(path) if os.path.exists(path) else 0
-        bytes_per_second, sizes = limits
-        most = {resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: SECONDS + n_bytes // bytes_per_second}
+        n_bytes = effort * os.path.getsize(path) if os.path.exists(path) else 0
+        limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: SECONDS + n_bytes // BYTES_PER_SECOND}
         with suppress(OSError):  # not every system tells how much memory a process has
             pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-            most[resource.RLIMIT_AS] = pages * resource.getpagesize() + MEMORY + sizes * n_bytes
-        for which, limit in most.items():
+            limits[resource.RLIMIT_AS] = pages * resource.getpagesize() + MEMORY + SIZES * n_bytes
+        for which, limit in limits.items():
             hard = resource.getrlimit(which)[1]
             resource.setrlimit(which, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
         answer: tuple[Any, Exception | None]

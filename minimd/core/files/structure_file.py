@@ -20,7 +20,7 @@ from minimd.core.console.quiet import quiet, warn
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.record import Frame
 from minimd.core.files.claim import Claim
-from minimd.core.files.h5md_reader import TEXT, looked_at
+from minimd.core.files.h5md_reader import OF_TEXT, looked_at
 from minimd.core.files.trajectory import Writer
 from minimd.core.structure.ase_atoms import atoms_from_system, calculators_stress, label_by_tags
 from minimd.core.structure.bond_graph import GROUPS, Joined, joined_in
@@ -87,7 +87,7 @@ def system_from_file(
         return system, [str(one.message) for one in given]
 
     try:
-        system, hints = looked_at(path, read, TEXT)
+        system, hints = looked_at(path, read, OF_TEXT)
     except OSError as error:
         raise ValueError(sentence(error)) from None
     for hint in hints:
@@ -95,14 +95,7 @@ def system_from_file(
     return system
 
 
-def _read(
-    path: Path,
-    form: str | None,
-    cell: ArrayLike | None,
-    pbc: ArrayLike | None,
-    units: UnitSystem | None,
-    bonds: ArrayLike | str | Path | None,
-) -> System:
+def _read(path: Path, form: str | None, cell: Any, pbc: Any, units: UnitSystem | None, bonds: Any) -> System:
     """See system_from_file."""
     with _read_as(path, "a structure", form):
         source = _source(path, form, units or ASE)

@@ -203,8 +203,8 @@ def _own_parameters(name: str, values: Any, asked: Parameter) -> tuple[Array, ..
 
 
 def _number(name: str, value: Any, asked: Parameter) -> float | None:
-    is_none = value is None or (isinstance(value, float) and value == inf)
-    return value if is_none and value == asked.of else checked_number(name, value, asked.demand)
+    is_default = isinstance(value, float | None) and value == asked.of
+    return value if is_default else checked_number(name, value, asked.demand)
 
 
 def _atoms(name: str, values: Any, _asked: Parameter) -> NDArray[np.int64] | None:

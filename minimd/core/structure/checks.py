@@ -1,8 +1,8 @@
 """Checks of input: a value is returned in the form that the rest of minimd expects, or refused in one sentence,
 before memory is allocated for it."""
 
-import os
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from math import inf, nan
 from numbers import Integral, Real
 from pathlib import Path
@@ -16,7 +16,6 @@ from minimd.core.console.words import listed, shown
 SMALLEST, LARGEST = 1e-75, 1e75  # of positive quantities: their fourth powers are still numbers
 MOST_ATOMS = 2**27  # 3 GB of positions
 MOST_NUMBERS = 3 * MOST_ATOMS  # in an array
-LONGEST_PATH, LONGEST_NAME = 4095, 255  # characters
 COUNTS = 2**63  # whole numbers in arrays and files are below it
 DEMANDS = {"finite": lambda number: abs(number) < inf, "finite and not zero": lambda number: 0.0 < abs(number) < inf,
            "finite and not negative": lambda number: 0.0 <= number < inf,
@@ -59,11 +58,13 @@ def checked_flag(name: str, value: Any) -> bool:
 
 def checked_path(name: str, value: Any) -> Path:
     """The value as a Path.  Raises ValueError unless it is a text, or a path, that can name a file."""
-    text = os.fspath(value) if isinstance(value, str | os.PathLike) else ""
-    is_name = isinstance(text, str) and 0 < len(text) <= LONGEST_PATH and "\0" not in text
-    if not is_name or max(map(len, Path(text).parts), default=0) > LONGEST_NAME:
-        raise ValueError(f"{name} must be the name of a file or folder; {name} = {shown(value)}")
-    return Path(text)
+    try:
+        path = Path(value)
+        with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
+            path.lstat()
+    except (TypeError, ValueError, OSError):
+        raise ValueError(f"{name} must be the name of a file or folder; {name} = {shown(value)}") from None
+    return path
 
 
 def checked_choice(name: str, value: Any, allowed: Collection[str]) -> Any:

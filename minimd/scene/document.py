@@ -193,6 +193,8 @@ def parsed(kind: type[D], text: str, path: Path) -> D:
         raise ValueError(f"{path}: its tables are nested too deeply for a scene file") from None
     except ValidationError as error:
         raise ValueError("\n".join(f"{path}: {sentence}" for sentence in problems(reading, error))) from None
+    except ValueError as error:  # a number of more digits than Python reads
+        raise ValueError(f"{path}: {error}") from None
 
 
 @contextmanager

@@ -123,8 +123,14 @@ def run(arguments: argparse.Namespace) -> None:
     for file in () if overwrite else scene.named_outputs(out):
         if file.exists():
             refuse("output", file, file, "FILE")
-    limits = {"steps": arguments.steps, "max_seconds": arguments.max_seconds}
-    run_scene(scene, trajectory=out, overwrite=overwrite, progress=not arguments.quiet, **limits)
+    run_scene(
+        scene,
+        steps=arguments.steps,
+        trajectory=out,
+        overwrite=overwrite,
+        max_seconds=arguments.max_seconds,
+        progress=not arguments.quiet,
+    )
     tell_next(scene.trajectories(out))
 
 
@@ -168,8 +174,13 @@ def resume(arguments: argparse.Namespace) -> None:
     """Go on with a run.  Raises as resume_run."""
     from minimd.scene import resume_run
 
-    options = {"scene": scene_of(arguments), "max_seconds": arguments.max_seconds, "progress": not arguments.quiet}
-    resume_run(arguments.file, arguments.steps, **options)
+    resume_run(
+        arguments.file,
+        arguments.steps,
+        scene=scene_of(arguments),
+        max_seconds=arguments.max_seconds,
+        progress=not arguments.quiet,
+    )
     tell_next([arguments.file])
 
 

@@ -237,9 +237,9 @@ def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
     try:
         with threads_by_default(1), noting(member) as now:
             row |= _made(plan, member, begins_anew, now)
+    except Terminated:
+        raise
     except (Exception, SystemExit) as error:  # of build, prepare or run, which are the user's
-        if isinstance(error, Terminated):
-            raise
         file, message = getattr(error, "file", None), f"{type(error).__name__}: {sentence(error)}"
         row |= {"status": FAILED, "message": message, "traceback": traceback.format_exc()}
         row["crash_file"] = "" if file is None else str(file)

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.progress import progress_of
 from minimd.core.console.signals import stop_on_signals
-from minimd.core.console.words import shown
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import check_extras, observe
 from minimd.core.engine.record import Record
@@ -29,7 +28,7 @@ from minimd.core.integrators.thermostats import LangevinBAOAB
 from minimd.core.potentials.coulomb import Coulomb
 from minimd.core.potentials.term import bound
 from minimd.core.simulation.simulation import Simulation
-from minimd.core.structure.checks import checked_count, checked_flag, checked_path
+from minimd.core.structure.checks import checked_count, checked_flag, checked_kind, checked_path
 from minimd.core.structure.errors import HandOverError, sentence
 from minimd.lammps import script
 from minimd.lammps.box import IMAGES, Box
@@ -241,8 +240,7 @@ def _checked(
 ) -> Job:
     """The hand-over.  Raises ValueError for a scene or numbers that LAMMPS cannot run; FileNotFoundError,
     FileExistsError or OSError if LAMMPS is not found, or the files cannot be written there."""
-    if not isinstance(simulation, Simulation):
-        raise TypeError(f"simulation must be a Simulation; simulation = {shown(simulation)}")
+    checked_kind("simulation", simulation, Simulation, "a Simulation")
     folder, overwrite = checked_path("folder", folder), checked_flag("overwrite", overwrite)
     if simulation.barostat is not None:
         raise ValueError("a run with a barostat cannot be handed over to LAMMPS, which has other barostats than "

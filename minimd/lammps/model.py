@@ -23,9 +23,9 @@ from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.pair import UNSCALED, Nonbonded
 from minimd.core.potentials.truncation import ForceShifted, Shifted
 from minimd.core.structure.bond_graph import Indices, among
-from minimd.core.structure.cell import Array, nearest_vectors
+from minimd.core.structure.cell import nearest_vectors
 from minimd.core.structure.constraints import DistanceConstraints, FixedAtoms
-from minimd.lammps.box import Box
+from minimd.lammps.box import Array, Box
 from minimd.lammps.expression import energy_expression
 from minimd.lammps.verification import TOLERANCE
 

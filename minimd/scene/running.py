@@ -73,7 +73,6 @@ def run_scene(
     named["max_seconds"] = scene.sections.dynamics.max_seconds if max_seconds is None else max_seconds
     with kept(scene, files, n_steps):
         simulation.run(n_steps, every=output.every, observers=observers, progress=progress, **named)
-    _tell_stop(simulation, files, n_steps, tell)
     tell_results(simulation, observers, tell)
     drawn = []
     if picture is not None and picture.exists() and not overwrite:
@@ -84,7 +83,7 @@ def run_scene(
         tell(f"drawing        {picture} ...")
         with kept(scene, files, n_steps):
             drawn = [plot_file(h5md_files(files)[0], picture)]
-    tell(f"written        {', '.join(map(str, [*files, *drawn]))}")
+    tell(f"written        {', '.join(map(str, [*files, *drawn]))}{_how_to_go_on(files, n_steps)}")
     return simulation
 
 
@@ -158,17 +157,9 @@ def resume_run(
     named["max_seconds"] = scene.sections.dynamics.max_seconds if max_seconds is None else max_seconds
     with kept(scene, [path], end):
         simulation.run(until_step=end, observers=observers, progress=progress, **named)
-    _tell_stop(simulation, [path], end, tell)
     tell_results(simulation, observers, tell)
-    tell(f"written        {file}")
+    tell(f"written        {file}{_how_to_go_on([path], end)}")
     return simulation
-
-
-def _tell_stop(simulation: Simulation, files: Sequence[Path], end: int, tell: Tell) -> None:
-    """Tell that a run has ended before its last step, and how to go on."""
-    if simulation.step < end:
-        remedy = _how_to_go_on(files, end)
-        tell(f"stopped        after step {simulation.step} of {end}, because max_seconds have passed{remedy}")
 
 
 def tell_results(simulation: Simulation, observers: Sequence[Accumulator], tell: Tell) -> None:
@@ -265,6 +256,7 @@ def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = ""
 
 
 def _how_to_go_on(written: Sequence[Path], end: int) -> str:
+    """The command that resumes a run which has ended before its last step, as a clause; empty if there is none."""
     for file in h5md_files(written):
         with suppress(OSError, ValueError):
             left = end - read_file(file).step

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.core.console.whole_file import write_picture, write_whole
+from minimd.core.console.whole_file import UNFINISHED, write_picture, write_whole
 from minimd.core.files.claim import Claim
 from minimd.core.files.h5md_reader import read_file
 from minimd.core.files.h5md_writer import H5MDWriter
@@ -82,7 +82,7 @@ def test_links_to_a_file_are_that_file(tmp_path):
 @EACH
 def test_a_link_at_a_temporary_name_is_not_followed(name, tmp_path, monkeypatch):
     """Whoever can write to the folder can put one there; after the claim, libraries would open its target by name."""
-    path, precious, link = tmp_path / name, tmp_path / "precious", tmp_path / f"{name}.begun"
+    path, precious, link = tmp_path / name, tmp_path / "precious", tmp_path / (name + UNFINISHED)
     precious.write_text("precious")
 
     def put_link(*_):
@@ -131,7 +131,7 @@ SMALL_FILES = {  # what writes them, given their name
 def test_no_small_file_is_written_through_a_link(kind, tmp_path):
     precious, path = tmp_path / "precious", tmp_path / "a.png"
     precious.write_text("precious")
-    for name in ("a.png", "a.png.part", "a.png.begun", "a.png.part.begun", "a-2.png.part"):
+    for name in ("a.png", f"a.png{UNFINISHED}", f"a.png{UNFINISHED}{UNFINISHED}", f"a-2.png{UNFINISHED}"):
         (tmp_path / name).symlink_to(precious)
     with suppress(FileExistsError):
         SMALL_FILES[kind](path)
@@ -151,7 +151,7 @@ def test_a_file_that_is_lost_under_the_run_is_told(fate, tmp_path, monkeypatch):
 
 
 def test_a_resumed_file_is_claimed_too_and_so_is_a_crash_report(tmp_path):
-    path, old = tmp_path / "a.h5md", Claim(tmp_path / "a.crash.h5md.part")
+    path, old = tmp_path / "a.h5md", Claim(tmp_path / f"a.crash.h5md{UNFINISHED}")
     old.appear()
     assert "another run" in blow_up(tmp_path / "a.crash.h5md")
     old.check()

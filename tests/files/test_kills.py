@@ -18,6 +18,7 @@ from recorder.runs import KINDS, RESUMES, survey
 from scenes import BONDED, LJ, SCENES, Scene
 
 import minimd as md
+from minimd.core.console.whole_file import UNFINISHED
 from minimd.core.files import claim, h5md_writer as h5md
 from minimd.core.files.h5md_reader import read_file
 from minimd.core.integrators.splitting import Splitting
@@ -224,9 +225,9 @@ def test_what_has_a_second_name_is_not_emptied(tmp_path):
     """A run that is killed while its file gets its name may leave both."""
     path, precious = tmp_path / "a.h5md", tmp_path / "precious.h5md"
     simulation().run(10, every=5, trajectory=path)
-    os.link(path, tmp_path / "a.h5md.begun")
+    os.link(path, tmp_path / f"a.h5md{UNFINISHED}")
     simulation().run(10, every=5, trajectory=path, overwrite=True)
-    os.link(path, tmp_path / "a.h5md.begun")
+    os.link(path, tmp_path / f"a.h5md{UNFINISHED}")
     path.rename(precious)
     simulation().run(10, every=5, trajectory=path)
     assert_same_file(precious, path)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from math import inf
 from pathlib import Path
+from time import monotonic
 from types import FrameType
 from typing import Any, NoReturn, Protocol
 
@@ -24,37 +25,12 @@ class Stoppable(Protocol):
 
 
 @contextmanager
-def stop_in_time(run: Stoppable, seconds: float) -> Iterator[None]:
-    """While active, run.stop_requested is set after so many seconds; the KeyboardInterrupt with which the run then ends
-    goes no further. A sentence on standard error tells it, as in stop_on_signals, within which this is called."""
-    if seconds == inf:  # no thread is needed
-        yield
-        return
-    is_over = threading.Event()
-
-    def stop() -> None:
-        is_over.set()
-        run.stop_requested = True
-
-    timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), stop)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    except KeyboardInterrupt as stopped:
-        if not is_over.is_set():
-            raise
-        if not _callers:
-            tell(f"minimd: {stopped}, because max_seconds = {seconds:g} have passed{_kept(stopped)}")
-    finally:
-        timer.cancel()
-        timer.join()
-
-
-@contextmanager
-def stop_on_signals(run: Stoppable) -> Iterator[None]:
+def stop_on_signals(run: Stoppable, seconds: float = inf) -> Iterator[None]:
     """While active, Ctrl-C, SIGTERM and SIGHUP set run.stop_requested; at the end, SIGTERM and SIGHUP raise Terminated,
     and Ctrl-C KeyboardInterrupt.
+
+    seconds : of wall time, after which run.stop_requested is set, too. The KeyboardInterrupt with which the run then
+    ends goes no further: a sentence on standard error tells it.
 
     Handlers that the host has set, and signals that it ignores, are left alone. Outside the main thread, where no
     handlers can be set, only stop_runs_of_threads stops a run.
@@ -72,19 +48,30 @@ def stop_on_signals(run: Stoppable) -> Iterator[None]:
         if number == signal.SIGINT:
             _give_back(number, request, before)
 
+    deadline = monotonic() + seconds
+    timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), setattr, (run, "stop_requested", True))
     of_thread = threading.current_thread() is not threading.main_thread()
     is_inner, active = bool(_active) and not of_thread, _of_threads if of_thread else _active
     run.stop_requested, active[id(request)] = False, (run, request)
+    if seconds < inf:  # a thread
+        timer.start()
     try:
         try:
             with _handled(dict.fromkeys(SIGNALS, request), before, [outer for _, outer in _active.values()]):
                 yield
         finally:
+            timer.cancel()
+            if timer.is_alive():
+                timer.join()
             run.stop_requested = False
             del active[id(request)]
         if received:
             raise KeyboardInterrupt("the run is complete, and was stopped after the last step")
     except KeyboardInterrupt as stopped:
+        if not received and monotonic() > deadline:
+            how_to_go_on = "" if _callers else _kept(stopped)
+            tell(f"minimd: {stopped}, because max_seconds = {seconds:g} have passed{how_to_go_on}")
+            return
         if received[:1] in ([], [signal.SIGINT]):
             if not _callers:
                 stopped.args = (f"{str(stopped) or 'interrupted'}{_kept(stopped)}",)

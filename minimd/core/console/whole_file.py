@@ -16,6 +16,7 @@ try:
     import fcntl
 except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
+UNFINISHED = ".minimd-unfinished"  # end of temporary names, which no other program gives
 HAS_LOCKS = fcntl is not None  # where it has not, a file that is open cannot be renamed or removed
 
 IN_USE = (
@@ -49,7 +50,7 @@ def new_file(path: Path) -> int:
 def write_whole(file: Path, content: str | bytes, overwrite: bool = True) -> None:
     """Write a file under another name, then rename it: nobody sees it half written, and a link is replaced,
     not followed.  Raises FileExistsError if it may not replace a file, OSError with a message."""
-    part = file.with_name(f"{file.name}.part")
+    part = file.with_name(file.name + UNFINISHED)
     try:
         if file.exists() and not file.is_file():
             raise OSError(errno.EINVAL, "it is not a regular file")

@@ -17,17 +17,18 @@ E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), IX.3; R
 Comput. Phys. 206, 432 (2005).
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from minimd.core.console.words import shown
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look, Observable, register
 from minimd.core.integrators.rows import PositionVerlet, VelocityVerlet
 from minimd.core.integrators.substeps import Substeps
+from minimd.core.structure.checks import checked_kind
 
 
+@runtime_checkable
 class HasEngine(Protocol):
     """A Simulation."""
 
@@ -47,8 +48,7 @@ def shadow_energy(simulation: HasEngine) -> float:
     It costs three evaluations of the forces; the state stays as it is.
 
     Raises ValueError for a method other than velocity Verlet, leapfrog and position Verlet, a bath, and rigid bonds."""
-    if not isinstance(engine := getattr(simulation, "engine", None), Engine):
-        raise TypeError(f"simulation must be a Simulation; simulation = {shown(simulation)}")
+    engine = checked_kind("simulation", simulation, HasEngine, "a Simulation").engine
     check_has_shadow(engine)
     engine.moved()
     engine.evaluate()

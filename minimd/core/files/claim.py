@@ -30,7 +30,7 @@ import zlib
 from contextlib import suppress
 from pathlib import Path
 
-from minimd.core.console.whole_file import HAS_LOCKS, locked, new_file
+from minimd.core.console.whole_file import HAS_LOCKS, UNFINISHED, locked, new_file
 
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 MAGIC = b"minimd journal 2\n"
@@ -60,7 +60,7 @@ class Claim:
         if is_new and is_there and not overwrite:
             raise FileExistsError(errno.EEXIST, "it exists; choose another name, or pass overwrite=True")
         if is_new and HAS_LOCKS:
-            self.place = self.path.with_name(f"{self.path.name}.begun")
+            self.place = self.path.with_name(self.path.name + UNFINISHED)
         self.descriptor = new_file(self.place) if is_new else locked(self.place)
         try:
             if is_new and HAS_LOCKS and self.path.exists():

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 
+from minimd.core.console.whole_file import UNFINISHED
 from minimd.core.console.words import printable, shown
 from minimd.core.diagnosis.crash_report import CrashReport
 from minimd.core.diagnosis.judge import RUNAWAY
@@ -102,7 +103,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     texts = {"findings": json.dumps(asdict(findings)), "words": str(findings), "simulation": json.dumps(known)}
     told = {f"{REPORT}/{name}": Item(data=np.array(text.encode(), TEXT)) for name, text in texts.items()}
 
-    part = path.with_name(f"{path.name}.part")  # so that no incomplete file has the final name
+    part = path.with_name(path.name + UNFINISHED)  # so that no incomplete file has the final name
     claim, every = Claim(part, overwrite=True), max(1, last.state.step - start.step)
     try:
         if claim.path.name != part.name:

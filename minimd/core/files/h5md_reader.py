@@ -11,6 +11,7 @@ import faulthandler
 import os
 import pickle
 import signal
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5t
 
 import minimd.core.diagnosis.shadow_energy  # noqa: F401 - registers an observable, of runs and of files
 from minimd.core.console.display import Displayed, Rows
-from minimd.core.console.quiet import quiet
+from minimd.core.console.quiet import quiet, warn
 from minimd.core.console.words import printable
 from minimd.core.engine.engine import Checkpoint, scene_in_words
 from minimd.core.engine.observer import StoredObserver
@@ -174,7 +175,8 @@ def damage_told(path: str | Path) -> Iterator[None]:
 
 
 def looked_at(path: str | Path, look: Callable[[], Found], effort: int = 1) -> Found:
-    """Return or raise what look() does; it is called in a child process if the system can fork, else in this one.
+    """Return or raise what look() does, and repeat its warnings; it is called in a child process if the system can
+    fork, else in this one.
     effort : how much more time and memory it may take for each byte of the file than a look at HDF5.
     Raises OSError if the child crashes, or takes more time or memory than reading could take."""
     checked_path("file", path)
@@ -203,7 +205,9 @@ def looked_at(path: str | Path, look: Callable[[], Found], effort: int = 1) -> F
             status = os.waitpid(child, 0)[1]
     if status or not answer:
         raise OSError(f"file {str(path)!r} is damaged: its reader crashes or finds no end; copy it again, or run again")
-    found, error = pickle.loads(answer)
+    found, error, hints = pickle.loads(answer)
+    for hint in hints:
+        warn(hint)
     if error is not None:
         raise error
     return found
@@ -227,15 +231,16 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any], eff
             hard = resource.getrlimit(which)[1]
             resource.setrlimit(which, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
         answer: tuple[Any, Exception | None]
-        try:
-            answer = look(), None
-        except MemoryError:
-            much = f"to read it takes more memory than {MEMORY / 1e9:.2g} GB"
-            answer = None, OSError(f"file {str(path)!r} is damaged: {much}; copy it again, or run again")
-        except Exception as error:
-            answer = None, error
+        with warnings.catch_warnings(record=True) as given:
+            try:
+                answer = look(), None
+            except MemoryError:
+                much = f"to read it takes more memory than {MEMORY / 1e9:.2g} GB"
+                answer = None, OSError(f"file {str(path)!r} is damaged: {much}; copy it again, or run again")
+            except Exception as error:
+                answer = None, error
         with open(pipe, "wb") as told:
-            pickle.dump(answer, told)
+            pickle.dump((*answer, [str(one.message) for one in given if one.category is UserWarning]), told)
         status = 0
     finally:
         os._exit(status)

@@ -1,9 +1,9 @@
 """Structures, and the bonds, angles and dihedrals in them, from files that ASE or MDAnalysis reads;
 masses of chemical elements; trajectories that ASE writes."""
 
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,6 @@ from minimd.core.structure.ase_atoms import atoms_from_system, calculators_stres
 from minimd.core.structure.bond_graph import GROUPS, Joined, joined_in
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_path
-from minimd.core.structure.errors import sentence
 from minimd.core.structure.system import System, changed
 from minimd.core.structure.units import ASE, LJ, UnitSystem
 
@@ -78,21 +77,10 @@ def system_from_file(
     """
     path = checked_path("file", file)
     form = format or SUFFIXES.get(path.suffix.lower())
-    if form not in (None, *ioformats) or path.suffix[1:].upper() in NAMES_BONDS:
-        import MDAnalysis  # noqa: F401 - once, and not in each child
-
-    def read() -> tuple[System, list[str]]:
-        with warnings.catch_warnings(record=True, action="always", category=UserWarning) as given:
-            system = _read(path, form, cell, pbc, units, bonds)
-        return system, [str(one.message) for one in given]
-
     try:
-        system, hints = looked_at(path, read, OF_TEXT)
-    except OSError as error:
-        raise ValueError(sentence(error)) from None
-    for hint in hints:
-        warn(hint)
-    return system
+        return looked_at(path, partial(_read, path, form, cell, pbc, units, bonds), OF_TEXT)
+    except OSError as error:  # of the reader
+        raise ValueError(str(error)) from None
 
 
 def _read(path: Path, form: str | None, cell: Any, pbc: Any, units: UnitSystem | None, bonds: Any) -> System:

@@ -14,7 +14,7 @@ a scene file with its page (minimd.scene.force_sections), and the style of LAMMP
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from inspect import cleandoc
 from math import inf, pi
@@ -27,7 +27,14 @@ from minimd.core.console.words import shown
 from minimd.core.potentials.law import checked_law
 from minimd.core.potentials.term import OwnPotential
 from minimd.core.structure.bond_graph import checked_groups, checked_pairs
-from minimd.core.structure.checks import checked_choice, checked_flag, checked_indices, checked_number, checked_numbers
+from minimd.core.structure.checks import (
+    checked_choice,
+    checked_flag,
+    checked_indices,
+    checked_kind,
+    checked_number,
+    checked_numbers,
+)
 
 Array = NDArray[np.float64]
 FINITE, NOT_NEGATIVE, POSITIVE, WHOLE = "finite", "finite and not negative", "positive and finite", "whole numbers"
@@ -186,19 +193,16 @@ def _of_atoms(shape: tuple) -> bool:
 
 
 def _coefficients(name: str, values: Any, asked: Parameter) -> tuple[Array, ...]:
-    if not isinstance(values, Sequence | np.ndarray) or np.ndim(values) == 0:
-        raise TypeError(f"{name} must be a list, c0 to c5 at most; {name} = {shown(values)}")
-    given = list(values)
-    if not 0 < len(given) <= MOST_COEFFICIENTS:
-        raise ValueError(f"{name} must be 1 to {MOST_COEFFICIENTS} numbers, c0 to c5; there are {len(given)}")
-    given += [0.0] * (MOST_COEFFICIENTS - len(given))
-    return tuple(each.check(f"c{k}", one, asked) for k, one in enumerate(given))
+    is_list = isinstance(values, list | tuple) or (isinstance(values, np.ndarray) and values.ndim > 0)
+    if not (is_list and 0 < len(values) <= MOST_COEFFICIENTS):
+        wanted = f"a list of 1 to {MOST_COEFFICIENTS} numbers, c0 to c5"
+        raise ValueError(f"{name} must be {wanted}; {name} = {shown(values)}")
+    given = [*values, *[0.0] * (MOST_COEFFICIENTS - len(values))]
+    return tuple(each.check(f"{name}[{k}]", one, asked) for k, one in enumerate(given))
 
 
 def _own_parameters(name: str, values: Any, asked: Parameter) -> tuple[Array, ...]:
-    if not isinstance(values, Sequence) or isinstance(values, str):
-        wanted = "a tuple with one entry for each parameter of the law"
-        raise TypeError(f"{name} must be {wanted}; {name} = {shown(values)}")
+    checked_kind(name, values, list | tuple, "a tuple with one entry for each parameter of the law")
     return tuple(each.check(f"parameter {k}", one, asked) for k, one in enumerate(values))
 
 

@@ -13,8 +13,7 @@ from typing import Any, Literal, Self
 import minimd.core.diagnosis.shadow_energy  # noqa: F401 - registers an observable, of runs and of files
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.progress import progress_of
-from minimd.core.console.signals import stop_in_time, stop_on_signals
-from minimd.core.console.words import shown
+from minimd.core.console.signals import stop_on_signals
 from minimd.core.constraints.solver import ConstraintSolver
 from minimd.core.diagnosis.judge import RUNAWAY
 from minimd.core.diagnosis.report import Report
@@ -35,7 +34,7 @@ from minimd.core.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENG
 from minimd.core.simulation.attached import Attached
 from minimd.core.simulation.engine_attribute import Closed, EngineAttribute, MeasuredAttribute
 from minimd.core.simulation.resuming import last_step, resumed
-from minimd.core.structure.checks import checked_count, checked_flag, checked_number
+from minimd.core.structure.checks import checked_count, checked_flag, checked_kind, checked_number
 from minimd.core.structure.constraints import Constraint
 from minimd.core.structure.grid import Grid
 from minimd.core.structure.observables import Array, maxwell_boltzmann, rescaled
@@ -218,7 +217,8 @@ class Simulation(Closed, Displayed):
         """
         engine, guard = self.engine, self.guard
         every, end = checked_count("every", every), last_step(engine.step, n_steps, until_step)
-        append = append if append != "auto" else any(map(Path.exists, named_files("trajectory", trajectory)))
+        if isinstance(append, str) and append == "auto":
+            append = any(map(Path.exists, named_files("trajectory", trajectory)))
         files = {"store_forces": store_forces, "overwrite": overwrite, "append": append}
         files = {name: checked_flag(name, flag) for name, flag in files.items()}
         attached = Attached(observers, engine)
@@ -229,8 +229,7 @@ class Simulation(Closed, Displayed):
         with self._running(engine.noise_shift), crash_file_left(place, guard, files["overwrite"]):
             guard.check_start()
             with (
-                stop_on_signals(engine.surroundings),
-                stop_in_time(engine.surroundings, seconds),
+                stop_on_signals(engine.surroundings, seconds),
                 open_trajectories(
                     trajectory, engine, every=every, n_steps=end - start, observers=attached.accumulators, **files
                 ) as writers,
@@ -310,7 +309,7 @@ class Simulation(Closed, Displayed):
         n_steps, every = checked_count("n_steps", n_steps, 0), checked_count("every", every)
         temperature = checked_number("temperature", temperature, "finite and not negative")
         engine.equilibrated += n_steps
-        place = crash_file_place(crash_report or False, ())
+        place = crash_file_place(False if crash_report is None else crash_report, ())
         with (
             self._running(noise_shift=-engine.equilibrated - self.step),
             guard.uncounted(),
@@ -425,9 +424,7 @@ class Simulation(Closed, Displayed):
 
     def restore(self, snapshot: Snapshot) -> None:
         """Restore the state of a snapshot.  Raises TypeError for anything else."""
-        if not isinstance(snapshot, Snapshot):
-            raise TypeError(f"snapshot must be what sim.snapshot() has returned; snapshot = {shown(snapshot)}")
-        self.engine.restore(snapshot)
+        self.engine.restore(checked_kind("snapshot", snapshot, Snapshot, "what sim.snapshot() has returned"))
 
 
 def _copied(kind: type[Simulation], engine: Engine, seconds: float, n_steps: int, *results: Any) -> Simulation:

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from minimd.core.compiled.machine import EPS
 from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array, Method, Problem, Step
-from minimd.core.structure.checks import checked_number
+from minimd.core.structure.checks import checked_kind, checked_number
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.dae.hessenberg import Hessenberg2
 from minimd.textbook.ode.functions import Function, Map, checked_values, derivative, reading
@@ -110,8 +110,7 @@ class Manifold:
 
 def check_invariants(invariants: Invariants) -> None:
     """TypeError for anything but Invariants."""
-    if not isinstance(invariants, Invariants):
-        raise TypeError(f"invariants must be Invariants(g), with a function g(y) or g(q, v); got {shown(invariants)}")
+    checked_kind("invariants", invariants, Invariants, "Invariants(g), with a function g(y) or g(q, v)")
 
 
 Begun = Callable[[Array, Shape], None]
@@ -355,9 +354,8 @@ def index_two(problem: Problem, invariants: Invariants) -> IndexTwo:
     TypeError : for problems of other kinds.
     """
     check_invariants(invariants)
-    if not isinstance(problem, (Partitioned, FirstOrder)):
-        raise TypeError(f"problem must be SecondOrder, Partitioned or FirstOrder; got {type(problem).__name__}")
-    return IndexTwo(problem, invariants)
+    wanted = "SecondOrder, Partitioned or FirstOrder"
+    return IndexTwo(checked_kind("problem", problem, Partitioned | FirstOrder, wanted), invariants)
 
 
 def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Array:

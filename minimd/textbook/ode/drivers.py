@@ -42,7 +42,7 @@ from minimd.core.compiled.machine import EPS
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array, Method, Problem
-from minimd.core.structure.checks import checked_count, checked_number, checked_numbers
+from minimd.core.structure.checks import checked_count, checked_kind, checked_number, checked_numbers
 from minimd.core.structure.errors import ConvergenceError, NonFiniteError
 from minimd.textbook.ode.problems import DifferentialAlgebraic, Partitioned
 
@@ -225,9 +225,7 @@ def _fixed(path: Path, method: Method, lengths: Iterable[float], t_end: float | 
 
 def check_method(method: Method) -> None:
     """TypeError for anything but a method with its time step."""
-    if not isinstance(method, Method):
-        needed = "a method with its time step, such as VelocityVerlet(0.05)"
-        raise TypeError(f"method must be {needed}; got {shown(method)}")
+    checked_kind("method", method, Method, "a method with its time step, such as VelocityVerlet(0.05)")
 
 
 def check_ahead(t0: float, t_end: float) -> None:
@@ -325,8 +323,7 @@ def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: floa
     check_ahead(t0, t_end)
     if not (isinstance(method, type) and issubclass(method, Method)):
         raise TypeError(f"method must be a class, such as VelocityVerlet, not an object; got {shown(method)}")
-    if not isinstance(control, StepControl):
-        raise TypeError(f"control must be StepControl(rtol, atol); got {shown(control)}")
+    checked_kind("control", control, StepControl, "StepControl(rtol, atol)")
     path = Path(problem, start, t0)
     if (given := np.shape(control.atol)) not in ((), path.states[0].shape):
         needed = f"a number, or an array of length {path.states[0].size}, one for each component of y"
@@ -412,8 +409,7 @@ def run_reversible(problem: Partitioned, method: Method, start: Start, t_end: fl
     check_method(method)
     check_ahead(t0, t_end)
     checked_count("every", every)
-    if not isinstance(control, DensityControl):
-        raise TypeError(f"control must be DensityControl(rate, density, max_steps); got {shown(control)}")
+    checked_kind("control", control, DensityControl, "DensityControl(rate, density, max_steps)")
     if not method.is_symmetric:
         raise ValueError(f"reversible steps need a symmetric method, such as VelocityVerlet; {method.name} is not")
     if (t_end - t0) * method.timestep < 0.0:

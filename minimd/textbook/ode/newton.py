@@ -17,9 +17,8 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 
 from minimd.core.compiled.machine import EPS
-from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array
-from minimd.core.structure.checks import checked_count, checked_number
+from minimd.core.structure.checks import checked_count, checked_kind, checked_number
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.ode.functions import CENTRAL, Map, central_differences, forward_differences
 
@@ -103,9 +102,7 @@ class FixedPoint(Newton):
 
 def checked_solver(solver: Newton) -> Newton:
     """TypeError for anything but a solver."""
-    if not isinstance(solver, Newton):
-        raise TypeError(f"solver must be Newton() or FixedPoint(); got {shown(solver)}")
-    return solver
+    return checked_kind("solver", solver, Newton, "Newton() or FixedPoint()")
 
 
 class Iteration:

@@ -77,14 +77,14 @@ class Motion:
         atoms, dynamics = started(make, self.scene, 0)
         n = len(atoms)
         self.heat = np.sqrt(claims.kt * atoms.get_masses().sum())  # a momentum
-        self.is_still, n_steps = True, 0  # whether a scene at rest stays at rest; momenta may be drawn anew rarely
-        while self.is_still and n_steps < (OF_PATHS if claims.ensemble == "NVE" else claims.steps):
+        for _ in range(1 if claims.ensemble == "NVE" else claims.steps // OF_PATHS):  # rare draws of momenta are seen
             dynamics.run(OF_PATHS)
-            n_steps += OF_PATHS
             if len(atoms) != n:
                 raise ValueError(f"the dynamics changed the number of atoms from {n} to {len(atoms)}")
             self.change = float(np.abs(atoms.get_momenta().sum(axis=0)).max() / self.heat)
-            self.is_still = self.change < KEPT
+            self.is_still = self.change < KEPT  # whether a scene at rest stays at rest
+            if not self.is_still:
+                break
         self.scene = claims.scene(claims.scenes[0], self.is_still and claims.ensemble != "NVE")
         self.has = claims.has(dynamics)
 

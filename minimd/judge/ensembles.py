@@ -154,12 +154,6 @@ def of_pairs(run: Frames, seen: Seen) -> float:
     return 1.0 + float(pairs - at_rest) / seen.n
 
 
-def of_components(run: Frames, seen: Seen) -> Array:
-    """1 + the correlations of the components x and y, y and z, z and x of momenta."""
-    u = run.p / np.sqrt(seen.heat * seen.kt * seen.masses)[:, None]
-    return 1.0 + (u * np.roll(u, -1, axis=2)).mean(axis=(0, 1))
-
-
 def of_noise(run: Frames, seen: Seen) -> float:
     """1 + the correlation of one change of the total momentum with the next; 1 if it is negative, as of momenta that
     are drawn anew each time."""
@@ -220,9 +214,10 @@ LAWS = (  # of what a scene has
         lambda means, _: f"momenta are not normally distributed: <u⁴>/3<u²>² is {means[0]:.3f}", "ring", 0.03),
     row("independent momenta", "1 + correlation of momenta of different atoms", of_pairs, lambda means, _: "momenta of "
         f"different atoms are correlated, by {means[0] - 1.0:+.2f}: each atom needs noise of its own", "ring", 0.05),
-    row("independent directions", "1 + correlation of two components of a momentum", of_components, lambda means, _:
-        f"the components x, y, z of a momentum are correlated, by {means.min() - 1.0:+.2f} to {means.max() - 1.0:+.2f}"
-        ": each needs a random number of its own", "ring", 0.05),
+    row("independent directions", "1 + correlation of two components of a momentum",
+        lambda run, seen: 1.0 + (run.p * np.roll(run.p, -1, axis=2) / seen.runs_p2[:, None]).mean(axis=(0, 1)),
+        lambda means, _: f"the components x, y, z of a momentum are correlated, by {means.min() - 1.0:+.2f} to "
+        f"{means.max() - 1.0:+.2f}: each needs a random number of its own", "ring", 0.05),
     row("new noise", "1 + correlation of a change of the total momentum with the next", of_noise, lambda *_: "the "
         "noise of one step is that of the step before: is the generator seeded anew in each step?", "ring", 0.3),
     row("mean volume", "P<V>/kT over its value",

@@ -66,8 +66,7 @@ def grade(
     """
     if kind is not None:
         checked_choice("kind", kind, ("step", "dynamics", *KINDS))
-    wanted = "a function, such as step(x, v, force, m, dt) or forces(positions)"
-    checked_kind("function", function, Callable, wanted)
+    checked_kind("function", function, Callable, "a function, as step(x, v, force, m, dt) or forces(positions)")
     names = list[str]()
     with suppress(TypeError, ValueError):  # of what has no parameters
         names = [*signature(function).parameters]

@@ -24,9 +24,8 @@ Array = NDArray[np.float64]
 Make = Callable[[Atoms, np.random.RandomState], Any]
 
 MASSES = np.repeat([2.45, 8.35, 30.4, 120.3], 2)  # amu, of the atoms of a ring
-LIGHT, HEAVY = 4.45, 12.35  # amu, of the atoms of a molecule
-REDUCED = LIGHT * HEAVY / (LIGHT + HEAVY)
-SHARES = np.array([HEAVY, LIGHT]) / (LIGHT + HEAVY)  # of the length, and of the motion along it, of each
+LIGHT, HEAVY = 4.45, 13.35  # amu, of the atoms of a molecule, as 1 to 3
+REDUCED = 0.75 * LIGHT
 STIFF = 0.06  # ω Δt of a bond of the ring, with the lighter of its atoms
 QUARTIC = 0.05  # of k²/kT: makes the motion chaotic
 STRETCH = 4.0  # length of the bonds of molecules, in units of their thermal motion
@@ -182,7 +181,7 @@ def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
 
     springs.draw = draw
     return Scene("chain", draw, springs, "masses spread rigid fixed", 0.5 * OF_MOLECULES**2,
-                 rigid=np.tile(SHARES, n) / 3.0, slowness=4)  # fmt: skip
+                 rigid=np.tile([0.75, 0.25], n) / 3.0, slowness=4)  # fmt: skip
 
 
 def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: int = 0) -> Scene:
@@ -230,8 +229,8 @@ def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
         apart = r[np.searchsorted(weights, rng.random_sample(n) * weights[-1])]
         apart = apart[:, None] * ways / np.linalg.norm(ways, axis=1)[:, None]
         x = np.repeat(edge * rng.random_sample((n, 3)), 2, axis=0)
-        x[0::2] -= SHARES[0] * apart
-        x[1::2] += SHARES[1] * apart
+        x[0::2] -= 0.75 * apart
+        x[1::2] += 0.25 * apart
         atoms = Atoms("H" * 2 * n, x, masses=masses, cell=[edge] * 3, pbc=True, calculator=springs)
         atoms.set_momenta(momenta(rng, masses, kt, is_still))
         return atoms

@@ -19,7 +19,7 @@ from minimd.core.engine.observation import observe
 from minimd.core.engine.record import Frame, Record
 from minimd.core.simulation.resuming import Potentials
 from minimd.core.simulation.simulation import Observer, Simulation
-from minimd.core.structure.checks import COUNTS, checked_count, checked_path
+from minimd.core.structure.checks import COUNTS, checked_count
 
 if TYPE_CHECKING:
     from minimd.core.files.h5md_reader import H5MDContents
@@ -65,7 +65,7 @@ class Past(Displayed):
         from minimd.core.files.h5md_reader import read_file  # h5py is slow to load
 
         self._last = Simulation.resume(file, potentials, threads=threads)
-        self.file, self.contents = checked_path("file", file), read_file(file)
+        self.file, self.contents = Path(file), read_file(file)
         check_is_fixed(file, self.contents)
         record, end = self.contents.record, self.contents.step
         paces, last = np.diff(record.time) / np.diff(record.step), self.contents.timestep

@@ -8,7 +8,7 @@ from pathlib import Path
 from minimd.core.console.whole_file import write_whole
 from minimd.core.engine.record import Record
 from minimd.core.forces.forces import Potential
-from minimd.core.structure.checks import checked_count, checked_path
+from minimd.core.structure.checks import checked_count
 
 FRAMES = 200  # largest number of frames if not given
 HEIGHT = 720  # of the page in a notebook [pixels]
@@ -70,8 +70,8 @@ def view(
     from minimd.core.files.h5md_reader import verify_frames
     from minimd.view.page import failure_story, page, run_story
 
-    path = checked_path("file", place)
-    verify_frames(path)
+    verify_frames(place)
+    path = Path(place)
     has_failed = is_crash_file(path)
     if potentials is not None and not has_failed:
         used = "potentials are used for a failed run only"

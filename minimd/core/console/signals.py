@@ -49,11 +49,11 @@ def stop_on_signals(run: Stoppable, seconds: float = inf) -> Iterator[None]:
             _give_back(number, request, before)
 
     deadline = monotonic() + seconds
-    timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), setattr, (run, "stop_requested", True))
+    timer = threading.Timer(seconds, setattr, (run, "stop_requested", True))
     of_thread = threading.current_thread() is not threading.main_thread()
     is_inner, active = bool(_active) and not of_thread, _of_threads if of_thread else _active
     run.stop_requested, active[id(request)] = False, (run, request)
-    if seconds < inf:  # a thread
+    if seconds < threading.TIMEOUT_MAX:  # 292 years
         timer.start()
     try:
         try:
@@ -69,12 +69,10 @@ def stop_on_signals(run: Stoppable, seconds: float = inf) -> Iterator[None]:
             raise KeyboardInterrupt("the run is complete, and was stopped after the last step")
     except KeyboardInterrupt as stopped:
         if not received and monotonic() > deadline:
-            how_to_go_on = "" if _callers else _kept(stopped)
-            tell(f"minimd: {stopped}, because max_seconds = {seconds:g} have passed{how_to_go_on}")
+            tell(f"minimd: {stopped}, because max_seconds = {seconds:g} have passed{_kept(stopped)}")
             return
         if received[:1] in ([], [signal.SIGINT]):
-            if not _callers:
-                stopped.args = (f"{str(stopped) or 'interrupted'}{_kept(stopped)}",)
+            stopped.args = (f"{str(stopped) or 'interrupted'}{_kept(stopped)}",)
             raise
         ended = Terminated(received[0], str(stopped), getattr(stopped, "kept", ()))
     except Terminated as of_inner:
@@ -149,12 +147,13 @@ def tell_ending(ended: "Terminated") -> None:
 
 
 def _kept(stopped: BaseException) -> str:
-    """Which files of a run hold what was written, and how a script goes on, as clauses; empty if there are none."""
+    """Which files of a run hold what was written, and how a script goes on, as clauses; empty if there are none, or a
+    caller tells it."""
     files = [str(file) for file in getattr(stopped, "kept", ()) if file.exists()]
     again = "to go on, call run with trajectory={0!r}, append=True; in a new session first sim = {1}({0!r}, potentials)"
     can_go_on = [file for file in files if file.lower().endswith(".h5md")]
     go_on = f"; {again.format(can_go_on[0], 'minimd.Simulation.resume')}" if can_go_on else ""
-    return f"; what was written is kept in {', '.join(files)}{go_on}" if files else ""
+    return f"; what was written is kept in {', '.join(files)}{go_on}" if files and not _callers else ""
 
 
 class Terminated(SystemExit):

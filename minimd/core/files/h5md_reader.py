@@ -240,7 +240,7 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any], eff
             except Exception as error:
                 answer = None, error
         with open(pipe, "wb") as told:
-            pickle.dump((*answer, [str(one.message) for one in given if one.category is UserWarning]), told)
+            pickle.dump((*answer, [str(one.message) for one in given]), told)
         status = 0
     finally:
         os._exit(status)

@@ -2,7 +2,6 @@
 before memory is allocated for it."""
 
 from collections.abc import Collection, Sequence
-from contextlib import suppress
 from math import inf, nan
 from numbers import Integral, Real
 from pathlib import Path
@@ -68,8 +67,9 @@ def checked_path(name: str, value: Any) -> Path:
     """The value as a Path.  Raises ValueError unless it is a text, or a path, that can name a file."""
     try:
         path = Path(value or None)  # an empty text names nothing
-        with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
-            path.lstat()
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
+        pass
     except (TypeError, ValueError, OSError):
         raise ValueError(f"{name} must be the path of a file or folder; {name} = {shown(value)}") from None
     return path

@@ -237,7 +237,7 @@ def with_multipliers(method: type[Method], invariants: Invariants) -> type[Metho
 
 def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: "type[ManifoldStep]") -> type[Method]:
     if not (isinstance(method, type) and issubclass(method, Method)):
-        raise TypeError(f"method must be a class, such as RadauIIA3, not an object; got {shown(method)}")
+        raise TypeError(f"method must be a class, such as RadauIIA3, not an object; method = {shown(method)}")
     check_invariants(invariants)
     name = f"{verb}({method.name})"
     members = {"__doc__": f"{name}.", "name": name,

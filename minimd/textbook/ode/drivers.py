@@ -322,7 +322,7 @@ def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: floa
     """
     check_ahead(t0, t_end)
     if not (isinstance(method, type) and issubclass(method, Method)):
-        raise TypeError(f"method must be a class, such as VelocityVerlet, not an object; got {shown(method)}")
+        raise TypeError(f"method must be a class, such as VelocityVerlet, not an object; method = {shown(method)}")
     checked_kind("control", control, StepControl, "StepControl(rtol, atol)")
     path = Path(problem, start, t0)
     if (given := np.shape(control.atol)) not in ((), path.states[0].shape):

@@ -161,8 +161,9 @@ def of_noise(run: Frames, seen: Seen) -> float:
     size = float((jumps**2).sum())
     if seen.is_still:
         return 1.0
-    is_moved = size > 1e-20 * seen.kt * seen.masses.sum()
-    return 1.0 + (max(0.0, float((jumps[1:] * jumps[:-1]).sum()) / size) if is_moved else 1.0)
+    if size <= 1e-20 * seen.kt * seen.masses.sum():
+        return 2.0
+    return 1.0 + max(0.0, float((jumps[1:] * jumps[:-1]).sum()) / size)
 
 
 def of_kinetic(run: Frames, seen: Seen) -> float:

@@ -30,8 +30,7 @@ READ = 4096  # bytes that are taken at once from a reader; how many it says that
 NAP = 0.005  # seconds between two attempts, where the run waits for a reader
 SECONDS_TO_GO = 1.0  # after the handshake, as the protocol demands
 PATIENCE = 60.0  # seconds with a reader that takes nothing and has not asked for a pause
-KEEP_ALIVE = "TCP_KEEPIDLE", "TCP_KEEPINTVL", "TCP_KEEPCNT"  # s of silence, s between attempts, attempts
-ATTEMPTS = 5  # of each of them
+KEEP_ALIVE = 5  # s of silence, s between two attempts, attempts
 FAREWELL = 2.0  # seconds for the reader to take the last frames, after the run
 
 
@@ -162,9 +161,9 @@ class Stream(PeriodicObserver):
                 self._reader, _ = self._listener.accept()
                 self._reader.setblocking(False)
                 self._reader.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)  # its machine may vanish
-                for name in KEEP_ALIVE:
+                for name in ("TCP_KEEPIDLE", "TCP_KEEPINTVL", "TCP_KEEPCNT"):
                     if hasattr(socket, name):  # not every system can be told
-                        self._reader.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), ATTEMPTS)
+                        self._reader.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), KEEP_ALIVE)
                 self._reader.sendall(self._greeting)
                 self._go_until = monotonic() + SECONDS_TO_GO
             if self._reader is None or not (heard := self._reader.recv(READ)):

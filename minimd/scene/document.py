@@ -188,7 +188,7 @@ def parsed(kind: type[D], text: str, path: Path) -> D:
     except tomllib.TOMLDecodeError as error:
         place = re.search(r"at line (\d+)", str(error))  # without it the message says "at end of document"
         line = text.split("\n")[int(place[1]) - 1] if place else text.rstrip().rpartition("\n")[2]
-        raise ValueError(f"{path}: this is not valid TOML: {error}, in {line!r}") from None
+        raise ValueError(f"{path}: this is not valid TOML: {error}, in {line[:120]!r}") from None
     except RecursionError:
         raise ValueError(f"{path}: its tables are nested too deeply for a scene file") from None
     except ValidationError as error:

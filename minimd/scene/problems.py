@@ -15,7 +15,7 @@ PLAIN = {  # words of pydantic: words of minimd
     "items after validation": "entries", "Value error, ": "",
 }  # fmt: skip
 EDGES = "give all three edges, 0 along a direction that does not repeat, as of a slab"
-MOST = 50  # problems that are told
+MOST = 20  # problems that are told
 OF_MASSES = "masses are those of the element or of the structure file, 1 in LJ units, and always positive; "
 THREE = {  # lists of the wrong length: what to write
     ("structure", "cell"): f": {EDGES}: [20, 20, 0] with pbc = [true, true, false]",
@@ -86,7 +86,7 @@ def _about_key(loc: tuple, reading: Reading) -> str:
     known = f'Keys with units = "{reading.units}":'
     near = " or ".join(inside) or _near(loc, reading)[0]
     hint = OF_MASSES if key.startswith("mass") else f"did you mean {near!r}? " if near else ""
-    return f"{place or 'a scene'} has no key {key!r} (= {_shown(table[key])}); {hint}{known} {', '.join(keys)}"
+    return f"{place or 'a scene'} has no key {key[:60]!r} (= {_shown(table[key])}); {hint}{known} {', '.join(keys)}"
 
 
 def _near(loc: tuple, reading: Reading) -> tuple[str | None, str | None]:

@@ -69,8 +69,12 @@ def run_scene(
     minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell, crash_file_place(True, files))
     observers = scene.observers()
-    named: dict[str, Any] = {"trajectory": files, "store_forces": output.forces, "overwrite": overwrite}
-    named["max_seconds"] = scene.sections.dynamics.max_seconds if max_seconds is None else max_seconds
+    named: dict[str, Any] = {
+        "trajectory": files,
+        "store_forces": output.forces,
+        "overwrite": overwrite,
+        "max_seconds": scene.sections.dynamics.max_seconds if max_seconds is None else max_seconds,
+    }
     with kept(scene, files, n_steps):
         simulation.run(n_steps, every=output.every, observers=observers, progress=progress, **named)
     tell_results(simulation, observers, tell)
@@ -153,8 +157,12 @@ def resume_run(
     if len(scene.trajectories()) > 1:
         tell(f"               only {file} is continued; the other trajectories keep their frames up to this step")
     observers = scene.observers()
-    named: dict[str, Any] = {"every": scene.sections.output.every, "trajectory": path, "append": True}
-    named["max_seconds"] = scene.sections.dynamics.max_seconds if max_seconds is None else max_seconds
+    named: dict[str, Any] = {
+        "every": scene.sections.output.every,
+        "trajectory": path,
+        "append": True,
+        "max_seconds": scene.sections.dynamics.max_seconds if max_seconds is None else max_seconds,
+    }
     with kept(scene, [path], end):
         simulation.run(until_step=end, observers=observers, progress=progress, **named)
     tell_results(simulation, observers, tell)

@@ -131,7 +131,8 @@ SMALL_FILES = {  # what writes them, given their name
 def test_no_small_file_is_written_through_a_link(kind, tmp_path):
     precious, path = tmp_path / "precious", tmp_path / "a.png"
     precious.write_text("precious")
-    for name in ("a.png", f"a.png{UNFINISHED}", f"a.png{UNFINISHED}{UNFINISHED}", f"a-2.png{UNFINISHED}"):
+    parts = [f"{name}{end}" for name in ("a.png", "a-2.png") for end in (".minimd-part", UNFINISHED)]
+    for name in ("a.png", *parts, f"a.png.minimd-part{UNFINISHED}"):
         (tmp_path / name).symlink_to(precious)
     with suppress(FileExistsError):
         SMALL_FILES[kind](path)
@@ -151,7 +152,7 @@ def test_a_file_that_is_lost_under_the_run_is_told(fate, tmp_path, monkeypatch):
 
 
 def test_a_resumed_file_is_claimed_too_and_so_is_a_crash_report(tmp_path):
-    path, old = tmp_path / "a.h5md", Claim(tmp_path / f"a.crash.h5md{UNFINISHED}")
+    path, old = tmp_path / "a.h5md", Claim(tmp_path / "a.crash.h5md.minimd-part")
     old.appear()
     assert "another run" in blow_up(tmp_path / "a.crash.h5md")
     old.check()
@@ -266,3 +267,14 @@ def test_refused_or_failed_output_leaves_nothing_of_the_others(tmp_path, monkeyp
     with pytest.raises(OSError, match="no more files"):
         simulation().run(5, trajectory=[tmp_path / "a.h5md", tmp_path / "c.xtc"])
     assert (closed, [path.name for path in tmp_path.iterdir()]) == ([None], ["b.xyz"])
+
+
+def test_files_with_names_of_other_programs_are_not_removed(tmp_path):
+    """Browsers call unfinished downloads .part."""
+    kept = [tmp_path / name for name in ("a.csv.part", "a.h5md.begun", "a.h5md.part", "a.crash.h5md.part", "a.csv.tmp")]
+    for file in kept:
+        file.write_text("precious")
+    simulation().run(5, every=5, trajectory=tmp_path / "a.h5md").to_csv(tmp_path / "a.csv")
+    blow_up(tmp_path / "a.crash.h5md")
+    assert [file.read_text() for file in kept] == ["precious"] * len(kept)
+    assert files_of(tmp_path) == sorted(["a.csv", "a.h5md", "a.crash.h5md", *(file.name for file in kept)])

@@ -61,8 +61,6 @@ def stop_on_signals(run: Stoppable, seconds: float = inf) -> Iterator[None]:
                 yield
         finally:
             timer.cancel()
-            if timer.is_alive():
-                timer.join()
             run.stop_requested = False
             del active[id(request)]
         if received:

@@ -19,7 +19,6 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 
-from minimd.core.console.whole_file import UNFINISHED
 from minimd.core.console.words import printable, shown
 from minimd.core.diagnosis.crash_report import CrashReport
 from minimd.core.diagnosis.judge import RUNAWAY
@@ -48,11 +47,13 @@ class CrashFile(NamedTuple):
     judgment: tuple[dict[str, float] | None, float]
 
 
-def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
+def crash_file_place(
+    crash_report: str | Path | bool | None, trajectories: str | Path | Sequence[str | Path]
+) -> Path | None:
     """Where a run leaves its crash file: the path given, or for True beside its first trajectory; None if there is no
     such place.  Raises ValueError for the path of a trajectory, which the crash file would replace."""
     several = named_files("trajectory", trajectories)
-    if isinstance(crash_report, bool):
+    if isinstance(crash_report, bool | None):
         return several[0].with_suffix(SUFFIX) if crash_report and several else None
     [place] = named_files("crash_report", [crash_report])
     if place.resolve() in [file.resolve() for file in several]:
@@ -103,7 +104,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     texts = {"findings": json.dumps(asdict(findings)), "words": str(findings), "simulation": json.dumps(known)}
     told = {f"{REPORT}/{name}": Item(data=np.array(text.encode(), TEXT)) for name, text in texts.items()}
 
-    part = path.with_name(path.name + UNFINISHED)  # so that no incomplete file has the final name
+    part = path.with_name(f"{path.name}.minimd-part")  # so that no incomplete file has the final name
     claim, every = Claim(part, overwrite=True), max(1, last.state.step - start.step)
     try:
         if claim.path.name != part.name:

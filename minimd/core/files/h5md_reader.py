@@ -58,10 +58,10 @@ REASONS = {  # why a file cannot be opened, by the words of HDF5
     "unable to lock file": "another run is writing it",
     "truncated file": "it is damaged, it ends before its data do; copy it again, or run again",
 }
-SECONDS, BYTES_PER_SECOND = 10, 10_000_000  # of processor time that a look may take; reading needs a hundredth of it
-# bytes that a look may take, and besides so many times those of the file: texts of a file may claim the same bytes
-MEMORY, SIZES = 2**32, 4
-OF_TEXT = 32  # times as much time and memory for readers of texts
+# of processor time that a look may take; reading HDF5 needs a thousandth of it, and readers of texts a fifth
+SECONDS, BYTES_PER_SECOND = 10, 1_000_000
+# bytes that a look may take, and besides so many times those of the file, which readers of texts need
+MEMORY, SIZES = 2**32, 64
 
 
 def opened(path: str | Path) -> h5py.File:
@@ -174,10 +174,9 @@ def damage_told(path: str | Path) -> Iterator[None]:
         raise OSError(f"file {str(path)!r} is damaged: {reason}; copy it again, or run again") from error
 
 
-def looked_at(path: str | Path, look: Callable[[], Found], effort: int = 1) -> Found:
+def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
     """Return or raise what look() does, and repeat its warnings; it is called in a child process if the system can
     fork, else in this one.
-    effort : how much more time and memory it may take for each byte of the file than a look at HDF5.
     Raises OSError if the child crashes, or takes more time or memory than reading could take."""
     checked_path("file", path)
     if not hasattr(os, "fork"):
@@ -191,7 +190,7 @@ def looked_at(path: str | Path, look: Callable[[], Found], effort: int = 1) -> F
         os.close(telling)
         raise
     if child == 0:
-        _tell(parent, telling, path, look, effort)
+        _tell(parent, telling, path, look)
     os.close(telling)
     try:
         with open(listening, "rb") as pipe:
@@ -205,15 +204,15 @@ def looked_at(path: str | Path, look: Callable[[], Found], effort: int = 1) -> F
             status = os.waitpid(child, 0)[1]
     if status or not answer:
         raise OSError(f"file {str(path)!r} is damaged: its reader crashes or finds no end; copy it again, or run again")
-    found, error, hints = pickle.loads(answer)
-    for hint in hints:
-        warn(hint)
+    found, error, given = pickle.loads(answer)
+    for one in given:
+        warn(str(one.message))
     if error is not None:
         raise error
     return found
 
 
-def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any], effort: int) -> NoReturn:
+def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> NoReturn:
     """In the child: call look with little time and memory, send its result or error, and end without any output."""
     status = 1
     try:
@@ -222,7 +221,7 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any], eff
         end_with(parent)
         faulthandler.disable()
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-        n_bytes = effort * os.path.getsize(path) if os.path.exists(path) else 0
+        n_bytes = os.path.getsize(path) if os.path.exists(path) else 0
         limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: SECONDS + n_bytes // BYTES_PER_SECOND}
         with suppress(OSError):  # not every system tells how much memory a process has
             pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
@@ -240,7 +239,7 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any], eff
             except Exception as error:
                 answer = None, error
         with open(pipe, "wb") as told:
-            pickle.dump((*answer, [str(one.message) for one in given]), told)
+            pickle.dump((*answer, given), told)
         status = 0
     finally:
         os._exit(status)

@@ -19,7 +19,7 @@ from minimd.core.console.quiet import quiet, warn
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.record import Frame
 from minimd.core.files.claim import Claim
-from minimd.core.files.h5md_reader import OF_TEXT, looked_at
+from minimd.core.files.h5md_reader import looked_at
 from minimd.core.files.trajectory import Writer
 from minimd.core.structure.ase_atoms import atoms_from_system, calculators_stress, label_by_tags
 from minimd.core.structure.bond_graph import GROUPS, Joined, joined_in
@@ -97,11 +97,8 @@ def system_from_file(
         if bonds is None:
             with suppress(ValueError):  # bonds were not asked for, so that it does not matter if they cannot be read
                 if found := _joined_in(path, form, source, system):
-                    use = (
-                        'use them with bonds = "file", in a scene under [structure], or leave them out with bonds = []'
-                    )
-                    words = f"file {str(path)!r} has {found}, which are not used; {use}"
-                    warn(words)
+                    words = f'file {str(path)!r} has {found}, which are not used; use them with bonds = "file", in a '
+                    warn(f"{words}scene under [structure], or leave them out with bonds = []")
             return changed(system, **NOTHING)
         found = (
             _joined_in(path, form, source, system) if bonds == "file" else _joined_beside(path.parent / bonds, system)
@@ -114,7 +111,7 @@ def system_from_file(
         return changed(system, **found.groups, charges=system.charges if system.charges.any() else found.charges)
 
     try:
-        return looked_at(path, read, OF_TEXT)
+        return looked_at(path, read)
     except OSError as error:  # of the reader
         raise ValueError(str(error)) from None
 

@@ -141,8 +141,8 @@ class Nonbonded(Declared, metaclass=ABCMeta):
     def pair_energy(self, r: ArrayLike, first: Label | None = None, second: Label | None = None) -> NDArray[np.float64]:
         """u [energy] of two atoms of given species at distances r > 0 [length], truncation included;
         an array of r's shape. Raises ValueError for distances that are not positive, and as table."""
-        for name, label in {"first": first, "second": second}.items():
-            checked_kind(name, label, Label | None, "the label of a species")
+        for label in (first, second):
+            checked_kind("first, second", label, Label | None, "labels of species")
         cutoff2, *numbers = self._numbers(first, second)
         distances = checked_numbers("r", r, "positive distances")
         if not (distances > 0.0).all():

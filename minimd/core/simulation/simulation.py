@@ -312,7 +312,7 @@ class Simulation(Closed, Displayed):
         n_steps, every = checked_count("n_steps", n_steps, 0), checked_count("every", every)
         temperature = checked_number("temperature", temperature, "finite and not negative")
         engine.equilibrated += n_steps
-        place = crash_file_place(False if crash_report is None else crash_report, ())
+        place = crash_file_place(crash_report, ())
         with (
             self._running(noise_shift=-engine.equilibrated - self.step),
             guard.uncounted(),

@@ -19,6 +19,7 @@ def universe_arguments(universe: Universe | AtomGroup, units: UnitSystem, groups
     groups : bonds, angles, dihedrals and impropers by these names; None for those of the universe.
     Raises TypeError for anything else.  ValueError for atoms without masses, where the units have no default."""
     checked_kind("universe", universe, Universe | AtomGroup, "an MDAnalysis Universe or AtomGroup")
+    checked_kind("units", units, UnitSystem, "minimd.units.LJ or minimd.units.ASE")
     atoms = universe.atoms
     ts, to_length, to_speed = atoms.universe.trajectory.ts, units.to_angstrom, units.to_picosecond / units.to_angstrom
     is_periodic = ts.dimensions is not None and bool(np.all(ts.dimensions[:3] > 0.0))

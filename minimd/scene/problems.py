@@ -38,8 +38,8 @@ def problems(reading: Reading, error: ValidationError) -> list[str]:
     if "units" in wrong:  # then all other keys seem wrong, too
         wrong = {"units": wrong["units"]}
     inside = [place for place in wrong if any(other.startswith((f"{place}[", f"{place}.")) for other in wrong)]
-    sentences = [_joined(sentences) for place, sentences in wrong.items() if place not in inside]
-    return sentences + [f"there are {len(every) - MOST} other problems"] * (len(every) > MOST)
+    others = [f"there are {len(every) - MOST} other problems"] * (len(every) > MOST)
+    return [_joined(sentences) for place, sentences in wrong.items() if place not in inside] + others
 
 
 def _told(details: Any, reading: Reading) -> tuple[str, str]:

@@ -47,9 +47,7 @@ class CrashFile(NamedTuple):
     judgment: tuple[dict[str, float] | None, float]
 
 
-def crash_file_place(
-    crash_report: str | Path | bool | None, trajectories: str | Path | Sequence[str | Path]
-) -> Path | None:
+def crash_file_place(crash_report: Any, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
     """Where a run leaves its crash file: the path given, or for True beside its first trajectory; None if there is no
     such place.  Raises ValueError for the path of a trajectory, which the crash file would replace."""
     several = named_files("trajectory", trajectories)

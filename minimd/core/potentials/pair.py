@@ -141,7 +141,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
     def pair_energy(self, r: ArrayLike, first: Label | None = None, second: Label | None = None) -> NDArray[np.float64]:
         """u [energy] of two atoms of given species at distances r > 0 [length], truncation included;
         an array of r's shape. Raises ValueError for distances that are not positive, and as table."""
-        for label in (first, second):
+        for label in first, second:
             checked_kind("first, second", label, Label | None, "labels of species")
         cutoff2, *numbers = self._numbers(first, second)
         distances = checked_numbers("r", r, "positive distances")

@@ -66,7 +66,7 @@ def checked_kind(name: str, value: Any, kind: Any, wanted: str) -> Any:
 def checked_path(name: str, value: Any) -> Path:
     """The value as a Path.  Raises ValueError unless it is a text, or a path, that can name a file."""
     try:
-        path = Path(value or None)  # an empty text names nothing
+        path = Path(value or None)  # type: ignore[arg-type]  # an empty text names nothing
         path.lstat()
     except (FileNotFoundError, NotADirectoryError, PermissionError):
         pass

@@ -16,6 +16,7 @@ from minimd.core.console.quiet import warn
 from minimd.core.integrators.method import Array
 from minimd.core.integrators.order_conditions import nystrom_order
 from minimd.core.integrators.substeps import Drift, Kick, Substeps, are_alike, repeated
+from minimd.core.structure.checks import checked_numbers
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.ode.functions import Function, derivative, remark_on_differences, time_derivative, unit_of_time
 from minimd.textbook.ode.newton import Iteration, Newton
@@ -53,7 +54,7 @@ class Holonomic(SecondOrder):
         super().__init__(f, solver=solver)
         if "v" in self.f.takes:
             raise ValueError("a constrained step needs forces that do not depend on v; f takes v")
-        self._g, self._jacobian, self._masses = g, jacobian, np.asarray(masses, dtype=float)
+        self._g, self._jacobian, self._masses = g, jacobian, checked_numbers("masses", masses, "numbers")
 
     def violation(self, q: Array) -> Array:
         """g(q), (m,), for q of length n."""

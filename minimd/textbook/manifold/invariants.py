@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from minimd.core.compiled.machine import EPS
 from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array, Method, Problem, Step
-from minimd.core.structure.checks import checked_kind, checked_number
+from minimd.core.structure.checks import checked_kind, checked_number, checked_numbers
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.dae.hessenberg import Hessenberg2
 from minimd.textbook.ode.functions import Function, Map, checked_values, derivative, reading
@@ -57,7 +57,7 @@ class Invariants:
     def __init__(self, g: Function, jacobian: Function | None = None, value: ArrayLike | None = None) -> None:
         self.g = _of_state(g, "g")
         self.jacobian = jacobian if jacobian is None else _of_state(jacobian, "jacobian")
-        self.value = value if value is None else np.array(value, dtype=float).reshape(-1)
+        self.value = value if value is None else checked_numbers("value", value, "numbers").reshape(-1)
 
     def through(self, y: Array, shape: Shape = None) -> "Manifold":
         """The manifold g = value, or g = g(y) if no value was given.

@@ -31,7 +31,7 @@ Methods in ODEs (1962), 6.4; E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs 
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from itertools import repeat
+from itertools import chain, repeat
 from math import copysign, isfinite, log
 from typing import Any
 
@@ -42,7 +42,7 @@ from minimd.core.compiled.machine import EPS
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array, Method, Problem
-from minimd.core.structure.checks import checked_count, checked_kind, checked_number, checked_numbers
+from minimd.core.structure.checks import COUNTS, checked_count, checked_kind, checked_number, checked_numbers
 from minimd.core.structure.errors import ConvergenceError, NonFiniteError
 from minimd.textbook.ode.problems import DifferentialAlgebraic, Partitioned
 
@@ -193,11 +193,13 @@ def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: fl
     check_method(method)
     h = method.timestep
     n_steps = (checked_number("t_end", t_end) - checked_number("t0", t0)) / h
-    if not (isfinite(n_steps) and n_steps > 0.0):
-        raise ValueError(f"t_end must be finite and lie ahead of t0; t0 = {t0!r}, t_end = {t_end!r}, timestep = {h!r}")
+    if not 0.0 < n_steps < COUNTS:
+        raise ValueError(
+            f"t_end must lie ahead of t0, by fewer than 9e18 steps; t0 = {t0!r}, t_end = {t_end!r}, timestep = {h!r}"
+        )
     whole = int(n_steps * (1.0 + LEFTOVER) + LEFTOVER)
     rest = t_end - (t0 + whole * h)
-    lengths = [h] * whole + ([rest] if rest / h > LEFTOVER * n_steps else [])
+    lengths = chain(repeat(h, whole), [rest] if rest / h > LEFTOVER * n_steps else [])
     return _fixed(Path(problem, start, t0, every), method, lengths, t_end)
 
 
@@ -499,7 +501,7 @@ def _stormer(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_s
              advance: Callable[..., None]) -> Solution:  # fmt: skip
     """The path without the position after the end, which is needed for the last velocity only.
     advance : finds q_{n+1} and the increments from q_{n−1}, q_n and Δt² f(q_n)."""
-    q0, v0 = np.asarray(q0, dtype=float), np.asarray(v0, dtype=float)
+    q0, v0 = checked_numbers("q0", q0, "numbers"), checked_numbers("v0", v0, "numbers")
     checked_number("timestep", timestep, "finite and not zero")
     checked_count("n_steps", n_steps)
     a0 = np.asarray(f(q0), dtype=float)

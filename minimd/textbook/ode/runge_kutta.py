@@ -19,7 +19,7 @@ from numpy.polynomial.legendre import Legendre
 from numpy.typing import ArrayLike
 
 from minimd.core.integrators.method import Array, ClassProperty, Method, Problem, Step
-from minimd.core.structure.checks import checked_count
+from minimd.core.structure.checks import checked_count, checked_numbers
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.ode.functions import forward_differences
 from minimd.textbook.ode.problems import DifferentialAlgebraic, FirstOrder
@@ -101,7 +101,7 @@ def _first_failure(defects: Array, axis: int = 0) -> int:
 
 def collocation(nodes: ArrayLike) -> Tableau:
     """The collocation method on s different nodes, in units of the step."""
-    c = np.array(nodes, dtype=float)
+    c = checked_numbers("nodes", nodes, "numbers")
     return Tableau(np.array([_lagrange_integrals(c, node) for node in c]), _lagrange_integrals(c, 1.0), c)
 
 

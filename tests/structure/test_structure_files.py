@@ -160,7 +160,7 @@ def test_what_cannot_be_a_structure_is_named(folder):
     ase.io.write("small.xyz", atoms[:7])
     assert_answered(lambda: system_from_file("melt.unknown"), ValueError, "format")
     assert_answered(lambda: system_from_file("small.xyz", bonds="melt.psf"), ValueError, "melt.psf", "20", "7")
-    assert_answered(lambda: md.System.from_mdanalysis("melt.pdb"), TypeError, "str")
+    assert_answered(lambda: md.System.from_mdanalysis("melt.pdb"), TypeError, "universe", "melt.pdb")
     assert_answered(lambda: md.System.from_mdanalysis(EMPTY), ValueError, "masses")
     atoms.arrays["bonds"] = np.array(["25(1)", *["_"] * 19])
     assert_answered(lambda: md.System.from_ase(atoms), ValueError, "atom 0", "25(1)")

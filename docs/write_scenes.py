@@ -122,6 +122,7 @@ MEANINGS = {
         "relaxation_time": "relaxation time of a thermostat, required with one; 1/friction in Langevin dynamics",
         "seed": "seed of velocities and noise",
         "threads": "largest number of threads; if not given, the number of cores that the process may use",
+        "max_seconds": "seconds of wall time after which the run ends; it can be resumed",
         "precision": "arithmetic of the run, see [fixed point](fixed-point.md)",
     },
     "barostat": {

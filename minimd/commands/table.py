@@ -123,7 +123,14 @@ def run(arguments: argparse.Namespace) -> None:
     for file in () if overwrite else scene.named_outputs(out):
         if file.exists():
             refuse("output", file, file, "FILE")
-    run_scene(scene, steps=arguments.steps, trajectory=out, overwrite=overwrite, progress=not arguments.quiet)
+    run_scene(
+        scene,
+        steps=arguments.steps,
+        trajectory=out,
+        overwrite=overwrite,
+        max_seconds=arguments.max_seconds,
+        progress=not arguments.quiet,
+    )
     tell_next(scene.trajectories(out))
 
 
@@ -167,7 +174,13 @@ def resume(arguments: argparse.Namespace) -> None:
     """Go on with a run.  Raises as resume_run."""
     from minimd.scene import resume_run
 
-    resume_run(arguments.file, arguments.steps, scene=scene_of(arguments), progress=not arguments.quiet)
+    resume_run(
+        arguments.file,
+        arguments.steps,
+        scene=scene_of(arguments),
+        max_seconds=arguments.max_seconds,
+        progress=not arguments.quiet,
+    )
     tell_next([arguments.file])
 
 
@@ -284,6 +297,7 @@ def option(text: str) -> tuple[str, Any]:
 at_least_one = partial(whole_number, least=1)
 OVERWRITE = flag("--overwrite", "replace files that exist")
 STEPS = Argument("--steps", "number of steps, in place of that in the scene", whole_number, "N")
+MAX_SECONDS = Argument("--max-seconds", "wall time after which the run ends; it can be resumed", float, "S")
 SCENE_FILE = Argument("scene", "scene file (TOML)", Path)
 RUN_FILE = Argument("file", "trajectory (.h5md)", Path)
 SCENE = Argument(
@@ -291,7 +305,7 @@ SCENE = Argument(
 )
 COMMANDS = (
     Command("run", "run a scene file", "Build a scene, run it, and write its files.", (
-        SCENE_FILE, OVERWRITE, STEPS,
+        SCENE_FILE, OVERWRITE, STEPS, MAX_SECONDS,
         written_to("FILE", "one trajectory file, in place of those in the scene; the picture is written beside it"),
     ), run),
     Command("scan", "run a scene with many values of its keys",
@@ -326,6 +340,7 @@ COMMANDS = (
                        "time step, barostat, output; structure, minimization and equilibration, which concern only the "
                        "start, are not used"),
         STEPS._replace(help="number of further steps; if not given, up to the number in the scene"),
+        MAX_SECONDS,
     ), resume),
     Command("replay", "make the last steps of a failed run again",
             "Make the last steps of a failed run again, one by one.", (

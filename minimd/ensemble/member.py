@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from minimd.core.compiled.machine import threads_by_default
+from minimd.core.console.signals import Terminated
 from minimd.core.console.whole_file import is_locked, new_file, regular
 from minimd.core.console.words import listed, shown
 from minimd.core.engine.record import Record
@@ -230,13 +231,15 @@ def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
 
     begins_anew : do not go on from its file, because a run that has blown up would go another way from there.
     A transient error may be gone in another attempt: one of files, connections or memory, but none of physics.
-    Raises KeyboardInterrupt, SystemExit if it is stopped.
+    Raises KeyboardInterrupt, Terminated if it is stopped.
     """
     started, row = perf_counter(), {"index": member.index, "parameters": dict(member.parameters)}
     try:
         with threads_by_default(1), noting(member) as now:
             row |= _made(plan, member, begins_anew, now)
-    except Exception as error:  # of build, prepare or run, which are the user's
+    except Terminated:
+        raise
+    except (Exception, SystemExit) as error:  # of build, prepare or run, which are the user's
         file, message = getattr(error, "file", None), f"{type(error).__name__}: {sentence(error)}"
         row |= {"status": FAILED, "message": message, "traceback": traceback.format_exc()}
         row["crash_file"] = "" if file is None else str(file)

@@ -28,7 +28,7 @@ from minimd.core.console.signals import (
 )
 from minimd.core.console.words import shown
 from minimd.core.simulation.simulation import Simulation
-from minimd.core.structure.checks import checked_count, checked_flag
+from minimd.core.structure.checks import checked_count, checked_flag, checked_kind, checked_path
 from minimd.core.structure.errors import EnsembleError, Interrupted, sentence
 from minimd.ensemble.folder import ENTROPIES, Asked, EnsembleFolder, name_of
 from minimd.ensemble.member import DONE, FAILED, Job, Member, Plan, Row, checked_parameters, work_through
@@ -110,7 +110,7 @@ def ensemble(
     KeyboardInterrupt : after Ctrl-C; finished members are kept, and the next call goes on.
     OSError : if the folder cannot be written.
     """
-    rows, place = checked_parameters(parameters), Path(folder)
+    rows, place = checked_parameters(parameters), checked_path("folder", folder)
     steps, every = checked_count("steps", steps, 0), checked_count("every", every)
     resume, seed = checked_flag("resume", resume), None if seed is None else checked_count("seed", seed, 0, ENTROPIES)
     plan, retries = Plan(build, prepare, run, every, uuid4().hex), checked_count("retries", retries, 0)
@@ -259,9 +259,7 @@ def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) 
     are wrong, or cannot work together."""
     functions = {"build": plan.build, "prepare": plan.prepare, "run": plan.run}
     for name, function in functions.items():
-        if not callable(function) and (function is not None or name == "build"):
-            of = " of a member" if name == "build" else ""
-            raise TypeError(f"{name} must be a function{of}; {name} = {shown(function)}")
+        checked_kind(name, function, Callable if name == "build" else Callable | None, "a function of a member")
     if executor is not None and workers is not None:
         words = "workers is the number of minimd's own processes; with an executor leave it out"
         raise ValueError(f"{words}; workers = {shown(workers)}")

@@ -26,6 +26,7 @@ from minimd.scene.scene import Scene, load_scene, parse_scene
 SEED = "dynamics.seed"
 OF_THE_SCAN = {  # keys that must be the same for all members, and what to do instead of setting them
     "dynamics.steps": "give --steps N",
+    "dynamics.max_seconds": "no member ends before its last step",
     "output.every": "write it into the scene",
     "output.trajectory": "each member has a file of its own",
 }

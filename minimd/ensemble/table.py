@@ -281,11 +281,12 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
         curve = rows[members] if x_name is None else rows[members][np.argsort(rows[members][x_name])]
         x = np.arange(len(curve)) if x_name is None else curve[x_name]
         label = ", ".join(f"{one.rpartition('.')[2]} = {value}" for one, value in zip(others, key, strict=True))
-        bars: dict[str, Any] = {"marker": "o", "ms": 3.5, "lw": 1.0, "capsize": 2.5, "label": label}
+        bars: dict[str, Any] = {"marker": "o", "ms": 3.5, "lw": 1.0, "capsize": 2.5, "label": label.replace("$", r"\$")}
         axes.errorbar(x, curve[f"{name}_mean"], curve[f"{name}_error"], **bars)
     unit = table.unit(name).replace("k_B", "$k_B$")
-    words = f"mean {name.replace('_', ' ')}" + (f"  [{unit}]" if unit else "")
-    axes.set(xlabel=x_name or "set of parameters", ylabel=words)
+    quantity = name.replace("_", " ").replace("$", r"\$")
+    axes.set_xlabel(x_name or "set of parameters", parse_math=False)
+    axes.set_ylabel(f"mean {quantity}" + (f"  [{unit}]" if unit else ""))
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(alpha=0.25, lw=0.6)
     axes.set_title(f"{int(table.done.sum())} members, bars: one standard error", fontsize=10)

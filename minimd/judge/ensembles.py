@@ -173,12 +173,15 @@ def of_pairs(run: Frames, seen: Seen) -> float:
 
 
 def of_noise(run: Frames, seen: Seen) -> float:
-    """1 + the correlation of one change of the total momentum with the next."""
+    """1 + the correlation of one change of the total momentum with the next; 1 if it is negative, as of momenta that
+    are drawn anew each time."""
     jumps = np.diff(run.p.sum(axis=1), axis=0)
     size = (jumps**2).sum()
     if seen.is_still:
         return 1.0
-    return 1.0 + (float((jumps[1:] * jumps[:-1]).sum()) / size if size > 1e-20 * seen.kt * seen.masses.sum() else 1.0)
+    if size <= 1e-20 * seen.kt * seen.masses.sum():
+        return 2.0
+    return 1.0 + max(0.0, float((jumps[1:] * jumps[:-1]).sum()) / size)
 
 
 def of_kinetic(run: Frames, seen: Seen) -> float:
@@ -231,6 +234,10 @@ LAWS = (  # of what a scene has
         lambda means, _: f"momenta are not normally distributed: <u⁴>/3<u²>² is {means[0]:.3f}", "ring", 0.03),
     row("independent momenta", "1 + correlation of momenta of different atoms", of_pairs, lambda means, _: "momenta of "
         f"different atoms are correlated, by {means[0] - 1.0:+.2f}: each atom needs noise of its own", "ring", 0.05),
+    row("independent directions", "1 + correlation of two components of a momentum",
+        lambda run, seen: 1.0 + (run.p * np.roll(run.p, -1, axis=2) / seen.runs_p2[:, None]).mean(axis=(0, 1)),
+        lambda means, _: f"the components x, y, z of a momentum are correlated, by {means.min() - 1.0:+.2f} to "
+        f"{means.max() - 1.0:+.2f}: each needs a random number of its own", "ring", 0.05),
     row("new noise", "1 + correlation of a change of the total momentum with the next", of_noise, lambda *_: "the "
         "noise of one step is that of the step before: is the generator seeded anew in each step?", "ring", 0.3),
     row("mean volume", "P<V>/kT over its value",

@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from minimd.core.console.words import shown
-from minimd.core.structure.checks import checked_choice, checked_count, checked_number
+from minimd.core.structure.checks import checked_choice, checked_count, checked_kind, checked_number
 from minimd.judge.calling import KINDS, role_of
 from minimd.judge.findings import Grade
 from minimd.judge.forces import grade_forces
@@ -66,10 +66,7 @@ def grade(
     """
     if kind is not None:
         checked_choice("kind", kind, ("step", "dynamics", *KINDS))
-    if not callable(function):
-        raise TypeError(
-            f"grade takes a function, such as step(x, v, force, m, dt) or forces(positions); got {shown(function)}"
-        )
+    checked_kind("function", function, Callable, "a function, as step(x, v, force, m, dt) or forces(positions)")
     names = list[str]()
     with suppress(TypeError, ValueError):  # of what has no parameters
         names = [*signature(function).parameters]

@@ -21,7 +21,9 @@ from minimd.core.structure.observables import Array
 
 Make = Callable[[Atoms, np.random.RandomState], Any]
 
-MASSES = np.repeat([2.0, 8.0, 30.0, 120.0], 2)  # amu, of the atoms of a ring
+MASSES = np.repeat([2.45, 8.35, 30.4, 120.3], 2)  # amu, of the atoms of a ring
+LIGHT, HEAVY = 4.45, 13.35  # amu, of the atoms of a molecule, as 1 to 3
+REDUCED = 0.75 * LIGHT
 STIFF = 0.06  # ω Δt of a bond of the ring, with the lighter of its atoms
 QUARTIC = 0.05  # of k²/kT: makes the motion chaotic
 STRETCH = 4.0  # length of the bonds of molecules, in units of their thermal motion
@@ -162,8 +164,8 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
 def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
     """Rigid molecules of two atoms, in a chain of bonds as those of the ring."""
     n = RIGID
-    masses = np.tile([4.0, 12.0], RIGID)
-    k = 3.0 * (OF_MOLECULES / timestep) ** 2
+    masses = np.tile([LIGHT, HEAVY], RIGID)
+    k = REDUCED * (OF_MOLECULES / timestep) ** 2
     first = np.arange(1, 2 * n - 1, 2)
     length = np.sqrt(kt / k)
     apart = np.array([[5.0, 0.0, 0.0]])
@@ -178,7 +180,7 @@ def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
         x[1::2] = x[0::2] + length * ways
         atoms = Atoms("H" * 2 * n, x + 30.0, masses=masses, cell=[100.0] * 3, pbc=True, calculator=springs)
         p = momenta(rng, masses, kt, is_still)
-        along = 3.0 * ((p[1::2] / 12.0 - p[0::2] / 4.0) * ways).sum(axis=1)[:, None] * ways  # of the reduced mass
+        along = REDUCED * ((p[1::2] / HEAVY - p[0::2] / LIGHT) * ways).sum(axis=1)[:, None] * ways
         p[0::2] += along
         p[1::2] -= along
         atoms.set_momenta(p)
@@ -222,8 +224,8 @@ def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: i
 def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
     """Molecules of two atoms, which do not see each other, under pressure: p(V) ∝ Vⁿ exp(−PV/kT), n molecules."""
     n = MOLECULES
-    masses = np.tile([4.0, 12.0], MOLECULES)
-    k = 3.0 * (OF_MOLECULES / timestep) ** 2
+    masses = np.tile([LIGHT, HEAVY], MOLECULES)
+    k = REDUCED * (OF_MOLECULES / timestep) ** 2
     length = STRETCH * np.sqrt(kt / k)
     springs = AnharmonicSprings(
         np.arange(0, 2 * n, 2), np.arange(1, 2 * n, 2), np.full(n, k), np.zeros(n), np.full(n, length)

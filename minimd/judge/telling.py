@@ -38,7 +38,9 @@ def draw(one: Grade, file: Path) -> None:
     axes.axvline(1.0, color="0.5", linewidth=1.0)
     axes.set_yticks(range(len(rows)), [row.name for row in rows])
     axes.set_xlabel("measured / right; gray: passes")
-    axes.set_title(f"{one.function}\n{one.verdict if len(one.verdict) < 60 else 'faults were found'}", fontsize=9)
+    axes.set_title(
+        f"{one.function}\n{one.verdict if len(one.verdict) < 60 else 'faults were found'}", fontsize=9, parse_math=False
+    )
     figure.savefig(file, dpi=120)
 
 

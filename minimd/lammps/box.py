@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
-from minimd.core.structure.vectors import Array, handedness, upright
+from minimd.core.structure.vectors import handedness, upright
 
 IMAGES = 1024  # LAMMPS counts images with ten bits
 

@@ -27,7 +27,7 @@ from minimd.core.integrators.thermostats import LangevinBAOAB
 from minimd.core.potentials.coulomb import Coulomb
 from minimd.core.potentials.term import bound
 from minimd.core.simulation.simulation import Simulation
-from minimd.core.structure.checks import checked_count, checked_flag
+from minimd.core.structure.checks import checked_count, checked_flag, checked_kind, checked_path
 from minimd.core.structure.errors import HandOverError, sentence
 from minimd.core.structure.observables import Array
 from minimd.lammps import script
@@ -164,7 +164,7 @@ def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, process
     The simulation is then in its state before, and the folder is removed. But if LAMMPS fails after it has written
     frames, the complete frames are kept, and the simulation is in the state of the last one.
     """
-    job = _checked(simulation, Path(folder), steps, processes, every, checked_flag("overwrite", overwrite))
+    job = _checked(simulation, folder, steps, processes, every, overwrite)
     with_forces = checked_flag("store_forces", store_forces)
     tell = tell or (lambda line: None)
     engine = job.engine
@@ -212,7 +212,7 @@ def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, process
 def check_hand_over(simulation: Simulation, folder: str | Path, steps: int, *, processes: int = 1, every: int = 100,
                     overwrite: bool = False) -> None:  # fmt: skip
     """Raise the errors that hand_over raises before it starts: a scene LAMMPS cannot run, no LAMMPS, the folder."""
-    Model(_checked(simulation, Path(folder), steps, processes, every, overwrite).engine)
+    Model(_checked(simulation, folder, steps, processes, every, overwrite).engine)
 
 
 @dataclass
@@ -252,9 +252,13 @@ def _named(processes: int) -> str:
     return f"{processes} process{'es' * (processes > 1)}"
 
 
-def _checked(simulation: Simulation, folder: Path, steps: int, processes: int, every: int, overwrite: bool) -> Job:
+def _checked(
+    simulation: Simulation, folder: str | Path, steps: int, processes: int, every: int, overwrite: bool
+) -> Job:
     """The hand-over.  Raises ValueError for a scene or numbers that LAMMPS cannot run; FileNotFoundError,
     FileExistsError or OSError if LAMMPS is not found, or the files cannot be written there."""
+    checked_kind("simulation", simulation, Simulation, "a Simulation")
+    folder, overwrite = checked_path("folder", folder), checked_flag("overwrite", overwrite)
     if simulation.barostat is not None:
         raise ValueError("a run with a barostat cannot be handed over to LAMMPS, which has other barostats than "
                          "minimd; run it with minimd")  # fmt: skip

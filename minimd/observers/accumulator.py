@@ -202,7 +202,7 @@ class Result(Displayed):
             return self.draw_curves(panel, curves, x.name, first.name + (first.unit and f"  [{first.unit}]"))
         panel.axis("off")
         words = "\n".join(words for _, words in self.display_rows())
-        panel.text(0.0, 1.0, words, va="top", transform=panel.transAxes, fontsize=8, wrap=True)
+        panel.text(0.0, 1.0, words, va="top", transform=panel.transAxes, fontsize=8, wrap=True, parse_math=False)
         panel.set_title(self.title)
 
     def draw_curves(self, panel: Axes, curves: dict[str, Array], symbol: str, label: str) -> None:
@@ -212,7 +212,7 @@ class Result(Displayed):
         """
         x, unit = self.abscissa()
         for name, values in curves.items():
-            panel.plot(x, values, lw=1.1, label=name)
+            panel.plot(x, values, lw=1.1, label=name.replace("$", r"\$"))
         if len(curves) > 1:
             panel.legend(frameon=False, fontsize=8)
         panel.set(xlabel=f"{symbol}  [{unit}]", ylabel=label, title=self.title)

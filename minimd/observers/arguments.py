@@ -46,12 +46,11 @@ axis_name = partial(checked_choice, allowed=tuple(AXES))
 
 def interval(name: str, value: Any) -> list[float]:
     """Two numbers, the lower one first."""
-    if not isinstance(value, list | tuple) or len(value) != 2:
-        raise ValueError(f"{name} must be two numbers, lower and upper; {name} = {shown(value)}")
-    lower, upper = (checked_number(name, one) for one in value)
-    if upper <= lower:
+    is_pair = isinstance(value, list | tuple) and len(value) == 2
+    numbers = [checked_number(name, one) for one in value] if is_pair else []
+    if not is_pair or numbers[1] <= numbers[0]:
         raise ValueError(f"{name} must be two numbers, the lower one first; {name} = {shown(value)}")
-    return [lower, upper]
+    return numbers
 
 
 def identifier(name: str, value: Any) -> str:

@@ -30,6 +30,7 @@ READ = 4096  # bytes that are taken at once from a reader; how many it says that
 NAP = 0.005  # seconds between two attempts, where the run waits for a reader
 SECONDS_TO_GO = 1.0  # after the handshake, as the protocol demands
 PATIENCE = 60.0  # seconds with a reader that takes nothing and has not asked for a pause
+KEEP_ALIVE = 5  # s of silence, s between two attempts, attempts
 FAREWELL = 2.0  # seconds for the reader to take the last frames, after the run
 
 
@@ -99,8 +100,6 @@ class Stream(PeriodicObserver):
         self._greeting = struct.pack("!i", HANDSHAKE) + struct.pack("=i", VERSION)
         self._greeting += HEADER.pack(SESSION, len(contents)) + contents
         self._frame, self._waits = empty_frame(len(engine.positions), self._has_box), self.wait
-        if self.wait:
-            tell(f"minimd: the run waits for a reader at {self.address}")
         self._attend(engine)
 
     def observe(self, engine: Engine) -> None:
@@ -144,11 +143,15 @@ class Stream(PeriodicObserver):
 
     def _attend(self, engine: Engine) -> None:
         """Hear the reader, and wait as long as it has paused the run, or the run is to wait for one."""
+        is_told = False
         while True:
             self._hear(engine)
             is_to_wait = self._is_paused or (self._waits and not self._has_gone)
             if not is_to_wait or engine.surroundings.stop_requested:
                 return
+            if self._reader is None and not is_told:
+                is_told = True
+                tell(f"minimd: the run waits for a reader at {self.address}")
             sleep(NAP)
 
     def _hear(self, engine: Engine) -> None:
@@ -158,6 +161,9 @@ class Stream(PeriodicObserver):
                 self._reader, _ = self._listener.accept()
                 self._reader.setblocking(False)
                 self._reader.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)  # its machine may vanish
+                for name in ("TCP_KEEPIDLE", "TCP_KEEPINTVL", "TCP_KEEPCNT"):
+                    if hasattr(socket, name):  # not every system can be told
+                        self._reader.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), KEEP_ALIVE)
                 self._reader.sendall(self._greeting)
                 self._go_until = monotonic() + SECONDS_TO_GO
             if self._reader is None or not (heard := self._reader.recv(READ)):

@@ -77,7 +77,7 @@ def from_openmm(
         virtual sites, LJPME and parameter offsets, by name; for another number of atoms; as System and potentials.
     """
     if not hasattr(openmm_system, "getForces"):
-        raise TypeError(f"from_openmm needs an openmm.System; got {shown(openmm_system)}")
+        raise TypeError(f"openmm_system must be an openmm.System; openmm_system = {shown(openmm_system)}")
     forces = openmm_system.getForces()
     places = np.array(_plain(positions), dtype=np.float64)
     n = openmm_system.getNumParticles()

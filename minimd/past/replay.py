@@ -168,5 +168,7 @@ def _draw(rows: list[ReplayedStep], findings: CrashReport, units: UnitSystem, pi
             panel.set_yscale("log")
         panel.axvline(findings.step, color="0.5", lw=1.0, ls="--")
         panel.set(xlabel="step", ylabel=f"{label}  [{unit}]")
-    figure.suptitle(f"{findings.cause}\n(dashed: step {findings.step}, which failed)", fontsize=10, wrap=True)
+    figure.suptitle(
+        f"{findings.cause}\n(dashed: step {findings.step}, which failed)", fontsize=10, wrap=True, parse_math=False
+    )
     write_picture(figure, picture)

@@ -22,7 +22,8 @@ from minimd.scene.sections import Numbers, SceneSections, TabulatedSection, as_s
 
 D = TypeVar("D", bound="Document")
 Made = TypeVar("Made")
-DEEP_KEY = re.compile(r"(?:[\w\"'-]+\s*\.\s*){64}")  # of tables in tables, for which tomllib would take gigabytes
+# of tables in tables, for which tomllib would take gigabytes
+DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+\s*\.\s*){64}")
 
 
 @dataclass(frozen=True)
@@ -187,11 +188,13 @@ def parsed(kind: type[D], text: str, path: Path) -> D:
     except tomllib.TOMLDecodeError as error:
         place = re.search(r"at line (\d+)", str(error))  # without it the message says "at end of document"
         line = text.split("\n")[int(place[1]) - 1] if place else text.rstrip().rpartition("\n")[2]
-        raise ValueError(f"{path}: this is not valid TOML: {error}, in {line!r}") from None
+        raise ValueError(f"{path}: this is not valid TOML: {error}, in {line[:120]!r}") from None
     except RecursionError:
         raise ValueError(f"{path}: its tables are nested too deeply for a scene file") from None
     except ValidationError as error:
         raise ValueError("\n".join(f"{path}: {sentence}" for sentence in problems(reading, error))) from None
+    except ValueError as error:  # a number of more digits than Python reads
+        raise ValueError(f"{path}: {error}") from None
 
 
 @contextmanager

@@ -15,6 +15,7 @@ PLAIN = {  # words of pydantic: words of minimd
     "items after validation": "entries", "Value error, ": "",
 }  # fmt: skip
 EDGES = "give all three edges, 0 along a direction that does not repeat, as of a slab"
+MOST = 20  # problems that are told
 OF_MASSES = "masses are those of the element or of the structure file, 1 in LJ units, and always positive; "
 THREE = {  # lists of the wrong length: what to write
     ("structure", "cell"): f": {EDGES}: [20, 20, 0] with pbc = [true, true, false]",
@@ -25,7 +26,8 @@ THREE = {  # lists of the wrong length: what to write
 
 def problems(reading: Reading, error: ValidationError) -> list[str]:
     """Sentences about the errors that pydantic found in a document, in the same order, one for each place."""
-    found = error.errors(include_url=False)
+    every = error.errors(include_url=False)
+    found = every[:MOST]
     unknown = [details["loc"] for details in found if details["type"] == "extra_forbidden"]
     meant = {(*loc[:-1], _near(loc, reading)[1]) for loc in unknown}
     wrong: dict[str, list[str]] = {}
@@ -36,7 +38,8 @@ def problems(reading: Reading, error: ValidationError) -> list[str]:
     if "units" in wrong:  # then all other keys seem wrong, too
         wrong = {"units": wrong["units"]}
     inside = [place for place in wrong if any(other.startswith((f"{place}[", f"{place}.")) for other in wrong)]
-    return [_joined(sentences) for place, sentences in wrong.items() if place not in inside]
+    others = [f"there are {len(every) - MOST} other problems"] * (len(every) > MOST)
+    return [_joined(sentences) for place, sentences in wrong.items() if place not in inside] + others
 
 
 def _told(details: Any, reading: Reading) -> tuple[str, str]:
@@ -83,7 +86,7 @@ def _about_key(loc: tuple, reading: Reading) -> str:
     known = f'Keys with units = "{reading.units}":'
     near = " or ".join(inside) or _near(loc, reading)[0]
     hint = OF_MASSES if key.startswith("mass") else f"did you mean {near!r}? " if near else ""
-    return f"{place or 'a scene'} has no key {key!r} (= {_shown(table[key])}); {hint}{known} {', '.join(keys)}"
+    return f"{place or 'a scene'} has no key {key[:60]!r} (= {_shown(table[key])}); {hint}{known} {', '.join(keys)}"
 
 
 def _near(loc: tuple, reading: Reading) -> tuple[str | None, str | None]:

@@ -37,6 +37,7 @@ def run_scene(
     steps: int | None = None,
     trajectory: Path | None = None,
     overwrite: bool = False,
+    max_seconds: float | None = None,
     progress: bool | None = None,
     tell: Tell = print,
 ) -> Simulation:
@@ -48,6 +49,8 @@ def run_scene(
         the picture is written beside it.
     overwrite : replace files that exist. Without it, an error is raised at the start if a trajectory exists, or a
         picture whose name the scene gives; a picture without a name in the scene is not drawn if it exists.
+    max_seconds : of wall time, in place of those of the scene, as for Simulation.run; minimization and equilibration
+        do not count.
     progress : as for Simulation.run.  tell : called with each line about the run.
 
     Raises
@@ -66,7 +69,12 @@ def run_scene(
     minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell, crash_file_place(True, files))
     observers = scene.observers()
-    named: dict[str, Any] = {"trajectory": files, "store_forces": output.forces, "overwrite": overwrite}
+    named: dict[str, Any] = {
+        "trajectory": files,
+        "store_forces": output.forces,
+        "overwrite": overwrite,
+        "max_seconds": scene.sections.dynamics.max_seconds if max_seconds is None else max_seconds,
+    }
     with kept(scene, files, n_steps):
         simulation.run(n_steps, every=output.every, observers=observers, progress=progress, **named)
     tell_results(simulation, observers, tell)
@@ -79,7 +87,7 @@ def run_scene(
         tell(f"drawing        {picture} ...")
         with kept(scene, files, n_steps):
             drawn = [plot_file(h5md_files(files)[0], picture)]
-    tell(f"written        {', '.join(map(str, [*files, *drawn]))}")
+    tell(f"written        {', '.join(map(str, [*files, *drawn]))}{_how_to_go_on(files, n_steps)}")
     return simulation
 
 
@@ -88,6 +96,7 @@ def resume_run(
     steps: int | None = None,
     *,
     scene: Scene | None = None,
+    max_seconds: float | None = None,
     progress: bool | None = None,
     tell: Tell = print,
 ) -> Simulation:
@@ -101,6 +110,7 @@ def resume_run(
     steps : number of further steps; if not given, the run goes on to the last step of the scene.
     scene : replaces the scene in the file, except for the sections of the start; a note lists the differences. It must
         have the same constraints. If it is not given, the method is that of the last steps in the file.
+    max_seconds : as for run_scene.
 
     Raises
     ------
@@ -147,11 +157,16 @@ def resume_run(
     if len(scene.trajectories()) > 1:
         tell(f"               only {file} is continued; the other trajectories keep their frames up to this step")
     observers = scene.observers()
-    named: dict[str, Any] = {"every": scene.sections.output.every, "trajectory": path, "append": True}
+    named: dict[str, Any] = {
+        "every": scene.sections.output.every,
+        "trajectory": path,
+        "append": True,
+        "max_seconds": scene.sections.dynamics.max_seconds if max_seconds is None else max_seconds,
+    }
     with kept(scene, [path], end):
         simulation.run(until_step=end, observers=observers, progress=progress, **named)
     tell_results(simulation, observers, tell)
-    tell(f"written        {file}")
+    tell(f"written        {file}{_how_to_go_on([path], end)}")
     return simulation
 
 
@@ -249,6 +264,7 @@ def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = ""
 
 
 def _how_to_go_on(written: Sequence[Path], end: int) -> str:
+    """The command that resumes a run which has ended before its last step, as a clause; empty if there is none."""
     for file in h5md_files(written):
         with suppress(OSError, ValueError):
             left = end - read_file(file).step

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from minimd.core.simulation.simulation import Simulation
+from minimd.core.structure.checks import checked_path
 from minimd.core.structure.system import System
 from minimd.scene.document import Document, blamed_on, parsed
 
@@ -43,7 +44,7 @@ def load_scene(path: str | Path) -> Scene:
     OSError : if it cannot be read.  ValueError : if it is not valid TOML, or wrong: one line for each problem, with the
         file, the place, the value and what is expected.
     """
-    file = Path(path)
+    file = checked_path("path", path)
     try:
         if (written := file.read_bytes()).startswith(b"\x89HDF"):
             goes_on = "minimd resume continues it; in a script, md.Simulation.resume(file) has its state"

@@ -278,6 +278,7 @@ class DynamicsSection(Section):
     seed: NonNegativeInt = 1
     threads: PositiveInt | None = None
     precision: Precision = "double"
+    max_seconds: Positive | None = None
 
     def faults(self, units: str) -> Iterator[str]:
         """See Section."""

@@ -82,7 +82,7 @@ def water(
     centers = places[np.arange(n) * len(places) // n]
     half = radians(0.5 * angle)
     shape = length * np.array([[0.0, 0.0, 0.0], [sin(half), 0.0, cos(half)], [-sin(half), 0.0, cos(half)]])
-    turns = np.linalg.qr(np.random.default_rng(seed).normal(size=(n, 3, 3)))[0]
+    turns = np.linalg.qr(np.random.default_rng(checked_count("seed", seed, 0)).normal(size=(n, 3, 3)))[0]
     first = 3 * np.arange(n)[:, None, None]
     system = System(
         (centers[:, None] + shape @ turns).reshape(-1, 3),
@@ -98,9 +98,14 @@ def water(
     return system, potentials, rigid
 
 
+DENSEST = 3.0  # g/cm³, more than that of any ice
+
+
 def edge_of(n: int, density: float) -> float:
     """Edge of the box [Å] of n molecules.  density : [g/cm³].  Raises ValueError if it or n is not positive."""
     density = checked_number("density", density, "positive and finite")
+    if density > DENSEST:
+        raise ValueError(f"density must be at most {DENSEST:g} g/cm³; density = {density:g}")
     return (checked_count("n", n) * sum(MASSES) / (density * GRAM_PER_CM3)) ** (1.0 / 3.0)
 
 

@@ -50,7 +50,7 @@ def drawn(made: RunUniverse) -> Figure:
     for panel in panels:
         panel.margins(x=0.01)
         panel.title.set_fontsize(10)
-    figure.suptitle(f"{contents.title}, {contents.method}, {contents.n_frames} frames", fontsize=11)
+    figure.suptitle(f"{contents.title}, {contents.method}, {contents.n_frames} frames", fontsize=11, parse_math=False)
     return figure
 
 

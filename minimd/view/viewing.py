@@ -70,8 +70,8 @@ def view(
     from minimd.core.files.h5md_reader import verify_frames
     from minimd.view.page import failure_story, page, run_story
 
+    verify_frames(place)
     path = Path(place)
-    verify_frames(path)
     has_failed = is_crash_file(path)
     if potentials is not None and not has_failed:
         used = "potentials are used for a failed run only"

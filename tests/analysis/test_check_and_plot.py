@@ -1,13 +1,17 @@
 """The check finds what is wrong with a file and passes what is right; the picture shows what it says."""
 
+from pathlib import Path
+
 import h5py
 import numpy as np
 import pytest
 from charged_scenes import ions, run_of
 from h5md_runs import N_ATOMS, PER_PICOSECOND, simulation
+from scene_texts import SMOOTH
 
 import minimd as md
 from minimd.core.engine import record_picture
+from minimd.scene import load_scene, run_scene
 from minimd.view.check import check_file
 from minimd.view.plot import plot_file
 
@@ -118,3 +122,10 @@ def test_momentum_in_fixed_point_arithmetic_is_constant_in_files_of_all_units(un
     of, path = simulation("cubic", units), tmp_path / "a.h5md"
     md.Simulation(of.system, of.potentials, of.method, precision="fixed-point").run(20, every=5, trajectory=path)
     assert [one.passed for one in check_file(path).comparisons if one.name == "exact momentum"] == [True]
+
+
+def test_a_title_with_dollars_is_drawn_as_text(tmp_path, here):
+    Path("a.toml").write_text(f'title = "profit of $x_{{ and more$"\n{SMOOTH}')
+    scene = load_scene("a.toml")
+    run_scene(scene, trajectory=Path("a.h5md"), tell=lambda _: None, progress=False)
+    assert plot_file("a.h5md").read_bytes()[:4] == b"\x89PNG"

@@ -183,3 +183,30 @@ def test_signals_at_thirty_moments_of_a_run(number, folder, tmp_path):
     assert_same_file("cold.h5md", "whole.h5md")  # what was left in the cache is sound
     codes += [stopped(number, (k + draw.random()) / 20 * duration) for k in range(20)]
     assert len(codes) - codes.count(0) > 10
+
+
+def test_a_limit_on_the_wall_time_is_a_normal_end_that_can_be_resumed(tmp_path, capfd):
+    sim, whole, path = simulation(), simulation(), tmp_path / "a.h5md"
+    began = time.monotonic()
+    record = sim.run(10**8, trajectory=path, max_seconds=0.5, progress=False)
+    assert time.monotonic() - began < 20.0
+    assert 0 < sim.step < 10**8
+    assert "max_seconds = 0.5" in (said := capfd.readouterr().err)
+    assert "append=True" in said
+    assert read_file(path).step == sim.step >= record.step[-1]
+    end = sim.step + 20
+    sim.run(until_step=end, trajectory=path, append=True, progress=False)  # nothing is left of the limit
+    whole.run(end, trajectory=tmp_path / "b.h5md", progress=False)
+    assert (sim.positions == whole.positions).all()
+
+
+def test_the_command_ends_in_time_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    scene = SMOOTH.replace("steps = 40", "steps = 100_000_000")
+    Path("a.toml").write_text(scene)
+    assert cli.main(["run", "a.toml", "--out", "a.h5md", "--max-seconds", "0.5"]) == 0
+    assert "resume with: minimd resume a.h5md --steps" in capsys.readouterr().out
+    Path("b.toml").write_text(scene.replace("steps = 100_000_000", "steps = 100_000_000\nmax_seconds = 0.5"))
+    assert cli.main(["run", "b.toml", "--out", "b.h5md", "--quiet"]) == 0
+    assert cli.main(["resume", "b.h5md", "--steps", "5", "--max-seconds", "60", "--quiet"]) == 0
+    assert cli.main(["run", "b.toml", "--out", "c.h5md", "--max-seconds", "-1", "--quiet"]) == 2

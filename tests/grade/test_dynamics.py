@@ -8,7 +8,7 @@ from ase.md.bussi import Bussi
 from ase.md.langevinbaoab import LangevinBAOAB
 from ase.md.nose_hoover_chain import NoseHooverChainNVT
 from ase.md.verlet import VelocityVerlet
-from ase.units import fs
+from ase.units import fs, kB
 from minimd.grade import laws_of
 from wrong_calls import answered
 
@@ -48,6 +48,9 @@ WRONG = {
     "3N": (hotter(lambda _: 24.0 / 21.0), {}, "24 degrees of freedom are counted where 21 move"),
     "z": (hotter(lambda _: np.array([1.0, 1.0, 0.1])), {}, "along x, y, z"),
     "same noise": (pushed, {}, "correlated"),
+    "one number": (lambda own, new: new.set_momenta(new.get_momenta()[:, [0, 0, 2]]), {}, "x, y, z of a momentum"),
+    "whole masses": (hotter(lambda own: np.round(own.atoms.get_masses())[:, None] / own.atoms.get_masses()[:, None]),
+                     {"steps": 800}, "different masses"),
     "changes": (lambda own, new: new.set_cell(new.cell * own.rng.uniform(0.9, 1.0)), {}, "give pressure="),
     "positions": (
         lambda own, new: new.set_positions(0.5 * (new.positions + own.atoms.calc.draw(own.rng).positions)),
@@ -73,6 +76,28 @@ def test_an_exact_sampler_passes(options):
     grade = md.grade(Exact, **NVT, **options)
     assert grade.passed, str(grade)
     assert "3N − 3" in grade.remarks[0]
+
+
+class Redrawn(VelocityVerlet):
+    """Hybrid Monte Carlo: all momenta are drawn anew every so many steps, or with a probability in each step."""
+
+    def __init__(self, atoms, timestep, rng, every=0, probability=0.0, temperature_K=300.0):
+        super().__init__(atoms, timestep)
+        self.rng, self.every, self.probability, self.kt = rng, every, probability, kB * temperature_K
+
+    def step(self):
+        super().step()
+        is_drawn = self.nsteps % self.every == self.every - 1 if self.every else self.rng.random() < self.probability
+        if is_drawn:
+            widths = np.sqrt(self.kt * self.atoms.get_masses())[:, None]
+            self.atoms.set_momenta(self.rng.standard_normal((len(self.atoms), 3)) * widths)
+
+
+@pytest.mark.parametrize("how", [{"every": 40}, {"every": 5}, {"probability": 0.05}])
+def test_rare_redraws_of_all_momenta_pass(how):
+    grade = md.grade(Redrawn, temperature_K=300.0, runs=8, steps=800, **how)
+    assert grade.passed, str(grade)
+    assert "3N degrees" in grade.remarks[0]
 
 
 def test_laws_are_tests_and_the_command_tells_them_as_json(capsys, tmp_path):

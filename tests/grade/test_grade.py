@@ -154,7 +154,7 @@ def test_parameters_of_a_force_are_what_they_say():
 
 
 REFUSED = [  # what is given, options, and what the sentence must contain
-    (7, {}, TypeError, "takes a function"),
+    (7, {}, TypeError, "must be a function"),
     (lambda x, v, force, m, dt: None, {}, ValueError, "returns None and does not change x and v"),
     (lambda x, v, force, m, dt: (x / 0.0, v), {}, ValueError, "not finite"),
     (lambda state, dt: state, {}, TypeError, "step(x, v, force, m, dt)"),

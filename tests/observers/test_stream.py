@@ -178,3 +178,17 @@ def test_wrong_streams_are_refused(tmp_path):
     assert_answered(lambda: simulation().run(1, observers=[md.observers.Stream]), TypeError, "observers", "Stream")
     for name, value in [("port", 70000), ("every", 0), ("host", 5), ("host", ""), ("wait", "no")]:
         assert_answered(lambda: md.observers.Stream(**{name: value}), ValueError, name, str(value))
+
+
+@pytest.mark.filterwarnings("ignore:a reader of")
+def test_a_run_that_waits_for_another_reader_says_so(tmp_path, capsys):
+    with Running(tmp_path / "a.h5md", 10**6) as run:
+        first = run.reader(GO, 0)
+        frame_from(first)
+        capsys.readouterr()
+        first.sendall(struct.pack("!4i", WAIT, 1, DISCONNECT, 0))
+        until = time.monotonic() + 20.0
+        while "waits for a reader" not in (said := capsys.readouterr().err) and time.monotonic() < until:
+            time.sleep(0.05)
+        run.reader(GO, 0, KILL, 0).recv(1)
+    assert said.count("waits for a reader") == 1

@@ -189,3 +189,19 @@ def test_every_scene_with_mistakes_is_answered_with_a_sentence_or_a_right_result
     rng = np.random.default_rng(seed)
     drawn_scenes = (mutated(rng) for _ in range(n_scenes))
     assert_right((f"{told}\n{text}\n", answer_to(text, senseless, n_steps)) for text, told, senseless in drawn_scenes)
+
+
+LONG = {
+    "title": f'title = "{"x" * 10**6}"', "number": f"x = {'1' * 10**5}", "words": f'title = "{"a b " * 10**5}"',
+    "dots": f'title = "{"a." * 60}{"b" * 10**5}"', "keys": "\n".join(f"key_{k} = {k}" for k in range(5000)),
+    "tables": "\n".join(f"[a{k}.b.c.d]" for k in range(3000)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_a_long_scene_is_answered_in_time_and_not_at_length(name, here):
+    started = process_time()
+    with pytest.raises(ValueError, match=r"scene\.toml: ") as refused:
+        scene_of(LONG[name])
+    assert process_time() - started < SECONDS
+    assert len(str(refused.value)) < 10**5

@@ -1,17 +1,21 @@
 """Wrong or senseless input of whatever a user calls is answered with a sentence, and soon; what is right is taken."""
 
+from contextlib import suppress
 from fractions import Fraction
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 import pytest
 from h5md_runs import fill_the_disk
 from scene_texts import REDUCED, everything_of
-from wrong_calls import answer_of, answered, assert_answered, assert_right
+from wrong_calls import answer_of, answered, assert_answered, assert_right, is_foreseen
 
 import minimd as md
 from minimd.core.console.words import shown
 from minimd.core.files.h5md_reader import read_file
+from minimd.core.files.structure_file import system_from_file
+from minimd.scene import load_scene
 
 THREE = np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0], [0.0, 1.2, 0.0]])
 NAN, MANY = float("nan"), 10**12
@@ -259,9 +263,9 @@ def hostile_value(key, good, rng):
     return value, f"{key} = {shown(value)}", pool is SENSELESS
 
 
-def hostile_calls(rounds, rng):
+def hostile_calls(rounds, rng, doors=DOORS):
     """Every argument of every door made senseless so many times, half of them together with another one."""
-    for name, call, good in rounds * DOORS:
+    for name, call, good in rounds * doors:
         for key in good:
             others = [str(rng.choice(list(good)))] if rng.random() < 0.5 else []
             changes = {one: hostile_value(one, good[one], rng) for one in [key, *others]}
@@ -283,3 +287,94 @@ def test_every_senseless_call_is_answered_with_a_sentence_or_a_right_result(roun
     for _, call, good in DOORS:
         call(**good)  # compiles
     assert_right((told, answer_to(*rest)) for told, *rest in hostile_calls(rounds, np.random.default_rng(1)))
+
+
+def written(**options):
+    """A door that writes a file, which is removed before each call."""
+    Path("a.csv").unlink(missing_ok=True)
+    return simulation().run(1, progress=False).to_csv(**options)
+
+
+def on_the_sphere(**options):
+    return md.evaluate(md.System(THREE), md.SphereWall(**options))
+
+
+def torsion(kind):
+    chain = md.System([[0, 0, 0], [1.2, 0, 0], [1.9, 1, 0], [3, 1.2, 0.4]])
+    return lambda **arguments: md.evaluate(chain, kind(**arguments, quadruples=[[0, 1, 2, 3]]))
+
+
+def checked_hand_over(**options):
+    with suppress(FileNotFoundError):  # there may be no LAMMPS
+        md.lammps.check_hand_over(**options)
+
+
+DECAY = md.integrators.FirstOrder(lambda t, y: -y)
+OF_DECAY = {"problem": DECAY, "method": md.integrators.RadauIIA3, "start": [1.0], "t_end": 0.1, "t0": 0.0}
+HAND_OVER = {"simulation": simulation(), "folder": "new", "steps": 3}
+OTHER_DOORS = [  # as DOORS; found by a stranger who called everything with everything
+    ("shadow_energy", md.shadow_energy, {"simulation": simulation()}),
+    ("gauss", md.integrators.gauss, {"n_stages": 3}), ("radau_iia", md.integrators.radau_iia, {"n_stages": 3}),
+    ("Newton", md.integrators.Newton, {"max_iterations": 5, "small": 1e-6}),
+    ("run_adaptive", md.integrators.run_adaptive, OF_DECAY),
+    ("water", md.water, {"model": "SPC/E", "n": 27, "density": 1.0, "cutoff": 4.0, "accuracy": 1e-4, "seed": 1}),
+    ("to_csv", written, {"path": "a.csv", "overwrite": False}),
+    ("SphereWall", on_the_sphere, {"point": [0.0, 0.0, 0.0], "radius": 9.0, "epsilon": 1.0, "cutoff": 2.0}),
+    ("RyckaertBellemans", torsion(md.RyckaertBellemans), {"coefficients": [1.0, 2.0]}),
+    ("PeriodicDihedral", torsion(md.PeriodicDihedral), {"k": 1.0, "n": 2, "phase": 0.5}),
+    ("run", called("run"), {"n_steps": 2, "max_seconds": 60.0, "crash_report": False, "append": False}),
+    ("check_hand_over", checked_hand_over, HAND_OVER | {"every": 1, "processes": 1, "overwrite": True}),
+    ("Stream", md.observers.Stream, {"port": 0, "every": 5, "host": "localhost", "wait": False}),
+]  # fmt: skip
+NO_PATHS = [5, None, 1.5, b"run.h5md", [], {}, object(), print, np.zeros(3), "a\0b", "x" * 10**5, "x" * 300 + ".h5md"]
+PATHS = {  # a door: the name of its argument, and a call with it
+    "read_record": ("file", md.read_record), "read_observers": ("file", md.read_observers),
+    "view": ("file", md.view), "replay": ("file", lambda path: md.replay(path, LJ)), "Past": ("file", md.Past),
+    "archive": ("file", lambda path: md.archive(path, "out.h5md", 10)), "resume": ("file", md.Simulation.resume),
+    "system_from_file": ("file", system_from_file), "load_scene": ("path", load_scene),
+    "run": ("trajectory", lambda path: made(cell=9.0).run(1, trajectory=[path])),
+    "crash_report": ("crash_report", lambda path: made(cell=9.0).run(1, crash_report=path)),
+    "to_csv": ("path", lambda path: made(cell=9.0).run(1).to_csv(path)),
+    "ensemble": ("folder", lambda path: md.ensemble(made, 1, 1, folder=path, workers=0)),
+    "check_hand_over": ("folder", lambda path: md.lammps.check_hand_over(made(cell=9.0), path, 1)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("door", PATHS)
+def test_what_names_no_file_is_refused_by_the_name_of_the_argument(door, here):
+    name, call = PATHS[door]
+    for path in NO_PATHS:
+        if path is not None or door not in ("view", "crash_report"):  # where there is no file
+            with pytest.raises((ValueError, TypeError), match=f"^{name} must be") as refused:
+                call(path)
+            assert is_foreseen(refused.value), refused.value
+
+
+def test_no_flag_but_true_replaces_a_file(here):
+    record = simulation().run(1, progress=False)
+    Path("a.csv").write_text("precious")
+    for flag in ("no", 1, None, [True]):
+        assert_answered(lambda flag=flag: record.to_csv("a.csv", overwrite=flag), ValueError, "overwrite")
+    assert Path("a.csv").read_text() == "precious"
+
+
+test_what_was_taken_without_sense_is_refused = answered(
+    (lambda: md.water(density=1e30), ValueError, "density", "1e+30"),
+    (lambda: md.integrators.Newton(small="abc"), ValueError, "small", "'abc'"),
+    (lambda: md.SphereWall([0, 0, 0], None), ValueError, "radius", "None"),
+    (lambda: md.PeriodicDihedral(1.0, 2, 1e30), ValueError, "phase", "1e+30"),
+    (lambda: md.RyckaertBellemans(()), ValueError, "coefficients", "()"),
+    (lambda: md.RyckaertBellemans({}), ValueError, "coefficients", "{}"),
+    (lambda: md.shadow_energy(5), TypeError, "simulation", "5"),
+    (lambda: md.LennardJones(1.0, 1.0, pairs=5), ValueError, "pairs"),
+    (lambda: made().restore(5), TypeError, "snapshot", "5"),
+    (lambda: made().run(1, max_seconds=-1.0), ValueError, "max_seconds", "-1.0"),
+)
+
+
+@pytest.mark.parametrize("rounds", [1, pytest.param(100, marks=pytest.mark.slow)])
+def test_senseless_calls_of_other_doors_are_answered_too(rounds, here):
+    for _, call, good in OTHER_DOORS:
+        call(**good)  # compiles
+    seen = [(told, answer_to(*rest)) for told, *rest in hostile_calls(rounds, np.random.default_rng(2), OTHER_DOORS)]
+    assert_right((told, answer) for told, answer in seen)

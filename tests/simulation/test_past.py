@@ -72,7 +72,7 @@ CALLS = [
     (lambda past: past("run").observe([], 30, 10), ValueError, "stop", "10"),
     (lambda past: past("annealed").at(19), ValueError, "'annealed.h5md'", "from 20 to 40", "step = 19"),
     (lambda past: past("kicked").at(39), ValueError, "'kicked.h5md'", "from 40 to 40", "step = 39"),
-    (lambda past: md.Past(None), TypeError, "file", "None"),
+    (lambda past: md.Past(None), ValueError, "file", "None"),
     (lambda past: past("run", md.LennardJones(1.0, 0.9, 1.8)).at(20), ValueError, "potentials", "step 20"),
     (lambda past: past("run").observe([turned_at(15)], 0, 40, every=5), ValueError, "observers", "step 20"),
     (lambda past: past("double"), ValueError, "precision", "'double'"),

@@ -1,6 +1,8 @@
 """Molecules from files of others: groups that ASE or MDAnalysis finds are those of the run, or their loss is told."""
 
+import os
 import shutil
+import time
 import warnings
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.ase import ForcesFromCalculator, system_from_file
+from minimd.core.files import h5md_reader
 from minimd.core.files.h5md_reader import read_file
 from minimd.core.structure.system import changed
 from minimd.mdanalysis import universe
@@ -157,7 +160,7 @@ def test_what_cannot_be_a_structure_is_named(folder):
     ase.io.write("small.xyz", atoms[:7])
     assert_answered(lambda: system_from_file("melt.unknown"), ValueError, "format")
     assert_answered(lambda: system_from_file("small.xyz", bonds="melt.psf"), ValueError, "melt.psf", "20", "7")
-    assert_answered(lambda: md.System.from_mdanalysis("melt.pdb"), TypeError, "str")
+    assert_answered(lambda: md.System.from_mdanalysis("melt.pdb"), TypeError, "universe", "melt.pdb")
     assert_answered(lambda: md.System.from_mdanalysis(EMPTY), ValueError, "masses")
     atoms.arrays["bonds"] = np.array(["25(1)", *["_"] * 19])
     assert_answered(lambda: md.System.from_ase(atoms), ValueError, "atom 0", "25(1)")
@@ -231,3 +234,21 @@ def test_charges_come_with_a_structure_and_a_warning_tells_if_nothing_uses_them(
         assert [one for one in told if "not used" in str(one.message)] == []
         md.evaluate(system, law)
     assert ["0.8476 e" in str(one.message) for one in told if "not used" in str(one.message)] == [True]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the limits are those of a child process")
+@pytest.mark.parametrize("text", [  # they take more than their time and more than their memory
+    "1000000000000\n\nAr 0 0 0\n", "1\nProperties=species:S:1:pos:R:3:x:R:1000000000\nAr 0 0 0\n",
+])  # fmt: skip
+def test_a_structure_that_claims_more_than_it_has_costs_little_time_and_memory(text, tmp_path, monkeypatch):
+    monkeypatch.setattr(h5md_reader, "SECONDS", 2)
+    (tmp_path / "a.xyz").write_text(text)
+    started = time.process_time()
+    assert_answered(lambda: system_from_file(tmp_path / "a.xyz"), ValueError, "a.xyz")
+    assert time.process_time() - started < 2.0  # of this process
+
+
+def test_warnings_of_a_reader_are_those_of_the_call(tmp_path):
+    ase.io.write(tmp_path / "a.xyz", ase.Atoms("Ar2", [[0, 0, 0], [3, 0, 0]]))
+    system = system_from_file(tmp_path / "a.xyz", cell=9.0)
+    assert system.cell.pbc.all()

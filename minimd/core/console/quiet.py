@@ -40,19 +40,14 @@ def quiet() -> Iterator[None]:
         IS_QUIET.reset(before)
 
 
-def outside_minimd() -> int:
-    """The stacklevel with which a warning of the calling function points to the first frame outside minimd and
-    contextlib."""
-    frame, level, inside = sys._getframe(1), 1, ("minimd", "contextlib")
+def warn(words: str) -> None:
+    """Warn of something, at the first line outside minimd and contextlib. Where standard error is closed, nobody reads
+    it."""
+    frame, level, inside = sys._getframe(), 1, ("minimd", "contextlib")
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in inside:
         frame, level = frame.f_back, level + 1
-    return level
-
-
-def warn(words: str) -> None:
-    """Warn of something, at the line outside minimd that called it. Where standard error is closed, nobody reads it."""
     try:
-        warnings.warn(words, stacklevel=outside_minimd())
+        warnings.warn(words, stacklevel=level)
     except UserWarning:  # warnings are errors
         raise
     except Exception:  # whatever standard error raises

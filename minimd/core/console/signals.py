@@ -4,7 +4,9 @@ import signal
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from math import inf
 from pathlib import Path
+from time import monotonic
 from types import FrameType
 from typing import Any, NoReturn, Protocol
 
@@ -23,9 +25,12 @@ class Stoppable(Protocol):
 
 
 @contextmanager
-def stop_on_signals(run: Stoppable) -> Iterator[None]:
+def stop_on_signals(run: Stoppable, seconds: float = inf) -> Iterator[None]:
     """While active, Ctrl-C, SIGTERM and SIGHUP set run.stop_requested; at the end, SIGTERM and SIGHUP raise Terminated,
     and Ctrl-C KeyboardInterrupt.
+
+    seconds : of wall time, after which run.stop_requested is set, too. The KeyboardInterrupt with which the run then
+    ends goes no further: a sentence on standard error tells it.
 
     Handlers that the host has set, and signals that it ignores, are left alone. Outside the main thread, where no
     handlers can be set, only stop_runs_of_threads stops a run.
@@ -43,22 +48,29 @@ def stop_on_signals(run: Stoppable) -> Iterator[None]:
         if number == signal.SIGINT:
             _give_back(number, request, before)
 
+    deadline = monotonic() + seconds
+    timer = threading.Timer(seconds, setattr, (run, "stop_requested", True))
     of_thread = threading.current_thread() is not threading.main_thread()
     is_inner, active = bool(_active) and not of_thread, _of_threads if of_thread else _active
     run.stop_requested, active[id(request)] = False, (run, request)
+    if seconds < threading.TIMEOUT_MAX:  # 292 years
+        timer.start()
     try:
         try:
             with _handled(dict.fromkeys(SIGNALS, request), before, [outer for _, outer in _active.values()]):
                 yield
         finally:
+            timer.cancel()
             run.stop_requested = False
             del active[id(request)]
         if received:
             raise KeyboardInterrupt("the run is complete, and was stopped after the last step")
     except KeyboardInterrupt as stopped:
+        if not received and monotonic() > deadline:
+            tell(f"minimd: {stopped}, because max_seconds = {seconds:g} have passed{_kept(stopped)}")
+            return
         if received[:1] in ([], [signal.SIGINT]):
-            if not _callers:
-                stopped.args = (f"{str(stopped) or 'interrupted'}{_kept(stopped)}",)
+            stopped.args = (f"{str(stopped) or 'interrupted'}{_kept(stopped)}",)
             raise
         ended = Terminated(received[0], str(stopped), getattr(stopped, "kept", ()))
     except Terminated as of_inner:
@@ -133,12 +145,13 @@ def tell_ending(ended: "Terminated") -> None:
 
 
 def _kept(stopped: BaseException) -> str:
-    """Which files of a run hold what was written, and how a script goes on, as clauses; empty if there are none."""
+    """Which files of a run hold what was written, and how a script goes on, as clauses; empty if there are none, or a
+    caller tells it."""
     files = [str(file) for file in getattr(stopped, "kept", ()) if file.exists()]
     again = "to go on, call run with trajectory={0!r}, append=True; in a new session first sim = {1}({0!r}, potentials)"
     can_go_on = [file for file in files if file.lower().endswith(".h5md")]
     go_on = f"; {again.format(can_go_on[0], 'minimd.Simulation.resume')}" if can_go_on else ""
-    return f"; what was written is kept in {', '.join(files)}{go_on}" if files else ""
+    return f"; what was written is kept in {', '.join(files)}{go_on}" if files and not _callers else ""
 
 
 class Terminated(SystemExit):

@@ -16,6 +16,7 @@ try:
     import fcntl
 except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
+UNFINISHED = ".minimd-unfinished"  # end of temporary names, which no other program gives
 HAS_LOCKS = fcntl is not None  # where it has not, a file that is open cannot be renamed or removed
 
 IN_USE = (

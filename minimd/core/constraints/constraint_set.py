@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.console.quiet import warn
-from minimd.core.console.words import shown
 from minimd.core.constraints.groups import bodies_of
 from minimd.core.constraints.solver import ConstraintSolver, check_atoms
 from minimd.core.structure.cell import Cell, images_of_length, nearest_images
+from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 from minimd.core.structure.observables import (
     Array,
@@ -45,8 +45,8 @@ class ConstraintSet:
             if isinstance(constraint, FixedAtoms):
                 constraint.check_size(len(system))
                 self.inverse_masses[constraint.atoms] = 0.0
-            elif not isinstance(constraint, DistanceConstraints):
-                raise TypeError(f"constraints must be DistanceConstraints or FixedAtoms; got {shown(constraint)}")
+            else:
+                checked_kind("constraints", constraint, DistanceConstraints, "DistanceConstraints or FixedAtoms")
         distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
         if len(distances) > 1:
             raise ValueError(f"constraints must hold all pairs in one DistanceConstraints; {len(distances)} are given")

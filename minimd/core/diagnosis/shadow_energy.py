@@ -17,7 +17,7 @@ E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), IX.3; R
 Comput. Phys. 206, 432 (2005).
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -25,8 +25,10 @@ from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look, Observable, register
 from minimd.core.integrators.rows import PositionVerlet, VelocityVerlet
 from minimd.core.integrators.substeps import Substeps
+from minimd.core.structure.checks import checked_kind
 
 
+@runtime_checkable
 class HasEngine(Protocol):
     """A Simulation."""
 
@@ -46,7 +48,7 @@ def shadow_energy(simulation: HasEngine) -> float:
     It costs three evaluations of the forces; the state stays as it is.
 
     Raises ValueError for a method other than velocity Verlet, leapfrog and position Verlet, a bath, and rigid bonds."""
-    engine = simulation.engine
+    engine = checked_kind("simulation", simulation, HasEngine, "a Simulation").engine
     check_has_shadow(engine)
     engine.moved()
     engine.evaluate()

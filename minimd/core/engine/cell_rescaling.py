@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from minimd.core.console.words import shown
 from minimd.core.constraints.constraint_set import ConstraintSet
 from minimd.core.constraints.groups import bodies_of
 from minimd.core.forces.forces import Forces
@@ -14,6 +13,7 @@ from minimd.core.integrators.barostats import StochasticCellRescaling, Thermodyn
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.state import Bath
 from minimd.core.structure.cell import Cell
+from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.errors import RangeError
 from minimd.core.structure.observables import Array, center, kinetic_energy, momentum, momentum_flux
 from minimd.core.structure.system import System
@@ -217,8 +217,7 @@ def rescaling_of(
     """A barostat on the parts of an engine, or None.  Raises TypeError for another object, ValueError as that."""
     if barostat is None:
         return None
-    if not isinstance(barostat, StochasticCellRescaling):
-        raise TypeError(f"barostat must be a StochasticCellRescaling; got {shown(barostat)}")
+    checked_kind("barostat", barostat, StochasticCellRescaling, "a StochasticCellRescaling")
     if holds_center:
         why = "a barostat moves the center of mass with the cell: remove FixCom"
         raise ValueError(f"atoms.constraints holds FixCom, but {why}")

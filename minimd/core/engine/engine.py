@@ -11,7 +11,6 @@ import numpy as np
 from minimd.core.compiled.program import Operation, Program, in_python
 from minimd.core.console.display import Rows
 from minimd.core.console.quiet import quiet, warn
-from minimd.core.console.words import shown
 from minimd.core.constraints.constraint_set import ConstraintSet
 from minimd.core.constraints.groups import bodies_of
 from minimd.core.engine.cell_rescaling import CellRescaling, check_cell, rescaling_of
@@ -25,6 +24,7 @@ from minimd.core.integrators.substeps import Drift, mechanical
 from minimd.core.neighbors.verlet_list import Built
 from minimd.core.potentials.term import FORCES, TOTALS
 from minimd.core.structure.cell import Cell
+from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.constraints import Constraint
 from minimd.core.structure.grid import Grid
 from minimd.core.structure.observables import Array, center, kinetic_energy, leaves_out_center
@@ -516,12 +516,9 @@ def _copied(
     return engine
 
 
-def _checked_method(method: Splitting) -> Splitting:
+def _checked_method(method: Splitting) -> Any:
     """The method.  Raises TypeError for anything but a splitting with its time step."""
-    if not isinstance(method, Splitting):
-        such = "an integrator with its time step, such as VelocityVerlet(0.005)"
-        raise TypeError(f"method must be {such}; got {shown(method)}")
-    return method
+    return checked_kind("method", method, Splitting, "an integrator with its time step, such as VelocityVerlet(0.005)")
 
 
 def _warn_of_dropped(those_of_system: Sequence[Constraint], given: Constraint | Sequence[Constraint] | None) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.whole_file import write_whole
 from minimd.core.structure.cell import Cell
+from minimd.core.structure.checks import checked_flag, checked_path
 from minimd.core.structure.statistics import mean_and_error, with_error
 from minimd.core.structure.units import UnitSystem
 
@@ -134,10 +135,10 @@ class Record(Displayed):
         A file or link that is replaced stays until the new one is whole. Raises FileExistsError if the file exists and
         overwrite is false; OSError if it cannot be written, or a device would be replaced.
         """
-        columns, path = self.columns(), Path(path)
+        columns, path = self.columns(), checked_path("path", path)
         rows = zip(*(column.tolist() for column in columns.values()), strict=True)
         text = "\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""])
-        write_whole(path, text, overwrite=overwrite)
+        write_whole(path, text, overwrite=checked_flag("overwrite", overwrite))
         return path
 
     def plot(self) -> Figure:

@@ -48,11 +48,11 @@ class CrashFile(NamedTuple):
     judgment: tuple[dict[str, float] | None, float]
 
 
-def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
+def crash_file_place(crash_report: Any, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
     """Where a run leaves its crash file: the path given, or for True beside its first trajectory; None if there is no
     such place.  Raises ValueError for the path of a trajectory, which the crash file would replace."""
     several = named_files("trajectory", trajectories)
-    if isinstance(crash_report, bool):
+    if isinstance(crash_report, bool | None):
         return several[0].with_suffix(SUFFIX) if crash_report and several else None
     [place] = named_files("crash_report", [crash_report])
     if place.resolve() in [file.resolve() for file in several]:

@@ -11,6 +11,7 @@ import faulthandler
 import os
 import pickle
 import signal
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -25,8 +26,8 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5t
 
 import minimd.core.diagnosis.shadow_energy  # noqa: F401 - registers an observable, of runs and of files
 from minimd.core.console.display import Displayed, Rows
-from minimd.core.console.quiet import quiet
-from minimd.core.console.words import printable, shown
+from minimd.core.console.quiet import quiet, warn
+from minimd.core.console.words import printable
 from minimd.core.engine.engine import Checkpoint, scene_in_words
 from minimd.core.engine.observer import StoredObserver
 from minimd.core.engine.record import SERIES, Frame, Record
@@ -38,6 +39,7 @@ from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.table import METHODS
 from minimd.core.structure.bond_graph import GROUPS
 from minimd.core.structure.cell import Cell
+from minimd.core.structure.checks import checked_path
 from minimd.core.structure.errors import sentence
 from minimd.core.structure.system import System
 from minimd.core.structure.units import SYSTEMS, UnitSystem
@@ -56,9 +58,10 @@ REASONS = {  # why a file cannot be opened, by the words of HDF5
     "unable to lock file": "another run is writing it",
     "truncated file": "it is damaged, it ends before its data do; copy it again, or run again",
 }
-SECONDS, BYTES_PER_SECOND = 10, 10_000_000  # of processor time that a look may take; reading needs a hundredth of it
-# bytes that a look may take, and besides so many times those of the file: texts of a file may claim the same bytes
-MEMORY, SIZES = 2**32, 4
+# of processor time that a look may take; reading HDF5 needs a thousandth of it, and readers of texts a fifth
+SECONDS, BYTES_PER_SECOND = 10, 1_000_000
+# bytes that a look may take, and besides so many times those of the file, which readers of texts need
+MEMORY, SIZES = 2**32, 64
 
 
 def opened(path: str | Path) -> h5py.File:
@@ -67,7 +70,7 @@ def opened(path: str | Path) -> h5py.File:
     Raises FileNotFoundError if it does not exist.  ValueError if it is not HDF5, or not written by minimd.  OSError if
     it is damaged, as admitted.  BlockingIOError if a run is writing it.
     """
-    if not Path(path).is_file():
+    if not checked_path("file", path).is_file():
         raise FileNotFoundError(f"file {str(path)!r} does not exist; give the .h5md file of a run")
     try:
         repair(path)
@@ -172,12 +175,12 @@ def damage_told(path: str | Path) -> Iterator[None]:
 
 
 def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
-    """Return or raise what look() does; it is called in a child process if the system can fork, else in this one.
+    """Return or raise what look() does, and repeat its warnings; it is called in a child process if the system can
+    fork, else in this one.
     Raises OSError if the child crashes, or takes more time or memory than reading could take."""
+    checked_path("file", path)
     if not hasattr(os, "fork"):
         return look()
-    if not isinstance(path, str | os.PathLike):
-        raise TypeError(f"a file must be given by its name, such as 'run.h5md'; got {shown(path)}")
     parent, (listening, telling) = os.getpid(), os.pipe()
     try:
         with quiet():  # Python warns of forks with threads; h5py holds its lock in a fork
@@ -200,8 +203,10 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
         with suppress(ChildProcessError):  # not known, because this process ignores the ends of its children
             status = os.waitpid(child, 0)[1]
     if status or not answer:
-        raise OSError(f"file {str(path)!r} is damaged: HDF5 crashes on it; copy it again, or run again")
-    found, error = pickle.loads(answer)
+        raise OSError(f"file {str(path)!r} is damaged: its reader crashes or finds no end; copy it again, or run again")
+    found, error, given = pickle.loads(answer)
+    for one in given:
+        warn(str(one.message))
     if error is not None:
         raise error
     return found
@@ -225,15 +230,16 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
             hard = resource.getrlimit(which)[1]
             resource.setrlimit(which, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
         answer: tuple[Any, Exception | None]
-        try:
-            answer = look(), None
-        except MemoryError:
-            much = f"to read it takes more memory than {MEMORY / 1e9:.2g} GB"
-            answer = None, OSError(f"file {str(path)!r} is damaged: {much}; copy it again, or run again")
-        except Exception as error:
-            answer = None, error
+        with warnings.catch_warnings(record=True) as given:
+            try:
+                answer = look(), None
+            except MemoryError:
+                much = f"to read it takes more memory than {MEMORY / 1e9:.2g} GB"
+                answer = None, OSError(f"file {str(path)!r} is damaged: {much}; copy it again, or run again")
+            except Exception as error:
+                answer = None, error
         with open(pipe, "wb") as told:
-            pickle.dump(answer, told)
+            pickle.dump((*answer, given), told)
         status = 0
     finally:
         os._exit(status)

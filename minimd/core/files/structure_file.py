@@ -19,10 +19,12 @@ from minimd.core.console.quiet import quiet, warn
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.record import Frame
 from minimd.core.files.claim import Claim
+from minimd.core.files.h5md_reader import looked_at
 from minimd.core.files.trajectory import Writer
 from minimd.core.structure.ase_atoms import atoms_from_system, calculators_stress, label_by_tags
 from minimd.core.structure.bond_graph import GROUPS, Joined, joined_in
 from minimd.core.structure.cell import Cell
+from minimd.core.structure.checks import checked_path
 from minimd.core.structure.system import System, changed
 from minimd.core.structure.units import ASE, LJ, UnitSystem
 
@@ -66,42 +68,52 @@ def system_from_file(
     Species of LAMMPS data are its types, unless units are ASE's and the masses are those of as many chemical elements,
     to 0.1 %.
 
+    The file is read in a child process, whose memory and time are limited by the size of the file.
+
     Raises
     ------
     ValueError : if a file does not exist or cannot be read, with the reader's reason in one sentence; and as System.
     """
-    path = Path(file)
+    path = checked_path("file", file)
     form = format or SUFFIXES.get(path.suffix.lower())
-    with _read_as(path, "a structure", form):
-        source = _source(path, form, units or ASE)
-        system = _system(source, units or ASE, form)
-    if isinstance(source, System) and units not in (None, source.units):
-        states = f"file {str(path)!r} states units = {source.units.name!r}"
-        raise ValueError(f"{states}; it cannot be read with units = {units and units.name!r}")
-    if cell is not None or pbc is not None:
-        placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
-        if isinstance(source, Atoms):  # lengths of constraints are measured in the new cell
-            source.cell[:], source.pbc = placed.vectors, placed.pbc
-            with quiet():  # its warnings have been given
-                system = _system(source, units or ASE, form)
-        else:
-            system.cell = placed
-    if bonds is not None and not isinstance(bonds, str | Path):
-        return changed(system, **NOTHING | {"bonds": bonds})
-    if bonds is None:
-        with suppress(ValueError):  # bonds were not asked for, so that it does not matter if they cannot be read
-            if found := _joined_in(path, form, source, system):
-                use = 'use them with bonds = "file", in a scene under [structure], or leave them out with bonds = []'
-                words = f"file {str(path)!r} has {found}, which are not used; {use}"
-                warn(words)
-        return changed(system, **NOTHING)
-    found = _joined_in(path, form, source, system) if bonds == "file" else _joined_beside(path.parent / bonds, system)
-    for name, n_types in found.n_types.items():
-        groups = {"bonds": "pairs", "angles": "triples"}.get(name, "quadruples")
-        one = f"{'an' if name[0] in 'ai' else 'a'} {name[:-1]} potential"
-        words = f"the {name} of {str(path)!r} are of {n_types} types, which {one} does not distinguish; give it"
-        warn(f"{words} {groups} of one type, or arrays of parameters")
-    return changed(system, **found.groups, charges=system.charges if system.charges.any() else found.charges)
+
+    def read() -> System:
+        with _read_as(path, "a structure", form):
+            source = _source(path, form, units or ASE)
+            system = _system(source, units or ASE, form)
+        if isinstance(source, System) and units not in (None, source.units):
+            states = f"file {str(path)!r} states units = {source.units.name!r}"
+            raise ValueError(f"{states}; it cannot be read with units = {units and units.name!r}")
+        if cell is not None or pbc is not None:
+            placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
+            if isinstance(source, Atoms):  # lengths of constraints are measured in the new cell
+                source.cell[:], source.pbc = placed.vectors, placed.pbc
+                with quiet():  # its warnings have been given
+                    system = _system(source, units or ASE, form)
+            else:
+                system.cell = placed
+        if bonds is not None and not isinstance(bonds, str | Path):
+            return changed(system, **NOTHING | {"bonds": bonds})
+        if bonds is None:
+            with suppress(ValueError):  # bonds were not asked for, so that it does not matter if they cannot be read
+                if found := _joined_in(path, form, source, system):
+                    words = f'file {str(path)!r} has {found}, which are not used; use them with bonds = "file", in a '
+                    warn(f"{words}scene under [structure], or leave them out with bonds = []")
+            return changed(system, **NOTHING)
+        found = (
+            _joined_in(path, form, source, system) if bonds == "file" else _joined_beside(path.parent / bonds, system)
+        )
+        for name, n_types in found.n_types.items():
+            groups = {"bonds": "pairs", "angles": "triples"}.get(name, "quadruples")
+            one = f"{'an' if name[0] in 'ai' else 'a'} {name[:-1]} potential"
+            words = f"the {name} of {str(path)!r} are of {n_types} types, which {one} does not distinguish; give it"
+            warn(f"{words} {groups} of one type, or arrays of parameters")
+        return changed(system, **found.groups, charges=system.charges if system.charges.any() else found.charges)
+
+    try:
+        return looked_at(path, read)
+    except OSError as error:  # of the reader
+        raise ValueError(str(error)) from None
 
 
 def _source(path: Path, form: str | None, units: UnitSystem) -> Any:

@@ -14,11 +14,11 @@ import numpy as np
 
 from minimd.core.console.quiet import warn
 from minimd.core.console.whole_file import locked
-from minimd.core.console.words import shown
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observer import StoredObserver
 from minimd.core.engine.record import Frame
 from minimd.core.files.claim import Claim, read_at
+from minimd.core.structure.checks import checked_flag, checked_path
 
 
 class Writer(Protocol):
@@ -221,24 +221,19 @@ def _is_h5md(file: Path) -> bool:
 
 def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Path]:
     """The paths of one file or several.  name : of the argument, for messages.
-    Raises TypeError for anything that is not a path."""
-    several = [paths] if isinstance(paths, str | Path) else paths
-    if not isinstance(several, list | tuple) or not all(
-        isinstance(path, str | Path) and Path(path).name for path in several
-    ):
-        raise TypeError(f"{name} must be the path of a file, or a list of paths; {name} = {shown(paths)}")
-    return [Path(path) for path in several]
+    Raises ValueError for anything that is not a path."""
+    return [checked_path(name, path) for path in (paths if isinstance(paths, list | tuple) else [paths])]
 
 
 def first_h5md(paths: str | Path | Sequence[str | Path]) -> Path | None:
-    """The first H5MD file among the trajectories of a run, or None.  Raises TypeError as named_files."""
+    """The first H5MD file among the trajectories of a run, or None.  Raises ValueError as named_files."""
     return next((file for file in named_files("trajectory", paths) if _is_h5md(file)), None)
 
 
 def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:
     """The path, if a new file with one of the suffixes can be written there; no file is created.  Raises as
     open_trajectories."""
-    file = Path(path)
+    file, overwrite = checked_path("output", path), checked_flag("overwrite", overwrite)
     if file.suffix.lower() not in suffixes:
         other = "; docs/formats.md says how other formats are made from an .h5md file" * (suffixes is FORMATS)
         wanted = f"the suffix of a trajectory must be one of {', '.join(suffixes)}"

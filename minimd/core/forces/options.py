@@ -5,9 +5,8 @@ from typing import Literal, get_args
 
 from minimd.core.compiled.machine import default_threads
 from minimd.core.compiled.threads import ThreadPool, thread_pool
-from minimd.core.console.words import shown
 from minimd.core.neighbors import domains
-from minimd.core.structure.checks import checked_choice, checked_count, checked_number
+from minimd.core.structure.checks import checked_choice, checked_count, checked_kind, checked_number
 from minimd.core.structure.grid import Grid
 
 Precision = Literal["double", "fixed-point"]
@@ -35,9 +34,7 @@ class Options:
 
     def __post_init__(self) -> None:
         checked_choice("precision", self.precision, get_args(Precision))
-        if self.grid is not None and not isinstance(self.grid, Grid):
-            raise TypeError(f"grid must be a minimd.Grid; grid = {shown(self.grid)}")
-        if self.grid is not None and self.precision != FIXED_POINT:
+        if checked_kind("grid", self.grid, Grid | None, "a minimd.Grid") is not None and self.precision != FIXED_POINT:
             raise ValueError(f"a grid is for precision='fixed-point'; precision = {self.precision!r}")
         if self.threads is not None:
             object.__setattr__(self, "threads", checked_count("threads", self.threads))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from minimd.core.console.words import shown
 from minimd.core.neighbors.pair_list import PairList, check_size
-from minimd.core.structure.checks import LARGEST, checked_number
+from minimd.core.structure.checks import LARGEST, checked_kind, checked_number
 from minimd.core.structure.system import System
 
 QUANTITIES = "ijdDS"
@@ -30,8 +30,7 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
     """
     if not (isinstance(quantities, str) and quantities and set(quantities) <= set(QUANTITIES)):
         raise ValueError(f"quantities must be letters of {QUANTITIES!r}; quantities = {shown(quantities)}")
-    if not isinstance(system, System):
-        raise TypeError(f"system must be a minimd System; got {type(system).__name__}")
+    checked_kind("system", system, System, "a minimd System")
     cutoff = checked_number("cutoff", cutoff, "positive and finite")
     check_size(system, cutoff, 0.0)
     cell = system.cell

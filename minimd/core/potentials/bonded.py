@@ -164,7 +164,7 @@ class PeriodicDihedral(Dihedral):
     law, lammps = laws.PeriodicLaw(), LammpsStyle("fourier", lambda k, n, phase: (1, k, n, np.degrees(phase)))
     k: ArrayLike = declared(kind.each, "u = k (1 + cos(n φ − phase))", "energy")
     n: ArrayLike = declared(kind.each, "number of minima in a turn", "", kind.WHOLE)
-    phase: ArrayLike = declared(kind.each, "phase of u, see k", "angle", default=0.0)
+    phase: ArrayLike = declared(kind.each, "phase of u, see k", "angle", kind.PHASE, default=0.0)
     quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
 
 

@@ -14,7 +14,7 @@ a scene file with its page (minimd.scene.force_sections), and the style of LAMMP
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from inspect import cleandoc
 from math import inf, pi
@@ -27,11 +27,19 @@ from minimd.core.console.words import shown
 from minimd.core.potentials.law import checked_law
 from minimd.core.potentials.term import OwnPotential
 from minimd.core.structure.bond_graph import checked_groups, checked_pairs
-from minimd.core.structure.checks import checked_choice, checked_flag, checked_indices, checked_number, checked_numbers
+from minimd.core.structure.checks import (
+    checked_choice,
+    checked_flag,
+    checked_indices,
+    checked_kind,
+    checked_number,
+    checked_numbers,
+)
 
 Array = NDArray[np.float64]
 FINITE, NOT_NEGATIVE, POSITIVE, WHOLE = "finite", "finite and not negative", "positive and finite", "whole numbers"
 ANGLE, SIGNED_ANGLE = "between 0 and pi (radians)", "between -pi and pi (radians)"
+PHASE = "between -2 pi and 2 pi (radians)"
 DEMANDS: Mapping[str, Callable[[Array], Any]] = {  # of finite numbers
     FINITE: lambda _: True,
     NOT_NEGATIVE: lambda x: x >= 0.0,
@@ -39,6 +47,7 @@ DEMANDS: Mapping[str, Callable[[Array], Any]] = {  # of finite numbers
     WHOLE: lambda x: (x >= 0.0) & (np.rint(x) == x),
     ANGLE: lambda x: (x >= 0.0) & (x <= pi),
     SIGNED_ANGLE: lambda x: np.abs(x) <= pi,
+    PHASE: lambda x: np.abs(x) <= 2.0 * pi,
 }
 UNITS = {  # by dimension
     "energy": "energy", "length": "length", "time": "time", "force": "energy/length", "angle": "rad",
@@ -59,7 +68,7 @@ class Kind(NamedTuple):
 
 class Parameter(NamedTuple):
     """What is declared of an argument.  words : what it is.  dimension : a key of UNITS.  demand : one of DEMANDS.
-    of : atoms in a group, names to choose from, or what stands for no number."""
+    of : atoms in a group, names to choose from, or, of a number, its default, which may be none."""
 
     kind: Kind
     words: str = ""
@@ -93,7 +102,7 @@ def declared(
     init: bool = True,
 ) -> Any:
     """A field of a Declared.  See Parameter."""
-    parameter = Parameter(kind, words, dimension, demand, of)
+    parameter = Parameter(kind, words, dimension, demand, default if kind is number else of)
     return field(default=default, kw_only=kw_only, init=init, metadata={"parameter": parameter})
 
 
@@ -184,26 +193,22 @@ def _of_atoms(shape: tuple) -> bool:
 
 
 def _coefficients(name: str, values: Any, asked: Parameter) -> tuple[Array, ...]:
-    try:
-        given = list(values)
-    except TypeError:
-        raise TypeError(f"{name} must be a list, c0 to c5 at most; {name} = {shown(values)}") from None
-    if len(given) > MOST_COEFFICIENTS:
-        raise ValueError(f"{name} must be at most {MOST_COEFFICIENTS}, c0 to c5; there are {len(given)}")
-    given += [0.0] * (MOST_COEFFICIENTS - len(given))
-    return tuple(each.check(f"c{k}", one, asked) for k, one in enumerate(given))
+    is_list = isinstance(values, list | tuple) or (isinstance(values, np.ndarray) and values.ndim > 0)
+    if not (is_list and 0 < len(values) <= MOST_COEFFICIENTS):
+        wanted = f"a list of 1 to {MOST_COEFFICIENTS} numbers, c0 to c5"
+        raise ValueError(f"{name} must be {wanted}; {name} = {shown(values)}")
+    given = [*values, *[0.0] * (MOST_COEFFICIENTS - len(values))]
+    return tuple(each.check(f"{name}[{k}]", one, asked) for k, one in enumerate(given))
 
 
 def _own_parameters(name: str, values: Any, asked: Parameter) -> tuple[Array, ...]:
-    if not isinstance(values, Sequence) or isinstance(values, str):
-        wanted = "a tuple with one entry for each parameter of the law"
-        raise TypeError(f"{name} must be {wanted}; {name} = {shown(values)}")
+    checked_kind(name, values, list | tuple, "a tuple with one entry for each parameter of the law")
     return tuple(each.check(f"parameter {k}", one, asked) for k, one in enumerate(values))
 
 
 def _number(name: str, value: Any, asked: Parameter) -> float | None:
-    is_none = value is None or (isinstance(value, float) and value == inf)
-    return value if is_none and value == asked.of else checked_number(name, value, asked.demand)
+    is_default = isinstance(value, float | None) and value == asked.of
+    return value if is_default else checked_number(name, value, asked.demand)
 
 
 def _atoms(name: str, values: Any, _asked: Parameter) -> NDArray[np.int64] | None:

@@ -209,7 +209,7 @@ class SteeredSpring(Springs):
     velocity: ArrayLike = declared(kind.vector, "velocity of the points", "velocity")
     atoms: ArrayLike | None = declared(kind.atoms, default=None)
     start: float = declared(kind.number, "start of the motion of the points", "time", default=0.0, kw_only=True)
-    end: float = declared(kind.number, "end of the motion; default: never", "time", of=inf, default=inf, kw_only=True)
+    end: float = declared(kind.number, "end of the motion; default: never", "time", default=inf, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -29,7 +29,7 @@ from minimd.core.compiled.kernels import by_type, kernel, scalar, type_of, witho
 from minimd.core.compiled.simd import lane, load, total, with_lane
 from minimd.core.compiled.simd.vector import count, lanes_for, loaded_columns
 from minimd.core.compiled.snapshot import FunctionSnapshot
-from minimd.core.console.words import shown
+from minimd.core.structure.checks import checked_kind
 
 STEP = 1e-5  # of a central difference, relative to the distance
 ANGLES = (-2.1, -0.7, 1.1, 2.6)  # rad, where laws of dihedrals are tried
@@ -108,9 +108,8 @@ def user_law(function: Callable) -> UserLaw:
     The law stays as it is now, compiled and in Python: globals that it reads may change later without effect. Raises
     TypeError if it is not a function.
     """
-    if not isinstance(function, FunctionType | Dispatcher):
-        wanted = "a function law(r2, *parameters) that returns u and -u'(r)/r"
-        raise TypeError(f"a law must be {wanted}; it is {shown(function)}")
+    wanted = "a function law(r2, *parameters) that returns u and -u'(r)/r"
+    checked_kind("law", function, FunctionType | Dispatcher, wanted)
     if function in _unrecognized:  # a copy of a law type asks for it again
         return _unrecognized[function]()
     snapshot = FunctionSnapshot(function)

@@ -22,7 +22,7 @@ from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.term import OwnTerm, PairLaw, no_bonds
 from minimd.core.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
 from minimd.core.structure.bond_graph import checked_pairs
-from minimd.core.structure.checks import checked_choice, checked_number, checked_numbers
+from minimd.core.structure.checks import checked_choice, checked_kind, checked_number, checked_numbers
 from minimd.core.structure.system import System
 
 SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff
@@ -141,6 +141,8 @@ class Nonbonded(Declared, metaclass=ABCMeta):
     def pair_energy(self, r: ArrayLike, first: Label | None = None, second: Label | None = None) -> NDArray[np.float64]:
         """u [energy] of two atoms of given species at distances r > 0 [length], truncation included;
         an array of r's shape. Raises ValueError for distances that are not positive, and as table."""
+        for label in first, second:
+            checked_kind("first, second", label, Label | None, "labels of species")
         cutoff2, *numbers = self._numbers(first, second)
         distances = checked_numbers("r", r, "positive distances")
         if not (distances > 0.0).all():
@@ -197,13 +199,13 @@ class Nonbonded(Declared, metaclass=ABCMeta):
 
     def _checked_parameters(self, given: Any, pairs: Any) -> tuple[Parameters | dict[Label, Parameters], dict]:
         """Parameters of all atoms or of each species, and those of pairs in both orders."""
+        both_orders = _symmetric("pairs", {} if pairs is None else pairs)
         if not isinstance(given, Mapping):
-            if pairs is not None and len(pairs):
+            if both_orders:
                 wanted = f"need parameters that are a mapping from species; parameters = {shown(given)}"
                 raise ValueError(f"pairs of {type(self).__name__} {wanted}")
             return self._checked_numbers(given, None), {}
         by_label = {label: self._checked_numbers(numbers, label) for label, numbers in given.items()}
-        both_orders = _symmetric("pairs", {} if pairs is None else pairs)
         by_pair = {pair: self._checked_numbers(numbers, pair) for pair, numbers in both_orders.items()}
         if len({len(numbers) for numbers in (*by_label.values(), *by_pair.values())}) > 1:
             told = shown(by_label | by_pair)

@@ -223,7 +223,7 @@ class OwnPotential(Displayed):
 def bound(potential: Any, system: System) -> Term:
     """The term of a potential on a system.
     Raises TypeError for something that is no potential, or binds to something that is no term."""
-    if not hasattr(potential, "bind"):
+    if not hasattr(potential, "bind") or isinstance(potential, type):
         wanted = "potentials of minimd, such as LennardJones, or objects with bind(system); a law of your own"
         law = "is passed as PairPotential(law, parameters, cutoff): see docs/own-laws.md"
         raise TypeError(f"potentials must be {wanted} {law}; got {shown(potential)}")

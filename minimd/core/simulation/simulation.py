@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from math import inf
 from pathlib import Path
 from time import monotonic
 from typing import Any, Literal, Self
@@ -33,7 +34,7 @@ from minimd.core.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENG
 from minimd.core.simulation.attached import Attached
 from minimd.core.simulation.engine_attribute import Closed, EngineAttribute, MeasuredAttribute
 from minimd.core.simulation.resuming import last_step, resumed
-from minimd.core.structure.checks import checked_count, checked_flag, checked_number
+from minimd.core.structure.checks import checked_count, checked_flag, checked_kind, checked_number
 from minimd.core.structure.constraints import Constraint
 from minimd.core.structure.grid import Grid
 from minimd.core.structure.observables import Array, maxwell_boltzmann, rescaled
@@ -185,6 +186,7 @@ class Simulation(Closed, Displayed):
         observers: Sequence[Observer] = (),
         progress: bool | None = None,
         crash_report: str | Path | bool = True,
+        max_seconds: float | None = None,
     ) -> Record:
         """Make n_steps steps, or those up to until_step; observe the first state, and those at multiples of every.
         Return the Record of these steps only; minimd.read_record(file) has all frames of a file.
@@ -205,6 +207,8 @@ class Simulation(Closed, Displayed):
         crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at
             a path, or nowhere (False). It holds the last good state and what minimd.replay needs;
             an existing file is kept unless overwrite, and the new one numbered.
+        max_seconds : of wall time, after which the run ends with a whole step, all files valid, and a sentence on
+            standard error; sim.step says how far it came. It can go on with append.
 
         Raises
         ------
@@ -216,17 +220,19 @@ class Simulation(Closed, Displayed):
         """
         engine, guard = self.engine, self.guard
         every, end = checked_count("every", every), last_step(engine.step, n_steps, until_step)
-        append = append if append != "auto" else any(map(Path.exists, named_files("trajectory", trajectory)))
+        if isinstance(append, str) and append == "auto":
+            append = any(map(Path.exists, named_files("trajectory", trajectory)))
         files = {"store_forces": store_forces, "overwrite": overwrite, "append": append}
         files = {name: checked_flag(name, flag) for name, flag in files.items()}
         attached = Attached(observers, engine)
         check_extras(engine)
+        seconds = inf if max_seconds is None else checked_number("max_seconds", max_seconds, "positive and finite")
         place, start = crash_file_place(crash_report, trajectory), engine.step
         # the crash file is written after all others are closed
         with self._running(engine.noise_shift), crash_file_left(place, guard, files["overwrite"]):
             guard.check_start()
             with (
-                stop_on_signals(engine.surroundings),
+                stop_on_signals(engine.surroundings, seconds),
                 open_trajectories(
                     trajectory, engine, every=every, n_steps=end - start, observers=attached.accumulators, **files
                 ) as writers,
@@ -306,7 +312,7 @@ class Simulation(Closed, Displayed):
         n_steps, every = checked_count("n_steps", n_steps, 0), checked_count("every", every)
         temperature = checked_number("temperature", temperature, "finite and not negative")
         engine.equilibrated += n_steps
-        place = crash_file_place(crash_report or False, ())
+        place = crash_file_place(crash_report, ())
         with (
             self._running(noise_shift=-engine.equilibrated - self.step),
             guard.uncounted(),
@@ -420,8 +426,8 @@ class Simulation(Closed, Displayed):
         return self.engine.snapshot()
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Restore the state of a snapshot."""
-        self.engine.restore(snapshot)
+        """Restore the state of a snapshot.  Raises TypeError for anything else."""
+        self.engine.restore(checked_kind("snapshot", snapshot, Snapshot, "what sim.snapshot() has returned"))
 
 
 def _copied(kind: type[Simulation], engine: Engine, seconds: float, n_steps: int, *results: Any) -> Simulation:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.core.structure.bond_graph import GROUPS, joined_in, texts
 from minimd.core.structure.cell import Cell
+from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms, lengths_of
 from minimd.core.structure.observables import center, momentum, stress as kinetic_stress
 from minimd.core.structure.units import ASE
@@ -33,8 +34,7 @@ def system_arguments(atoms: Atoms, bonds: Given = None, constraints: bool = True
     constraints : True to take those of the atoms; False if the caller handles them.
     Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, and as
     joined_in."""
-    if not isinstance(atoms, Atoms):
-        raise TypeError(f"a minimd System or an ase.Atoms is expected; got {type(atoms).__name__}")
+    checked_kind("system", atoms, Atoms, "a minimd System or an ase.Atoms")
     found = joined_in(atoms) if bonds is None else None
     velocities, masses = atoms.get_velocities(), atoms.get_masses()
     if constraints and fixes_center(atoms):

@@ -4,6 +4,7 @@ before memory is allocated for it."""
 from collections.abc import Collection, Sequence
 from math import inf, nan
 from numbers import Integral, Real
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,14 +35,14 @@ def checked_count(name: str, value: Any, least: int = 1, limit: int = COUNTS) ->
 def checked_number(name: str, value: Any, demand: str = "finite") -> float:
     """The value as a float.  demand : one of DEMANDS.
     Raises ValueError for anything that is not a real number, such as a text or a bool, for what the demand excludes,
-    and for numbers whose powers could overflow: above LARGEST or, for positive quantities, below SMALLEST."""
+    and for numbers whose powers could overflow: above LARGEST or, if they must not be 0, below SMALLEST."""
     try:
         number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan
     except OverflowError:
         number = inf
     if not DEMANDS[demand](number):
         raise ValueError(f"{name} must be {demand}; {name} = {shown(value)}")
-    if abs(number) > LARGEST or ("positive" in demand and number < SMALLEST):
+    if abs(number) > LARGEST or (abs(number) < SMALLEST and not DEMANDS[demand](0.0)):
         sizes = f"between {SMALLEST:g} and {LARGEST:g} in size"
         raise ValueError(f"{name} must be {demand}, {sizes}; {name} = {shown(value)}: take other units")
     return number
@@ -52,6 +53,26 @@ def checked_flag(name: str, value: Any) -> bool:
     if not isinstance(value, bool | np.bool_):
         raise ValueError(f"{name} must be True or False; {name} = {shown(value)}")
     return bool(value)
+
+
+def checked_kind(name: str, value: Any, kind: Any, wanted: str) -> Any:
+    """The value, if it is an object of a kind, a class or several.  wanted : the kind in words.
+    Raises TypeError otherwise."""
+    if not isinstance(value, kind):
+        raise TypeError(f"{name} must be {wanted}; {name} = {shown(value)}")
+    return value
+
+
+def checked_path(name: str, value: Any) -> Path:
+    """The value as a Path.  Raises ValueError unless it is a text, or a path, that can name a file."""
+    try:
+        path = Path(value or None)  # type: ignore[arg-type]  # an empty text names nothing
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
+        pass
+    except (TypeError, ValueError, OSError):
+        raise ValueError(f"{name} must be the path of a file or folder; {name} = {shown(value)}") from None
+    return path
 
 
 def checked_choice(name: str, value: Any, allowed: Collection[str]) -> Any:

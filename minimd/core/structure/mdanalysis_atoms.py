@@ -9,6 +9,7 @@ from MDAnalysis.lib.mdamath import triclinic_vectors
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.core.structure.bond_graph import GROUPS
+from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.units import LJ, UnitSystem
 
 
@@ -17,8 +18,8 @@ def universe_arguments(universe: Universe | AtomGroup, units: UnitSystem, groups
     """Arguments for System from a universe or a group of its atoms, as System.from_mdanalysis describes them.
     groups : bonds, angles, dihedrals and impropers by these names; None for those of the universe.
     Raises TypeError for anything else.  ValueError for atoms without masses, where the units have no default."""
-    if not isinstance(universe, Universe | AtomGroup):
-        raise TypeError(f"an MDAnalysis Universe or AtomGroup is expected; got {type(universe).__name__}")
+    checked_kind("universe", universe, Universe | AtomGroup, "an MDAnalysis Universe or AtomGroup")
+    checked_kind("units", units, UnitSystem, "minimd.units.LJ or minimd.units.ASE")
     atoms = universe.atoms
     ts, to_length, to_speed = atoms.universe.trajectory.ts, units.to_angstrom, units.to_picosecond / units.to_angstrom
     is_periodic = ts.dimensions is not None and bool(np.all(ts.dimensions[:3] > 0.0))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from minimd.core.structure.checks import checked_numbers
 from minimd.core.structure.vectors import Array
 
 Weighted = Callable[[int], list[tuple[float, Array]]]
@@ -29,8 +30,12 @@ def mean_and_error(series: Any) -> tuple[float, float]:
     Returns
     -------
     mean, error : in the unit of the series; the error is NaN for fewer than 4 entries, the mean for none.
+
+    Raises ValueError for anything but a list of numbers.
     """
-    values = np.asarray(series, dtype=np.float64)
+    values = checked_numbers("series", series, "numbers")
+    if values.ndim != 1:
+        raise ValueError(f"series must be one number for each time; its shape is {values.shape}")
     if len(values) < FEW:
         return float(values.mean()) if len(values) else np.nan, np.nan
     mean, length = float(values.mean()), len(values) // MOST_BLOCKS + 1

@@ -14,7 +14,7 @@ from minimd.core.console.words import listed, shown
 from minimd.core.structure import units as unit_systems
 from minimd.core.structure.bond_graph import GROUPS, checked_groups, checked_pairs
 from minimd.core.structure.cell import Cell
-from minimd.core.structure.checks import LARGEST, MOST_ATOMS, check_rows, checked_numbers, checked_sizes
+from minimd.core.structure.checks import LARGEST, MOST_ATOMS, check_rows, checked_kind, checked_numbers, checked_sizes
 from minimd.core.structure.constraints import Constraint
 from minimd.core.structure.observables import largest_component
 from minimd.core.structure.units import UnitSystem
@@ -68,8 +68,7 @@ class System(Displayed):
                  impropers: ArrayLike | None = None, units: UnitSystem = unit_systems.LJ,
                  constraints: Sequence[Constraint] = (),
                  charges: ArrayLike | Mapping[Any, float] | None = None) -> None:  # fmt: skip
-        if not isinstance(units, UnitSystem):
-            raise TypeError(f"units must be minimd.units.LJ or minimd.units.ASE; units = {shown(units)}")
+        checked_kind("units", units, UnitSystem, "minimd.units.LJ or minimd.units.ASE")
         if not isinstance(constraints, list | tuple) or not all(isinstance(one, Constraint) for one in constraints):
             wanted = "a list of DistanceConstraints and FixedAtoms"
             raise TypeError(f"constraints of a System must be {wanted}; got {shown(constraints)}")
@@ -105,9 +104,9 @@ class System(Displayed):
             self.__dict__[name][:] = _vectors(name, value, len(self))
         elif name in READ_ONLY and name in self.__dict__:
             raise AttributeError(f"{name} of a System cannot be changed; make a new System")
-        elif name == "cell" and not isinstance(value, Cell):
-            raise TypeError(f"the cell of a System can be replaced by a Cell, as Cell.of(10.0); got {shown(value)}")
         else:
+            if name == "cell":
+                checked_kind("cell", value, Cell, "a Cell, such as Cell.of(10.0)")
             super().__setattr__(name, value)
 
     def __len__(self) -> int:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array
+from minimd.core.structure.checks import checked_numbers
 from minimd.textbook.ode.functions import CENTRAL, Function, central_differences, taking, time_derivative, unit_of_time
 from minimd.textbook.ode.newton import WIDE, Newton, nearest_root
 from minimd.textbook.ode.problems import DifferentialAlgebraic
@@ -80,7 +81,10 @@ class Implicit(DifferentialAlgebraic):
         """y, after solving F = 0 and its derivatives up to the index minus one.
         least : mobility of variables whose derivative occurs in F."""
         is_pair = isinstance(start, tuple) and len(start) == 2 and np.ndim(start[0]) == 1
-        y, slope = (np.array(part, float) for part in (start if is_pair else (start, np.zeros(np.shape(start)))))
+        y, slope = (
+            checked_numbers("start", part, "numbers")
+            for part in (start if is_pair else (start, np.zeros(np.shape(start))))
+        )
         is_finite = np.isfinite(y).all() and np.isfinite(slope).all()
         if y.ndim != 1 or y.size == 0 or y.shape != slope.shape or not is_finite:
             raise ValueError(
@@ -207,7 +211,7 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
     F. R. Gantmacher, The Theory of Matrices, vol. 2 (1959), XII; D. G. Luenberger, Automatica 14, 473 (1978);
     ranks by singular values: P. Van Dooren, Linear Algebra Appl. 27, 103 (1979).
     """
-    m, a = (np.array(matrix, dtype=float) for matrix in (M, A))
+    m, a = checked_numbers("M", M, "a matrix"), checked_numbers("A", A, "a matrix")
     if m.ndim != 2 or m.shape[0] != m.shape[1] or m.shape != a.shape or m.size == 0:
         raise ValueError(f"M and A must be square matrices of the same size; got shapes {m.shape} and {a.shape}")
     if not (np.isfinite(m).all() and np.isfinite(a).all()):

@@ -16,6 +16,7 @@ from minimd.core.console.quiet import warn
 from minimd.core.integrators.method import Array
 from minimd.core.integrators.order_conditions import nystrom_order
 from minimd.core.integrators.substeps import Drift, Kick, Substeps, are_alike, repeated
+from minimd.core.structure.checks import checked_numbers
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.ode.functions import Function, derivative, remark_on_differences, time_derivative, unit_of_time
 from minimd.textbook.ode.newton import Iteration, Newton
@@ -55,7 +56,7 @@ class Holonomic(SecondOrder):
             raise ValueError("a constrained step needs forces that do not depend on v; f takes v")
         self._g = g
         self._jacobian = jacobian
-        self._masses = np.asarray(masses, dtype=float)
+        self._masses = checked_numbers("masses", masses, "numbers")
 
     def violation(self, q: Array) -> Array:
         """g(q), (m,), for q of length n."""

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from minimd.core.compiled.machine import EPS
 from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array, Method, Problem, Step
-from minimd.core.structure.checks import checked_number
+from minimd.core.structure.checks import checked_kind, checked_number, checked_numbers
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.dae.hessenberg import Hessenberg2
 from minimd.textbook.ode.functions import Function, Map, checked_values, derivative, reading
@@ -57,7 +57,7 @@ class Invariants:
     def __init__(self, g: Function, jacobian: Function | None = None, value: ArrayLike | None = None) -> None:
         self.g = _of_state(g, "g")
         self.jacobian = jacobian if jacobian is None else _of_state(jacobian, "jacobian")
-        self.value = value if value is None else np.array(value, dtype=float).reshape(-1)
+        self.value = value if value is None else checked_numbers("value", value, "numbers").reshape(-1)
 
     def through(self, y: Array, shape: Shape = None) -> "Manifold":
         """The manifold g = value, or g = g(y) if no value was given.
@@ -117,8 +117,7 @@ class Manifold:
 
 def check_invariants(invariants: Invariants) -> None:
     """TypeError for anything but Invariants."""
-    if not isinstance(invariants, Invariants):
-        raise TypeError(f"invariants must be Invariants(g), with a function g(y) or g(q, v); got {shown(invariants)}")
+    checked_kind("invariants", invariants, Invariants, "Invariants(g), with a function g(y) or g(q, v)")
 
 
 Begun = Callable[[Array, Shape], None]
@@ -249,7 +248,7 @@ def with_multipliers(method: type[Method], invariants: Invariants) -> type[Metho
 
 def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: "type[ManifoldStep]") -> type[Method]:
     if not (isinstance(method, type) and issubclass(method, Method)):
-        raise TypeError(f"method must be a class, such as RadauIIA3, not an object; got {shown(method)}")
+        raise TypeError(f"method must be a class, such as RadauIIA3, not an object; method = {shown(method)}")
     check_invariants(invariants)
     name = f"{verb}({method.name})"
     members = {"__doc__": f"{name}.", "name": name,
@@ -369,9 +368,8 @@ def index_two(problem: Problem, invariants: Invariants) -> IndexTwo:
     TypeError : for problems of other kinds.
     """
     check_invariants(invariants)
-    if not isinstance(problem, (Partitioned, FirstOrder)):
-        raise TypeError(f"problem must be SecondOrder, Partitioned or FirstOrder; got {type(problem).__name__}")
-    return IndexTwo(problem, invariants)
+    wanted = "SecondOrder, Partitioned or FirstOrder"
+    return IndexTwo(checked_kind("problem", problem, Partitioned | FirstOrder, wanted), invariants)
 
 
 def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Array:

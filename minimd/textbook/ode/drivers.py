@@ -31,7 +31,7 @@ Methods in ODEs (1962), 6.4; E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs 
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import repeat
+from itertools import chain, repeat
 from math import copysign, isfinite, log
 from typing import Any
 
@@ -42,7 +42,7 @@ from minimd.core.compiled.machine import EPS
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array, Method, Problem
-from minimd.core.structure.checks import checked_count, checked_number, checked_numbers
+from minimd.core.structure.checks import COUNTS, checked_count, checked_kind, checked_number, checked_numbers
 from minimd.core.structure.errors import ConvergenceError, NonFiniteError
 from minimd.textbook.ode.problems import DifferentialAlgebraic, Partitioned
 
@@ -206,7 +206,7 @@ def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: fl
     n_steps = checked_span(t0, t_end, h)
     whole = int(n_steps * (1.0 + LEFTOVER) + LEFTOVER)
     rest = t_end - (t0 + whole * h)
-    lengths = [h] * whole + ([rest] if rest / h > LEFTOVER * n_steps else [])
+    lengths = chain(repeat(h, whole), [rest] if rest / h > LEFTOVER * n_steps else [])
     return _fixed(Path(problem, start, t0, every), method, lengths, t_end)
 
 
@@ -236,10 +236,7 @@ def _fixed(path: Path, method: Method, lengths: Iterable[float], t_end: float | 
 
 def check_method(method: Method) -> None:
     """TypeError for anything but a method with its time step."""
-    if not isinstance(method, Method):
-        raise TypeError(
-            f"method must be a method with its time step, such as VelocityVerlet(0.05); got {shown(method)}"
-        )
+    checked_kind("method", method, Method, "a method with its time step, such as VelocityVerlet(0.05)")
 
 
 def checked_span(t0: float, t_end: float, timestep: float | None = None) -> float:
@@ -247,9 +244,10 @@ def checked_span(t0: float, t_end: float, timestep: float | None = None) -> floa
     ValueError unless both times are finite, and t_end lies on the side of t0 to which the time step leads."""
     span = checked_number("t_end", t_end) - checked_number("t0", t0)
     n_steps = abs(span) if timestep is None else span / timestep
-    if not (isfinite(n_steps) and n_steps > 0.0):
+    if not 0.0 < n_steps < COUNTS:
         raise ValueError(
-            f"t_end must be finite and lie ahead of t0; t0 = {t0!r}, t_end = {t_end!r}, timestep = {timestep!r}"
+            f"t_end must lie ahead of t0, by fewer than 9e18 steps; t0 = {t0!r}, t_end = {t_end!r}, "
+            f"timestep = {timestep!r}"
         )
     return n_steps
 
@@ -345,9 +343,8 @@ def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: floa
     """
     checked_span(t0, t_end)
     if not (isinstance(method, type) and issubclass(method, Method)):
-        raise TypeError(f"method must be a class, such as VelocityVerlet, not an object; got {shown(method)}")
-    if not isinstance(control, StepControl):
-        raise TypeError(f"control must be StepControl(rtol, atol); got {shown(control)}")
+        raise TypeError(f"method must be a class, such as VelocityVerlet, not an object; method = {shown(method)}")
+    checked_kind("control", control, StepControl, "StepControl(rtol, atol)")
     path = Path(problem, start, t0)
     if (given := np.shape(control.atol)) not in ((), path.states[0].shape):
         raise ValueError(
@@ -448,8 +445,8 @@ def run_reversible(problem: Partitioned, method: Method, start: Start, t_end: fl
     """
     check_method(method)
     checked_span(t0, t_end, method.timestep)
-    if not isinstance(control, DensityControl):
-        raise TypeError(f"control must be DensityControl(rate, density, max_steps); got {shown(control)}")
+    checked_count("every", every)
+    checked_kind("control", control, DensityControl, "DensityControl(rate, density, max_steps)")
     if not method.is_symmetric:
         raise ValueError(f"reversible steps need a symmetric method, such as VelocityVerlet; {method.name} is not")
     path = Path(problem, start, t0, every)
@@ -547,8 +544,8 @@ def _stormer(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_s
              advance: Callable[..., None]) -> Solution:  # fmt: skip
     """The path without the position after the end, which is needed for the last velocity only.
     advance : finds q_{n+1} and the increments from q_{n−1}, q_n and Δt² f(q_n)."""
-    q0 = np.asarray(q0, dtype=float)
-    v0 = np.asarray(v0, dtype=float)
+    q0 = checked_numbers("q0", q0, "numbers")
+    v0 = checked_numbers("v0", v0, "numbers")
     checked_number("timestep", timestep, "finite and not zero")
     checked_count("n_steps", n_steps)
     a0 = np.asarray(f(q0), dtype=float)

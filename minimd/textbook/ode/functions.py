@@ -24,6 +24,7 @@ import numpy as np
 from minimd.core.compiled.machine import EPS
 from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array
+from minimd.core.structure.checks import checked_kind
 
 Function = Callable[..., Any]
 Map = Callable[[Array], Array]
@@ -38,8 +39,7 @@ def arguments(function: Function, names: str, label: str, usual: str | None, wan
     Raises TypeError for anything else; label is its name in the message, wanted what it should be."""
     every = tuple(names.split())
     most = every if usual is None else tuple(usual.split())
-    if not callable(function):
-        raise TypeError(f"{label} must be {wanted}; got {shown(function)}")
+    checked_kind(label, function, Callable, wanted)
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):  # written in C, such as numpy.sin

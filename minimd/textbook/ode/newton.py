@@ -17,9 +17,8 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 
 from minimd.core.compiled.machine import EPS
-from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array
-from minimd.core.structure.checks import checked_count
+from minimd.core.structure.checks import checked_count, checked_kind, checked_number
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.ode.functions import CENTRAL, Map, central_differences, forward_differences
 
@@ -46,14 +45,14 @@ class Newton:
 
     Raises
     ------
-    ValueError : if max_iterations is not a whole number of at least 1.
+    ValueError : if max_iterations is not a whole number of at least 1, or small is not positive.
     """
 
     slow = SLOW
 
     def __init__(self, max_iterations: int = 50, small: float = SMALL) -> None:
         self.max_iterations = checked_count("max_iterations", max_iterations)
-        self.small = small
+        self.small = checked_number("small", small, "positive and finite")
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(max_iterations={self.max_iterations})"
@@ -104,9 +103,7 @@ class FixedPoint(Newton):
 
 def checked_solver(solver: Newton) -> Newton:
     """TypeError for anything but a solver."""
-    if not isinstance(solver, Newton):
-        raise TypeError(f"solver must be Newton() or FixedPoint(); got {shown(solver)}")
-    return solver
+    return checked_kind("solver", solver, Newton, "Newton() or FixedPoint()")
 
 
 class Iteration:

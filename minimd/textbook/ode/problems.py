@@ -35,6 +35,7 @@ from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array, Problem, Step
 from minimd.core.integrators.order_conditions import nystrom_order, separable_order
 from minimd.core.integrators.substeps import COEFFICIENT_ROUNDING, Kick, Substep, Substeps
+from minimd.core.structure.checks import checked_numbers
 from minimd.textbook.ode.functions import (
     Function,
     VectorField,
@@ -73,7 +74,7 @@ class FirstOrder(Problem):
         """The start as a state of length n.
         Raises ValueError if it is not an array of one dimension, or a value is not finite; from f, if its answers have
         another shape."""
-        y = np.array(start, dtype=float)
+        y = checked_numbers("start", start, "numbers")
         if y.ndim != 1 or y.size == 0:
             raise ValueError(
                 f"the start must be a one-dimensional array with at least one element; got shape {y.shape}"
@@ -127,7 +128,7 @@ class Partitioned(Problem):
         answers have another shape."""
         if not isinstance(start, (tuple, list, np.ndarray)) or len(start) != 2:
             raise ValueError(f"the start must be a pair, (q, v); got {shown(start)}")
-        q, v = (np.array(part, dtype=float) for part in start)
+        q, v = (checked_numbers("start", part, "numbers") for part in start)
         if q.shape != v.shape or q.size == 0:
             raise ValueError(
                 f"q and v of the start must have the same shape, and at least one element; got {q.shape} and {v.shape}"

@@ -18,6 +18,7 @@ from numpy.polynomial.legendre import Legendre
 from numpy.typing import ArrayLike
 
 from minimd.core.integrators.method import Array, ClassProperty, Method, Problem, Step
+from minimd.core.structure.checks import checked_count, checked_numbers
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.ode.functions import forward_differences
 from minimd.textbook.ode.problems import DifferentialAlgebraic, FirstOrder
@@ -27,6 +28,7 @@ __all__ = ["GaussLegendre1", "GaussLegendre2", "GaussLegendre3", "GaussLegendre4
 
 FARTHEST = 3.0  # times the last step: how far its slopes are extrapolated at most
 TABLEAU_ROUNDING = 1e-13  # of sums of a few products of coefficients of order one
+MOST_STAGES = 64  # of a tableau whose numbers are not all rounding
 HIGHEST_ORDER = 10  # conditions are evaluated up to this order
 AMPLIFIED = 3e1  # factor of rounding per level, for steps of some hundredth of the time in which the solution varies
 UNSEEN = 1e-22  # of the state: a millionth of its rounding, too small to change even a compensated sum
@@ -101,14 +103,15 @@ def _first_failure(defects: Array, axis: int = 0) -> int:
 
 def collocation(nodes: ArrayLike) -> Tableau:
     """The collocation method on s different nodes, in units of the step."""
-    c = np.array(nodes, dtype=float)
+    c = checked_numbers("nodes", nodes, "numbers")
     return Tableau(np.array([_lagrange_integrals(c, node) for node in c]), _lagrange_integrals(c, 1.0), c)
 
 
 def gauss(n_stages: int) -> Tableau:
     """Gauss-Legendre nodes, the zeros of P_s(2c − 1): order 2s, symplectic and symmetric.
 
-    J. C. Butcher, Math. Comput. 18, 50 (1964)."""
+    J. C. Butcher, Math. Comput. 18, 50 (1964).  Raises ValueError for a number of stages below 1 or too large."""
+    n_stages = checked_count("n_stages", n_stages, limit=MOST_STAGES)
     rounded = collocation((1.0 + np.polynomial.legendre.leggauss(n_stages)[0]) / 2.0)
     # else invariants drift with the rounding of M
     beta = rounded.beta - rounded.symplecticity_defect / (2.0 * rounded.weights[:, None])
@@ -119,6 +122,7 @@ def radau_iia(n_stages: int) -> Tableau:
     """Radau nodes with c_s = 1, the zeros of P_s(2c − 1) − P_{s−1}(2c − 1): order 2s − 1, stiffly accurate.
 
     B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5."""
+    n_stages = checked_count("n_stages", n_stages, limit=MOST_STAGES)
     inner = (Legendre.basis(n_stages) - Legendre.basis(n_stages - 1)).roots()
     return collocation([*(1.0 + np.sort(np.real(inner))[:-1]) / 2.0, 1.0])
 

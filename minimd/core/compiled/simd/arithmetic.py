@@ -120,9 +120,6 @@ def _negative(x):
     return (lambda x: 0.0 - x) if isinstance(x, Vector) else None
 
 
-@overload(pow)
-@overload(math.pow)
-@overload(np.power)
 @overload(operator.ipow)
 @overload(operator.pow)
 def _power(x, exponent):

@@ -6,6 +6,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import ceil
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -17,14 +18,15 @@ from minimd.core.engine.cell_rescaling import StrainedBodies
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
 from minimd.core.structure.cell import Cell
-from minimd.core.structure.checks import checked_count, checked_number
+from minimd.core.structure.checks import checked_choice, checked_count, checked_number
+from minimd.core.structure.constraints import DistanceConstraints
 from minimd.core.structure.observables import center
-from minimd.core.structure.statistics import spread, with_error
-from minimd.core.structure.units import UnitSystem
+from minimd.core.structure.system import System
 from minimd.observers.accumulator import ObservedRun, Result, Series, State
 from minimd.observers.arguments import argument, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
-from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, Plateau, TimeCorrelation
+from minimd.observers.diffusion import Diffusivity, diffusion_words, diffusivity, fitted
+from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, TimeCorrelation, running_integral
 from minimd.observers.viscosity import ViscosityResult
 
 if TYPE_CHECKING:
@@ -35,9 +37,8 @@ POINTS = 16  # entries on each level of the correlator
 MOST_ATOMS = "largest number of atoms, chosen evenly, with up to one more for each species; it bounds time and memory"
 XI = 2.837297  # ξ of a cubic cell
 CUBIC = 1e-9  # largest relative deviation of the squares and products of lattice vectors from those of a cube
-DECADE = 10.0  # the window of a fit ends at this multiple of its start
-LEFT = 0.5  # of the distance of neighbors: an atom that has moved by more has left its place
-USUAL = 10.0  # 10⁻⁵ cm²/s per Å²/ps
+ATOMS, MOLECULES = "atoms", "molecules"
+OF = "atoms, or molecules (atoms that bonds or rigid lengths connect), whose centers count, each by its number of atoms"
 AXES = ("x", "y", "z")
 
 
@@ -45,15 +46,6 @@ def is_cubic(cell: Cell) -> bool:
     """Whether a cell is a cube that is periodic in all directions."""
     square = cell.vectors @ cell.vectors.T
     return bool(cell.pbc.all() and np.abs(square - np.eye(3) * square[0, 0]).max() < CUBIC * square[0, 0])
-
-
-def slope(times: Array, squares: Array) -> Array:
-    """Slopes of straight lines through mean squares (..., T) at times (T,), each point weighted by 1/t, because its
-    error grows as t."""
-    weights = 1.0 / times
-    weights = weights**2 / (weights**2).sum()
-    t = times - weights @ times
-    return np.asarray((squares * (weights * t)).sum(axis=-1) / (weights * t * t).sum())
 
 
 def finite_size_correction(thermal_energy: float, viscosity: float, edge: float) -> float:
@@ -74,29 +66,41 @@ def with_its_error(viscosity: float | ViscosityResult) -> tuple[float, float]:
     return checked_number("viscosity", viscosity, "positive and finite"), 0.0
 
 
-def diffusion_words(coefficient: float, error: float, units: UnitSystem) -> str:
-    """D in words, in Å²/ps and cm²/s, or in reduced units."""
-    if units.name != "ASE":
-        return f"{with_error(coefficient, error)} {units.length}²/{units.time}"
-    return per_ps_in_words(coefficient / units.to_picosecond, error / units.to_picosecond)
+def molecules_of(system: System) -> NDArray[np.int64]:
+    """(N,) the number of the molecule of each atom: bonds and lengths held fixed connect the atoms of a molecule."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
+    i, j = np.concatenate([system.bonds, *held]).T
+    bonded = coo_array((np.ones(len(i), bool), (i, j)), shape=(len(system), len(system)))
+    return np.asarray(connected_components(bonded, directed=False)[1], dtype=np.int64)
 
 
-def per_ps_in_words(coefficient: float, error: float) -> str:
-    """D [Å²/ps] in words, also in cm²/s."""
-    return f"{with_error(coefficient, error)} Å²/ps = ({with_error(USUAL * coefficient, USUAL * error)})·10⁻⁵ cm²/s"
+def of_molecules(vectors: Array, masses: Array, molecules: NDArray[np.int64]) -> Array:
+    """(N, 3) for each atom, of vectors (N, 3) of atoms, the mean of its molecule, weighted by masses.
+    molecules : see molecules_of."""
+    sums = [np.bincount(molecules, masses * along) for along in vectors.T]
+    return np.asarray((sums / np.bincount(molecules, masses)).T[molecules])
 
 
 class _OfAtoms(TimeCorrelation):
-    """A correlation of a vector of each atom, relative to the center of mass of all atoms if n_dof leaves it out."""
+    """A correlation of a vector of each atom, or of the center of its molecule, relative to the center of mass of all
+    atoms: if the momentum is constant, or if nothing holds several molecules, which a bath moves together."""
 
+    convention = 3  # relative to the center of mass also under a bath
     law: ClassVar[tuple]  # of the correlator
     every: int = steps(10)
     n_levels: int = argument(levels, LEVELS, 10)
     most_atoms: int = argument(checked_count, MOST_ATOMS, 4096)
+    of: str = argument(partial(checked_choice, allowed=(ATOMS, MOLECULES)), OF, ATOMS)
     name: str = label()
     chosen: list[int] = field(init=False, default_factory=lambda: [0])
     is_cubic: bool = field(init=False, default=False)
     numbers: list[int] = field(init=False, default_factory=lambda: [1])  # of chosen atoms of each species
+    is_relative: bool = field(init=False, default=False)  # to the center of mass
+    widening: float = field(init=False, default=1.0)  # of D: n/(n − 1) for n independent particles relative to it
+    has_centers: bool = field(init=False, default=False)  # of molecules, which are not measured
 
     @property
     def n_components(self) -> int:
@@ -109,17 +113,30 @@ class _OfAtoms(TimeCorrelation):
         chosen = [np.flatnonzero(index == k)[::stride] for k in range(len(system.species_names))]
         self.chosen, self.numbers = np.concatenate(chosen).tolist(), [len(one) for one in chosen]
         self.is_cubic = is_cubic(system.cell)
+        n_molecules = int(molecules_of(system).max()) + 1
+        n_particles = n_molecules if self.of == MOLECULES else len(system)
+        self.is_relative = engine.conserves_momentum or (engine.moves_freely and n_molecules > 1)
+        if self.is_relative and not engine.conserves_momentum:
+            self.widening = n_particles / (n_particles - 1.0)
+        self.has_centers = self.of == ATOMS and n_molecules < len(system)
 
     def _laid_out(self, scene: ObservedRun) -> None:
         starts = np.concatenate([[0], np.cumsum(self.numbers)])
         self._order = np.array(self.chosen)
         self._takes_all = np.array_equal(self._order, np.arange(scene.n_atoms))
+        self._molecules: NDArray[np.int64] | None = None
         correlator = MultipleTau(type(self).law, starts, self.n_components, POINTS, self.n_levels, averages=False)
         self._correlate_by(correlator)
 
     def _look(self, engine: Engine) -> None:
         look = Look(engine)
-        vectors, of_center = self._vectors(look)
+        vectors = self._vectors(look)
+        masses = engine.system.masses
+        of_center = center(vectors, masses, self.is_relative)
+        if self.of == MOLECULES:
+            if self._molecules is None:
+                self._molecules = molecules_of(engine.system)
+            vectors = of_molecules(vectors, masses, self._molecules)
         chosen = vectors if self._takes_all else np.take(vectors, self._order, axis=0)
         self._add(look, self._entry(chosen - of_center))
 
@@ -128,8 +145,8 @@ class _OfAtoms(TimeCorrelation):
         return vectors.T
 
     @abstractmethod
-    def _vectors(self, look: Look) -> tuple[Array, Array]:
-        """The vectors of all atoms, (N, 3), and what to subtract from them, (3,)."""
+    def _vectors(self, look: Look) -> Array:
+        """The vectors of all atoms, (N, 3)."""
 
     def _means(self, seen: NDArray[np.bool_]) -> Callable[[Array], Array]:
         """The function of the sums that gives means over all atoms, over those of each species, and of each
@@ -220,9 +237,8 @@ class MeanSquareDisplacement(_OfAtoms):
         super()._laid_out(scene)
         self._of_cell = CellMotion()
 
-    def _vectors(self, look: Look) -> tuple[Array, Array]:
-        vectors = self._of_cell.taken_off(look.engine)
-        return vectors, center(vectors, look.system.masses, look.engine.conserves_momentum)
+    def _vectors(self, look: Look) -> Array:
+        return self._of_cell.taken_off(look.engine)
 
     def _parts(self) -> list[Any]:
         return [*super()._parts(), self._of_cell]
@@ -232,8 +248,8 @@ class MeanSquareDisplacement(_OfAtoms):
     ) -> DisplacementResult:
         """The displacements so far, and D of the atoms, each with its standard error.
 
-        window : lags for the fit of a straight line [time]; if not given, a decade that begins when atoms have moved by
-            half the distance of neighbors, and ends at a quarter of the run at the latest.
+        window : lags for the fit of a straight line [time], whether atoms diffuse there or not; if not given, D is that
+            of diffusivity, if the slope has stopped to change with the lag.
         viscosity : η [energy time/length³], for the finite-size correction of Yeh and Hummer, which needs a cubic cell;
             or the result of md.observers.Viscosity, whose error then counts, too.
 
@@ -242,11 +258,16 @@ class MeanSquareDisplacement(_OfAtoms):
         """
         scene = self.answered()
         seen, times, longest = self._seen()
-        means, errors = self._estimate(times, longest, self._means(seen))
+        law = self._means(seen)
+        means, errors = self._estimate(times, longest, law)
+        without = self._replicas(law, means.shape)
+        rule = partial(diffusivity, longest=longest) if window is None else partial(fitted, window=window)
+        rows = range(1 + len(scene.species))
+        whole, *of_species = [rule(times, means[row], without[:, row]).times(self.widening) for row in rows]
         _, temperature, volume = (self.sums.total[:HEAD] / self.sums.total[COUNT]).tolist()
-        n_atoms = sum(self.numbers)
-        found = DisplacementResult(scene, times, means, errors, self.is_cubic, temperature, volume, n_atoms)
-        return found.fitted(self.sums.replicas(self._means(seen)), window, longest, viscosity)
+        numbers = self.is_cubic, temperature, volume, sum(self.numbers)
+        found = DisplacementResult(scene, times, means, errors, *numbers, whole, tuple(of_species), self.has_centers)
+        return found if viscosity is None else found.corrected(viscosity)
 
 
 class VelocityAutocorrelation(_OfAtoms):
@@ -259,8 +280,8 @@ class VelocityAutocorrelation(_OfAtoms):
     kind = "velocity-autocorrelation"
     law = Product()
 
-    def _vectors(self, look: Look) -> tuple[Array, Array]:
-        return look.engine.velocities, look.drift
+    def _vectors(self, look: Look) -> Array:
+        return look.engine.velocities
 
     def result(self) -> VelocityResult:
         """The autocorrelation so far, its running integral, and D, each with its standard error.
@@ -268,9 +289,19 @@ class VelocityAutocorrelation(_OfAtoms):
         scene = self.answered()
         seen, times, longest = self._seen()
         law = self._means(seen)
-        (values, errors), n_atoms = self._estimate(times, longest, law), sum(self.numbers)
-        integral, error, found = self._integral(times, longest, lambda sums: law(sums)[0] / 3.0)
-        return VelocityResult(scene, times, values, errors, integral, error, found, n_atoms)
+        values, errors = self._estimate(times, longest, law)
+
+        def integral(sums: Array) -> Array:
+            return running_integral(times, law(sums)[0] / 3.0)
+
+        along, its_error = self._estimate(times, longest, integral)
+        without = self._replicas(integral, along.shape)
+        # its integral is that of a mean square displacement
+        squares, others = (6.0 * running_integral(times, one) for one in (along, without))
+        found = diffusivity(times, squares, others, longest).times(self.widening)
+        return VelocityResult(
+            scene, times, values, errors, along, its_error, found, sum(self.numbers), self.has_centers
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -308,24 +339,24 @@ class DisplacementResult(MotionResult):
 
     times : (T,) lags [time].
     means, errors : (1 + S + 3, T) [length²], of all atoms, of those of each species, and along x, y, z.
-    diffusion, diffusion_error : D in this cell [length²/time]; NaN if the window holds too few lags.
-        diffusion_of_species : D of each, (S,).
+    diffusivity, of_species : Diffusivity of all atoms in this cell, and of those of each species, (S,).
+    diffusion, diffusion_error : D, and its standard error [length²/time]; NaN unless the slope has stopped to change.
+        diffusion_of_species, diffusion_errors_of_species : of each, (S,).  window : lags of D [time].
+    has_centers : whether centers of molecules could be measured, and were not.
     infinite, infinite_error : D of an infinite system by Yeh and Hummer; NaN without a viscosity. The error includes
         that of the viscosity, if it is known.
-    window : of the straight line [time].  temperature, volume : means.
-    n_atoms : number of atoms whose displacements were measured.
+    temperature, volume : means.  n_atoms : number of atoms whose displacements were measured.
     """
 
     is_cubic: bool
     temperature: float
     volume: float
     n_atoms: int
-    diffusion: float = np.nan
-    diffusion_error: float = np.nan
-    diffusion_of_species: tuple[float, ...] = ()
+    diffusivity: Diffusivity
+    of_species: tuple[Diffusivity, ...]
+    has_centers: bool
     infinite: float = np.nan
     infinite_error: float = np.nan
-    window: tuple[float, float] = (np.nan, np.nan)
     title = "mean-square displacement"
     symbol = "msd"
 
@@ -334,37 +365,45 @@ class DisplacementResult(MotionResult):
         """(T,) [length²], of all atoms."""
         return np.asarray(self.means[0])
 
-    def fitted(self, without: Array, window: tuple[float, float] | None, longest: float,
-               viscosity: float | ViscosityResult | None) -> DisplacementResult:  # fmt: skip
-        """This result with D.  without : (K, 1 + S + 3, T) replicas of the means.  longest : last lag for a fit [time].
-        Raises ValueError."""
-        spacing = (self.volume / self.scene.n_atoms) ** (1.0 / 3.0)
-        start, end = window or (0.1 * longest, longest if np.isnan(spacing) else 0.0)
-        has_left = self.msd > (LEFT * spacing) ** 2  # False for all lags without a volume
-        if window is None and has_left.any():
-            start = float(self.times[np.argmax(has_left)])
-            end = min(DECADE * start, longest)
-        inside = (self.times >= start) & (self.times <= end) & (self.times > 0.0)
-        if inside.sum() < 3:
-            if window is None:
-                return self
-            held = f"({start:.4g}, {end:.4g}) holds {inside.sum()} of {len(self.times)}"
-            raise ValueError(f"the window of the fit must hold at least 3 lags; {held}")
-        times, n = self.times[inside], 1 + len(self.scene.species)
-        coefficients = slope(times, self.means[:n, inside]) / 6.0
-        error = float(spread(slope(times, without[:, 0, inside]) / 6.0)) if len(without) else np.nan
-        found, *of_species = coefficients.tolist()
-        made = {"diffusion": found, "diffusion_error": error, "diffusion_of_species": tuple(of_species)}
-        made["window"] = float(times[0]), float(times[-1])
-        if viscosity is not None:
-            if not self.is_cubic:
-                needs = "needs a cubic cell that is periodic in all directions; without one, do not pass viscosity"
-                raise ValueError(f"the correction of Yeh and Hummer {needs}")
-            thermal_energy, edge = self.units.k_B * self.temperature, self.volume ** (1.0 / 3.0)
-            eta, eta_error = with_its_error(viscosity)
-            added = finite_size_correction(thermal_energy, eta, edge)
-            made |= {"infinite": found + added, "infinite_error": float(np.hypot(error, added * eta_error / eta))}
-        return replace(self, **made)
+    @property
+    def diffusion(self) -> float:
+        """D in this cell [length²/time]."""
+        return self.diffusivity.value
+
+    @property
+    def diffusion_error(self) -> float:
+        """Its standard error."""
+        return self.diffusivity.error
+
+    @property
+    def diffusion_of_species(self) -> tuple[float, ...]:
+        """D of each species."""
+        return tuple(one.value for one in self.of_species)
+
+    @property
+    def diffusion_errors_of_species(self) -> tuple[float, ...]:
+        """Their standard errors."""
+        return tuple(one.error for one in self.of_species)
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """The lags of D [time]."""
+        return self.diffusivity.window
+
+    def corrected(self, viscosity: float | ViscosityResult) -> DisplacementResult:
+        """This result with D of an infinite system.  Raises ValueError."""
+        if not self.is_cubic:
+            needs = "needs a cubic cell that is periodic in all directions; without one, do not pass viscosity"
+            raise ValueError(f"the correction of Yeh and Hummer {needs}")
+        thermal_energy, edge = self.units.k_B * self.temperature, self.volume ** (1.0 / 3.0)
+        eta, eta_error = with_its_error(viscosity)
+        added = finite_size_correction(thermal_energy, eta, edge)
+        error = float(np.hypot(self.diffusion_error, added * eta_error / eta))
+        return replace(self, infinite=self.diffusion + added, infinite_error=error)
+
+    def _row_of(self, species: str, found: Diffusivity) -> tuple[str, str]:
+        told = f"D = {diffusion_words(found.value, found.error, self.units)}, {found.said(self.units)}"
+        return "", f"{species}: {told if found.is_reached else found.refused(self.units, self.has_centers)}"
 
     def numbers(self) -> dict[str, float]:
         """See Result."""
@@ -373,12 +412,13 @@ class DisplacementResult(MotionResult):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        units, (start, end) = self.units, self.window
-        if np.isnan(self.diffusion):
-            said = f"unknown: the atoms have not left their places in lags up to {units.shown(self.times[-1])}"
-            return [("diffusion", said)]
+        units, found = self.units, self.diffusivity
+        if not found.is_reached:
+            return [("diffusion", found.refused(units, self.has_centers))]
         words = diffusion_words(self.diffusion, self.diffusion_error, units)
-        rows = [("diffusion", f"D = {words}, from lags of {units.shown(start)} to {units.shown(end)}, in this cell")]
+        rows = [("diffusion", f"D = {words}, {found.said(units)}, in this cell")]
+        if len(self.of_species) > 1:
+            rows += [self._row_of(*pair) for pair in zip(self.scene.species, self.of_species, strict=True)]
         if np.isfinite(self.infinite):
             words = diffusion_words(self.infinite, self.infinite_error, units)
             rows.append(("", f"D = {words} in an infinite cell (Yeh and Hummer)"))
@@ -391,8 +431,11 @@ class DisplacementResult(MotionResult):
         (times, unit), later = self.abscissa(), self.times > 0.0
         panel.loglog(times[later], self.msd[later], marker="o", ms=2.5, lw=1.0)
         if np.isfinite(self.diffusion):
-            line = 6.0 * self.diffusion * self.times[later]
-            panel.loglog(times[later], line, color="0.6", lw=0.8, ls="--", label="6 D t")
+            start, end = self.window
+            inside = (self.times >= start) & (self.times <= end)
+            at = np.flatnonzero(inside)[-1]
+            line = self.msd[at] + 6.0 * self.diffusion * (self.times[inside] - self.times[at])
+            panel.loglog(times[inside], line, color="0.4", lw=3.0, alpha=0.5, label="slope 6 D")
             panel.legend(frameon=False, fontsize=8)
         panel.set(xlabel=f"t  [{unit}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{self.unit}]", title=self.title)
 
@@ -403,14 +446,16 @@ class VelocityResult(MotionResult):
 
     times : (T,) lags [time].
     means, errors : (1 + S + 3, T) [length²/time²], of all atoms, of those of each species, and along x, y, z.
-    integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].  plateau : of the integral.
-    n_atoms : number of atoms that were observed.
+    integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].
+    plateau : Diffusivity, by means of the integral over octaves of lags; D is NaN where they still change.
+    n_atoms : number of atoms that were observed.  has_centers : whether centers of molecules could be, and were not.
     """
 
     integral: Array
     integral_error: Array
-    plateau: Plateau
+    plateau: Diffusivity
     n_atoms: int
+    has_centers: bool
     title = "velocity autocorrelation"
     symbol = "vacf"
 
@@ -441,12 +486,14 @@ class VelocityResult(MotionResult):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
+        if not self.plateau.is_reached:
+            return [("velocities", self.plateau.refused(self.units, self.has_centers))]
         words = diffusion_words(self.diffusion, self.diffusion_error, self.units)
-        return [("velocities", f"D = {words}, in this cell; {self.plateau.said(self.units)}")]
+        return [("velocities", f"D = {words}, {self.plateau.said(self.units)}, in this cell")]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
         panel.axhline(0.0, color="0.7", lw=0.8)
         self.draw_curves(panel, {"": self.vacf / self.vacf[0]}, "t", "⟨v(0) · v(t)⟩ / ⟨v²⟩")
-        last = max(self.plateau.window[1], float(self.times[min(15, len(self.times) - 1)]))
+        last = np.fmax(self.plateau.window[1], self.times[min(15, len(self.times) - 1)])
         panel.set(xlim=(0.0, last * self.units.to_picosecond or None))

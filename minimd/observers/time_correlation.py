@@ -18,6 +18,7 @@ from minimd.core.structure.statistics import spread
 from minimd.core.structure.units import UnitSystem
 from minimd.observers.accumulator import Accumulator, BlockedSums
 from minimd.observers.correlator import MultipleTau
+from minimd.observers.diffusion import LONGEST
 
 Array = NDArray[np.float64]
 SLOWER = 1.5  # S: ratio of the slowest correlation time to the mean time of the integral; Wolff's value
@@ -85,7 +86,6 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
 
 COUNT, TEMPERATURE, VOLUME, HEAD = 0, 1, 2, 3  # places in the sums, before those of the correlator
 LEVELS = "largest number of levels of the correlator"
-LONGEST = 0.25  # of the duration: longer lags have too few origins
 
 
 class TimeCorrelation(Accumulator):
@@ -130,6 +130,10 @@ class TimeCorrelation(Accumulator):
         errors[..., times > 2.0 * longest] = np.nan
         return values, errors
 
+    def _replicas(self, law: Callable[[Array], Array], shape: tuple[int, ...]) -> Array:
+        """The replicas of the result of a law, (K, ...).  shape : of the result."""
+        return self.sums.replicas(law).reshape(-1, *shape)
+
     def _integral(self, times: Array, longest: float, law: Callable[[Array], Array]) -> tuple[Array, Array, Plateau]:
         """The running integral of a correlation, (T,), its standard errors, and its plateau.  law : of the sums."""
 
@@ -137,6 +141,5 @@ class TimeCorrelation(Accumulator):
             return running_integral(times, law(sums))
 
         values, errors = self._estimate(times, longest, integral)
-        good, without = times <= max(longest, times[min(1, len(times) - 1)]), self.sums.replicas(integral)
-        without = without[:, good] if len(without) else np.zeros((0, good.sum()))
-        return values, errors, plateau(times[good], values[good], without)
+        good = times <= max(longest, times[min(1, len(times) - 1)])
+        return values, errors, plateau(times[good], values[good], self._replicas(integral, values.shape)[:, good])

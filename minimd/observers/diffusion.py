@@ -54,7 +54,7 @@ class Diffusivity(NamedTuple):
     value, error : D and its standard error [length²/time]; NaN unless diffusive.
     window : lags of D; if there is none, those whose slopes were compared [time].
     trend, trend_error : relative change of the slope when the lag doubles.
-    limit : D is below this unless the slope rises: that at the longest lags, and two errors [length²/time].
+    limit : D is below the slope at the longest lags and two errors [length²/time]; NaN if the slope still rises.
     """
 
     state: str
@@ -82,13 +82,13 @@ class Diffusivity(NamedTuple):
         """Why there is no D, what is known of it, and what to do, in words.
         has_centers : whether centers of molecules could be measured instead of atoms."""
         advice = 'run longer, or measure centers of molecules: of="molecules"' if has_centers else "run longer"
+        slope = f"at lags of {self._lags(units)} the slope of the mean square changes by {self._change()}"
         limit = f"D is below {diffusion_words(float(f'{self.limit:.2g}'), 0.0, units)}"
         if self.state == NOT_YET:
-            bound = f"{limit}; " if self.trend < 0.0 else ""
-            slope = f"at lags of {self._lags(units)} the slope of the mean square changes by {self._change()}"
+            bound = f"{limit}; " if np.isfinite(self.limit) else ""
             return f"NOT DIFFUSIVE YET: {slope}; {bound}{advice}"
         if self.state == UNKNOWN:
-            return f"unknown, {limit}: the slope at lags of {self._lags(units)} is not known well enough; {advice}"
+            return f"unknown, {limit}: {slope}; {advice}"
         return f"unknown: the run has fewer than four lags that double, up to a quarter of it; {advice}"
 
     def _lags(self, units: UnitSystem) -> str:
@@ -181,6 +181,8 @@ def diffusivity(times: Array, mean: Array, without: Array, longest: float) -> Di
         return Diffusivity(DIFFUSIVE, float(value), float(error), window, trend, trend_error, float(limit))
     is_changing = not is_flat and abs(trend) >= SURE * trend_error
     state = NOT_YET if is_changing else UNKNOWN
+    if is_changing and trend > 0.0 and end == n:
+        limit = np.nan
     return Diffusivity(state, np.nan, np.nan, octaves.window(late, end), trend, trend_error, float(limit))
 
 

@@ -345,14 +345,17 @@ def _observed(looking: Any, made: RunUniverse, stride: int) -> Any:
     """The result of an observer for each stride-th frame; what is correlated begins anew where frames are missing."""
     frames = made.trajectory[::stride]
     times = np.array([ts.time for ts in frames]) / made.system.units.to_picosecond
-    spacings = np.diff(times)
-    spacing = float(np.median(spacings)) if len(spacings) else 1.0
-    engine = _Recorded(made, spacing)
+    spacings = np.diff(times) if len(times) > 1 else np.ones(1)
+    median = float(np.median(spacings))
+    relative = np.round(spacings / median, 6)  # UNEVEN
+    values, counts = np.unique(relative, return_counts=True)
+    usual = values[counts.argmax()]
+    engine = _Recorded(made, usual * median)
     for k, ts in enumerate(frames):
         engine.show(ts)
         if k == 0:
             looking.prepare(engine)
-        elif abs(spacings[k - 1] - spacing) > UNEVEN * spacing:
+        elif relative[k - 1] != usual:
             looking.interrupt()
         looking.observe(engine)
         engine.count(1)

@@ -18,12 +18,12 @@ from minimd.core.engine.cell_rescaling import StrainedBodies
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
 from minimd.core.structure.cell import Cell
-from minimd.core.structure.checks import checked_choice, checked_count, checked_number
+from minimd.core.structure.checks import checked_count, checked_number
 from minimd.core.structure.constraints import DistanceConstraints
 from minimd.core.structure.observables import center
 from minimd.core.structure.system import System
 from minimd.observers.accumulator import ObservedRun, Result, Series, State
-from minimd.observers.arguments import argument, label, levels, steps
+from minimd.observers.arguments import ATOMS, MOLECULES, argument, label, levels, particles, steps
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
 from minimd.observers.diffusion import Diffusivity, diffusion_words, diffusivity, fitted
 from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, TimeCorrelation, running_integral
@@ -37,7 +37,6 @@ POINTS = 16  # entries on each level of the correlator
 MOST_ATOMS = "largest number of atoms, chosen evenly, with up to one more for each species; it bounds time and memory"
 XI = 2.837297  # ξ of a cubic cell
 CUBIC = 1e-9  # largest relative deviation of the squares and products of lattice vectors from those of a cube
-ATOMS, MOLECULES = "atoms", "molecules"
 OF = "atoms, or molecules (atoms that bonds or rigid lengths connect), whose centers count, each by its number of atoms"
 AXES = ("x", "y", "z")
 
@@ -93,7 +92,7 @@ class _OfAtoms(TimeCorrelation):
     every: int = steps(10)
     n_levels: int = argument(levels, LEVELS, 10)
     most_atoms: int = argument(checked_count, MOST_ATOMS, 4096)
-    of: str = argument(partial(checked_choice, allowed=(ATOMS, MOLECULES)), OF, ATOMS)
+    of: str = argument(particles, OF, ATOMS)
     name: str = label()
     chosen: list[int] = field(init=False, default_factory=lambda: [0])
     is_cubic: bool = field(init=False, default=False)

@@ -182,8 +182,8 @@ def comparisons(made: RunUniverse, record: Record, found: list[Array], damaged: 
 
 
 def liquid(run: str | Path | RunUniverse) -> list[str]:
-    """Lines about a liquid that is periodic in all directions: the first peak of g(r); D, or why it is not known, if there
-    are enough frames.
+    """Lines about a liquid that is periodic in all directions: the first peak of g(r); D, or why it is not known, if
+    there are enough frames.
 
     run : a file, or its universe.  Raises as universe.
     """

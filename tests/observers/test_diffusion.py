@@ -1,0 +1,243 @@
+"""D is given where the slope of the mean square has stopped to change with the lag, and its error bar is honest; files
+have the answers of observers."""
+
+import numpy as np
+import pytest
+
+import minimd as md
+from minimd.mdanalysis import diffusion_coefficient, mean_square_displacement, radial_distribution
+from minimd.observers.diffusion import DIFFUSIVE, NOT_YET, SHORT, diffusivity
+
+LJ = md.LennardJones(1.0, 1.0, 2.5)
+
+
+def moving(system, potentials, method, n_steps, every=5, constraints=None, **options):
+    """A run with the observers of motion of atoms and of molecules."""
+    sim = md.Simulation(system, potentials, method, constraints, threads=1)
+    sim.set_temperature(getattr(method, "temperature", 1.0), seed=1)
+    sim.equilibrate(options.get("settling", 0), getattr(method, "temperature", 1.0))
+    kinds = md.observers.MeanSquareDisplacement, md.observers.VelocityAutocorrelation
+    ways = [(k, kind, of) for k, kind in enumerate(kinds) for of in ("atoms", "molecules")]
+    looking = [kind(every=every, of=of, name=f"{of}{k}") for k, kind, of in ways]
+    sim.run(n_steps, every=n_steps, observers=looking, progress=False)
+    return [one.result() for one in looking]
+
+
+def gas(friction, n_steps, seed, timestep=0.05, n_atoms=64, held=0):
+    places = np.random.default_rng(seed).random((n_atoms, 3)) * 10.0
+    bath = md.LangevinBAOAB(timestep, 1.0, friction, seed=seed)
+    fixed = md.FixedAtoms(range(held)) if held else None
+    return moving(md.System(places, cell=10.0), [], bath, n_steps, constraints=fixed)
+
+
+def chains(n_steps, n_chains=16, n_beads=8, friction=2.0):
+    rng = np.random.default_rng(4)
+    beads = np.cumsum(0.6 * rng.normal(size=(n_chains, n_beads, 3)), axis=1) + 10.0 * rng.random((n_chains, 1, 3))
+    pairs = [(k, k + 1) for k in range(n_chains * n_beads - 1) if (k + 1) % n_beads]
+    system = md.System(beads.reshape(-1, 3), cell=10.0, bonds=pairs)
+    return moving(system, md.HarmonicBond(3.0, 0.0), md.LangevinBAOAB(0.05, 1.0, friction, seed=1), n_steps)
+
+
+def crystal(temperature, bath):
+    places, edges = md.lattice.crystal("fcc", [3] * 3, md.lattice.constant_from_density("fcc", 1.0))
+    return moving(md.System(places, cell=edges), LJ, bath, 6000)
+
+
+def is_right(found, truth, n_errors=3.0):
+    """D within errors; or, where there is none, the words for it and no number."""
+    if np.isnan(found.diffusion):
+        assert np.isnan(found.diffusion_error)
+        return "NOT DIFFUSIVE YET" in str(found) or "unknown" in str(found)
+    return abs(found.diffusion - truth) < n_errors * found.diffusion_error
+
+
+def rouse(n_frames, seed, n_chains=32, n_beads=8):
+    """Mean squares of beads of ideal chains whose springs relax in some frames, and replicas of blocks."""
+    rng = np.random.default_rng(seed)
+    springs = 0.05 * (2.0 * np.eye(n_beads) - np.eye(n_beads, k=1) - np.eye(n_beads, k=-1))
+    springs[0, 0] = springs[-1, -1] = 0.05
+    at, path = np.zeros((n_chains, n_beads, 3)), []
+    for _ in range(n_frames):
+        at = at - springs @ at + rng.normal(size=at.shape)
+        path.append(at.reshape(-1, 3))
+    return np.array(path)
+
+
+def rule(path, n_blocks=16):
+    """The rule, for positions of frames, (T, N, 3)."""
+    n = len(path)
+    lags = np.array([0, *(2**k for k in range(20) if 2**k <= n // 2)])
+    sums, counts = np.zeros((2, n_blocks, len(lags)))
+    for k, lag in enumerate(lags):
+        squares = ((path[lag:] - path[: n - lag]) ** 2).sum(axis=2).mean(axis=1)
+        block = np.arange(lag, n) * n_blocks // n
+        sums[:, k], counts[:, k] = np.bincount(block, squares, n_blocks), np.bincount(block, minlength=n_blocks)
+    without = (sums.sum(axis=0) - sums) / (counts.sum(axis=0) - counts)
+    return diffusivity(lags.astype(float), sums.sum(axis=0) / counts.sum(axis=0), without, 0.25 * n)
+
+
+def test_a_random_walk_diffuses_a_cage_and_a_chain_do_not():
+    rng = np.random.default_rng(2)
+    walk = rule(np.cumsum(rng.normal(size=(1000, 30, 3)), axis=0))
+    assert walk.state == DIFFUSIVE
+    assert abs(walk.value - 0.5) < 3.0 * walk.error < 0.15
+    cage = rule(rng.normal(size=(1000, 30, 3)))
+    assert cage.state != DIFFUSIVE
+    assert np.isnan(cage.value)
+    slowing = rule(rouse(400, 1))
+    assert slowing.state == NOT_YET
+    assert slowing.trend < -2.5 * slowing.trend_error < 0.0
+    assert slowing.limit > 0.5 / 8.0
+    assert rule(np.zeros((20, 3, 3))).state == SHORT
+
+
+def test_a_gas_that_still_flies_has_no_diffusion_coefficient():
+    """kT/mγ = 5; the older rule gave 0.9 ± 0.01."""
+    early = gas(0.2, 800, seed=1)[0]
+    assert early.diffusivity.state == NOT_YET
+    assert early.diffusivity.trend > 0.0
+    assert np.isnan([early.diffusion, early.diffusion_error]).all()
+    assert "NOT DIFFUSIVE YET" in str(early)
+    late = gas(1.0, 6000, seed=1)
+    for found in late:
+        assert abs(found.diffusion - 1.0) < 3.0 * found.diffusion_error < 0.3
+        assert "when the lag doubles" in str(found)
+
+
+def test_molecules_count_by_their_centers():
+    beads, centers, _, velocities = chains(8000)
+    assert is_right(beads, 1.0 / 16.0)
+    for found in (centers, velocities):
+        assert abs(found.diffusion - 1.0 / 16.0) < 3.0 * found.diffusion_error < 0.04
+    assert 'of="molecules"' in str(chains(200)[0])
+
+
+def test_the_motion_of_the_whole_box_is_no_diffusion():
+    """Under a bath of each atom the center of a crystal walks, with kT/Nmγ; D, F_s and velocities are beside it."""
+    places, edges = md.lattice.crystal("fcc", [2] * 3, 1.6)
+    bath = md.LangevinBAOAB(0.005, 0.1, 0.1, seed=1)
+    sim = md.Simulation(md.System(places, cell=edges), md.LennardJones(1.0, 1.0, 1.5), bath)
+    sim.velocities[:] = [1.0, 0.0, 0.0]
+    kinds = "mean-square-displacement", "self-scattering", "velocity-autocorrelation"
+    looking = [md.observers.KINDS[kind](every=5) for kind in kinds]
+    sim.run(400, every=400, observers=looking)
+    moved, scattered, turned = (one.result() for one in looking)
+    assert moved.msd.max() < 0.1  # 4 σ² with it
+    assert scattered.means[0].min() > 0.2
+    assert turned.vacf[0] < 3.0 * 0.2
+
+
+def test_each_species_has_an_error_bar():
+    kinds = np.repeat(["A", "B"], 32)
+    places = np.random.default_rng(3).random((64, 3)) * 10.0
+    system = md.System(places, cell=10.0, species=kinds, masses=np.where(kinds == "A", 1.0, 2.0))
+    found = moving(system, [], md.LangevinBAOAB(0.05, 1.0, 2.0, seed=1), 6000)[0]
+    expected = np.array([0.5, 0.25])  # kT/mγ
+    errors = np.array(found.diffusion_errors_of_species)
+    assert np.all(np.abs(found.diffusion_of_species - expected) < 3.0 * errors)
+    assert np.all(errors < 0.2 * expected)
+    assert "B: D = " in str(found)
+
+
+def test_atoms_wrapped_by_a_function_begin_a_new_series():
+    """Displacements are those of a run that was not touched."""
+    results = []
+    for touched in (False, True):
+        places, edges = md.lattice.crystal("fcc", [3] * 3, 1.7)
+        sim = md.Simulation(md.System(places - 0.01, cell=edges), LJ, md.VelocityVerlet(0.004))
+        sim.set_temperature(1.5, seed=2)
+        looking = [md.observers.KINDS[kind](every=5) for kind in ("mean-square-displacement", "self-scattering")]
+
+        def wrap(sim, touched=touched):
+            if touched and sim.step == 100:
+                sim.positions[:] %= np.diag(sim.system.cell.vectors)
+
+        sim.run(200, every=50, observers=[wrap, *looking])
+        results.append([one.result() for one in looking])
+    (moved, scattered), (again, scattered_again) = results
+    assert again.times[-1] <= 100 * 0.004
+    n = len(again.times)
+    np.testing.assert_allclose(again.msd, moved.msd[:n], rtol=0.2, atol=1e-3)
+    np.testing.assert_allclose(scattered_again.means[0], scattered.means[0][:n], atol=0.05)
+
+
+def liquid(n=3, density=0.8, shear=np.eye(3)):
+    places, edges = md.lattice.crystal("fcc", [n] * 3, md.lattice.constant_from_density("fcc", density))
+    return md.System(places @ shear, cell=np.eye(3) * edges @ shear)
+
+
+def rigid_mixture():
+    """Dumbbells beside atoms."""
+    places = np.array([*np.ndindex(4, 4, 4)], dtype=float) * 1.3
+    ends = places[:20] + np.array([0.0, 0.0, 0.5])
+    pairs = np.column_stack([np.arange(20), np.arange(64, 84)])
+    system = md.System(np.concatenate([places, ends]), cell=5.2)
+    weak = md.LennardJones(0.2, 0.6, 1.5)
+    return md.Simulation(system, weak, VERLET, md.DistanceConstraints(pairs), barostat=pressing())
+
+
+def polymer():
+    places = np.array([*np.ndindex(4, 4, 4)], dtype=float) * 1.2
+    places[4:8] = places[4:8][::-1]
+    return md.System(places, cell=4.8, bonds=[(k, k + 1) for k in range(63) if (k + 1) % 4])
+
+
+def pressing(**options):
+    return md.StochasticCellRescaling(2.0, 0.3, 0.3, seed=4, every=2, temperature=1.0, **options)
+
+
+SHEAR = np.array([[1.0, 0.0, 0.0], [0.2, 1.0, 0.0], [0.1, -0.2, 1.0]])
+FAR = 9.0  # cells: there the cell moves atoms
+VERLET, LANGEVIN = md.VelocityVerlet(0.004), md.LangevinBAOAB(0.004, 1.0, 1.0, seed=5)
+SCENES = {
+    "NVE": lambda: md.Simulation(liquid(), LJ, VERLET),
+    "NVT": lambda: md.Simulation(liquid(), LJ, LANGEVIN),
+    "NPT": lambda: md.Simulation(liquid(), LJ, VERLET, barostat=pressing()),
+    "NPT, triclinic": lambda: md.Simulation(liquid(shear=SHEAR), LJ, VERLET, barostat=pressing(coupling="triclinic")),
+    "fixed atoms": lambda: md.Simulation(liquid(), LJ, LANGEVIN, md.FixedAtoms(range(20))),
+    "rigid mixture, NPT": lambda: rigid_mixture(),
+    "drift": lambda: md.Simulation(liquid(), LJ, VERLET),
+    "polymer": lambda: md.Simulation(polymer(), [LJ, md.HarmonicBond(50.0, 1.2)], LANGEVIN),
+}
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_file_and_observer_have_the_same_displacements_and_distances(scene, tmp_path):
+    """Of the same frames; positions of MDAnalysis are in float32."""
+    sim, file = SCENES[scene](), tmp_path / "a.h5md"
+    if "NPT" in scene:
+        sim.positions[::2] += FAR * sim.system.cell.vectors.sum(axis=0)
+    sim.set_temperature(1.0, seed=3)
+    if scene == "drift":
+        sim.velocities[:] += [2.0, 0.0, 0.0]
+    reach = float(sim.system.cell.heights.min()) / 2.2
+    atoms, molecules = (md.observers.MeanSquareDisplacement(every=2, of=of, name=of) for of in ("atoms", "molecules"))
+    pairs = md.observers.RadialDistribution(reach, 50, every=2)
+    sim.run(160, every=2, trajectory=file, observers=[atoms, molecules, pairs])
+    for looking in (atoms, molecules):
+        lags, squares = mean_square_displacement(file, of=looking.of)
+        expected = looking.result()
+        np.testing.assert_allclose(lags, expected.times, rtol=1e-9)
+        np.testing.assert_allclose(squares, expected.msd, rtol=1e-3, atol=1e-7 * FAR)
+    window = (0.02, 0.1)
+    found, expected = diffusion_coefficient(file, window), atoms.result(window)
+    assert found.coefficient == pytest.approx(expected.diffusion, rel=1e-3)
+    assert found.error == pytest.approx(expected.diffusion_error, rel=1e-2)
+    g = radial_distribution(file, 50)
+    of_file = np.interp(pairs.result().r, g.r, g.g)
+    assert np.abs(of_file - pairs.result().g)[10:].mean() < 0.1
+
+
+def test_distances_of_a_file_use_the_cell_of_each_frame(tmp_path):
+    """Of an ideal gas of 12 atoms at constant pressure: 1, not ⟨V⟩⟨1/V⟩."""
+    file = tmp_path / "a.h5md"
+    barostat = md.StochasticCellRescaling(0.1, 10.0, 2.0, seed=4, every=1)
+    system = md.System(np.random.default_rng(5).random((12, 3)) * 5.0, cell=5.0)
+    sim = md.Simulation(system, [], md.LangevinBAOAB(0.1, 1.0, 1.0, seed=1), barostat=barostat)
+    volumes = []
+    sim.run(4000, every=20, trajectory=file, observers=[lambda sim: volumes.append(sim.system.volume)])
+    mean = np.mean(volumes) * np.mean(1.0 / np.array(volumes))
+    g = radial_distribution(file, 20)
+    whole = (g.g * g.r**2).sum() / (g.r**2).sum()
+    assert mean > 1.05
+    assert whole == pytest.approx(1.0, abs=0.4 * (mean - 1.0))

@@ -396,15 +396,14 @@ class Diffusion(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        last = self.result.units.shown(float(self.result.times[-1]))
-        return [*self.result.display_rows(), ("lags", f"{len(self.lags)}, up to {last}")]
+        return self.result.display_rows()
 
     def __repr__(self) -> str:
         return f"Diffusion({self})"
 
     def __str__(self) -> str:
-        (_, found), *more = self.result.display_rows()
-        return found if self.infinite is None else f"{found}; {more[-1][1]}"
+        lines = [line for _, line in self.display_rows()]
+        return lines[0] if self.infinite is None else f"{lines[0]}; {lines[-1]}"
 
 
 def mean_square_displacement(run: Run, of: str = "atoms") -> tuple[Array, Array]:

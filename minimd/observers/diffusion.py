@@ -74,31 +74,22 @@ class Diffusivity(NamedTuple):
         """This with D multiplied."""
         return self._replace(value=factor * self.value, error=factor * self.error, limit=factor * self.limit)
 
-    def said(self, units: UnitSystem) -> str:
-        """From where D is, in words."""
-        return f"from lags of {self._lags(units)} (slope: {self._change()})"
-
-    def refused(self, units: UnitSystem, has_centers: bool) -> str:
-        """Why there is no D, what is known of it, and what to do, in words.
+    def in_words(self, units: UnitSystem, has_centers: bool) -> str:
+        """D and from where it is; or why there is none, what is known of it, and what to do.
         has_centers : whether centers of molecules could be measured instead of atoms."""
         advice = 'run longer, or measure centers of molecules: of="molecules"' if has_centers else "run longer"
-        slope = f"at lags of {self._lags(units)} the slope of the mean square changes by {self._change()}"
-        limit = f"D is below {diffusion_words(float(f'{self.limit:.2g}'), 0.0, units)}"
-        if self.state == NOT_YET:
-            bound = f"{limit}; " if np.isfinite(self.limit) else ""
-            return f"NOT DIFFUSIVE YET: {slope}; {bound}{advice}"
-        if self.state == UNKNOWN:
-            return f"unknown, {limit}: {slope}; {advice}"
-        return f"unknown: the run has fewer than four lags that double, up to a quarter of it; {advice}"
-
-    def _lags(self, units: UnitSystem) -> str:
+        if self.state == SHORT:
+            return f"unknown: the run has fewer than four lags that double, up to a quarter of it; {advice}"
         start, end = self.window
-        return f"{units.shown(start)} to {units.shown(end)}"
-
-    def _change(self) -> str:
-        if np.isnan(self.trend_error):
-            return "its change is unknown"
-        return f"{100.0 * self.trend:+.0f} ± {100.0 * self.trend_error:.0f} % when the lag doubles"
+        lags = f"lags of {units.shown(start)} to {units.shown(end)}"
+        change = f"{100.0 * self.trend:+.0f} ± {100.0 * self.trend_error:.0f} % when the lag doubles"
+        if self.state == DIFFUSIVE:
+            return f"D = {diffusion_words(self.value, self.error, units)}, from {lags} (slope: {change}), in this cell"
+        limit = f"D is below {diffusion_words(float(f'{self.limit:.2g}'), 0.0, units)}; "
+        slope = f"at {lags} the slope of the mean square changes by {change}"
+        if self.state == UNKNOWN:
+            return f"unknown, {limit}{slope}; {advice}"
+        return f"NOT DIFFUSIVE YET: {slope}; {limit if np.isfinite(self.limit) else ''}{advice}"
 
 
 class _Octaves:

@@ -264,8 +264,8 @@ class MeanSquareDisplacement(_OfAtoms):
         rows = range(1 + len(scene.species))
         whole, *of_species = [rule(times, means[row], without[:, row]).times(self.widening) for row in rows]
         _, temperature, volume = (self.sums.total[:HEAD] / self.sums.total[COUNT]).tolist()
-        numbers = self.is_cubic, temperature, volume, sum(self.numbers)
-        found = DisplacementResult(scene, times, means, errors, *numbers, whole, tuple(of_species), self.has_centers)
+        mean = scene, times, means, errors, whole, sum(self.numbers), self.has_centers
+        found = DisplacementResult(*mean, tuple(of_species), self.is_cubic, temperature, volume)
         return found if viscosity is None else found.corrected(viscosity)
 
 
@@ -298,9 +298,8 @@ class VelocityAutocorrelation(_OfAtoms):
         # its integral is that of a mean square displacement
         squares, others = (6.0 * running_integral(times, one) for one in (along, without))
         found = diffusivity(times, squares, others, longest).times(self.widening)
-        return VelocityResult(
-            scene, times, values, errors, along, its_error, found, sum(self.numbers), self.has_centers
-        )
+        mean = scene, times, values, errors, found, sum(self.numbers), self.has_centers
+        return VelocityResult(*mean, along, its_error)
 
 
 @dataclass(frozen=True, repr=False)
@@ -309,13 +308,32 @@ class MotionResult(Result):
 
     times : (T,) lags [time].
     means, errors : (1 + S + 3, T), of all atoms, of those of each species, and along x, y, z.
+    diffusivity : Diffusivity of all atoms in this cell.
+    n_atoms : number of atoms that were observed.  has_centers : whether centers of molecules could be, and were not.
     """
 
     times: Array
     means: Array
     errors: Array
+    diffusivity: Diffusivity
+    n_atoms: int
+    has_centers: bool
     symbol: ClassVar[str]  # name of the series
     coefficients = ("diffusion", "diffusion_error")
+
+    @property
+    def diffusion(self) -> float:
+        """D in this cell [length²/time]."""
+        return self.diffusivity.value
+
+    @property
+    def diffusion_error(self) -> float:
+        """Its standard error."""
+        return self.diffusivity.error
+
+    def told(self, found: Diffusivity) -> str:
+        """D in words; see Diffusivity."""
+        return found.in_words(self.units, self.has_centers)
 
     @property
     def unit(self) -> str:
@@ -339,21 +357,18 @@ class DisplacementResult(MotionResult):
     times : (T,) lags [time].
     means, errors : (1 + S + 3, T) [length²], of all atoms, of those of each species, and along x, y, z.
     diffusivity, of_species : Diffusivity of all atoms in this cell, and of those of each species, (S,).
+    n_atoms, has_centers : see MotionResult.
     diffusion, diffusion_error : D, and its standard error [length²/time]; NaN unless the slope has stopped to change.
         diffusion_of_species, diffusion_errors_of_species : of each, (S,).  window : lags of D [time].
-    has_centers : whether centers of molecules could be measured, and were not.
     infinite, infinite_error : D of an infinite system by Yeh and Hummer; NaN without a viscosity. The error includes
         that of the viscosity, if it is known.
-    temperature, volume : means.  n_atoms : number of atoms whose displacements were measured.
+    temperature, volume : means.
     """
 
+    of_species: tuple[Diffusivity, ...]
     is_cubic: bool
     temperature: float
     volume: float
-    n_atoms: int
-    diffusivity: Diffusivity
-    of_species: tuple[Diffusivity, ...]
-    has_centers: bool
     infinite: float = np.nan
     infinite_error: float = np.nan
     title = "mean-square displacement"
@@ -363,16 +378,6 @@ class DisplacementResult(MotionResult):
     def msd(self) -> Array:
         """(T,) [length²], of all atoms."""
         return np.asarray(self.means[0])
-
-    @property
-    def diffusion(self) -> float:
-        """D in this cell [length²/time]."""
-        return self.diffusivity.value
-
-    @property
-    def diffusion_error(self) -> float:
-        """Its standard error."""
-        return self.diffusivity.error
 
     @property
     def diffusion_of_species(self) -> tuple[float, ...]:
@@ -400,10 +405,6 @@ class DisplacementResult(MotionResult):
         error = float(np.hypot(self.diffusion_error, added * eta_error / eta))
         return replace(self, infinite=self.diffusion + added, infinite_error=error)
 
-    def _row_of(self, species: str, found: Diffusivity) -> tuple[str, str]:
-        told = f"D = {diffusion_words(found.value, found.error, self.units)}, {found.said(self.units)}"
-        return "", f"{species}: {told if found.is_reached else found.refused(self.units, self.has_centers)}"
-
     def numbers(self) -> dict[str, float]:
         """See Result."""
         infinite = {"diffusion_infinite": self.infinite, "diffusion_infinite_error": self.infinite_error}
@@ -411,17 +412,15 @@ class DisplacementResult(MotionResult):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        units, found = self.units, self.diffusivity
-        if not found.is_reached:
-            return [("diffusion", found.refused(units, self.has_centers))]
-        words = diffusion_words(self.diffusion, self.diffusion_error, units)
-        rows = [("diffusion", f"D = {words}, {found.said(units)}, in this cell")]
+        rows = [("diffusion", self.told(self.diffusivity))]
         if len(self.of_species) > 1:
-            rows += [self._row_of(*pair) for pair in zip(self.scene.species, self.of_species, strict=True)]
+            rows += [
+                ("", f"{name}: {self.told(one)}") for name, one in zip(self.scene.species, self.of_species, strict=True)
+            ]
         if np.isfinite(self.infinite):
-            words = diffusion_words(self.infinite, self.infinite_error, units)
+            words = diffusion_words(self.infinite, self.infinite_error, self.units)
             rows.append(("", f"D = {words} in an infinite cell (Yeh and Hummer)"))
-        elif self.is_cubic:
+        elif self.is_cubic and self.diffusivity.is_reached:
             rows.append(("", "in a larger cell D is larger: result(viscosity=...) corrects for this"))
         return rows
 
@@ -446,15 +445,12 @@ class VelocityResult(MotionResult):
     times : (T,) lags [time].
     means, errors : (1 + S + 3, T) [length²/time²], of all atoms, of those of each species, and along x, y, z.
     integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].
-    plateau : Diffusivity, by means of the integral over octaves of lags; D is NaN where they still change.
-    n_atoms : number of atoms that were observed.  has_centers : whether centers of molecules could be, and were not.
+    diffusivity, plateau : Diffusivity, by means of the integral over octaves of lags.
+    n_atoms, has_centers : see MotionResult.
     """
 
     integral: Array
     integral_error: Array
-    plateau: Diffusivity
-    n_atoms: int
-    has_centers: bool
     title = "velocity autocorrelation"
     symbol = "vacf"
 
@@ -464,14 +460,9 @@ class VelocityResult(MotionResult):
         return np.asarray(self.means[0])
 
     @property
-    def diffusion(self) -> float:
-        """D in this cell [length²/time]."""
-        return self.plateau.value
-
-    @property
-    def diffusion_error(self) -> float:
-        """Its standard error."""
-        return self.plateau.error
+    def plateau(self) -> Diffusivity:
+        """The same as diffusivity."""
+        return self.diffusivity
 
     @property
     def unit(self) -> str:
@@ -485,10 +476,7 @@ class VelocityResult(MotionResult):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        if not self.plateau.is_reached:
-            return [("velocities", self.plateau.refused(self.units, self.has_centers))]
-        words = diffusion_words(self.diffusion, self.diffusion_error, self.units)
-        return [("velocities", f"D = {words}, {self.plateau.said(self.units)}, in this cell")]
+        return [("velocities", self.told(self.diffusivity))]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""

@@ -9,6 +9,7 @@ from minimd.mdanalysis import diffusion_coefficient, mean_square_displacement, r
 from minimd.observers.diffusion import DIFFUSIVE, NOT_YET, SHORT, diffusivity
 
 LJ = md.LennardJones(1.0, 1.0, 2.5)
+EDGES = np.eye(3)
 
 
 def moving(system, potentials, method, n_steps, every=5, constraints=None, **options):
@@ -161,9 +162,9 @@ def test_atoms_wrapped_by_a_function_begin_a_new_series():
     np.testing.assert_allclose(scattered_again.means[0], scattered.means[0][:n], atol=0.05)
 
 
-def liquid(n=3, density=0.8, shear=np.eye(3)):
-    places, edges = md.lattice.crystal("fcc", [n] * 3, md.lattice.constant_from_density("fcc", density))
-    return md.System(places @ shear, cell=np.eye(3) * edges @ shear)
+def liquid(shear=EDGES):
+    places, edges = md.lattice.crystal("fcc", [3] * 3, md.lattice.constant_from_density("fcc", 0.8))
+    return md.System(places @ shear, cell=np.diag(edges) @ shear)
 
 
 def rigid_mixture():

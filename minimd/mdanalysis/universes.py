@@ -213,7 +213,7 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
         made = _with_topology(told.system)
         made.system = told.system
         made.conserves_momentum = told.conserves_momentum
-        made.moves_freely = told.moves_freely or told.conserves_momentum
+        made.moves_freely = told.moves_freely
         if isinstance(told, H5MDContents):
             made.contents = told
         made.trajectory = reader(turn=turn, **spacing)

@@ -105,17 +105,13 @@ class _Octaves:
         while places and 0.5 * times[places[-1]] >= WITHIN * times[inside[0]]:
             places.append(int(np.abs(times - 0.5 * times[places[-1]]).argmin()))
         chosen = np.array(places[::-1], dtype=np.int64)
-        self.lags = times[chosen]
+        self.lags = times[chosen].tolist()
         self.n = max(0, len(chosen) - 1)
         self._slopes = np.diff(mean[chosen]) / (6.0 * np.diff(self.lags))
         self._replicas = np.diff(without[:, chosen]) / (6.0 * np.diff(self.lags))
 
-    def window(self, first: int, last: int) -> tuple[float, float]:
-        """The lags of octaves from first up to last."""
-        return float(self.lags[first]), float(self.lags[last])
-
-    def level(self, first: int, last: int) -> Array:
-        """The mean slope of octaves from first up to last, and its replicas, (1 + K,)."""
+    def level(self, first: int, last: int) -> tuple[float, float]:
+        """The mean slope of octaves from first up to last, and its error."""
         return self._sums(self._weights(first, last))
 
     def trend(self, first: int, last: int) -> tuple[float, float]:
@@ -123,18 +119,17 @@ class _Octaves:
         octave = np.arange(self.n)
         weights = self._weights(first, last)
         change = weights * (octave - weights @ octave)
-        change /= change @ octave
+        value, error = self._sums(change / (change @ octave))
         size = abs(self.level(first, last)[0]) or np.nan
-        value, *replicas = self._sums(change) / size
-        return float(value), float(spread(np.array(replicas)))
+        return value / size, error / size
 
     def _weights(self, first: int, last: int) -> Array:
         octave = np.arange(self.n)
         weights = np.where((octave >= first) & (octave < last), 0.5 ** (octave - first), 0.0)
         return np.asarray(weights / weights.sum())
 
-    def _sums(self, weights: Array) -> Array:
-        return np.append(self._slopes @ weights, self._replicas @ weights)
+    def _sums(self, weights: Array) -> tuple[float, float]:
+        return float(self._slopes @ weights), float(spread(self._replicas @ weights))
 
 
 def diffusivity(times: Array, mean: Array, without: Array, longest: float) -> Diffusivity:
@@ -162,19 +157,20 @@ def diffusivity(times: Array, mean: Array, without: Array, longest: float) -> Di
         limit_of_trend = SEEN
     is_flat = begin < end
     start = 1 + (begin if is_flat else late)
-    value, *replicas = octaves.level(start, min(start + SPAN, end))
-    later = octaves.level(start + 1, min(start + 1 + SPAN, end))[0]
-    window = octaves.window(start, min(start + SPAN, end))
-    error = np.hypot(spread(np.array(replicas)), value - later) * (1.0 + LATE * LONGEST * window[1] / longest)
-    last, *last_replicas = octaves.level(n - SPAN, n)
-    limit = abs(last) + 2.0 * (1.0 + LATE * LONGEST) * float(spread(np.array(last_replicas)))
+    stop = min(start + SPAN, end)
+    value, scatter = octaves.level(start, stop)
+    later, _ = octaves.level(start + 1, min(stop + 1, end))
+    window = (octaves.lags[start], octaves.lags[stop])
+    error = float(np.hypot(scatter, value - later)) * (1.0 + LATE * LONGEST * window[1] / longest)
+    last, its_error = octaves.level(n - SPAN, n)
+    limit = abs(last) + 2.0 * (1.0 + LATE * LONGEST) * its_error
     if is_flat and error < KNOWN * value:
-        return Diffusivity(DIFFUSIVE, float(value), float(error), window, trend, trend_error, float(limit))
+        return Diffusivity(DIFFUSIVE, value, error, window, trend, trend_error, limit)
     is_changing = not is_flat and abs(trend) >= SURE * trend_error
-    state = NOT_YET if is_changing else UNKNOWN
     if is_changing and trend > 0.0 and end == n:
         limit = np.nan
-    return Diffusivity(state, np.nan, np.nan, octaves.window(late, end), trend, trend_error, float(limit))
+    compared = (octaves.lags[late], octaves.lags[end])
+    return Diffusivity(NOT_YET if is_changing else UNKNOWN, np.nan, np.nan, compared, trend, trend_error, limit)
 
 
 def slope(times: Array, squares: Array) -> Array:

@@ -431,9 +431,7 @@ class DisplacementResult(MotionResult):
         if np.isfinite(self.diffusion):
             start, end = self.window
             inside = (self.times >= start) & (self.times <= end)
-            at = np.flatnonzero(inside)[-1]
-            line = self.msd[at] + 6.0 * self.diffusion * (self.times[inside] - self.times[at])
-            panel.loglog(times[inside], line, color="0.4", lw=3.0, alpha=0.5, label="slope 6 D")
+            panel.loglog(times[inside], self.msd[inside], color="0.4", lw=3.0, alpha=0.5, label="slope 6 D")
             panel.legend(frameon=False, fontsize=8)
         panel.set(xlabel=f"t  [{unit}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{self.unit}]", title=self.title)
 

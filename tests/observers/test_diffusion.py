@@ -253,8 +253,9 @@ def test_distances_of_a_file_use_the_cell_of_each_frame(tmp_path):
     np.testing.assert_allclose(g.g[inside], expected[inside], rtol=1e-3)
 
 
-GASES = {  # scene: its result for a seed, its answer, and in which part of runs it must be given
-    "Brownian gas": (lambda seed: gas(20.0, 4000, seed, timestep=0.02)[0], 0.05, 0.8),
+# scene: its result for a seed, its answer, and in which part of runs it must be given. BAOAB has D = ½Δt coth ½γΔt
+GASES = {
+    "Brownian gas": (lambda seed: gas(20.0, 4000, seed, timestep=0.02)[0], 0.01 / np.tanh(0.2), 0.8),
     "Langevin gas": (lambda seed: gas(1.0, 4000, seed)[0], 1.0, 0.8),
     "Langevin gas, velocities": (lambda seed: gas(1.0, 4000, seed)[2], 1.0, 0.8),
     "thin Langevin gas": (lambda seed: gas(0.2, 8000, seed)[0], 5.0, 0.4),

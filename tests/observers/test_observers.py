@@ -179,7 +179,7 @@ def test_radial_distribution_of_a_crystal_counts_all_images(cell):
 @pytest.mark.parametrize("drift", [0.0, 1.0, -1.0])
 @pytest.mark.parametrize("growth", [1.0, 1.001])
 def test_free_atoms_move_as_their_velocities_say(growth, drift):
-    """⟨v²⟩ t² at every lag, also in a growing cell, relative to the center of mass; also under a bath, which moves it."""
+    """⟨v²⟩ t² at every lag, also in a growing cell, relative to the center of mass, also under a bath."""
     velocities = np.random.default_rng(2).normal(size=(20, 3))
     velocities -= velocities.mean(axis=0)
     system = md.System(np.zeros((20, 3)), velocities=velocities + drift, cell=50.0)

@@ -350,7 +350,7 @@ def _observed(looking: Any, made: RunUniverse, stride: int) -> Any:
     relative = np.round(spacings / median, 6)  # UNEVEN
     values, counts = np.unique(relative, return_counts=True)
     usual = values[counts.argmax()]
-    engine = _Recorded(made, usual * median)
+    engine = _Recorded(made, float(spacings[np.argmax(relative == usual)]))
     for k, ts in enumerate(frames):
         engine.show(ts)
         if k == 0:

@@ -16,7 +16,7 @@ from minimd.moved import follow_moved_modules
 
 ROOMS = "integrators", "observers", "lattice", "units"  # in which people look for a name that is not here
 OF_MDANALYSIS = "universe", "radial_distribution", "diffusion_coefficient", "mean_square_displacement", "Turn"
-HIDDEN = {"ensemble", "grade", "replay", "view"}  # modules behind functions of these names
+HIDDEN = {"ensemble", "grade", "replay", "view", "water"}  # modules behind functions of these names
 
 _names = LazyNames(__name__)
 __all__ = sorted(_names.places)

@@ -13,6 +13,10 @@ CRYSTALS = {
     "ZnS": ([FCC, FCC + 0.25], (1, -1), 4, -3.78292610408578),
     "CaF2": ([FCC, FCC + 0.25, FCC + 0.75], (2, -1, -1), 4, -11.6365752270767),
 }
+OTHER_CRYSTALS = {name: CRYSTALS[name] for name in ("NaCl", "ZnS", "CaF2")} | {
+    "ReO3": ([[[0.0, 0.0, 0.0]], 0.5 * np.eye(3)], (3, -1), 1, np.nan),
+    "perovskite": ([[[0.0, 0.0, 0.0]], [[0.5, 0.5, 0.5]], FCC[1:]], (2, 4, -2), 1, np.nan),
+}
 EDGE = 5.64  # Å, of the cube of eight ions
 CUTOFF = 2.7
 LAWS = [md.LennardJones(0.1, 2.3, CUTOFF, "force-shifted"), md.Coulomb(CUTOFF, 1e-4)]
@@ -20,7 +24,7 @@ LAWS = [md.LennardJones(0.1, 2.3, CUTOFF, "force-shifted"), md.Coulomb(CUTOFF, 1
 
 def crystal(name, repeat=3, shear=((1, 0, 0), (0, 1, 0), (0, 0, 1))):
     """A block of a crystal in a cell, perhaps sheared by whole edges; its number of formula units, and their energy."""
-    parts, charges, n, energy = CRYSTALS[name]
+    parts, charges, n, energy = (CRYSTALS | OTHER_CRYSTALS)[name]
     basis, of_basis = np.concatenate(parts), np.repeat(charges, [len(part) for part in parts])
     places = np.array([*np.ndindex(*(repeat,) * 3)])[:, None] + basis
     cell = repeat * np.array(shear, dtype=float)

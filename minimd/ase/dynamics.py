@@ -1,6 +1,5 @@
 """ASE's molecular dynamics with the steps made by minimd: the base of all its classes, and velocity Verlet."""
 
-import warnings
 from collections.abc import Iterator
 from typing import Any, TypeVar
 
@@ -12,7 +11,7 @@ from ase.md.md import MolecularDynamics
 from numpy.typing import NDArray
 
 from minimd.ase.calculator import Calculator
-from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.quiet import warn
 from minimd.core.console.signals import stop_on_signals
 from minimd.core.diagnosis.run_guard import RunGuard
 from minimd.core.engine.engine import Engine
@@ -134,7 +133,7 @@ class MinimdSteps(MolecularDynamics):
         is_own = isinstance(calculator, Calculator)
         system = System.from_ase(atoms, calculator.bonds if is_own else None)
         if not (is_own or self._is_told):
-            warnings.warn(calculators_said(calculator), stacklevel=outside_minimd())
+            warn(calculators_said(calculator))
             self._is_told = True
         potentials, options = (calculator.potentials, calculator.options) if is_own else (ForcesOnAtoms(atoms), None)
         engine = Engine(system, potentials, self.method(), options=options)

@@ -13,9 +13,10 @@ from scipy.spatial import cKDTree
 import minimd as md
 from minimd.bench import scenes
 from minimd.bench.engines import Minimd
-from minimd.bench.outcome import bars, spread, summary, table, tell
+from minimd.bench.outcome import bars, spread, summary, table
 from minimd.bench.scenes import SCENES, BenchScene, equilibrated, pairs_in_range
 from minimd.bench.turns import take_turns, warm_up
+from minimd.core.compiled.terminal import tell
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,7 +9,6 @@ import platform
 import re
 import shutil
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from math import floor, log10
 from pathlib import Path
@@ -109,11 +108,6 @@ def table(titles: Mapping[str, type], cells: Sequence[Sequence[str]]) -> list[st
 def threads_text(n: int) -> str:
     """ "1 thread", "2 threads"."""
     return f"{n} thread{'s' if n > 1 else ''}"
-
-
-def tell(line: str) -> None:
-    """Print a line about the progress to standard error, because the outcome goes to standard output."""
-    print(line, file=sys.stderr, flush=True)
 
 
 def spread(values: Ratios) -> str:

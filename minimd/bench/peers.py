@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from minimd.bench import outcome
 from minimd.bench.engines import PEERS, Load, LoadedEngine, Minimd
-from minimd.bench.outcome import spread, summary, table, tell, threads_text
+from minimd.bench.outcome import spread, summary, table, threads_text
 from minimd.bench.scaling import bytes_per_atom
 from minimd.bench.scenes import EXACT, MELT, SCENES, WATER_CUTOFFS, BenchScene, equilibrated
 from minimd.bench.turns import check_agreement, in_turns, thread_numbers
+from minimd.core.compiled.terminal import tell
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.bench.engines import Minimd
-from minimd.bench.outcome import draw, name_curves, new_figure, spread, summary, table, tell, threads_text
+from minimd.bench.outcome import draw, name_curves, new_figure, spread, summary, table, threads_text
 from minimd.bench.scenes import MELT, SCENES
 from minimd.bench.turns import in_turns, thread_numbers
 from minimd.core.compiled.machine import STATUS, peak_memory
+from minimd.core.compiled.terminal import tell
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.bench.engines import LoadedEngine
-from minimd.bench.outcome import tell, threads_text
+from minimd.bench.outcome import threads_text
 from minimd.bench.scenes import BenchScene
 from minimd.core.compiled.machine import available_cores
+from minimd.core.compiled.terminal import tell
 from minimd.core.structure.errors import HandOverError
 
 # allowed relative difference of energies at step 0: rounding of single precision; GROMACS sums 32 000 atoms to 2e-5

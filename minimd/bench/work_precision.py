@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 import minimd as md
 from minimd.bench import engines
-from minimd.bench.outcome import MOST_CURVES, draw, name_curves, new_figure, table, tell
+from minimd.bench.outcome import MOST_CURVES, draw, name_curves, new_figure, table
 from minimd.bench.scenes import CUTOFF, MELT, SCENES, BenchScene, equilibrated
 from minimd.bench.turns import timed
+from minimd.core.compiled.terminal import tell
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.table import SPLITTINGS
 from minimd.core.structure.errors import ConvergenceError

@@ -10,6 +10,7 @@ from io import StringIO
 from typing import Any
 
 from minimd.commands.table import COMMANDS, add
+from minimd.core.compiled.terminal import tell
 from minimd.core.console import __version__
 from minimd.core.console.signals import Terminated, endings_are_told
 from minimd.core.console.words import printable
@@ -57,7 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         with suppress(OSError, AttributeError):  # the reader may be gone
             sys.stdout.flush()
         for line in sentence(error).splitlines():
-            print(f"minimd: error: {printable(line)}", file=sys.stderr)
+            tell(f"minimd: error: {printable(line)}")
         if isinstance(error, Terminated):
             return int(error.code or FAILED)
         return next(code for kind, code in CODES.items() if isinstance(error, kind))
@@ -79,7 +80,7 @@ class Printable:
 
 def _tell(message: Warning | str, *_where: Any, **_more: Any) -> None:
     """Print a warning as a sentence, without the line of Python from which it comes, which is not the user's."""
-    print(f"minimd: warning: {printable(str(message))}", file=sys.stderr)
+    tell(f"minimd: warning: {printable(str(message))}")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 import sys
-import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
@@ -19,7 +18,7 @@ from uuid import uuid4
 
 from minimd.core.compiled.machine import available_cores
 from minimd.core.console.progress import progress_of
-from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.quiet import warn
 from minimd.core.console.signals import (
     Terminated,
     endings_are_told,
@@ -323,4 +322,4 @@ def _tell_failures(table: EnsembleTable, rows: dict[int, Row], made: range) -> N
     if sentences:
         told, n_more = [f"{len(sentences)} of {of}:", *sentences[:TOLD]], len(sentences) - TOLD
         told += [f"and {n_more} more, see the messages in the table"] if n_more > 0 else []
-        warnings.warn("\n".join([*told, "The next call tries them again."]), stacklevel=outside_minimd())
+        warn("\n".join([*told, "The next call tries them again."]))

@@ -4,7 +4,6 @@ MDAnalysis holds positions and velocities in float32, in Å and Å/ps, and a cel
 reduced units are not converted: 1 σ becomes 1 Å and 1 τ becomes 1 ps.
 """
 
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from functools import partial
@@ -23,7 +22,7 @@ from scipy.sparse import coo_array
 
 from minimd import observers
 from minimd.core.console.display import Displayed, Rows
-from minimd.core.console.quiet import outside_minimd, quiet
+from minimd.core.console.quiet import quiet, warn
 from minimd.core.engine.engine import Engine
 from minimd.core.files.h5md_reader import H5MDContents, admitted, damage_told, read_file
 from minimd.core.files.h5md_schema import has_edges
@@ -199,14 +198,14 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
     turn = turn_of(told.system.cell, told.system.units.to_angstrom)
     if turn is not None:
         words = turn.in_words(f"the universe {name}", ": R is ts.data['rotation']")
-        warnings.warn(words, stacklevel=outside_minimd())
+        warn(words)
     if told.system.cell.is_periodic and not has_edges(told.system.cell):
         words = (
             f"the universe {name} has no cell, because MDAnalysis needs three vectors and this cell has fewer: "
             "distances are not those of nearest images; give the open direction a length into which all atoms fit, "
             "with pbc, as in cell=[20, 20, 50], pbc=(True, True, False)"
         )
-        warnings.warn(words, stacklevel=outside_minimd())
+        warn(words)
     if len(times) > 1:
         spacing = {"dt": _spacing(name, steps, times)}
     with quiet(), damage_told(run) if isinstance(run, str | Path) else nullcontext():
@@ -230,7 +229,7 @@ def _spacing(name: str, steps: NDArray[np.int64], times: Array) -> float:
         if least == most:
             apart = f"{spacings.min():.4g} to {spacings.max():.4g} apart in time, because the time step changed"
         advice = "trajectory.dt and totaltime are not right for all of them; use the time of each frame, ts.time"
-        warnings.warn(f"the frames {name} are {apart}, so {advice}", stacklevel=outside_minimd())
+        warn(f"the frames {name} are {apart}, so {advice}")
     return median
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import socket
 import struct
-import sys
-import warnings
 from contextlib import suppress
 from math import gcd
 from time import monotonic, sleep
@@ -14,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.core.compiled.terminal import tell
 from minimd.core.console.display import call_of
-from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.quiet import warn
 from minimd.core.console.words import shown
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
@@ -101,7 +100,7 @@ class Stream(PeriodicObserver):
         self._greeting += HEADER.pack(SESSION, len(contents)) + contents
         self._frame, self._waits = empty_frame(len(engine.positions), self._has_box), self.wait
         if self.wait:
-            print(f"minimd: the run waits for a reader at {self.address}", file=sys.stderr, flush=True)
+            tell(f"minimd: the run waits for a reader at {self.address}")
         self._attend(engine)
 
     def observe(self, engine: Engine) -> None:
@@ -204,7 +203,7 @@ class Stream(PeriodicObserver):
         if reason:
             with suppress(UserWarning):  # even if warnings are errors, no reader ends a run with one
                 told = f"a reader of {self!r} {reason}; it is disconnected"
-                warnings.warn(told, stacklevel=outside_minimd())
+                warn(told)
 
     def _fill(self, engine: Engine) -> None:
         """Put the present state into the frame."""

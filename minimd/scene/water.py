@@ -1,12 +1,11 @@
 """Rigid water of three charges, by the name of its model: box, charges, laws, constraints."""
 
-import warnings
 from math import ceil, cos, radians, sin
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.quiet import warn
 from minimd.core.potentials.coulomb import Coulomb
 from minimd.core.potentials.pair import LennardJones
 from minimd.core.potentials.term import OwnPotential
@@ -74,7 +73,7 @@ def water(
     potentials, edge = water_potentials(model, n, density, cutoff, accuracy), edge_of(n, density)
     if cutoff is None and (most := OF_BOX * edge) < CUTOFF:
         small = f"the cutoff of water is {most:.3g} Å, not {CUTOFF:g} Å, because the box is only {edge:.3g} Å wide"
-        warnings.warn(f"{small}; take more molecules, or give cutoff to choose it", stacklevel=outside_minimd())
+        warn(f"{small}; take more molecules, or give cutoff to choose it")
     length, angle, charge, _, _ = MODELS[model]
     # the lattice with the fewest empty places, from which some are left out evenly
     repeats = {name: ceil(round((n / len(BASES[name])) ** (1.0 / 3.0), 9)) for name in ("sc", "bcc", "fcc")}

@@ -187,7 +187,10 @@ def test_report_tells_of_the_sum_over_waves_and_a_net_charge_is_told_once():
         sim.run(4, every=1)
         text = str(sim.report())
     assert ["0.4 e" in str(one.message) for one in told if "net charge" in str(one.message)] == [True]
-    bound, found = LAWS[1].accuracy, re.search(r"sum over (\d+) waves \(relative error of forces at most (\S+)\)", text)
+    bound, found = (
+        LAWS[1].accuracy,
+        re.search(r"sum over (\d+) waves \(error of forces at most (\S+) of their rms", text),
+    )
     assert found
     assert int(found[1]) > 10
     assert float(found[2]) == pytest.approx(bound, rel=0.1)

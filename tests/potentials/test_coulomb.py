@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from charged_scenes import CRYSTALS, crystal, ewald, rms, salt
+from charged_scenes import CRYSTALS, OTHER_CRYSTALS, crystal, ewald, rms, salt
 from scipy.special import erfc
 from wrong_calls import answered
 
@@ -70,6 +70,37 @@ def test_the_accuracy_that_was_asked_for_is_reached(name):
             found = md.evaluate(system, md.Coulomb(1.9, accuracy, method=method))
         assert 0.01 < rms(found.forces - forces) / rms(forces) / accuracy < 1.0
         assert found.potential_energy == pytest.approx(energy, rel=accuracy)
+
+
+@pytest.mark.parametrize("method", ["waves", "mesh"])
+@pytest.mark.parametrize("name", ["CsCl", *(pytest.param(name, marks=pytest.mark.slow) for name in OTHER_CRYSTALS)])
+def test_in_crystals_the_accuracy_is_that_of_the_force_between_neighbors(name, method):
+    """Forces cancel there, and their errors do not."""
+    perfect, _, _ = crystal(name, 2 if name == "CaF2" else 3)
+    edge, charges = perfect.cell.vectors[0, 0], perfect.charges
+    apart = perfect.positions - perfect.positions[0]
+    distances = np.linalg.norm(apart - edge * np.round(apart / edge), axis=1)
+    nearest = 1 + int(np.argmin(distances[1:]))
+    between_neighbors = abs(charges[0] * charges[nearest]) / distances[nearest] ** 2
+    for displacement in (1e-6, 1e-4, 1e-2, 1e-1):
+        off = np.random.default_rng(1).normal(0.0, displacement / 3.0**0.5, perfect.positions.shape)
+        system = md.System(perfect.positions + off, cell=edge, charges=charges)
+        exact = md.evaluate(system, md.Coulomb(0.49 * edge, 1e-13, method="waves")).forces
+        for accuracy in (1e-3, 1e-5, 1e-8, 1e-10):
+            forces = md.evaluate(system, md.Coulomb(0.4 * edge, accuracy, method=method)).forces
+            assert rms(forces - exact) < accuracy * max(rms(exact), between_neighbors), (displacement, accuracy)
+
+
+@pytest.mark.parametrize("method", ["waves", "mesh"])
+def test_energies_of_single_ions_in_a_charged_cell_do_not_depend_on_the_cutoff(method):
+    """The background belongs to each ion as its charge times that of the cell."""
+    rng = np.random.default_rng(5)
+    edges = np.array([[9.0, 0.0, 0.0], [1.0, 8.0, 0.0], [0.5, -1.0, 10.0]])
+    charges = (-1.0) ** np.arange(40) + 0.2
+    system = md.System(rng.random((40, 3)) @ edges, cell=edges, charges=charges)
+    near, far = (md.evaluate(system, md.Coulomb(cutoff, 1e-9, method=method)) for cutoff in (2.5, 3.6))
+    assert near.energies.sum() == pytest.approx(near.potential_energy, rel=1e-12)  # rounding
+    assert np.abs(near.energies - far.energies).max() < 1e-7 * np.abs(far.energies).max()  # accuracy
 
 
 def test_a_split_joins_its_parts_smoothly_and_waves_of_its_rest_are_those_of_its_bound():

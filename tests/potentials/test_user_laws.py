@@ -245,3 +245,29 @@ def test_laws_of_bonds_and_dihedrals_are_compared_with_their_slopes(factor):
             assert np.abs(md.evaluate(system, potential).forces).max() > 0.1
         else:
             assert_answered(lambda one=potential: md.evaluate(system, one), ValueError, words)
+
+
+POWERS = ["r**n", "pow(r, n)", "np.power(r, n)", "math.pow(r, n)", "r2 ** (0.5 * n)", "(1.0 / r) ** -n", "t"]
+POWERS += ["max(r, n) / n * math.hypot(r**n, 0.0)", "np.exp(n * np.log(r))", "2.0**n * (0.5 * r) ** n"]  # r < n
+
+
+@pytest.mark.parametrize("power", [POWERS[0], *(pytest.param(other, marks=pytest.mark.slow) for other in POWERS[1:])])
+def test_a_law_may_raise_to_powers_that_belong_to_each_bond_or_species(power):
+    names = {"np": np, "math": math}
+    body = f"    r = np.sqrt(r2)\n    t = r\n    t **= n\n    u = k * {power}\n    return u, -n * u / r2\n"
+    exec(f"def law(r2, k, n):\n{body}", names)
+    law = names["law"]
+    chain = md.System([[0, 0, 0], [1.3, 0, 0], [2.5, 0, 0]], species=list("ABA"), bonds=[[0, 1], [1, 2]])
+    found = md.evaluate(chain, md.BondPotential(law, ([1.0, 2.0], [4.0, 6.0])))
+    assert found.potential_energy == pytest.approx(1.3**4 + 2.0 * 1.2**6, rel=1e-12)  # rounding
+    np.testing.assert_allclose(found.forces[0, 0], 4.0 * 1.3**3, rtol=1e-12)
+    unlike = {"A": (1.0, 4.0), "B": (2.0, 9.0)}
+    cut = {"cutoff": 2.0, "truncation": "truncated"}
+    found = md.evaluate(chain, md.PairPotential(law, unlike, **cut, mixing="geometric", bonded_scale=(0.5, 0, 1)))
+    assert found.potential_energy == pytest.approx(0.5 * 2.0**0.5 * (1.3**6 + 1.2**6), rel=1e-12)
+    crystal, edges = md.lattice.crystal("sc", [4, 4, 4], 1.5)  # many atoms: the cluster list
+    many = md.System(crystal, cell=edges, species=["A", "B"] * 32)
+    alike = md.evaluate(
+        many, md.PairPotential(law, {"A": (1.0, 4.0), "B": (1.0, 4.0)}, **cut, pairs={("A", "B"): (1.0, 6.0)})
+    )
+    assert alike.potential_energy == pytest.approx(64 * (2 * 1.5**4 + 1.5**6), rel=1e-12)

@@ -13,6 +13,8 @@ from uuid import uuid4
 from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+from minimd.core.compiled.terminal import tell
+
 CHECKSUM = 32  # bytes at the beginning of each file, of SHA-256
 
 
@@ -56,7 +58,7 @@ class CodeFiles(IndexDataCacheFile):
                 return None
         if not CodeFiles.is_told:
             CodeFiles.is_told = True
-            print(f"minimd: compiled code in {self._cache_path} was damaged and is compiled anew", file=sys.stderr)
+            tell(f"minimd: compiled code in {self._cache_path} was damaged and is compiled anew")
         with suppress(OSError):
             os.unlink(path)
         return None

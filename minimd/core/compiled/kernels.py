@@ -11,7 +11,6 @@ import hashlib
 import os
 import re
 import stat
-import sys
 import tempfile
 import threading
 import warnings
@@ -33,6 +32,7 @@ from numba.extending import overload
 
 from minimd.core.compiled.code_cache import FailedCompilations, KernelCache
 from minimd.core.compiled.machine import NEWEST, restrict_features
+from minimd.core.compiled.terminal import tell
 
 
 class PartLibrary(JITCodeLibrary):
@@ -292,7 +292,7 @@ class CompileClock(event.Listener, threading.local):
 def _tell_of_compilation() -> None:
     if not CompileClock.was_told:
         CompileClock.was_told = True
-        print("minimd: compiling kernels (once) ...", file=sys.stderr, flush=True)
+        tell("minimd: compiling kernels (once) ...")
 
 
 compile_clock = CompileClock()

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from minimd.core.compiled.terminal import is_terminal, tell
 from minimd.core.console.words import shown
 
 TENTHS = 10
@@ -19,15 +20,15 @@ def progress_of(
     and ten lines elsewhere; False for nothing; None for a bar where one is possible. ValueError for anything else."""
     if not (show is None or isinstance(show, bool)):
         raise ValueError(f"progress must be True or False; progress = {shown(show)}")
-    has_bar, told = (sys.stderr is not None and sys.stderr.isatty()) or in_notebook(), 0
+    tenths = 0
 
     def tell_tenths(done: int) -> None:
-        nonlocal told
-        if show and done * TENTHS // n_steps > told:
-            told = done * TENTHS // n_steps
-            print(f"{label}: {unit} {done} of {n_steps}", file=sys.stderr, flush=True)
+        nonlocal tenths
+        if show and done * TENTHS // n_steps > tenths:
+            tenths = done * TENTHS // n_steps
+            tell(f"{label}: {unit} {done} of {n_steps}")
 
-    if show is False or not has_bar:
+    if show is False or not (is_terminal() or in_notebook()):
         yield tell_tenths
         return
     from tqdm.auto import tqdm

@@ -47,3 +47,13 @@ def outside_minimd() -> int:
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in inside:
         frame, level = frame.f_back, level + 1
     return level
+
+
+def warn(words: str) -> None:
+    """Warn of something, at the line outside minimd that called it. Where standard error is closed, nobody reads it."""
+    try:
+        warnings.warn(words, stacklevel=outside_minimd())
+    except UserWarning:  # warnings are errors
+        raise
+    except Exception:  # whatever standard error raises
+        return

@@ -1,13 +1,14 @@
 """Signals during a run: Ctrl-C, SIGTERM and SIGHUP stop it between two steps."""
 
 import signal
-import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn, Protocol
+
+from minimd.core.compiled.terminal import tell
 
 # Windows has no SIGHUP
 SIGNALS = [number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None]
@@ -127,8 +128,8 @@ def endings_are_told() -> Iterator[None]:
 
 def tell_ending(ended: "Terminated") -> None:
     """Tell on standard error how runs were ended by a signal, unless a caller does."""
-    if not _callers and sys.stderr is not None:
-        print(f"minimd: {ended}{_kept(ended)}", file=sys.stderr, flush=True)
+    if not _callers:
+        tell(f"minimd: {ended}{_kept(ended)}")
 
 
 def _kept(stopped: BaseException) -> str:

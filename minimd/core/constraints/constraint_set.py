@@ -1,13 +1,12 @@
 """The constraints of a simulation (fixed lengths and fixed atoms), and the degrees of freedom that they leave."""
 
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.quiet import warn
 from minimd.core.console.words import shown
 from minimd.core.constraints.solver import ConstraintSolver, check_atoms
 from minimd.core.structure.cell import Cell, images_of_length, nearest_images
@@ -110,4 +109,4 @@ class ConstraintSet:
             self.bonds.project_velocities(system.velocities, system.positions)
         if max(off, turned) > TOLD:
             by = f"relative errors were {0.5 * off:.1e} in the lengths and {turned:.1e} in the velocities along bonds"
-            warnings.warn(f"the initial state was projected onto the constraints: {by}", stacklevel=outside_minimd())
+            warn(f"the initial state was projected onto the constraints: {by}")

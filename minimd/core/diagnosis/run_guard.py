@@ -1,6 +1,5 @@
 """The run guard makes steps in blocks; a block that fails is undone, made again step by step, and explained."""
 
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from math import isfinite
@@ -8,7 +7,7 @@ from time import perf_counter
 from typing import Any, NoReturn
 
 from minimd.core.compiled.kernels import compile_clock
-from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.quiet import warn
 from minimd.core.diagnosis.crash_report import examine
 from minimd.core.diagnosis.judge import GROWTH, RUNAWAY, START, Failure, fault_of, hints, runaway
 from minimd.core.engine.engine import Engine, Snapshot
@@ -108,7 +107,7 @@ class RunGuard:
         if self._checked_timestep != engine.method.timestep:
             self._checked_timestep = engine.method.timestep
             for hint in hints(engine):
-                warnings.warn(hint, stacklevel=outside_minimd())
+                warn(hint)
         if fault := fault_of(engine, START):
             raise self._failure(fault, engine.step)
 

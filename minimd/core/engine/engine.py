@@ -1,7 +1,6 @@
 """The engine: one system, its forces, its constraints and one method. It advances, stores and restores a state."""
 
 import operator
-import warnings
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,7 +10,7 @@ import numpy as np
 
 from minimd.core.compiled.program import Operation, Program, in_python
 from minimd.core.console.display import Rows
-from minimd.core.console.quiet import outside_minimd, quiet
+from minimd.core.console.quiet import quiet, warn
 from minimd.core.console.words import shown
 from minimd.core.constraints.constraint_set import ConstraintSet
 from minimd.core.constraints.groups import bodies_of
@@ -535,7 +534,7 @@ def _warn_of_dropped(those_of_system: Sequence[Constraint], given: Constraint | 
     dropped = [repr(one) for one in those_of_system if type(one) not in kinds]
     if kinds and dropped:
         lost = f"the constraints given replace those of the system, and {', '.join(dropped)} is lost"
-        warnings.warn(lost, stacklevel=outside_minimd())
+        warn(lost)
 
 
 def _holds_center(system: AnySystem) -> bool:

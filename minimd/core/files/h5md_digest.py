@@ -22,7 +22,6 @@ of observers in its own group.
 """
 
 import json
-import warnings
 import zlib
 from collections.abc import Mapping, Sequence
 from itertools import count
@@ -33,7 +32,7 @@ import h5py
 import numpy as np
 
 from minimd.core.console.annexes import from_annex
-from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.quiet import warn
 from minimd.core.console.words import listed, shown
 from minimd.core.engine.engine import Checkpoint, Snapshot
 from minimd.core.engine.observer import StoredObserver
@@ -212,7 +211,7 @@ def restore_observers(h5: h5py.File, file: str | Path, restart: Restart, observe
                 one.restore(states.get(one.name, {}))
     if left := set(known) - {one.name for one in observers}:
         words = f"file {str(file)!r} holds the observers {listed(sorted(left))}, which this run does not continue"
-        warnings.warn(f"{words}; to continue them, pass them as observers=[...]", stacklevel=outside_minimd())
+        warn(f"{words}; to continue them, pass them as observers=[...]")
 
 
 def write_answers(h5: h5py.File, observers: Sequence[StoredObserver]) -> None:
@@ -246,8 +245,7 @@ def observers_of(h5: h5py.File, restart: Restart) -> dict[str, StoredObserver]:
             raise ValueError(f"observer {name} asks for more memory than there is, by {shown(arguments)}") from None
     if unknown:
         known = "to read them, register their classes: minimd.observers.KINDS[kind] = ..."
-        warnings.warn(f"observers of unknown kinds are left out: {', '.join(unknown[:5])}; {known}",
-                      stacklevel=outside_minimd())  # fmt: skip
+        warn(f"observers of unknown kinds are left out: {', '.join(unknown[:5])}; {known}")
     return found
 
 

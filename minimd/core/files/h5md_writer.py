@@ -7,7 +7,6 @@ process is killed, the file holds the frames up to a commit, and the restart of 
 
 import signal
 import threading
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -17,7 +16,7 @@ from time import monotonic
 import h5py
 import numpy as np
 
-from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.quiet import warn
 from minimd.core.console.words import listed
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import extras_in, recorded
@@ -121,7 +120,7 @@ class H5MDWriter:
             raise ValueError(f"trajectory {file!r} {words}")
         if other := layout.other_method(contents.method, contents.parameters, contents.precision, self._engine):
             goes_on = f"the run in {file!r} is continued with another method, barostat or precision: {other}"
-            warnings.warn(f"{goes_on}; frames before and after belong to different runs", stacklevel=outside_minimd())
+            warn(f"{goes_on}; frames before and after belong to different runs")
         restart = digest.read_restart(h5)
         digest.restore_observers(h5, file, restart, self._observers)
         self._store_forces = contents.has_forces

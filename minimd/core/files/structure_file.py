@@ -1,7 +1,6 @@
 """Structures, and the bonds, angles and dihedrals in them, from files that ASE or MDAnalysis reads;
 masses of chemical elements; trajectories that ASE writes."""
 
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,7 +15,7 @@ from ase.io.formats import UnknownFileTypeError, ioformats
 from ase.io.trajectory import TrajectoryWriter
 from numpy.typing import ArrayLike
 
-from minimd.core.console.quiet import outside_minimd, quiet
+from minimd.core.console.quiet import quiet, warn
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.record import Frame
 from minimd.core.files.claim import Claim
@@ -94,14 +93,14 @@ def system_from_file(
             if found := _joined_in(path, form, source, system):
                 use = 'use them with bonds = "file", in a scene under [structure], or leave them out with bonds = []'
                 words = f"file {str(path)!r} has {found}, which are not used; {use}"
-                warnings.warn(words, stacklevel=outside_minimd())
+                warn(words)
         return changed(system, **NOTHING)
     found = _joined_in(path, form, source, system) if bonds == "file" else _joined_beside(path.parent / bonds, system)
     for name, n_types in found.n_types.items():
         groups = {"bonds": "pairs", "angles": "triples"}.get(name, "quadruples")
         one = f"{'an' if name[0] in 'ai' else 'a'} {name[:-1]} potential"
         words = f"the {name} of {str(path)!r} are of {n_types} types, which {one} does not distinguish; give it"
-        warnings.warn(f"{words} {groups} of one type, or arrays of parameters", stacklevel=outside_minimd())
+        warn(f"{words} {groups} of one type, or arrays of parameters")
     return changed(system, **found.groups, charges=system.charges if system.charges.any() else found.charges)
 
 

@@ -3,7 +3,6 @@
 import errno
 import os
 import struct
-import warnings
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -11,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
-from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.quiet import warn
 from minimd.core.console.whole_file import locked
 from minimd.core.console.words import shown
 from minimd.core.engine.engine import Engine
@@ -165,7 +164,7 @@ def _cut_others_back(writer: Any) -> None:
             words = f"is left as it is, and may hold frames later than the state from which the run goes on: {reason}"
         told += [f"trajectory {str(path)!r} {words}"] if words else []
     for sentence in told:
-        warnings.warn(sentence, stacklevel=outside_minimd())
+        warn(sentence)
 
 
 def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: bytes, last: bytes) -> str:

@@ -8,7 +8,6 @@ have the same lengths and angles, and are right-handed.
 
 import ctypes
 import os
-import warnings
 from contextlib import suppress
 from errno import ENOSPC
 from shutil import disk_usage
@@ -19,7 +18,7 @@ import numpy as np
 from MDAnalysis.lib.mdamath import triclinic_box
 from numpy.typing import NDArray
 
-from minimd.core.console.quiet import outside_minimd, quiet
+from minimd.core.console.quiet import quiet, warn
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.record import Frame
 from minimd.core.files.claim import Claim
@@ -160,7 +159,7 @@ class MDAnalysisWriter(Writer):
         self._turn = turn_of(system.cell, self._angstrom)
         if self._turn is not None:
             back = "; write an .h5md file too: it holds them unturned"
-            warnings.warn(self._turn.in_words(f"trajectory {claim.name!r}", back), stacklevel=outside_minimd())
+            warn(self._turn.in_words(f"trajectory {claim.name!r}", back))
 
     def write(self, frame: Frame) -> None:
         """Append one frame."""

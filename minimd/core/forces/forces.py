@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import namedtuple
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import DirectCalls, announce_compilation, called_kernel
 from minimd.core.compiled.program import GO_ON, Operation, Program, in_python, n_chunks_of, operation
-from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.quiet import warn
 from minimd.core.forces.cluster_term import ClusterTerm
 from minimd.core.forces.mesh_sum import charge_sum
 from minimd.core.forces.options import FIXED_POINT, Options, pool_for
@@ -152,11 +151,11 @@ class Forces:
             is_used = any(one.pair_law is not None and one.pair_law.charges is not None for one in self._bound)
             told += [] if is_used else [f"{largest}: add Coulomb(cutoff) to the potentials"]
         for words in told:
-            warnings.warn(words, stacklevel=outside_minimd())
+            warn(words)
         if self.options.skin is not None and self.options.skin > (widest := min(self.widest_skins, default=np.inf)):
             why = "where bonded pairs are left out or scaled, cutoff + skin can be at most half the height of the cell"
             what = f"skin {self.options.skin:g} {system.units.length} does not fit, {widest:.3g} is used"
-            warnings.warn(f"{what}: {why}", stacklevel=outside_minimd())
+            warn(f"{what}: {why}")
         self._energies, self._virials, self._detail = np.zeros(0), np.zeros((0, 6)), FORCES
 
     def _bind(self) -> None:

@@ -7,7 +7,8 @@ has the same share. exp(i k·r) = X_a Y_b Z_c, of which a cell (a, b ≥ 0, c �
 waves for eight multiplications with an addition. Atoms are taken in blocks, whose X, Y, Z stay in the cache; each chunk
 of atoms has sums of its own, which are added in their order: the same bits for any number of threads.
 
-P. P. Ewald, Ann. Phys. 369, 253 (1921); net charges: a uniform background, of energy −½ (Σ q)²/V ∫ S(r) d³r.
+P. P. Ewald, Ann. Phys. 369, 253 (1921); net charges: a uniform background, of energy −½ Q²/V ∫ S(r) d³r,
+Q = Σ q; the share of atom i is −½ q_i Q/V ∫ S(r) d³r.
 """
 
 from collections import namedtuple
@@ -279,9 +280,9 @@ class ChargeSum(OwnTerm):
         self._charges, self._split, self._calls = charges, split, DirectCalls()
         self._n_chunks = min(n_chunks_of(len(charges)), MOST_SUMS)
         self._energy = -0.5 * split.at_zero * charges**2  # of each charge with its own smooth part
-        self._net2 = float(charges.sum()) ** 2
+        self._net = float(charges.sum())
         self._inverse, self._totals = np.zeros((3, 3)), np.zeros((1, 7))
-        self._said = f"relative error of forces at most {split.bound:.1g}"
+        self._said = f"error of forces at most {split.bound:.1g} of their rms, or of that between neighbors"
 
     def _keep(self, system: System) -> None:
         """Take the present cell."""
@@ -297,13 +298,13 @@ class ChargeSum(OwnTerm):
         if target.detail == FORCES:
             return
         # the uniform background fills what S leaves of a net charge
-        background = -0.5 * self._net2 / self._volume * self._split.moment
-        share = background / len(self._charges)
+        background = -0.5 * self._net**2 / self._volume * self._split.moment
         if target.detail == PER_ATOM:
+            shares = -0.5 * self._charges * self._net / self._volume * self._split.moment  # of each charge q: q Q
             energies, virials = self._of_atoms()
-            target.energies[:] += energies + self._energy + share
+            target.energies[:] += energies + self._energy + shares
             target.virials[:] += virials
-            target.virials[:, :3] += share
+            target.virials[:, :3] += shares[:, None]
         else:
             target.energies[0] += self._totals[0, 0] + self._energy.sum() + background
             target.virials[0] += self._totals[0, 1:]

@@ -93,7 +93,9 @@ class Coulomb(Declared):
     """Coulomb energies U = k_e Σ qᵢ qⱼ / r of the charges of a System, with all periodic images.
 
     In a cell that is periodic in all directions 1/r is split: pairs within the cutoff, and a sum over waves for the
-    smooth rest (Ewald's sum with prolate spheroidal wave functions instead of Gaussians: see prolates.py).
+    smooth rest (Ewald's sum with prolate spheroidal wave functions instead of Gaussians: see prolates.py), with a
+    conductor around all images (tin-foil boundaries). In a crystal forces cancel, but their errors do not: there the
+    accuracy refers to k_e |qᵢ qⱼ|/d², the force between neighbors at the distance d.
     Without periodic directions all pairs count, whatever the cutoff. A net charge is balanced by a uniform background.
     Methods "waves" and "mesh" name the sum over waves, of which "ewald" takes the quicker one. Of pairs only, and of
     unknown error: "reaction-field", as in a uniform medium beyond the cutoff, u = q (1/r + k r² − c),
@@ -105,7 +107,10 @@ class Coulomb(Declared):
         number, "r_c of the pairs; a small r_c needs many waves; required if periodic", "length", POSITIVE, default=None
     )
     accuracy: float = declared(
-        number, "bound of the rms error of forces, divided by the rms force", demand=POSITIVE, default=1e-5
+        number,
+        "bound of the rms error of forces, in parts of their rms or, if larger, of the force between neighbors",
+        demand=POSITIVE,
+        default=1e-5,
     )
     method: MethodName = declared(
         choice, "how charges are summed; the last two are approximations", of=METHODS, default="ewald", kw_only=True

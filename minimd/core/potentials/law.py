@@ -27,7 +27,7 @@ from numba.extending import overload
 
 from minimd.core.compiled.kernels import by_type, kernel, scalar, type_of, without_cache
 from minimd.core.compiled.simd import lane, load, total, with_lane
-from minimd.core.compiled.simd.vector import count, lanes_for
+from minimd.core.compiled.simd.vector import count, lanes_for, loaded_columns
 from minimd.core.compiled.snapshot import FunctionSnapshot
 from minimd.core.console.words import shown
 
@@ -230,10 +230,13 @@ EachLane = law_type("EachLane", each_lane)
 
 
 @kernel
-def sum_over_lanes(law, distances2, parameters, lanes):
-    """Σ (u + f) of a law at as many squared distances [length²] as lanes: compiles only if it runs on vectors."""
-    u, f = evaluate_law(law, load(distances2, 0, lanes), parameters)
-    return total(u) + total(f)
+def sum_over_lanes(law, distances2, parameters, columns, lanes):
+    """Σ (u + f) of a law at as many squared distances [length²] as lanes, with parameters that are numbers, and with a
+    number for each lane: compiles only if it runs on vectors with both."""
+    r2 = load(distances2, 0, lanes)
+    u, f = evaluate_law(law, r2, parameters)
+    v, g = evaluate_law(law, r2, loaded_columns(columns, 0, lanes))
+    return total(u) + total(f) + total(v) + total(g)
 
 
 @functools.cache
@@ -242,8 +245,9 @@ def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
     if reads_table(law) or not is_user_law(law):
         return not reads_table(law)
     lanes = lanes_for()
+    column = np.ones(lanes.size)
     try:
-        loop_for(sum_over_lanes, law)(law, np.ones(lanes.size), (1.0,) * n_parameters, lanes)
+        loop_for(sum_over_lanes, law)(law, column, (1.0,) * n_parameters, (column,) * n_parameters, lanes)
     except (NumbaError, AttributeError):  # the latter for a constant, which is no vector
         return False
     return True

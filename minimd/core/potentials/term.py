@@ -3,7 +3,6 @@
 At the end of the file: what may stand where potentials are expected, and calculators of ASE.
 """
 
-import warnings
 from collections.abc import Iterable
 from copy import deepcopy
 from math import inf
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from minimd.core.compiled.program import Operation, in_python
 from minimd.core.console.display import Displayed, Rows, as_text, call_of
-from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.quiet import warn
 from minimd.core.console.words import shown
 from minimd.core.neighbors.queries import closest_pair
 from minimd.core.neighbors.verlet_list import VerletList
@@ -301,7 +300,7 @@ def as_potentials(given: Any) -> tuple[Any, ...]:
         elif (own := getattr(one, "own_potentials", None)) is not None:  # of a minimd.ase.Calculator
             potentials.extend(as_potentials(own))
         else:
-            warnings.warn(calculators_said(one), stacklevel=outside_minimd())
+            warn(calculators_said(one))
             potentials.append(ForcesFromCalculator(one))
     return tuple(potentials)
 
@@ -380,5 +379,5 @@ class CalculatorTerm(Term):
             return -self._atoms.get_stress() * volume_of(self._atoms)
         except NotImplementedError as reason:
             told = f"{type(self._atoms.calc).__name__} gives no stress ({reason}); virial and pressure are NaN"
-            warnings.warn(told, stacklevel=outside_minimd())
+            warn(told)
             return np.full(6, np.nan)

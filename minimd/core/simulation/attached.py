@@ -1,13 +1,12 @@
 """The observers of a run, and when each looks."""
 
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from time import perf_counter
 from typing import Any
 
 from minimd.core.compiled.kernels import compile_clock
-from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.quiet import warn
 from minimd.core.console.words import shown
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observer import PeriodicObserver, StoredObserver
@@ -77,7 +76,7 @@ class Attached:
                 if n_later := one.break_off(step):
                     seen = f"the result of {one!r} includes {n_later} later states"
                     failed = f"the run has failed after step {step}, and {seen}; use another observer to run again"
-                    warnings.warn(failed, stacklevel=outside_minimd())
+                    warn(failed)
             raise
         finally:
             for looking in self._with_steps:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from minimd.core.console.annexes import from_annex
-from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.quiet import warn
 from minimd.core.engine.observation import extras_in
 from minimd.core.forces.forces import Potential
 from minimd.core.structure.checks import checked_count
@@ -36,9 +35,9 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
     simulation.engine.go_on_from(contents.restart)
     if other := other_potentials(contents.potentials, simulation.potentials):
         given = f"the potentials given are not those of the last steps in {str(file)!r}: {other}"
-        warnings.warn(f"{given}; the potential energy jumps at this step", stacklevel=outside_minimd())
+        warn(f"{given}; the potential energy jumps at this step")
     if contents.repaired:
-        warnings.warn(contents.repaired, stacklevel=outside_minimd())
+        warn(contents.repaired)
     return simulation
 
 

@@ -9,12 +9,10 @@ Symmetric sequences stay symmetric. Compositions of velocity Verlet, such as Yos
 have order 2 at most, because a constrained drift is not an exact flow: two of them in a row differ from a single one.
 """
 
-import warnings
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from minimd.core.console.quiet import outside_minimd
+from minimd.core.console.quiet import warn
 from minimd.core.integrators.method import Array
 from minimd.core.integrators.order_conditions import nystrom_order
 from minimd.core.integrators.substeps import Drift, Kick, Substeps, are_alike, repeated
@@ -86,7 +84,7 @@ class Holonomic(SecondOrder):
         moved, turned = np.abs(q1 - q).max(), np.abs(v1 - v).max()
         if moved > KEPT * np.abs(q).max() or turned > KEPT * max(np.abs(v).max(), np.finfo(float).tiny):
             moves = f"q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}"
-            warnings.warn(f"the start was projected onto the constraints: {moves}", stacklevel=outside_minimd())
+            warn(f"the start was projected onto the constraints: {moves}")
         self.remark = remark_on_differences("G = ∂g/∂q", self.violation, self._jacobian, q1)
         return np.concatenate([q1, v1])
 

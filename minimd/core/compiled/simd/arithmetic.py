@@ -7,7 +7,8 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic, overload
 
-from minimd.core.compiled.simd.vector import Vector, broadcast, call, emitting, lane, with_lane
+from minimd.core.compiled.kernels import scalar
+from minimd.core.compiled.simd.vector import Vector, broadcast, call, count, emitting, lane, with_lane
 
 # methods of IRBuilder; those for integers have the names of the operators
 FLOAT_OPERATORS = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}
@@ -119,9 +120,15 @@ def _negative(x):
     return (lambda x: 0.0 - x) if isinstance(x, Vector) else None
 
 
+@overload(pow)
+@overload(math.pow)
+@overload(np.power)
+@overload(operator.ipow)
 @overload(operator.pow)
 def _power(x, exponent):
     """The powers that laws use, one of which the compiler picks for a constant exponent; others lane by lane."""
+    if isinstance(exponent, Vector) and (x == exponent or isinstance(x, types.Number)):
+        return lambda x, exponent: _powers(broadcast(x, exponent), exponent)
     if not (isinstance(x, Vector) and isinstance(exponent, types.Number)):
         return None
     lanes = x.lanes
@@ -140,6 +147,14 @@ def _power(x, exponent):
         return x
 
     return power
+
+
+@scalar
+def _powers(bases, exponents):
+    """Lane by lane, as the processor has no instruction for it."""
+    for k in range(count(bases)):
+        bases = with_lane(bases, k, lane(bases, k) ** lane(exponents, k))
+    return bases
 
 
 def bind_one(function, operation=None) -> None:

@@ -33,7 +33,6 @@ from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
 from minimd.observers.motion import DisplacementResult, molecules_of
-from minimd.observers.radial_distribution import SPACINGS
 from minimd.observers.viscosity import ViscosityResult
 
 __all__ = ["Diffusion", "Frames", "RadialDistribution", "RunUniverse", "Turn", "diffusion_coefficient",
@@ -42,7 +41,7 @@ __all__ = ["Diffusion", "Frames", "RadialDistribution", "RunUniverse", "Turn", "
 VERSION = MDAnalysis.__version__
 MOLECULE = "MOL"  # resname of a molecule without a formula
 MOST_COUNTS = 10**7  # of molecules times species
-RDF_FRAMES, RDF_PAIRS = 50, 3e6  # at most, in the frames together and in each, so that g(r) takes a second
+RDF_FRAMES, RDF_ATOMS = 50, 10**6  # at most, the atoms of all frames together, so that g(r) takes a second
 MSD_FRAMES, MSD_ATOMS, MSD_LEVELS = 2000, 1000, 8  # at most
 UNEVEN = 1e-6  # largest relative difference between equal spacings of frames, whose times are rounded
 CM2_PER_S = 1e-4  # per Å²/ps
@@ -295,27 +294,20 @@ class RadialDistribution(NamedTuple):
         return f"RadialDistribution({found}; highest at {self.r[k]:.4g}, {self.g[k]:.4g})"
 
 
-def radial_distribution(run: Run, n_bins: int = 200) -> RadialDistribution:
-    """g(r) by the observer RadialDistribution, in the cell of each frame, from evenly chosen frames.
+def radial_distribution(run: Run, n_bins: int = 200, r_max: float | None = None) -> RadialDistribution:
+    """g(r) by the observer RadialDistribution, in the cell of each frame, without the first bin, from evenly chosen
+    frames. Bonded pairs count like all others.
 
-    It reaches to half the smallest height of the cell, without the first bin; in systems with many atoms not so far,
-    but to 4 (V/N)^(1/3) at least. Bonded pairs count like all others.  run : an argument of universe, or a universe.
+    run : an argument of universe, or a universe.  r_max : as for the observer [length of the file].
 
     Raises
     ------
     ValueError : if the cell is not periodic in all directions, or there is only one atom.  Others as universe.
     """
     with universe_of(run) as made, quiet():
-        system, n_frames = made.system, len(made.trajectory)
-        if system.volume is None or len(system) < 2:
-            needs = "g(r) needs at least two atoms, and a cell that is periodic in all directions"
-            raise ValueError(f"{needs}; {_name(made)} holds {system!r}")
-        per_pair = 1.5 * system.volume / (np.pi * len(system) ** 2)  # r³ with one pair more
-        reach3 = max(RDF_PAIRS * per_pair, SPACINGS**3 * system.volume / len(system))
-        reach = min(float(system.cell.heights.min()) / 2.0, reach3 ** (1.0 / 3.0))
-        most = max(1.0, RDF_FRAMES * min(1.0, RDF_PAIRS * per_pair / reach**3))
-        looking = observers.RadialDistribution(reach, n_bins, every=1, name="")
-        found = _observed(looking, made, ceil(n_frames / most)).result()
+        most = min(RDF_FRAMES, max(1, RDF_ATOMS // len(made.system)))
+        looking = observers.RadialDistribution(r_max, n_bins, every=1, name="")
+        found = _observed(looking, made, most).result()
     return RadialDistribution(found.r[1:], found.g[1:])
 
 
@@ -340,21 +332,19 @@ class _Recorded(Engine):
             system.cell = cell
 
 
-def _observed(looking: Any, made: RunUniverse, stride: int) -> Any:
-    """The result of an observer for each stride-th frame; what is correlated begins anew where frames are missing."""
-    frames = made.trajectory[::stride]
+def _observed(looking: Any, made: RunUniverse, most: int) -> Any:
+    """An observer that has seen evenly chosen frames; what is correlated begins anew where their spacing changes.
+    most : number of frames, about."""
+    frames = made.trajectory[:: ceil(len(made.trajectory) / most)]
     times = np.array([ts.time for ts in frames]) / made.system.units.to_picosecond
-    spacings = np.diff(times) if len(times) > 1 else np.ones(1)
-    median = float(np.median(spacings))
-    relative = np.round(spacings / median, 6)  # UNEVEN
-    values, counts = np.unique(relative, return_counts=True)
-    usual = values[counts.argmax()]
-    engine = _Recorded(made, float(spacings[np.argmax(relative == usual)]))
+    spacings = np.diff(times)
+    usual = float(np.quantile(spacings, 0.5, method="lower")) if len(spacings) else 1.0
+    engine = _Recorded(made, usual)
     for k, ts in enumerate(frames):
         engine.show(ts)
         if k == 0:
             looking.prepare(engine)
-        elif relative[k - 1] != usual:
+        elif abs(spacings[k - 1] - usual) > UNEVEN * usual:
             looking.interrupt()
         looking.observe(engine)
         engine.count(1)
@@ -441,7 +431,7 @@ def diffusion_coefficient(
         if n_frames < 2:
             raise ValueError(f"a displacement needs at least 2 frames; {_name(made)} holds {n_frames}")
         looking = observers.MeanSquareDisplacement(every=1, n_levels=MSD_LEVELS, most_atoms=MSD_ATOMS, of=of, name="")
-        _observed(looking, made, ceil(n_frames / MSD_FRAMES))
+        _observed(looking, made, MSD_FRAMES)
         if window is not None:
             start, end = window
             per_time = made.system.units.to_picosecond

@@ -7,11 +7,11 @@ changes with the lag; what they did before, in flight or in a cage, is an offset
 through D_k over k, with weights 2⁻ᵏ as the variances of a random walk grow, has a level and a trend; their errors come
 from blocks of time.
 
-1. The trend over the last three octaves must be below 2.5 of its errors. While it is known worse than to 10 % of D, the
-   longest octave is left out.
-2. Earlier octaves are added as long as the trend is below two errors. D is the level over two octaves, which begin one
-   after the first of these.
-3. The error of D contains the difference to D one octave later, and grows with the last lag t by 1 + 2 t/T.
+1. The trend over some number of late octaves, three or more, must be below two of its errors. Earlier octaves are added
+   one by one until the trend is above three errors: where it is above two by chance, earlier octaves show that there is
+   none. While the trend of the last three is known worse than to 10 % of D, the longest octave is left out.
+2. D is the level over two octaves. They begin one octave after the earliest start whose trend is below two errors.
+3. The error of D contains the difference to D one octave later.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from minimd.core.structure.units import UnitSystem
 Array = NDArray[np.float64]
 LONGEST = 0.25  # of the duration: longer lags have too few origins
 OCTAVES = 3  # over so many at least a trend is looked for
-SURE, SEEN = 2.5, 2.0  # errors: of a trend over the last octaves, and of one that begins earlier
+SEEN, SURE = 2.0, 3.0  # errors of a trend, see 1; found by trying, as are the numbers below
 SHARP = 0.1  # of D: a trend known worse tells nothing
 KNOWN = 0.3  # of D: with a larger error only a limit is known
 SPAN = 2  # octaves of D
-LATE = 2.0  # see 3; found by trying, as are the numbers above
 WITHIN = 0.999  # of a lag: nearer is rounding
 USUAL = 10.0  # 10⁻⁵ cm²/s per Å²/ps
 DIFFUSIVE, NOT_YET, UNKNOWN, SHORT = "diffusive", "not diffusive yet", "unknown", "short"
+ADVICE = 'run longer; of molecules, measure the centers: of="molecules"'
 
 
 def diffusion_words(coefficient: float, error: float, units: UnitSystem) -> str:
@@ -54,7 +54,8 @@ class Diffusivity(NamedTuple):
     value, error : D and its standard error [length²/time]; NaN unless diffusive.
     window : lags of D; if there is none, those whose slopes were compared [time].
     trend, trend_error : relative change of the slope when the lag doubles.
-    limit : D is below the slope at the longest lags and two errors [length²/time]; NaN if the slope still rises.
+    limit : D is below the slope at the longest lags and two errors [length²/time]; NaN if the slope rises, or if D is
+        known.
     """
 
     state: str
@@ -65,81 +66,78 @@ class Diffusivity(NamedTuple):
     trend_error: float = np.nan
     limit: float = np.nan
 
-    @property
-    def is_reached(self) -> bool:
-        """Whether D no longer changes with the lag."""
-        return self.state == DIFFUSIVE
-
-    def times(self, factor: float) -> Diffusivity:
-        """This with D multiplied."""
-        return self._replace(value=factor * self.value, error=factor * self.error, limit=factor * self.limit)
-
-    def in_words(self, units: UnitSystem, has_centers: bool) -> str:
-        """D and from where it is; or why there is none, what is known of it, and what to do.
-        has_centers : whether centers of molecules could be measured instead of atoms."""
-        advice = 'run longer, or measure centers of molecules: of="molecules"' if has_centers else "run longer"
+    def in_words(self, units: UnitSystem) -> str:
+        """D and from where it is; or why there is none, what is known of it, and what to do."""
         if self.state == SHORT:
-            return f"unknown: the run has fewer than four lags that double, up to a quarter of it; {advice}"
+            return f"unknown: the run has fewer than four lags that double, up to a quarter of it; {ADVICE}"
         start, end = self.window
         lags = f"lags of {units.shown(start)} to {units.shown(end)}"
-        change = f"{100.0 * self.trend:+.0f} ± {100.0 * self.trend_error:.0f} % when the lag doubles"
+        change = f"{with_error(100.0 * self.trend, 100.0 * self.trend_error)} % when the lag doubles"
         if self.state == DIFFUSIVE:
             return f"D = {diffusion_words(self.value, self.error, units)}, from {lags} (slope: {change}), in this cell"
-        limit = f"D is below {diffusion_words(float(f'{self.limit:.2g}'), 0.0, units)}; "
+        limit = "" if np.isnan(self.limit) else f"D is below {diffusion_words(self.limit, 0.0, units)}; "
         slope = f"at {lags} the slope of the mean square changes by {change}"
         if self.state == UNKNOWN:
-            return f"unknown, {limit}{slope}; {advice}"
-        return f"NOT DIFFUSIVE YET: {slope}; {limit if np.isfinite(self.limit) else ''}{advice}"
+            return f"unknown, {limit}{slope}; {ADVICE}"
+        return f"NOT DIFFUSIVE YET: {slope}; {limit}{ADVICE}"
 
 
 class _Octaves:
-    """Slopes over octaves of lags.
+    """Slopes over octaves of lags from start to end.  Others as for diffusivity.
 
-    times, mean, without : as for diffusivity.  start, end : of the lags.
     lags : (n + 1,), each twice the one before, or nearly.
     """
 
     def __init__(self, times: Array, mean: Array, without: Array, start: float, end: float) -> None:
         inside = np.flatnonzero((times > 0.0) & (times >= start) & (times <= end))
         places = inside[-1:].tolist()
-        while places and 0.5 * times[places[-1]] >= WITHIN * times[inside[0]]:
-            places.append(int(np.abs(times - 0.5 * times[places[-1]]).argmin()))
-        chosen = np.array(places[::-1], dtype=np.int64)
-        self.lags = times[chosen].tolist()
-        self.n = max(0, len(chosen) - 1)
-        self._slopes = np.diff(mean[chosen]) / (6.0 * np.diff(self.lags))
-        self._replicas = np.diff(without[:, chosen]) / (6.0 * np.diff(self.lags))
+        while places and 0.5 * times[places[0]] >= WITHIN * times[inside[0]]:
+            places.insert(0, int(np.abs(times - 0.5 * times[places[0]]).argmin()))
+        self.lags = times[places].tolist()
+        squares = np.vstack([mean, without])[:, places]
+        self._slopes = np.diff(squares) / (6.0 * np.diff(self.lags))
+        self.n = self._slopes.shape[1]
 
     def level(self, first: int, last: int) -> tuple[float, float]:
         """The mean slope of octaves from first up to last, and its error."""
         return self._sums(self._weights(first, last))
 
     def trend(self, first: int, last: int) -> tuple[float, float]:
-        """The relative change of the slope for each octave, and its error."""
+        """The relative change of the slope for each octave, and its error; NaN for a single one."""
         octave = np.arange(self.n)
         weights = self._weights(first, last)
         change = weights * (octave - weights @ octave)
-        value, error = self._sums(change / (change @ octave))
-        size = abs(self.level(first, last)[0]) or np.nan
-        return value / size, error / size
+        size = abs(self.level(first, last)[0]) * (change @ octave) or np.nan
+        return self._sums(change / size)
 
     def _weights(self, first: int, last: int) -> Array:
-        octave = np.arange(self.n)
-        weights = np.where((octave >= first) & (octave < last), 0.5 ** (octave - first), 0.0)
-        return np.asarray(weights / weights.sum())
+        weights = np.zeros(self.n)
+        weights[first:last] = 0.5 ** np.arange(last - first)
+        return weights / weights.sum()
 
     def _sums(self, weights: Array) -> tuple[float, float]:
-        return float(self._slopes @ weights), float(spread(self._replicas @ weights))
+        found = self._slopes @ weights
+        return float(found[0]), float(spread(found[1:]))
 
 
-def diffusivity(times: Array, mean: Array, without: Array, longest: float) -> Diffusivity:
+def diffusivity(
+    times: Array, mean: Array, without: Array, longest: float, window: tuple[float, float] | None = None
+) -> Diffusivity:
     """D by the rule of this module, or why there is none.
 
     times : (T,) lags [time], with nearly all halves of the longest.  mean : (T,) mean square displacements [length²].
     without : (K, T), its replicas, each without one block of time.  longest : lag, a quarter of the run [time].
+    window : lags; D is then the level over all of its octaves, whether atoms diffuse there or not [time].
+
+    Raises ValueError for a window without an octave of lags.
     """
-    octaves = _Octaves(times, mean, without, 0.0, longest)
-    n = octaves.n
+    octaves = _Octaves(times, mean, without, *(window or (0.0, longest)))
+    lags, n = octaves.lags, octaves.n
+    if window is not None:
+        if n == 0:
+            wanted = "the window must hold a lag and its double"
+            raise ValueError(f"{wanted}; window = {window}, lags = {times[0]:.4g} to {times[-1]:.4g}")
+        return Diffusivity(DIFFUSIVE, *octaves.level(0, n), (lags[0], lags[n]), *octaves.trend(0, n))
     if n < OCTAVES:
         return Diffusivity(SHORT)
     end = n
@@ -148,51 +146,23 @@ def diffusivity(times: Array, mean: Array, without: Array, longest: float) -> Di
     late = end - OCTAVES
     trend, trend_error = octaves.trend(late, end)
     begin = end
-    limit_of_trend = SURE
     for first in range(late, -1, -1):
-        change, error = octaves.trend(first, end)
-        if not (abs(change) < limit_of_trend * error and error < SHARP):
+        change, its_error = octaves.trend(first, end)
+        if not (abs(change) < SURE * its_error and its_error < SHARP):
             break
-        begin, trend, trend_error = first, change, error
-        limit_of_trend = SEEN
-    is_flat = begin < end
-    start = 1 + (begin if is_flat else late)
+        if abs(change) < SEEN * its_error:
+            begin, trend, trend_error = first, change, its_error
+    start = 1 + min(begin, late)
     stop = min(start + SPAN, end)
     value, scatter = octaves.level(start, stop)
     later, _ = octaves.level(start + 1, min(stop + 1, end))
-    window = (octaves.lags[start], octaves.lags[stop])
-    error = float(np.hypot(scatter, value - later)) * (1.0 + LATE * LONGEST * window[1] / longest)
+    error = float(np.hypot(scatter, value - later))
+    if begin < end and error < KNOWN * value:
+        return Diffusivity(DIFFUSIVE, value, error, (lags[start], lags[stop]), trend, trend_error)
     last, its_error = octaves.level(n - SPAN, n)
-    limit = abs(last) + 2.0 * (1.0 + LATE * LONGEST) * its_error
-    if is_flat and error < KNOWN * value:
-        return Diffusivity(DIFFUSIVE, value, error, window, trend, trend_error, limit)
-    is_changing = not is_flat and abs(trend) >= SURE * trend_error
-    if is_changing and trend > 0.0 and end == n:
-        limit = np.nan
-    compared = (octaves.lags[late], octaves.lags[end])
-    return Diffusivity(NOT_YET if is_changing else UNKNOWN, np.nan, np.nan, compared, trend, trend_error, limit)
-
-
-def slope(times: Array, squares: Array) -> Array:
-    """Slopes of straight lines through mean squares (..., T) at times (T,), each point weighted by 1/t, because its
-    error grows as t."""
-    weights = 1.0 / times
-    weights = weights**2 / (weights**2).sum()
-    t = times - weights @ times
-    return np.asarray((squares * (weights * t)).sum(axis=-1) / (weights * t * t).sum())
-
-
-def fitted(times: Array, mean: Array, without: Array, window: tuple[float, float]) -> Diffusivity:
-    """D of a straight line within a window, whether atoms diffuse there or not.  Others as for diffusivity.
-    Raises ValueError for a window with fewer than 3 lags."""
-    start, end = window
-    inside = (times >= start) & (times <= end) & (times > 0.0)
-    if inside.sum() < 3:
-        held = f"({start:.4g}, {end:.4g}) holds {inside.sum()} of {len(times)}"
-        raise ValueError(f"the window of the fit must hold at least 3 lags; {held}")
-    chosen = times[inside]
-    value = float(slope(chosen, mean[inside])) / 6.0
-    error = float(spread(slope(chosen, without[:, inside]) / 6.0))
-    octaves = _Octaves(times, mean, without, start, end)
-    trend = octaves.trend(0, octaves.n) if octaves.n > 1 else (np.nan, np.nan)
-    return Diffusivity(DIFFUSIVE, value, error, (float(chosen[0]), float(chosen[-1])), *trend)
+    limit = abs(last) + 2.0 * its_error
+    state = UNKNOWN
+    if begin == end and abs(trend) >= SEEN * trend_error:
+        state = NOT_YET
+        limit = limit if trend < 0.0 else np.nan
+    return Diffusivity(state, np.nan, np.nan, (lags[late], lags[end]), trend, trend_error, limit)

@@ -6,7 +6,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
 from math import ceil
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -25,7 +24,7 @@ from minimd.core.structure.system import System
 from minimd.observers.accumulator import ObservedRun, Result, Series, State
 from minimd.observers.arguments import ATOMS, MOLECULES, argument, label, levels, particles, steps
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
-from minimd.observers.diffusion import Diffusivity, diffusion_words, diffusivity, fitted
+from minimd.observers.diffusion import Diffusivity, diffusion_words, diffusivity
 from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, TimeCorrelation, running_integral
 from minimd.observers.viscosity import ViscosityResult
 
@@ -99,7 +98,6 @@ class _OfAtoms(TimeCorrelation):
     numbers: list[int] = field(init=False, default_factory=lambda: [1])  # of chosen atoms of each species
     is_relative: bool = field(init=False, default=False)  # to the center of mass
     widening: float = field(init=False, default=1.0)  # of D: n/(n − 1) for n independent particles relative to it
-    has_centers: bool = field(init=False, default=False)  # of molecules, which are not measured
 
     @property
     def n_components(self) -> int:
@@ -117,7 +115,6 @@ class _OfAtoms(TimeCorrelation):
         self.is_relative = engine.conserves_momentum or (engine.moves_freely and n_molecules > 1)
         if self.is_relative and not engine.conserves_momentum:
             self.widening = n_particles / (n_particles - 1.0)
-        self.has_centers = self.of == ATOMS and n_molecules < len(system)
 
     def _laid_out(self, scene: ObservedRun) -> None:
         starts = np.concatenate([[0], np.cumsum(self.numbers)])
@@ -259,12 +256,12 @@ class MeanSquareDisplacement(_OfAtoms):
         seen, times, longest = self._seen()
         law = self._means(seen)
         means, errors = self._estimate(times, longest, law)
-        without = self._replicas(law, means.shape)
-        rule = partial(diffusivity, longest=longest) if window is None else partial(fitted, window=window)
+        squares = self.widening * means
+        without = self.widening * self.sums.replicas(law)
         rows = range(1 + len(scene.species))
-        whole, *of_species = [rule(times, means[row], without[:, row]).times(self.widening) for row in rows]
+        whole, *of_species = (diffusivity(times, squares[k], without[:, k], longest, window) for k in rows)
         _, temperature, volume = (self.sums.total[:HEAD] / self.sums.total[COUNT]).tolist()
-        mean = scene, times, means, errors, whole, sum(self.numbers), self.has_centers
+        mean = scene, times, means, errors, whole, sum(self.numbers)
         found = DisplacementResult(*mean, tuple(of_species), self.is_cubic, temperature, volume)
         return found if viscosity is None else found.corrected(viscosity)
 
@@ -294,12 +291,10 @@ class VelocityAutocorrelation(_OfAtoms):
             return running_integral(times, law(sums)[0] / 3.0)
 
         along, its_error = self._estimate(times, longest, integral)
-        without = self._replicas(integral, along.shape)
-        # its integral is that of a mean square displacement
-        squares, others = (6.0 * running_integral(times, one) for one in (along, without))
-        found = diffusivity(times, squares, others, longest).times(self.widening)
-        mean = scene, times, values, errors, found, sum(self.numbers), self.has_centers
-        return VelocityResult(*mean, along, its_error)
+        factor = 6.0 * self.widening  # the integral of this one is a mean square displacement
+        squares, without = (factor * running_integral(times, one) for one in (along, self.sums.replicas(integral)))
+        found = diffusivity(times, squares, without, longest)
+        return VelocityResult(scene, times, values, errors, found, sum(self.numbers), along, its_error)
 
 
 @dataclass(frozen=True, repr=False)
@@ -309,7 +304,7 @@ class MotionResult(Result):
     times : (T,) lags [time].
     means, errors : (1 + S + 3, T), of all atoms, of those of each species, and along x, y, z.
     diffusivity : Diffusivity of all atoms in this cell.
-    n_atoms : number of atoms that were observed.  has_centers : whether centers of molecules could be, and were not.
+    n_atoms : number of atoms that were observed.
     """
 
     times: Array
@@ -317,7 +312,6 @@ class MotionResult(Result):
     errors: Array
     diffusivity: Diffusivity
     n_atoms: int
-    has_centers: bool
     symbol: ClassVar[str]  # name of the series
     coefficients = ("diffusion", "diffusion_error")
 
@@ -330,10 +324,6 @@ class MotionResult(Result):
     def diffusion_error(self) -> float:
         """Its standard error."""
         return self.diffusivity.error
-
-    def told(self, found: Diffusivity) -> str:
-        """D in words; see Diffusivity."""
-        return found.in_words(self.units, self.has_centers)
 
     @property
     def unit(self) -> str:
@@ -357,9 +347,9 @@ class DisplacementResult(MotionResult):
     times : (T,) lags [time].
     means, errors : (1 + S + 3, T) [length²], of all atoms, of those of each species, and along x, y, z.
     diffusivity, of_species : Diffusivity of all atoms in this cell, and of those of each species, (S,).
-    n_atoms, has_centers : see MotionResult.
+    n_atoms : see MotionResult.
     diffusion, diffusion_error : D, and its standard error [length²/time]; NaN unless the slope has stopped to change.
-        diffusion_of_species, diffusion_errors_of_species : of each, (S,).  window : lags of D [time].
+        diffusion_of_species : D of each, (S,).  window : lags of D [time].
     infinite, infinite_error : D of an infinite system by Yeh and Hummer; NaN without a viscosity. The error includes
         that of the viscosity, if it is known.
     temperature, volume : means.
@@ -385,11 +375,6 @@ class DisplacementResult(MotionResult):
         return tuple(one.value for one in self.of_species)
 
     @property
-    def diffusion_errors_of_species(self) -> tuple[float, ...]:
-        """Their standard errors."""
-        return tuple(one.error for one in self.of_species)
-
-    @property
     def window(self) -> tuple[float, float]:
         """The lags of D [time]."""
         return self.diffusivity.window
@@ -412,15 +397,14 @@ class DisplacementResult(MotionResult):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        rows = [("diffusion", self.told(self.diffusivity))]
+        rows = [("diffusion", self.diffusivity.in_words(self.units))]
         if len(self.of_species) > 1:
-            rows += [
-                ("", f"{name}: {self.told(one)}") for name, one in zip(self.scene.species, self.of_species, strict=True)
-            ]
+            of_species = zip(self.scene.species, self.of_species, strict=True)
+            rows += [("", f"{name}: {found.in_words(self.units)}") for name, found in of_species]
         if np.isfinite(self.infinite):
             words = diffusion_words(self.infinite, self.infinite_error, self.units)
             rows.append(("", f"D = {words} in an infinite cell (Yeh and Hummer)"))
-        elif self.is_cubic and self.diffusivity.is_reached:
+        elif self.is_cubic and np.isfinite(self.diffusion):
             rows.append(("", "in a larger cell D is larger: result(viscosity=...) corrects for this"))
         return rows
 
@@ -443,8 +427,8 @@ class VelocityResult(MotionResult):
     times : (T,) lags [time].
     means, errors : (1 + S + 3, T) [length²/time²], of all atoms, of those of each species, and along x, y, z.
     integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].
-    diffusivity, plateau : Diffusivity, by means of the integral over octaves of lags.
-    n_atoms, has_centers : see MotionResult.
+    diffusivity : Diffusivity, by means of the integral over octaves of lags.
+    n_atoms : see MotionResult.
     """
 
     integral: Array
@@ -458,11 +442,6 @@ class VelocityResult(MotionResult):
         return np.asarray(self.means[0])
 
     @property
-    def plateau(self) -> Diffusivity:
-        """The same as diffusivity."""
-        return self.diffusivity
-
-    @property
     def unit(self) -> str:
         """The unit of the means."""
         return f"{self.units.length}²/({self.units.time})²"
@@ -474,11 +453,11 @@ class VelocityResult(MotionResult):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        return [("velocities", self.told(self.diffusivity))]
+        return [("velocities", self.diffusivity.in_words(self.units))]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
         panel.axhline(0.0, color="0.7", lw=0.8)
         self.draw_curves(panel, {"": self.vacf / self.vacf[0]}, "t", "⟨v(0) · v(t)⟩ / ⟨v²⟩")
-        last = np.fmax(self.plateau.window[1], self.times[min(15, len(self.times) - 1)])
+        last = np.fmax(self.diffusivity.window[1], self.times[min(15, len(self.times) - 1)])
         panel.set(xlim=(0.0, last * self.units.to_picosecond or None))

@@ -80,8 +80,7 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
         chosen = values[..., inside]
         return np.asarray(np.trapezoid(chosen, t) / (t[-1] - t[0]) if t[-1] > t[0] else chosen.mean(axis=-1))
 
-    error = float(spread(mean(without))) if len(without) else np.nan
-    return Plateau(float(mean(integral)), error, (float(t[0]), float(t[-1])), is_reached)
+    return Plateau(float(mean(integral)), float(spread(mean(without))), (float(t[0]), float(t[-1])), is_reached)
 
 
 COUNT, TEMPERATURE, VOLUME, HEAD = 0, 1, 2, 3  # places in the sums, before those of the correlator
@@ -130,10 +129,6 @@ class TimeCorrelation(Accumulator):
         errors[..., times > 2.0 * longest] = np.nan
         return values, errors
 
-    def _replicas(self, law: Callable[[Array], Array], shape: tuple[int, ...]) -> Array:
-        """The replicas of the result of a law, (K, ...).  shape : of the result."""
-        return self.sums.replicas(law).reshape(-1, *shape)
-
     def _integral(self, times: Array, longest: float, law: Callable[[Array], Array]) -> tuple[Array, Array, Plateau]:
         """The running integral of a correlation, (T,), its standard errors, and its plateau.  law : of the sums."""
 
@@ -142,4 +137,4 @@ class TimeCorrelation(Accumulator):
 
         values, errors = self._estimate(times, longest, integral)
         good = times <= max(longest, times[min(1, len(times) - 1)])
-        return values, errors, plateau(times[good], values[good], self._replicas(integral, values.shape)[:, good])
+        return values, errors, plateau(times[good], values[good], self.sums.replicas(integral)[:, good])

@@ -134,7 +134,7 @@ def test_each_species_has_an_error_bar():
     system = md.System(places, cell=10.0, species=kinds, masses=np.where(kinds == "A", 1.0, 2.0))
     found = moving(system, [], md.LangevinBAOAB(0.05, 1.0, 2.0, seed=1), 6000)[0]
     expected = np.array([0.5, 0.25])  # kT/mγ
-    errors = np.array(found.diffusion_errors_of_species)
+    errors = np.array([one.error for one in found.of_species])
     assert np.all(np.abs(found.diffusion_of_species - expected) < 3.0 * errors)
     assert np.all(errors < 0.2 * expected)
     assert "B: D = " in str(found)

@@ -75,7 +75,9 @@ class Diffusivity(NamedTuple):
         change = f"{with_error(100.0 * self.trend, 100.0 * self.trend_error)} % when the lag doubles"
         if self.state == DIFFUSIVE:
             return f"D = {diffusion_words(self.value, self.error, units)}, from {lags} (slope: {change}), in this cell"
-        limit = "" if np.isnan(self.limit) else f"D is below {diffusion_words(self.limit, 0.0, units)}; "
+        limit = ""
+        if np.isfinite(self.limit):
+            limit = f"D is below {diffusion_words(float(f'{self.limit:.2g}'), 0.0, units)}; "
         slope = f"at {lags} the slope of the mean square changes by {change}"
         if self.state == UNKNOWN:
             return f"unknown, {limit}{slope}; {ADVICE}"

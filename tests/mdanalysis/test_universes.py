@@ -197,7 +197,7 @@ def test_diffusion_of_a_random_walk_is_that_of_its_steps(path, units):
 def test_what_cannot_be_analyzed_is_refused(path, tmp_path):
     ten = written(path, md.System(np.eye(3)), [np.eye(3)] * 10)
     one, slab = written(tmp_path / "b.h5md", md.System(np.eye(3)), [np.eye(3)]), universe(simulation("slab"))
-    assert_answered(lambda: diffusion_coefficient(ten, (100.0, 200.0)), ValueError, "at least 3 lags")
+    assert_answered(lambda: diffusion_coefficient(ten, (100.0, 200.0)), ValueError, "a lag and its double", "200.0")
     assert_answered(lambda: diffusion_coefficient(one), ValueError, "at least 2 frames")
     assert_answered(lambda: radial_distribution(slab), ValueError, "periodic in all directions")
     assert_answered(lambda: universe(Frames()), ValueError, "empty")

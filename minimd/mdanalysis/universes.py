@@ -42,7 +42,7 @@ VERSION = MDAnalysis.__version__
 MOLECULE = "MOL"  # resname of a molecule without a formula
 MOST_COUNTS = 10**7  # of molecules times species
 RDF_FRAMES, RDF_ATOMS = 50, 10**6  # at most, the atoms of all frames together, so that g(r) takes a second
-MSD_FRAMES, MSD_ATOMS, MSD_LEVELS = 2000, 1000, 8  # at most
+MSD_FRAMES, MSD_ATOMS, MSD_LEVELS = 500, 1000, 8  # at most
 UNEVEN = 1e-6  # largest relative difference between equal spacings of frames, whose times are rounded
 CM2_PER_S = 1e-4  # per Å²/ps
 
@@ -152,6 +152,7 @@ class RunUniverse(MDAnalysis.Universe):
     none."""
 
     system: System
+    times: Array  # of frames [ps, or τ]
     conserves_momentum: bool  # whether the run did
     moves_freely: bool  # whether nothing held its center of mass
     contents: H5MDContents
@@ -210,6 +211,7 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
     with quiet(), damage_told(run) if isinstance(run, str | Path) else nullcontext():
         made = _with_topology(told.system)
         made.system = told.system
+        made.times = times
         made.conserves_momentum = told.conserves_momentum
         made.moves_freely = told.moves_freely
         if isinstance(told, H5MDContents):
@@ -335,12 +337,11 @@ class _Recorded(Engine):
 def _observed(looking: Any, made: RunUniverse, most: int) -> Any:
     """An observer that has seen evenly chosen frames; what is correlated begins anew where their spacing changes.
     most : number of frames, about."""
-    frames = made.trajectory[:: ceil(len(made.trajectory) / most)]
-    times = np.array([ts.time for ts in frames]) / made.system.units.to_picosecond
-    spacings = np.diff(times)
+    stride = ceil(len(made.times) / most)
+    spacings = np.diff(made.times[::stride]) / made.system.units.to_picosecond
     usual = float(np.quantile(spacings, 0.5, method="lower")) if len(spacings) else 1.0
     engine = _Recorded(made, usual)
-    for k, ts in enumerate(frames):
+    for k, ts in enumerate(made.trajectory[::stride]):
         engine.show(ts)
         if k == 0:
             looking.prepare(engine)

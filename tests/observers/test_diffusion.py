@@ -214,9 +214,9 @@ def test_displacement_diffusion_and_distances_have_one_carrier_each(tmp_path, mo
     package = Path(md.__file__).parent
     for path in package.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            name = getattr(node, "id", getattr(node, "attr", getattr(node, "name", None)))
-            if name in callers and not isinstance(node, ast.FunctionDef):
-                callers[name].add(path.relative_to(package).as_posix())
+            if isinstance(node, ast.Name | ast.alias):
+                users = callers.get(getattr(node, "id", getattr(node, "name", None)), set())
+                users.add(path.relative_to(package).as_posix())
     assert callers == CALLERS
 
 

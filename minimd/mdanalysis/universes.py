@@ -321,7 +321,7 @@ class _Recorded(Engine):
     def __init__(self, run: RunUniverse, spacing: float) -> None:
         self.conserves_momentum = run.conserves_momentum
         self.moves_freely = run.moves_freely
-        super().__init__(run.system, [], VelocityVerlet(spacing))
+        super().__init__(run.system.copy(), [], VelocityVerlet(spacing))
 
     def show(self, ts: Any) -> None:
         """Take the state of a frame of the universe."""
@@ -418,13 +418,13 @@ def diffusion_coefficient(
     """D from the mean-square displacement, with its standard error, if its slope has stopped to change with the lag.
 
     run, of : as for mean_square_displacement.
-    window : [ps, or τ], of a straight line that is fitted whether atoms diffuse there or not.
+    window : [ps, or τ]; D is then the mean slope over its octaves, whether atoms diffuse there or not.
     viscosity : η [energy time/length³], or the result of md.observers.Viscosity, whose error then counts, for the
         correction of Yeh and Hummer for the size of a cubic cell; see observers.motion.
 
     Raises
     ------
-    ValueError : if the window holds fewer than three lags; if a viscosity is given, and the cell is not cubic.
+    ValueError : if the window holds no octave of lags; if a viscosity is given, and the cell is not cubic.
         Others as mean_square_displacement.
     """
     with universe_of(run) as made, quiet():

@@ -16,32 +16,32 @@ LJ = md.LennardJones(1.0, 1.0, 2.5)
 EDGES = np.eye(3)
 
 
-def moving(system, potentials, method, n_steps, every=5, constraints=None, **options):
-    """A run with the observers of motion of atoms and of molecules."""
+def moving(system, potentials, method, n_steps, every=5, looked=range(4), constraints=None, **options):
+    """Results of displacements of atoms and of molecules, and of velocities of both; or of those that are looked at."""
     sim = md.Simulation(system, potentials, method, constraints, barostat=options.get("barostat"), threads=1)
-    temperature = getattr(method, "temperature", 0.3)
-    sim.set_temperature(temperature, seed=options.get("seed", 1))
+    sim.set_temperature(getattr(method, "temperature", 0.3), seed=options.get("seed", 1))
     sim.run(options.get("settling", 0), every=10**6, progress=False)
     kinds = md.observers.MeanSquareDisplacement, md.observers.VelocityAutocorrelation
-    ways = [(k, kind, of) for k, kind in enumerate(kinds) for of in ("atoms", "molecules")]
-    looking = [kind(every=every, of=of, name=f"{of}{k}") for k, kind, of in ways]
-    sim.run(n_steps, every=n_steps, observers=looking, progress=False)
-    return [one.result() for one in looking]
+    ways = [(kind, of) for kind in kinds for of in ("atoms", "molecules")]
+    looking = {k: ways[k][0](every=every, of=ways[k][1], name=f"look_{k}") for k in looked}
+    sim.run(n_steps, every=n_steps, observers=list(looking.values()), progress=False)
+    return [looking[k].result() if k in looking else None for k in range(4)]
 
 
-def gas(friction, n_steps, seed, timestep=0.05, n_atoms=64, held=0):
+def gas(friction, n_steps, seed, timestep=0.05, n_atoms=64, held=0, looked=range(4)):
     places = np.random.default_rng(seed).random((n_atoms, 3)) * 10.0
     bath = md.LangevinBAOAB(timestep, 1.0, friction, seed=seed)
     fixed = md.FixedAtoms(range(held)) if held else None
-    return moving(md.System(places, cell=10.0), [], bath, n_steps, constraints=fixed)
+    return moving(md.System(places, cell=10.0), [], bath, n_steps, looked=looked, constraints=fixed)
 
 
-def chains(n_steps, n_chains=16, n_beads=8, friction=2.0, seed=1):
+def chains(n_steps, n_chains=16, n_beads=8, friction=2.0, seed=1, looked=range(4)):
     rng = np.random.default_rng(seed)
     beads = np.cumsum(0.6 * rng.normal(size=(n_chains, n_beads, 3)), axis=1) + 10.0 * rng.random((n_chains, 1, 3))
     pairs = [(k, k + 1) for k in range(n_chains * n_beads - 1) if (k + 1) % n_beads]
     system = md.System(beads.reshape(-1, 3), cell=10.0, bonds=pairs)
-    return moving(system, md.HarmonicBond(3.0, 0.0), md.LangevinBAOAB(0.05, 1.0, friction, seed=seed), n_steps)
+    bath = md.LangevinBAOAB(0.05, 1.0, friction, seed=seed)
+    return moving(system, md.HarmonicBond(3.0, 0.0), bath, n_steps, looked=looked)
 
 
 def lattice(density, kinds=None, n=3):
@@ -324,35 +324,36 @@ def test_distances_of_a_file_use_the_cell_of_each_frame(tmp_path):
 
 # scene: its result for a seed, its answer, and in which part of runs it must be given. BAOAB has D = ½Δt coth ½γΔt
 GASES = {
-    "Brownian gas": (lambda seed: gas(20.0, 4000, seed, timestep=0.02)[0], 0.01 / np.tanh(0.2), 0.8),
-    "Langevin gas": (lambda seed: gas(1.0, 4000, seed)[0], 1.0, 0.8),
-    "Langevin gas, velocities": (lambda seed: gas(1.0, 4000, seed)[2], 1.0, 0.8),
-    "thin Langevin gas": (lambda seed: gas(0.2, 8000, seed)[0], 5.0, 0.4),
-    "half fixed": (lambda seed: gas(1.0, 4000, seed, held=32)[0], 0.5, 0.7),
-    "centers of chains": (lambda seed: chains(4000, seed=seed)[1], 1.0 / 16.0, 0.7),
+    "Brownian gas": (lambda seed: gas(20.0, 4000, seed, 0.02, looked=[0])[0], 0.01 / np.tanh(0.2), 0.8),
+    "Langevin gas": (lambda seed: gas(1.0, 4000, seed, looked=[0])[0], 1.0, 0.8),
+    "Langevin gas, velocities": (lambda seed: gas(1.0, 4000, seed, looked=[2])[2], 1.0, 0.8),
+    "thin Langevin gas": (lambda seed: gas(0.2, 16_000, seed, looked=[0])[0], 5.0, 0.7),
+    "half fixed": (lambda seed: gas(1.0, 4000, seed, held=32, looked=[0])[0], 0.5, 0.7),
+    "centers of chains": (lambda seed: chains(4000, seed=seed, looked=[1])[1], 1.0 / 16.0, 0.7),
 }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", GASES)
 def test_the_error_bars_of_diffusion_are_what_runs_scatter_by(scene):
-    """Of 40 runs; 0.85 to 1.3, and what so many runs can tell: 11 %."""
+    """Around the answer; of 40 runs, 0.85 to 1.3, and what so many runs can tell: 11 %."""
     run, truth, least = GASES[scene]
     found = [run(seed) for seed in range(1, 41)]
     values, errors = np.array([(one.diffusion, one.diffusion_error) for one in found if one.diffusion > 0.0]).T
-    ratio = np.sqrt((errors**2).mean()) / values.std(ddof=1)
+    scatter = np.sqrt(((values - truth) ** 2).mean())
+    ratio = np.sqrt((errors**2).mean()) / scatter
     within = (np.abs(values - truth) < 2.0 * errors).mean()
     print(f"{scene}: {len(values)} runs, {values.mean():.4g} for {truth:.4g}, bars {ratio:.2f}, within {within:.2f}")
     assert len(values) >= 40 * least
     assert all("NOT DIFFUSIVE YET" in str(one) or "unknown" in str(one) for one in found if np.isnan(one.diffusion))
-    assert abs(values.mean() - truth) < 3.0 * values.std(ddof=1) / np.sqrt(len(values)) + 0.01 * truth
-    assert 0.75 < ratio < 1.6
+    assert abs(values.mean() - truth) < 3.0 * scatter / np.sqrt(len(values)) + 0.01 * truth
+    assert 0.85 * 0.89 < ratio < 1.3 * 1.11
     assert within >= 0.85
 
 
 def fluid(density, temperature, n_steps, seed):
     bath = md.StochasticVelocityRescaling.with_relaxation_time(0.005, temperature, 5.0, seed=seed)
-    return moving(lattice(density), LJ, bath, n_steps, every=20, settling=3000)[0]
+    return moving(lattice(density), LJ, bath, n_steps, every=20, looked=[0], settling=3000)[0]
 
 
 def melt(seed):
@@ -363,39 +364,39 @@ def melt(seed):
     bonds = [(k, k + 1) for k in range(len(places) - 1) if (k + 1) % 54]
     laws = [md.LennardJones(1.0, 1.0, 2.0 ** (1 / 6), truncation="shifted"), md.HarmonicBond(400.0, 0.97)]
     bath = md.LangevinBAOAB(0.005, 1.0, 1.0, seed=seed)
-    return moving(md.System(places, cell=side * edge, bonds=bonds), laws, bath, 8000, settling=500)[0]
+    return moving(md.System(places, cell=side * edge, bonds=bonds), laws, bath, 8000, looked=[0], settling=500)[0]
 
 
 def glass(seed):
     kinds = np.random.default_rng(seed).permutation(["A", "B"] * 54)
     law = md.LennardJones({"A": (1.0, 1.0), "B": (1.0, 0.8)}, cutoff=2.5, mixing="lorentz-berthelot")
     bath = md.LangevinBAOAB(0.005, 0.1, 0.5, seed=seed)
-    return moving(lattice(1.3, kinds), law, bath, 8000, settling=3000)[0]
+    return moving(lattice(1.3, kinds), law, bath, 8000, looked=[0], settling=3000)[0]
 
 
 def pressed_gas(seed):
     """At constant pressure: D is that beside the motion of the cell."""
     barostat = md.StochasticCellRescaling(0.06, 10.0, 2.0, seed=seed, every=5)
     system = md.System(np.random.default_rng(seed).random((64, 3)) * 10.0, cell=10.0)
-    return moving(system, [], md.LangevinBAOAB(0.05, 1.0, 1.0, seed=seed), 6000, barostat=barostat)[0]
+    return moving(system, [], md.LangevinBAOAB(0.05, 1.0, 1.0, seed=seed), 6000, looked=[0], barostat=barostat)[0]
 
 
-THIN, DENSE, LIQUID = 3.25, 0.82, 0.0484
+THIN, DENSE, LIQUID = 3.27, 0.854, 0.0484  # known to 1 to 1.5 %
 # scene: its result for a seed, its answer, None where nothing diffuses in so short a run, and whether it must be given.
 # Answers of fluids are slopes of 8 or 40 longer runs
 TWELVE = {
     "thin gas": (lambda seed: fluid(0.0625, 1.5, 60_000, seed), THIN, True),
     "gas": (lambda seed: fluid(0.228, 1.5, 40_000, seed), DENSE, True),
-    "strong friction": (lambda seed: gas(20.0, 4000, seed, timestep=0.02)[0], 0.01 / np.tanh(0.2), True),
-    "weak friction": (lambda seed: gas(0.2, 6000, seed)[0], 5.0, False),
+    "strong friction": (lambda seed: gas(20.0, 4000, seed, 0.02, looked=[0])[0], 0.01 / np.tanh(0.2), True),
+    "weak friction": (lambda seed: gas(0.2, 6000, seed, looked=[0])[0], 5.0, False),
     "liquid": (lambda seed: fluid(0.8, 0.85, 20_000, seed), LIQUID, True),
     "melt of chains": (melt, None, False),
-    "half fixed": (lambda seed: gas(1.0, 6000, seed, held=32)[0], 0.5, True),
+    "half fixed": (lambda seed: gas(1.0, 6000, seed, held=32, looked=[0])[0], 0.5, True),
     "glass": (glass, None, False),
     "crystal": (lambda seed: crystal(md.VelocityVerlet(0.005), seed)[0], None, False),
     "crystal with a bath": (lambda seed: crystal(md.LangevinBAOAB(0.005, 0.3, 1.0, seed=seed), seed)[0], None, False),
     "gas at constant pressure": (pressed_gas, 1.0, True),
-    "centers of chains": (lambda seed: chains(6000, seed=seed)[1], 1.0 / 16.0, True),
+    "centers of chains": (lambda seed: chains(6000, seed=seed, looked=[1])[1], 1.0 / 16.0, True),
 }
 
 
@@ -412,7 +413,7 @@ def test_diffusion_is_right_within_errors_or_not_told(scene):
     assert len(given) >= 2 * is_known
     assert not given or truth is not None
     for one in given:
-        assert abs(one.diffusion - truth) < 3.0 * one.diffusion_error < 0.4 * truth
+        assert abs(one.diffusion - truth) < 3.0 * np.hypot(one.diffusion_error, 0.015 * truth) < 0.4 * truth
 
 
 @pytest.mark.slow

@@ -244,13 +244,13 @@ class MeanSquareDisplacement(_OfAtoms):
     ) -> DisplacementResult:
         """The displacements so far, and D of the atoms, each with its standard error.
 
-        window : lags [time]; D is then the mean slope over its octaves, whether atoms diffuse there or not. If not given,
-            D is that of diffusivity, if the slope has stopped to change with the lag.
+        window : lags [time]; D is then the mean slope over its octaves, whether atoms diffuse there or not. If not
+            given, D is that of diffusivity, if the slope has stopped to change with the lag.
         viscosity : η [energy time/length³], for the finite-size correction of Yeh and Hummer, which needs a cubic cell;
             or the result of md.observers.Viscosity, whose error then counts, too.
 
-        Raises ValueError before the first look, for a window without an octave of lags, or if a viscosity is given and the
-        cell is not cubic.
+        Raises ValueError before the first look, for a window without an octave of lags, or if a viscosity is given and
+        the cell is not cubic.
         """
         scene = self.answered()
         seen, times, longest = self._seen()

@@ -343,9 +343,7 @@ def _observed(looking: Any, made: RunUniverse, most: int) -> Any:
     engine = _Recorded(made, usual)
     for k, ts in enumerate(made.trajectory[::stride]):
         engine.show(ts)
-        if k == 0:
-            looking.prepare(engine)
-        elif abs(spacings[k - 1] - usual) > UNEVEN * usual:
+        if k and abs(spacings[k - 1] - usual) > UNEVEN * usual:
             looking.interrupt()
         looking.observe(engine)
         engine.count(1)

@@ -281,21 +281,23 @@ class Accumulator(StoredObserver, Displayed):
         return {name: getattr(self, name) for name in (*self.arguments, "name")}
 
     def prepare(self, engine: Engine) -> None:
-        """Prepare for a run of an engine.  Raises ValueError if it cannot be observed, or is another scene than the one
-        observed before."""
+        """Prepare for a run, or a look.  Raises ValueError if the engine cannot be observed, or is another scene than
+        the one observed before."""
         scene = ObservedRun.of(engine, self.every)
         if self.scene is None:
             self._begin(engine)
             self.scene = scene
             self._laid_out(scene)
         elif self.scene != scene:
-            other = "another system, or another time step, thermostat or barostat; make a new observer for this run"
-            raise ValueError(f"{self!r} has observed {other}")
+            baths = f"at temperature {self.scene.bath_temperature}, now {scene.bath_temperature}"
+            other = f"another system, or another time step, thermostat or barostat ({baths})"
+            raise ValueError(f"{self!r} has observed {other}; make a new observer for this run")
 
     def observe(self, engine: Engine) -> None:
         """Look at the present state, unless the last look was at this step."""
         if engine.step == self.last_step:
             return
+        self.prepare(engine)  # functions may have changed the bath
         if self.last_step >= 0 and engine.step != self.last_step + self.every:
             self.interrupt()
         self._look(engine)

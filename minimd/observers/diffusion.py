@@ -166,5 +166,5 @@ def diffusivity(
     state = UNKNOWN
     if begin == end and abs(trend) >= SEEN * trend_error:
         state = NOT_YET
-        limit = limit if trend < 0.0 else np.nan
+        limit = np.nan if trend > 0.0 and end == n else limit
     return Diffusivity(state, np.nan, np.nan, (lags[late], lags[end]), trend, trend_error, limit)

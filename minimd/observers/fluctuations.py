@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
+from minimd.core.structure.observables import temperature
 from minimd.core.structure.statistics import standard_error, with_error
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result
 from minimd.observers.arguments import label, steps
@@ -103,7 +104,8 @@ def _coefficients(sums: Array, reference: Array, scene: ObservedRun, grown: Arra
     (means, covariance), weights = moments(sums), np.array(OF_INTEREST) * np.sqrt(grown)[:, None]
     covariance = weights @ covariance @ weights.T
     means, k_B, f = means + reference, scene.unit_system.k_B, scene.n_dof
-    mean_temperature, bath, pressure = 2.0 * means[KINETIC] / (f * k_B), scene.bath_temperature, scene.bath_pressure
+    mean_temperature = temperature(means[KINETIC], f, k_B)
+    bath, pressure = scene.bath_temperature, scene.bath_pressure
     T = mean_temperature if bath is None else bath  # noqa: N806
     c_v = c_p = compressibility = expansion = np.nan
     if covariance[VOLUME, VOLUME] > 0.0:

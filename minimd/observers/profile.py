@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
 from minimd.core.structure.checks import checked_count
+from minimd.core.structure.observables import temperature
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import AXES, argument, axis_name, interval, label, steps
 
@@ -19,15 +20,16 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 EXTENT_WORDS = "lower and upper end of an open axis; atoms outside are not counted"
-# places in the sums, before the densities of each species, and Σ m v² of the atoms in each bin
+# places in the sums, before the densities of each species, and Σ g and Σ m v² of the atoms in each bin
 FRAMES, EXTENT, HEAD = range(3)
 
 
 class Profile(Accumulator):
     """Number density of each species, and temperature, in layers across one axis of the cell.
 
-        ρ(z) = ⟨n(z) / ΔV⟩,   T(z) = ⟨Σ m v²⟩ / (g k_B ⟨n(z)⟩),   g = n_dof / N
+        ρ(z) = ⟨n(z) / ΔV⟩,   T(z) = ⟨Σ m v²⟩ / (k_B ⟨Σ g⟩)
 
+    g are the degrees of freedom of each atom: 0 if it is fixed, less than 3 with constraints (ConstraintSet.shares).
     z is the distance along the normal of the two other lattice vectors. If the cell changes, layers of a periodic axis
     move with it, and z is given in the mean cell. The velocities of a flow count as thermal, but not those of the whole
     if n_dof leaves them out.
@@ -37,6 +39,7 @@ class Profile(Accumulator):
     """
 
     kind = "profile"
+    convention = 2  # degrees of freedom of each layer
     axis: str = argument(axis_name, "the lattice vector a, b or c", "c")
     n_bins: int = argument(checked_count, "number of bins", 100)
     every: int = steps(50)
@@ -53,7 +56,7 @@ class Profile(Accumulator):
             raise ValueError(f"axis {self.axis} of this cell {needed}")
 
     def _laid_out(self, scene: ObservedRun) -> None:
-        self.sums = BlockedSums(HEAD + (len(scene.numbers) + 1) * self.n_bins)
+        self.sums = BlockedSums(HEAD + (len(scene.numbers) + 2) * self.n_bins)
 
     def _look(self, engine: Engine) -> None:
         system, k, n_species = engine.system, AXES.index(self.axis), len(engine.system.species_names)
@@ -74,17 +77,19 @@ class Profile(Accumulator):
         squares = system.masses * np.einsum("ij,ij->i", velocities, velocities)
         sums, volume = self.sums.total, area * height / self.n_bins
         sums[:HEAD] += 1.0, height
-        sums[HEAD : -self.n_bins] += np.bincount(places, minlength=n_species * self.n_bins) / volume
-        sums[-self.n_bins :] += np.bincount(layers[inside], weights=squares[inside], minlength=self.n_bins) / volume
+        shares = engine.constraint_set.shares(system.positions, engine.conserves_momentum)
+        motion = [np.bincount(layers[inside], each[inside], self.n_bins) for each in (shares, squares)]
+        sums[HEAD : -2 * self.n_bins] += np.bincount(places, minlength=n_species * self.n_bins) / volume
+        sums[-2 * self.n_bins :] += np.concatenate(motion)
 
     def result(self) -> ProfileResult:
         """The profiles so far, with standard errors.  Raises ValueError before the first look."""
         scene, n = self.answered(), self.n_bins
-        share = scene.n_dof / scene.n_atoms * scene.unit_system.k_B
 
         def law(sums: Array) -> Array:
-            density = sums[HEAD:-n].reshape(-1, n)
-            return np.concatenate([density / sums[FRAMES], (sums[-n:] / (share * density.sum(axis=0)))[None]])
+            *densities, shares, squares = sums[HEAD:].reshape(-1, n)
+            heat = temperature(0.5 * squares, shares, scene.unit_system.k_B)
+            return np.array([*(density / sums[FRAMES] for density in densities), heat])
 
         values, errors = self.sums.estimate(law)
         lower = 0.0 if self.extent is None else self.extent[0]
@@ -98,7 +103,7 @@ class ProfileResult(Result):
 
     axis : its name.  z : (B,) middles of the layers [length].
     densities, density_errors : (S, B) of each species [1/length³].
-    temperature, temperature_error : (B,); NaN in layers without atoms.  n_frames : number of looks.
+    temperature, temperature_error : (B,); NaN in layers where no atom moves.  n_frames : number of looks.
     """
 
     axis: str

@@ -2,7 +2,7 @@
 and conservation laws."""
 
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +107,8 @@ def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
     lines += [Line("charges", call, bound, True) for call in calls]
     n_dof = ConstraintSet(system, system.constraints).degrees_of_freedom(is_free)
     report = conservation_report(record, angular, None, is_free, lines, n_dof, contents.too_long_a_step)
+    if "temperature" in contents.parameters:  # of a thermostat
+        report = replace(report, bath=(contents.parameters["temperature"], 0.0))
     frames = f"{contents.n_frames} frame{'s' * (contents.n_frames > 1)}, steps {record.step[0]} to {record.step[-1]}"
     heading = (
         f"file           {Path(made.trajectory.filename)}: {contents.title}\n"

@@ -242,3 +242,39 @@ def test_the_first_step_compiles_all_that_the_next_ones_need():
     before = compile_clock.seconds
     sim.run(50, every=10)
     assert compile_clock.seconds == before > start
+
+
+def slab(axis, tilt=0.0, polar=1.0, gap=3.0, shift=0.0):
+    """Three layers of ions, charges +, 0, − with polar=1; mirrored with polar=0."""
+    edge, layers = 4.0, [polar, 0.0, -polar] if polar else [1.0, -2.0, 1.0]
+    places, charges = [], []
+    for k, q in enumerate(layers):
+        for i, j in np.ndindex(4, 4):
+            at = np.insert(np.array([1.0 * i, 1.0 * j]), axis, 1.0 * k + shift)
+            places.append(at)
+            charges.append(q + 0.3 * (-1.0) ** (i + j))
+    edges = np.diag(np.insert([edge, edge], axis, 2.0 + gap).astype(float))
+    edges[axis] += tilt * np.roll(edges[(axis + 1) % 3], 0)
+    return md.System(places, cell=edges, charges=charges)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("scene", "is_told"),
+    [
+        ({}, True),
+        ({"tilt": 0.3}, True),
+        ({"shift": 4.2}, True),
+        ({"polar": 0.0}, False),
+        ({"gap": 1.0}, False),
+    ],
+)
+def test_a_slab_with_a_dipole_is_told(axis, scene, is_told):
+    sim = md.Simulation(slab(axis, **scene), md.Coulomb(1.4, 1e-4), md.VelocityVerlet(1e-6))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        sim.run(1)
+    told = [str(one.message) for one in caught if "dipole" in str(one.message)]
+    assert bool(told) == is_told, [str(one.message) for one in caught]
+    if told:
+        assert " 32 e σ " in told[0]  # 16 ions, two layers apart

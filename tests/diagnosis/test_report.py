@@ -95,6 +95,42 @@ def test_atoms_at_rest_are_no_breach_of_momentum():
     assert not conservation_report(warm, angular=False).momentum_is_conserved
 
 
+def test_a_stable_oscillation_near_the_limit_is_no_drift():
+    """Δt ω = 1.9 of 2: the energy oscillates for ever."""
+    bond = md.System([[0.0, 0, 0], [1.3, 0, 0]], bonds=[(0, 1)])
+    sim = md.Simulation(bond, md.HarmonicBond(0.5, 1.0), md.VelocityVerlet(1.9))
+    sim.run(4000, every=1)
+    report = sim.report()
+    assert report.energy_is_conserved is False
+    assert "oscillates" in report.verdict
+    assert "DRIFT" not in report.verdict
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_rigid", [False, True])
+def test_the_report_tells_what_the_time_step_takes_from_the_temperature(is_rigid):
+    """Stiff bonds, Δt ω = 0.8: T (ωΔt)²/4 of the stretching. A rigid one does not stretch."""
+    n, k = 200, 0.5 * (0.8 / 0.02) ** 2  # ω² = k (1/m + 1/m)
+    first = np.random.default_rng(4).uniform(0.0, 40.0, (n, 3))
+    pairs = np.column_stack([np.arange(n), n + np.arange(n)])
+    system = md.System(np.concatenate([first, first + np.array([1.0, 0.0, 0.0])]), bonds=pairs)
+    method = md.LangevinBAOAB(0.02, 2.0, friction=1.0, seed=2)
+    sim = md.Simulation(system, md.HarmonicBond(k, 1.0), method, md.DistanceConstraints(pairs) if is_rigid else ())
+    sim.set_temperature(2.0, seed=3)
+    sim.run(500)
+    sim.run(4000, every=5)
+    report = sim.report()
+    asked, deficit = report.bath
+    assert asked == 2.0
+    assert deficit == pytest.approx(0.0 if is_rigid else 2.0 * 0.8**2 / 4.0 / 6.0, rel=0.1, abs=1e-12)  # statistics
+    assert abs(report.mean_temperature - (asked - deficit)) < 4.0 * report.temperature_error
+    assert "set to 2 ε/k_B" in str(report)
+    assert ("positions do not" in str(report)) is not is_rigid
+    method.temperature = 1.0
+    sim.run(100, every=10, observers=[lambda sim: setattr(sim.method, "temperature", 1.0 + 0.01 * sim.step)])
+    assert sim.report().bath[0] == method.temperature
+
+
 def test_a_figure_says_how_sure_it_is():
     """± is a standard error; one frame has none; few are not judged; a run may be too short to tell."""
     records = (record_of(1.0 + 0.01 * np.random.default_rng(1).normal(size=n)) for n in (1, 3, 51))

@@ -130,6 +130,39 @@ def test_a_method_that_takes_over_during_a_run_is_in_the_file(tmp_path):
     assert (again.step, again.time) == (40, time)  # whatever the method is
 
 
+def test_a_bath_that_gets_hotter_during_a_run_is_in_the_file(tmp_path):
+    """The run that goes on from the restart is that of one piece, also if it stopped between two looks."""
+    whole, sim, path = simulation(), simulation(), tmp_path / "a.h5md"
+    heat = [lambda sim: setattr(sim.method, "temperature", 1.0 + 0.1 * sim.step)]
+    for each in (whole, sim):
+        each.method = md.LangevinBAOAB(0.002, 1.0, 1.0, 3)
+    whole.run(40, every=5, observers=heat)
+    sim.run(23, every=5, trajectory=path, observers=heat)
+    again = resumed(path)
+    assert again.method.temperature == 3.0
+    again.run(17, every=5, trajectory=path, append=True, observers=heat)
+    np.testing.assert_array_equal(again.positions, whole.positions)
+    np.testing.assert_array_equal(again.velocities, whole.velocities)
+
+
+class Own(md.VelocityVerlet):
+    """A method of a script."""
+
+    name = "own"
+
+
+def test_a_run_with_a_method_of_a_script_goes_on_with_it(tmp_path):
+    sim, path = simulation(), tmp_path / "a.h5md"
+    sim.method = Own(0.002)
+    sim.run(10, trajectory=path)
+    with pytest.raises(ValueError, match="method="):
+        md.Simulation.resume(path, sim.potentials)
+    again = md.Simulation.resume(path, sim.potentials, method=Own(0.002))
+    for each in (sim, again):
+        each.run(10)
+    np.testing.assert_array_equal(again.positions, sim.positions)
+
+
 def test_a_title_a_scene_and_integer_species_are_kept(tmp_path):
     path, text = tmp_path / "a.h5md", "structure = 'ä'\n" * 10_000
     sim = simulation()

@@ -153,3 +153,29 @@ def test_full_disk_is_told_by_every_format(tmp_path, monkeypatch, suffix):
     with pytest.raises(OSError, match=rf"a\.{suffix}' .*step 6"):
         simulation().run(20, every=2, trajectory=path, observers=[at_step(4, lambda: monkeypatch.setattr(*full))])
     assert len(opened(path).trajectory) == 3
+
+
+@pytest.mark.parametrize("start", [0, 7, 10])
+def test_times_in_a_dcd_file_are_those_of_its_frames(tmp_path, start):
+    """A first frame between two multiples is left out, since all frames have one time between them."""
+    sim, path, times = simulation(units=md.units.ASE), tmp_path / "a.dcd", []
+    sim.run(start)
+    look = [lambda sim: times.append(sim.time * md.units.ASE.to_picosecond)]
+    if start % 5:
+        with pytest.warns(UserWarning, match=f"step {start}"):
+            sim.run(until_step=30, every=5, trajectory=path, observers=look)
+        times.pop(0)
+    else:
+        sim.run(until_step=30, every=5, trajectory=path, observers=look)
+    np.testing.assert_allclose([ts.time for ts in opened(path).trajectory], times, rtol=1e-5)  # float32 in the file
+
+
+@pytest.mark.parametrize("places", [[[0.0, 0, 0], [2.2e6, 0, 0]], [[-1.5e6, 0, 0], [1.5e6, 0, 0]]])
+def test_an_xtc_file_refuses_positions_that_it_cannot_hold(tmp_path, places):
+    sim = md.Simulation(
+        md.System(places, masses=40.0, units=md.units.ASE), md.LennardJones(0.01, 3.4, 8.0), md.VelocityVerlet(0.1)
+    )
+    with pytest.raises(OSError, match="xtc"):
+        sim.run(10, trajectory=tmp_path / "a.xtc")
+    sim.run(10, trajectory=tmp_path / "a.trr")
+    np.testing.assert_array_equal(opened(tmp_path / "a.trr", 2).trajectory[0].positions, np.float32(places))

@@ -115,7 +115,8 @@ def layers(run):
     counts = np.array([np.histogram(z[:, run.species == s], edges)[0] for s in (0, 1)])
     squares = np.histogram(z, edges, weights=run.masses * (run.thermal**2).sum(axis=2))[0]
     with np.errstate(invalid="ignore"):
-        temperatures = squares / counts.sum(axis=0) * len(run.species) / run.n_dof
+        shares = np.histogram(z, edges, weights=3.0 - 3.0 * run.masses / run.masses.sum() + 0.0 * z)[0]
+        temperatures = squares / shares
     return {"densities": counts / len(z) / (volume / 100), "temperature": temperatures}
 
 

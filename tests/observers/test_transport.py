@@ -7,7 +7,6 @@ from references import liquid
 from scenes import LJ
 
 import minimd as md
-from minimd.core.diagnosis.stiffness import velocity_temperature
 from minimd.core.structure.statistics import replicas
 from minimd.mdanalysis import diffusion_coefficient
 from minimd.observers.correlator import MultipleTau, Product
@@ -137,7 +136,7 @@ def results(name, velocity, file):
         answers = one.result().columns() | one.result().numbers()
         found |= {f"{one.kind} {key}": values for key, values in answers.items()}
     found |= {key: getattr(record, key) for key in (T, "pressure", "stress", "potential_energy", "total_energy")}
-    found["for advice"] = velocity_temperature(sim.system)
+    found["for advice"] = sim.engine.constraint_set.temperature(sim.velocities, sim.system, True)
     found |= {"file": diffusion_coefficient(file).displacements, "of ase": ase.io.read(file).get_stress()}
     found[SCALE] = np.array([one.kinetic_energy for one in (sim.report(), check_file(file).report)])
     sim.rescale_temperature(0.8)

@@ -157,6 +157,70 @@ def test_blow_up_says_at_which_step_which_atoms_and_keeps_the_last_good_state():
     assert simulation.positions == pytest.approx(twin.positions, abs=1e-9)
 
 
+@pytest.mark.parametrize("method", [md.VelocityVerlet(0.004), md.PositionVerlet(0.004)])
+def test_forces_are_those_of_the_present_state(argon, method):
+    sim = argon.simulation(method)
+    for move in (0.0, 0.01):
+        sim.positions[0] += move
+        expected = md.evaluate(sim.system, LJ).forces
+        assert expected.any()
+        np.testing.assert_allclose(sim.forces, expected, rtol=0.0, atol=1e-11 * np.abs(expected).max())  # rounding
+    whole = md.Simulation(sim.system, LJ, method)
+    for each, look in ((sim, True), (whole, False)):
+        each.run(20, every=2, observers=[lambda sim: sim.forces.sum()] if look else [])
+    np.testing.assert_array_equal(sim.positions, whole.positions)
+
+
+@pytest.mark.parametrize("method", [md.VelocityVerlet(0.004), md.PositionVerlet(0.004)])
+def test_looks_are_no_force_evaluations_of_the_steps(argon, method):
+    counts = []
+    for every in (1, 50):
+        sim = argon.simulation(method)
+        sim.run(50, every=every)
+        counts.append(sim.report().cost.n_evaluations)
+    assert counts[0] == counts[1]
+    assert 50 <= counts[0] <= 51
+
+
+def turned(vectors):
+    """About no axis of coordinates."""
+    axes = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    return vectors @ axes
+
+
+@pytest.mark.parametrize("orientation", [np.asarray, turned])
+@pytest.mark.parametrize(("n_flat", "times"), [(1, 1.5), (2, 3.0), (0, None)])
+def test_atoms_in_a_plane_or_on_a_line_are_told(n_flat, times, orientation):
+    generator = np.random.default_rng(1)
+    places = 1.2 * np.array([*np.ndindex(4, 4 if n_flat < 2 else 1, 4 if n_flat < 1 else 1)], dtype=float)
+    velocities = generator.normal(size=places.shape)
+    velocities[:, 3 - n_flat :] = 0.0
+    system = md.System(orientation(places), velocities=orientation(velocities - velocities.mean(axis=0)))
+    sim = md.Simulation(system, LJ, md.VelocityVerlet(0.001))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        sim.run(10)
+    told = [str(one.message) for one in caught if "lie and move" in str(one.message)]
+    assert len(told) == bool(n_flat)
+    kinetic = 0.5 * (sim.velocities**2).sum()
+    assert sim.temperature == pytest.approx(2.0 * kinetic / (3 * len(system) - 3))
+    if told:
+        assert f" {times:g} times" in told[0]
+        assert ("plane" if n_flat == 1 else "line") in told[0]
+
+
+def test_atoms_that_leave_a_plane_are_not_told():
+    places = 1.2 * np.array([*np.ndindex(4, 4, 1)], dtype=float)
+    lifted = places + np.where(np.arange(16)[:, None] == 7, [0.0, 0.0, 0.01], 0.0)
+    for positions, potentials in ((lifted, [LJ]), (places, [LJ, md.ConstantForce([0.0, 0.0, 1.0])])):
+        velocities = np.random.default_rng(2).normal(size=(16, 3)) * [1.0, 1.0, 0.0]
+        sim = md.Simulation(md.System(positions, velocities=velocities), potentials, md.VelocityVerlet(0.001))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            sim.run(10)
+        assert not [one for one in caught if "lie and move" in str(one.message)]
+
+
 def test_a_law_whose_energies_are_no_numbers_is_refused():
     broken = lambda r2, a: ((a - r2) ** 0.5, 0.0 if r2 > a else 1.0 / (a - r2) ** 0.5)  # noqa: E731
     law = md.PairPotential(broken, (4.0,), 3.0, "truncated")

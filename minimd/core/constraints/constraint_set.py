@@ -8,12 +8,22 @@ from numpy.typing import NDArray
 
 from minimd.core.console.quiet import warn
 from minimd.core.console.words import shown
+from minimd.core.constraints.groups import bodies_of
 from minimd.core.constraints.solver import ConstraintSolver, check_atoms
 from minimd.core.structure.cell import Cell, images_of_length, nearest_images
 from minimd.core.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
-from minimd.core.structure.observables import degrees_of_freedom
+from minimd.core.structure.observables import (
+    Array,
+    center,
+    degrees_of_freedom,
+    kinetic_energy,
+    leaves_out_center,
+    temperature,
+    thermal_energy,
+)
 from minimd.core.structure.system import System, check_resolution
 
+NO_SHARE = 1e-9  # degrees of freedom of an atom: fewer are rounding, of an atom that constraints hold in its place
 TOLD = 1e-8  # relative violation above which one is warned of a projection: files of single precision have more
 
 
@@ -56,6 +66,39 @@ class ConstraintSet:
         """Degrees of freedom of the atoms that move, see observables. Raises ValueError if none is left."""
         n_atoms = len(self.inverse_masses) - self.n_fixed
         return degrees_of_freedom(n_atoms, self.n_constraints, conserves_momentum and not self.n_fixed)
+
+    def shares(self, positions: Array, conserves_momentum: bool) -> Array:
+        """Degrees of freedom of each atom, (N,); their sum is degrees_of_freedom.
+
+            g_i = tr P_ii − 3 m_i/M,   P = 1 − M⁻¹ Gᵀ (G M⁻¹ Gᵀ)⁻¹ G
+
+        P is the projection onto the constraints, G their gradients; the last term counts if leaves_out_center. Then
+        ⟨m_i v_i²⟩ = g_i k_B T. Atoms of different bodies are projected together.  positions : (N, 3).
+        """
+        n_atoms = len(self.inverse_masses)
+        left, shares = np.arange(n_atoms), np.zeros(n_atoms)
+        body = left if self.bonds is None else bodies_of(self.bonds.pairs, self.inverse_masses).label
+        while left.size:
+            first = np.unique(body[left], return_index=True)[1]
+            atoms = left[first]
+            for axis in range(3):
+                velocities = np.zeros((n_atoms, 3))
+                velocities[atoms, axis] = 1.0
+                self.project(velocities, positions)
+                shares[atoms] += velocities[atoms, axis]
+            left = np.delete(left, first)
+        shares[shares < NO_SHARE] = 0.0
+        if leaves_out_center(n_atoms, conserves_momentum and not self.n_fixed):
+            masses = 1.0 / self.inverse_masses
+            shares -= 3.0 * masses / masses.sum()
+        return shares
+
+    def temperature(self, velocities: Array, system: System, conserves_momentum: bool) -> float:
+        """Kinetic temperature of the atoms of a system with these velocities, (N, 3); 0 at rest."""
+        moving = np.where(self.inverse_masses[:, None] > 0.0, velocities, 0.0)
+        drift = center(moving, system.masses, conserves_momentum and not self.n_fixed)
+        thermal = thermal_energy(kinetic_energy(moving, system.masses), drift, system.masses)
+        return thermal and temperature(thermal, self.degrees_of_freedom(conserves_momentum), system.units.k_B)
 
     def fit(self, system: System) -> None:
         """Choose images of bonds with the right lengths, after atoms moved by lattice vectors or the cell changed."""

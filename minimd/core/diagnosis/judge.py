@@ -5,7 +5,7 @@ A rule looks at the evidence and gives a verdict, or None. Of the rules of one k
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
-from math import sqrt
+from math import pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,11 +18,12 @@ from minimd.core.forces.contacts import Contact, contacts
 from minimd.core.integrators.order_conditions import accurate_step, stability_limit
 from minimd.core.neighbors.queries import ClosestPair, closest_pair
 from minimd.core.potentials.bonded import HarmonicBond
+from minimd.core.potentials.coulomb import SUMS, Coulomb
 from minimd.core.potentials.pair import Nonbonded
 from minimd.core.structure.bond_graph import among
 from minimd.core.structure.checks import LARGEST
 from minimd.core.structure.constraints import DistanceConstraints
-from minimd.core.structure.observables import absolute_momentum, kinetic_energy, largest_component, longest, temperature
+from minimd.core.structure.observables import absolute_momentum, largest_component, leaves_out_center, longest
 from minimd.core.structure.system import System, changed
 from minimd.core.structure.units import ASE, BAR
 from minimd.core.structure.vectors import Array
@@ -33,6 +34,11 @@ CRUSHING = 0.5  # eV/Å³: 80 GPa, far more than a Lennard-Jones solid is good f
 USUAL = (8.0 * OSCILLATION) ** 0.5  # Δt·ω of 20 steps a period: velocity Verlet's energy oscillates by (Δt·ω)²/8
 TOO_SHORT = 0.001  # of the usual step
 MEANT = 1e-30  # likewise: a step below this is no error of the unit, somebody wants atoms that stand still
+EMPTY = 0.25  # of the height of a cell: atoms with a wider gap, in one direction, are a slab
+WIDER = 2.0  # times the second gap: layers of a small crystal are as far apart
+ROUNDING = 1e-12  # of a fractional coordinate
+POLAR = 0.05  # of the rms force: a smaller one, of the images of a slab, is not told
+FLAT = 1e-10  # of their extent: how far from a plane atoms may lie, and move in a step, by rounding
 MOVING = 1e-6  # of Σ|mv|: a smaller total momentum is rounding, of files with six digits or in single precision
 TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
 # during
@@ -279,6 +285,50 @@ def moving_center(evidence: Evidence) -> Verdict | None:
     return Verdict(cause, "stop it with sim.velocities -= sim.drift")
 
 
+def flat_motion(evidence: Evidence) -> Verdict | None:
+    """Atoms that lie and move in one plane, or on one line: fewer degrees of freedom move than are counted."""
+    engine, dt, inverse_masses = evidence.engine, evidence.timestep, evidence.engine.constraint_set.inverse_masses
+    accelerations = engine.forces * inverse_masses[:, None]
+    moves = np.array([engine.positions, dt * engine.velocities, dt * dt * accelerations])[:, inverse_masses > 0.0]
+    if moves.shape[1] < 3 or not moves[1].any() or not np.isfinite(moves).all():
+        return None
+    moves[0] -= moves[0, 0].copy()
+    n_flat = 3 - int(np.linalg.matrix_rank(moves.reshape(-1, 3), FLAT * np.linalg.norm(moves)))
+    n_atoms, n_dof = moves.shape[1], engine.n_dof
+    n_moving = n_dof - n_flat * (n_atoms - leaves_out_center(n_atoms, engine.conserves_momentum))
+    if not 0 < n_moving < n_dof:
+        return None
+    where, times = ("in one plane", "on one line")[n_flat - 1], f"{n_dof / n_moving:.4g} times"
+    cause = f"all atoms lie and move {where}: {n_moving} of the {n_dof} degrees of freedom that are counted move"
+    return Verdict(cause, f"their temperature is {times} the one shown; velocities in all directions have all of them")
+
+
+def polar_slab(evidence: Evidence) -> Verdict | None:
+    """A slab with a dipole, whose periodic images make a field in it: E = 4π k_e |Σ q z| / V (tin-foil)."""
+    engine, system, cell = evidence.engine, evidence.system, evidence.system.cell
+    has_sum = any(isinstance(one, Coulomb) and one.method in SUMS for one in engine.interactions.potentials)
+    if not has_sum or cell.volume is None or system.net_charge:
+        return None
+    inverse = np.linalg.inv(cell.vectors)
+    fractions = np.sort(system.positions @ inverse % 1.0, axis=0)
+    gaps = np.diff(fractions, axis=0, append=fractions[:1] + 1.0)
+    second, widest = np.sort(gaps, axis=0)[-2:]
+    is_open = widest > np.maximum(EMPTY, WIDER * second)
+    if is_open.sum() != 1:
+        return None
+    axis = int(np.argmax(is_open))
+    first = fractions[np.argmax(gaps[:, axis]) - len(system) + 1, axis]  # the atom above the gap
+    heights = (system.positions @ inverse[:, axis] - first + ROUNDING) % 1.0 / np.linalg.norm(inverse[:, axis])
+    dipole = abs(float(system.charges @ heights))
+    field = 4.0 * pi * evidence.units.coulomb * dipole / cell.volume
+    if field * np.linalg.norm(system.charges) <= POLAR * np.linalg.norm(engine.forces):
+        return None
+    normal = f"the normal of the slab, across {'abc'[axis]}"
+    cause = f"the atoms are a slab with a dipole of {dipole:.3g} e {evidence.units.length} along {normal}"
+    share = f"its periodic images make a field of {field:.3g} {evidence.units.energy}/(e {evidence.units.length}) in it"
+    return Verdict(f"{cause}: {share}", "give the slab two like faces, or a second slab, turned over, in the same cell")
+
+
 def not_numbers(evidence: Evidence) -> Verdict | None:
     """Positions or velocities that are not finite."""
     system = evidence.system
@@ -418,15 +468,17 @@ def too_hot(evidence: Evidence) -> Verdict | None:
     pairs = [one for one in evidence.found if one.ratio and not one.is_bond]
     if not pairs:
         return None
-    velocities, dt, units = evidence.failure.start.velocities, evidence.timestep, evidence.units
+    engine, dt, units = evidence.engine, evidence.timestep, evidence.units
+    velocities = evidence.failure.start.velocities
     sigma = min(one.distance / one.ratio for one in pairs if one.ratio)
     fast = sigma * max(HOT_STEP / dt, FAST * max(one.rest_frequency or 0.0 for one in pairs))
     squares = np.einsum("ij,ij->i", velocities, velocities)
-    atom, n_others = int(np.argmax(squares)), max(1, len(squares) - 1)
-    speed, mean, others = np.sqrt([squares[atom], squares.mean(), (squares.sum() - squares[atom]) / n_others])
+    atom, n_moving = int(np.argmax(squares)), len(squares) - engine.constraint_set.n_fixed
+    total, n_others = squares.sum(), max(1, n_moving - 1)
+    speed, mean, others = np.sqrt([squares[atom], total / n_moving, (total - squares[atom]) / n_others])
     passes = f"atom {atom} moves {speed * dt / sigma:.2g} σ in a step"
     if mean > fast and speed <= HOT_SPOT * others:
-        hot = temperature(kinetic_energy(velocities, evidence.system.masses), velocities.size, units.k_B)
+        hot = engine.constraint_set.temperature(velocities, evidence.system, engine.conserves_momentum)
         passes = f"at {hot:.3g} {units.temperature} {passes}"
     elif speed > max(fast, HOT_SPOT * others):
         passes += f", {speed / others:.2g} times as fast as the others" if others > 0.0 else ", the only one in motion"
@@ -482,6 +534,7 @@ RULES = (
     Rule(BEFORE, "long step", longer_than_collisions), Rule(BEFORE, "short step", short_step),
     Rule(BEFORE, "reach", no_pair_in_reach), Rule(BEFORE, "barostat", slow_barostat),
     Rule(BEFORE, "pressure", crushing_pressure), Rule(BEFORE, "center", moving_center),
+    Rule(BEFORE, "plane", flat_motion), Rule(BEFORE, "slab", polar_slab),
     Rule(START, "start", thrown_at_start), Rule(DURING, "number", not_numbers),
     Rule(DURING, "neighbors", past_neighbors), Rule(AFTER, "law", law_without_number),
     Rule(AFTER, "overlap", overlap_at_start), Rule(AFTER, "overlap", one_place), Rule(AFTER, "barostat", barostat),

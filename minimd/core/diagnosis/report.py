@@ -139,8 +139,8 @@ def drift_of_walk(time: Array, series: Array, blocks: int = BLOCKS_OF_WALK) -> D
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run cost: steps, seconds, list builds, force evaluations; and in words its lists,
-    its constraints and the work it did not need.
+    """What a run cost: steps, seconds, list builds, force evaluations (not those that only observations need, of a
+    method that begins with a drift); and in words its lists, its constraints and the work it did not need.
     peak_memory : bytes that the process has held at most so far, or None if that is unknown.
     observing : seconds that observers of minimd.observers took besides those of the steps."""
 
@@ -188,6 +188,8 @@ class Report(Displayed):
     temperatures, volumes : means of the first and of the last fifth of the run; volumes of zero if they are unknown.
     not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if none has.
     lines : results that need no run: see diagnosis.run_report.
+    bath : temperature of the thermostat, and how far below it the time step keeps that of the velocities (0 if that is
+    unknown); None without a thermostat.
     too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown.
     is_at_rest : whether nothing moves except by rounding; changes of momentum then have no scale to be judged by.
     """
@@ -216,6 +218,7 @@ class Report(Displayed):
     not_finite: str = ""
     temperature_error: float = np.nan
     is_at_rest: bool = False
+    bath: tuple[float, float] | None = None
     too_long_a_step: str = ""
 
     @property
@@ -225,11 +228,13 @@ class Report(Displayed):
 
         An energy that varies by more than half the kinetic energy is not conserved, whatever its drift: one bad step is
         no drift. Nothing is conserved if an observable is not finite."""
-        if self.not_finite:
-            return False
-        if not self.has_bath and self.energy_range > LARGEST_RANGE * self.kinetic_energy:
+        if self.not_finite or self._varies_too_much:
             return False
         return self._has_no(self.energy_drift)
+
+    @property
+    def _varies_too_much(self) -> bool:
+        return not self.has_bath and self.energy_range > LARGEST_RANGE * self.kinetic_energy
 
     @property
     def shadow_is_conserved(self) -> bool | None:
@@ -312,6 +317,12 @@ class Report(Displayed):
         rows += [(line.name, f"{line.summary}: {line.verdict}") for line in self.lines]
         spread = "of one frame" if only else f"on average, standard deviation {self.temperature_deviation:.2g} {heat}"
         rows.append(("temperature", f"{with_error(self.mean_temperature, self.temperature_error)} {heat} {spread}"))
+        if self.bath is not None:
+            asked, deficit = self.bath
+            setting = f"the thermostat is set to {asked:.4g} {heat}"
+            if deficit > self.temperature_error:
+                setting += f"; in steps of this length velocities have {asked - deficit:.4g} {heat}, positions do not"
+            rows.append(("", setting))
         return [*rows, *(self.cost.rows() if self.cost is not None else ()), ("verdict", self.verdict)]
 
     @property
@@ -343,6 +354,10 @@ class Report(Displayed):
         if self.energy_is_conserved:
             but = f"does not drift, BUT {self.too_long_a_step}"
             return f"the {name} {but if self.too_long_a_step else 'is conserved'}"
+        if self._varies_too_much and self._has_no(self.energy_drift) is not False:
+            times = f"BY {self.energy_range / self.kinetic_energy:.2g} TIMES THE KINETIC ENERGY"
+            near = "it oscillates near the limit of stability, or has jumped; reduce the time step"
+            return f"THE {name.upper()} VARIES {times}, without a drift: {self.too_long_a_step or near}"
         (first, last), swollen, causes = self.temperatures, "", [self.too_long_a_step] * bool(self.too_long_a_step)
         if self.is_settling:
             went = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}"

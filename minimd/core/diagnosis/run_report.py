@@ -4,6 +4,7 @@ They are about jumps at the cutoff, the number of steps that a list lasts, veloc
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from minimd.core.engine.cell_rescaling import EVAPORATED
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.record import Record
 from minimd.core.integrators.barostats import StochasticCellRescaling
+from minimd.core.integrators.thermostats import Thermostat
 from minimd.core.potentials.law import law_at
 from minimd.core.potentials.pair import Nonbonded
 from minimd.core.structure.observables import leaves_out_center, longest
@@ -43,7 +45,26 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     cost = Cost(guard.n_steps, guard.seconds, *made, *what, solvers, peak_memory(), guard.observing)
     angular, lines = is_free and not engine.system.cell.is_periodic, static_checks(engine, reversibility)
     lines += pressure_lines(record, float(engine.system.masses.sum()), engine.barostat, is_free)
-    return conservation_report(record, angular, cost, is_free, lines, engine.n_dof, too_long_a_step(engine) or "")
+    report = conservation_report(record, angular, cost, is_free, lines, engine.n_dof, too_long_a_step(engine) or "")
+    return replace(report, bath=bath_of(engine))
+
+
+def bath_of(engine: Engine) -> tuple[float, float] | None:
+    """Temperature of the thermostat, and how far below it that of the velocities is expected; None without one.
+
+        T − T_kin = c² Δt² Σ m a² / (n_dof k_B)
+
+    Velocities are in equilibrium with the bath before the last kick, of duration c Δt. After it they do not correlate
+    with the acceleration a, because forward and backward are alike. For harmonic forces the mean is T (ωΔt)² c².
+    The sum is that of the present state."""
+    method, constraint_set = engine.method, engine.constraint_set
+    if not isinstance(method, Thermostat):
+        return None
+    if method.last_kick:
+        engine.evaluate()
+    kicks = method.last_kick * method.timestep * engine.forces * constraint_set.inverse_masses[:, None]
+    constraint_set.project(kicks, engine.positions)
+    return method.temperature, constraint_set.temperature(kicks, engine.system, engine.conserves_momentum)
 
 
 def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[Line]:

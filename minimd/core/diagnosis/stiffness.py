@@ -16,7 +16,7 @@ from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.pair import Nonbonded, curvature_at_minimum
 from minimd.core.structure.bond_graph import among
 from minimd.core.structure.cell import nearest_vectors
-from minimd.core.structure.observables import Array, center, kinetic_energy, temperature, thermal_energy
+from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE, BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_EV
 
@@ -102,7 +102,7 @@ class Stiffness:
         inverse[lighter[masses[bonds[:, 0]] != masses[bonds[:, 1]]]] = 0.0
         fastest = np.zeros(len(system.species_names))
         np.maximum.at(fastest, system.species_index, inverse)
-        thermal, square = 0.0 if at_rest else system.units.k_B * velocity_temperature(system), 0.0
+        thermal, square = 0.0 if at_rest else system.units.k_B * self.temperature, 0.0
         for epsilon, sigma in self._wells():
             each = fastest if len(epsilon) > 1 else fastest.max(keepdims=True)
             with np.errstate(over="ignore"):  # in a run that has blown up
@@ -112,6 +112,11 @@ class Stiffness:
                 crowd = np.maximum(CROWDED**2, CROWDED_COLD + CROWDED_HEAT * heat)
                 square = max(square, float((stiffness * crowd).max()))
         return square**0.5
+
+    @property
+    def temperature(self) -> float:
+        """T of the velocities relative to the center of mass, unless atoms are fixed [temperature]; 0 at rest."""
+        return self._constraint_set.temperature(self.system.velocities, self.system, conserves_momentum=True)
 
     @cached_property
     def strange_depth(self) -> tuple[str, str] | None:
@@ -140,13 +145,6 @@ class Stiffness:
 def direction(arm: Array) -> Array:
     """The unit vector along a bond, (3,); an arbitrary one if its atoms are at the same place."""
     return arm / np.linalg.norm(arm) if arm.any() else np.full(3, 3.0**-0.5)
-
-
-def velocity_temperature(system: System) -> float:
-    """T of the velocities relative to the center of mass [temperature], with all 3N degrees of freedom; 0 at rest."""
-    velocities, masses = system.velocities, system.masses
-    thermal = thermal_energy(kinetic_energy(velocities, masses), center(velocities, masses), masses)
-    return temperature(thermal, velocities.size, system.units.k_B)
 
 
 class Curvature:

@@ -10,7 +10,7 @@ import numpy as np
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import shown
 from minimd.core.constraints.constraint_set import ConstraintSet
-from minimd.core.diagnosis.stiffness import COLDEST, Curvature, Stiffness, velocity_temperature
+from minimd.core.diagnosis.stiffness import COLDEST, Curvature, Stiffness
 from minimd.core.engine.engine import Engine
 from minimd.core.forces.contacts import why_not_finite
 from minimd.core.forces.forces import Forces, Potential
@@ -170,7 +170,7 @@ def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | t
     return StepAdvice(frequency=frequency, period=2.0 * pi / frequency if frequency else inf,
                       limit=stability_limit(row) / frequency if frequency else inf, harmonic=harmonic,
                       collision=collision, recommended=min(harmonic, collision),
-                      temperature=velocity_temperature(system), method=method.name,
+                      temperature=stiffness.temperature, method=method.name,
                       timestep=method.timestep if isinstance(method, Splitting) else None, atoms=tuple(atoms),
                       shares=tuple(float(shares[i]) for i in atoms),
                       n_moving=float(1.0 / (shares**2).sum()) if shares.any() else nan, bond=bond,

@@ -259,6 +259,8 @@ class Engine:
         self.interactions.time = self._time_at(step)
         self.interactions.compute(TOTALS, self._state.unit)
         self._state.forces_are_current, self.surroundings.power = True, self.interactions.power
+        if is_aside:
+            self.interactions.n_evaluations -= 1  # of an observation, not of a step
         if is_aside and self.interactions.n_builds != n_builds:
             self.interactions.build_lists(before)
 

@@ -307,7 +307,7 @@ class H5MDContents(Displayed):
         """The method with its time step.  Raises ValueError if it is not a method of minimd."""
         if self.method not in METHODS:
             made_with = f"the run was made with the method {self.method!r}, which minimd does not have"
-            raise ValueError(f"{made_with}; pass the method of that run")
+            raise ValueError(f"{made_with}; pass the method of that run: Simulation.resume(file, method=...)")
         made: Any = METHODS[self.method](**self.parameters)
         return made
 

@@ -159,9 +159,15 @@ def of_method(engine: Engine, before: Mapping[str, Any] = NOTHING) -> dict[str, 
     """Method and time step of the frames that come next, and the options with which they are computed.
     before : the attributes of the group minimd in the file."""
     now = {name: told(engine) for name, (told, _) in METHOD.items()}
-    if any(before.get(name, now[name]) != now[name] for name in DECISIVE):
+    if goes_on_otherwise(engine, before):
         now["since"] = max(engine.step, before.get("since", 0))
     return now | {name: value for name, value in engine.method.parameters.items() if isinstance(value, float)}
+
+
+def goes_on_otherwise(engine: Engine, before: Mapping[str, Any]) -> bool:
+    """Whether method, bath or a parameter of them is another one than in the attributes of the group minimd."""
+    now = {name: METHOD[name][0](engine) for name in DECISIVE}
+    return any(before.get(name, now[name]) != now[name] for name in DECISIVE)
 
 
 def read_method(group: h5py.Group) -> dict[str, Any]:

@@ -58,7 +58,7 @@ class H5MDWriter:
         n_frames: int | None = None,
         bring_others: Callable[[Claim], list[bytes]] = lambda claim: [],
     ) -> None:
-        self.claim, self._engine, self._method, self._store_forces = claim, engine, engine.method, store_forces
+        self.claim, self._engine, self._store_forces = claim, engine, store_forces
         self._observers, self._n_expected, self._bring_others = observers, n_frames, bring_others
         self._every: int | None = every  # None for a continued file that does not hold it
         self.marks: list[bytes] = []  # of other trajectories, in the restart from which a file is continued
@@ -187,7 +187,7 @@ class H5MDWriter:
                 digest.add_block(self._h5, n_frames, entries)
                 if first == 0:
                     digest.sign(self._h5, self.description | series)
-            if self._method is not self._engine.method:
+            if layout.goes_on_otherwise(self._engine, self._h5["minimd"].attrs):
                 self._describe_method()
             if is_restart:
                 beside = {f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in enumerate(marks)}
@@ -220,10 +220,9 @@ class H5MDWriter:
                     self._give_up()
 
     def _describe_method(self) -> None:
-        """Describe the method again: it may have been replaced."""
+        """Describe the method again: it, or one of its parameters, may have been replaced."""
         put(self._h5, {"minimd": Item(layout.of_method(self._engine, self._h5["minimd"].attrs))})
         digest.sign(self._h5)
-        self._method = self._engine.method
 
     @contextmanager
     def _telling(self, what: str) -> Iterator[None]:

@@ -9,7 +9,7 @@ have the same lengths and angles, and are right-handed.
 import ctypes
 import os
 from contextlib import suppress
-from errno import ENOSPC
+from errno import ENOSPC, EOVERFLOW
 from shutil import disk_usage
 from typing import Any
 
@@ -33,6 +33,7 @@ SEEN = 1e-7  # a smaller rotation is lost in the rounding of float32
 FARTHEST = 1.0 + 1e-9  # in lattice vectors: MDAnalysis misses nearest images that are farther away
 # of writers, by format; decimals of a nanometer, one more than usual, because σ = 1 of reduced units is 0.1 nm
 OPTIONS: dict[str, dict[str, Any]] = {"XTC": {"precision": 4}, "NCDF": {"velocities": True}}
+LARGEST_XTC = 0.001 * (2**31 - 2**9)  # Å: whole numbers of 0.001 Å, and their differences, have 32 bits
 ROOM = 2**18  # bytes that must be free besides those of a frame, for the buffers of C libraries
 
 
@@ -138,18 +139,19 @@ class MDAnalysisWriter(Writer):
 
     A cell in an orientation that MDAnalysis does not hold is turned, with positions and velocities: see Turn.
 
-    TRR and NCDF hold velocities; DCD and XTC, whose positions are rounded to 0.001 Å, do not. A DCD file states the
-    time between frames at its beginning; therefore it is begun when the second frame comes,
-    or at the end of a run with one frame.
+    TRR and NCDF hold velocities; DCD and XTC, whose positions are rounded to 0.001 Å, do not. A DCD file has one time
+    between all frames. Therefore a first frame between two multiples of every is left out, with a warning, if a second
+    one comes.
 
-    claim : on the file, which gets its name with its first frame.
+    claim : on the file, which gets its name with its first frame.  every : steps between frames.
 
-    Raises OSError if the file cannot be written.
+    Raises OSError if the file cannot be written, or positions are beyond LARGEST_XTC in an XTC file.
     """
 
-    def __init__(self, claim: Claim, engine: Engine) -> None:
+    def __init__(self, claim: Claim, engine: Engine, every: int = 1) -> None:
         system, suffix = engine.system, claim.path.suffix[1:].upper()
         self.claim, self._format = claim, "NCDF" if suffix == "NC" else suffix
+        self._every = every
         self._angstrom, self._picosecond = system.units.to_angstrom, system.units.to_picosecond
         self._timestep, self._cell = engine.method.timestep * self._picosecond, system.cell
         self._waiting: list[Frame] = []
@@ -177,18 +179,21 @@ class MDAnalysisWriter(Writer):
 
     def _write_waiting(self) -> None:
         waiting, self._waiting = self._waiting, []
-        steps = waiting[1].step - waiting[0].step if len(waiting) > 1 else 1  # between frames
+        if self._format == "DCD" and len(waiting) > 1 and waiting[0].step % self._every:
+            frames = f"leaves out the frame of step {waiting.pop(0).step}: its frames are {self._every} steps apart"
+            warn(f"trajectory {self.claim.name!r} {frames}")
         for frame in waiting:
             try:
                 if disk_usage(self.claim.place.parent).free < frame.positions.nbytes + ROOM:
                     raise OSError(ENOSPC, "no room on the disk")  # not every format notices that writing failed
                 with quiet():
                     if self._writer is None:
-                        spacing = {"nsavc": steps, "dt": steps * self._timestep, "istart": frame.step}
+                        spacing = {"nsavc": self._every, "dt": self._every * self._timestep, "istart": frame.step}
                         options = OPTIONS | {"DCD": spacing}
                         its = options.get(self._format, {}) | {"n_atoms": len(frame.positions), "format": self._format}
                         self._writer = MDAnalysis.Writer(str(self.claim.stream), **its)
                     self._place(frame)
+                    self._check_range()
                     self._writer.write(self._universe)
                 if os.name == "posix":
                     ctypes.CDLL(None).fflush(None)  # MDAnalysis keeps buffers; a killed run leaves whole frames
@@ -204,6 +209,13 @@ class MDAnalysisWriter(Writer):
         writer, self._writer = self._writer, None
         if writer:
             writer.close()
+
+    def _check_range(self) -> None:
+        """Raise OSError if positions do not fit into an XTC file."""
+        reach = np.ptp(np.vstack([self._universe.atoms.positions, np.zeros(3)]), axis=0).max()
+        if self._format == "XTC" and reach > LARGEST_XTC:
+            holds = f".xtc holds positions, and distances, up to {LARGEST_XTC:.4g} Å; these reach {reach:.4g} Å"
+            raise OSError(EOVERFLOW, f"{holds}; write .trr or .h5md")
 
     def _place(self, frame: Frame) -> None:
         ts, cell = self._universe.trajectory.ts, frame.cell or self._cell

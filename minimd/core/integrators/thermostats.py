@@ -62,6 +62,7 @@ class Thermostat(Splitting):
     is_symmetric = is_symplectic = False
     is_thermostat = True
     order = 2
+    last_kick = 0.0  # of Δt, after the bath and the drifts: see run_report.bath_of
 
     def __init__(self, timestep: float, temperature: float, seed: int) -> None:
         super().__init__(timestep)
@@ -140,6 +141,7 @@ class LangevinBAOAB(Thermostat):
     substeps = (Kick(0.5), Drift(0.5), Thermalize(1.0), Drift(0.5), Kick(0.5))
     source = "B. Leimkuhler, C. Matthews, J. Chem. Phys. 138, 174102 (2013)"
     conserves_momentum = False
+    last_kick = 0.5
 
     def __init__(self, timestep: float, temperature: float, friction: float, seed: int) -> None:
         super().__init__(timestep, temperature, seed)

@@ -32,6 +32,7 @@ class Closed:
 
 class EngineAttribute(Generic[T]):
     """Attribute of a simulation that reads and sets the one of its engine with this name; read-only with a path.
+    Forces are evaluated if they are not current.
 
     check : function of the engine that raises an error for a value that it cannot have; the old value is then restored.
     """
@@ -43,6 +44,9 @@ class EngineAttribute(Generic[T]):
         self._name = name
 
     def __get__(self, simulation: Any, _owner: type) -> T:
+        if simulation is not None and self._name == "forces":
+            simulation.engine.catch_up()
+            simulation.engine.evaluate()
         found: Any = self if simulation is None else attrgetter(self._path or self._name)(simulation.engine)
         return found  # type: ignore[no-any-return]
 

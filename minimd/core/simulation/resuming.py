@@ -10,6 +10,7 @@ from minimd.core.console.annexes import from_annex
 from minimd.core.console.quiet import warn
 from minimd.core.engine.observation import extras_in
 from minimd.core.forces.forces import Potential
+from minimd.core.integrators.splitting import Splitting
 from minimd.core.structure.checks import checked_count
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 Potentials = Potential | Sequence[Potential] | None
 
 
-def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | None) -> Any:
+def resumed(kind: Any, file: str | Path, potentials: Potentials, method: Splitting | None, threads: int | None) -> Any:
     """See Simulation.resume.  kind : Simulation."""
     from minimd.core.files.h5md_reader import read_file, verify_frames  # h5py is slow to load
     from minimd.core.files.h5md_schema import other_potentials
@@ -28,7 +29,7 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
     if potentials is None:
         potentials = stored_potentials(contents, file)
     options = {name: getattr(contents, name) for name in ("precision", "skin", "barostat")}
-    simulation = kind(contents.system, potentials, contents.integrator(), threads=threads, **options)
+    simulation = kind(contents.system, potentials, method or contents.integrator(), threads=threads, **options)
     simulation.extra_observables = extras_in(contents.record)
     simulation.engine.notes.update(title=contents.title, scene=contents.scene)
     simulation.system.cell = contents.system.cell  # not rounded to another grid than that of the run

@@ -86,7 +86,7 @@ class Simulation(Closed, Displayed):
     )
     positions = EngineAttribute[Array]("(N, 3) [length], never wrapped.")
     velocities = EngineAttribute[Array]("(N, 3) [length/time].")
-    forces = EngineAttribute[Array]("(N, 3) [energy/length], of the last evaluation.")
+    forces = EngineAttribute[Array]("(N, 3) [energy/length], of the present state.")
     n_dof = EngineAttribute[int]("Degrees of freedom that share the thermal energy.")
     drift = EngineAttribute[Array](
         "Velocity of the center of mass if n_dof leaves it out, else 0 [length/time].", "drift"
@@ -148,6 +148,7 @@ class Simulation(Closed, Displayed):
         file: str | Path,
         potentials: Potential | Sequence[Potential] | None = None,
         *,
+        method: Splitting | None = None,
         threads: int | None = None,
     ) -> Self:
         """The simulation at the restart of an H5MD file.
@@ -159,14 +160,16 @@ class Simulation(Closed, Displayed):
 
         Parameters
         ----------
-        potentials : those of the run; if not given, those of the scene that is stored in the file.  threads : as above.
+        potentials : those of the run; if not given, those of the scene that is stored in the file.
+        method : that of the run, if it is a class of a script; if not given, the one that is stored in the file.
+        threads : as above.
 
         Raises
         ------
         FileNotFoundError, OSError, ValueError : for a file that does not exist, is damaged or not of minimd, or has no
             scene if no potentials are given.
         """
-        found: Self = resumed(cls, file, potentials, threads)
+        found: Self = resumed(cls, file, potentials, method, threads)
         return found
 
     def run(

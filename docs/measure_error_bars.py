@@ -116,13 +116,17 @@ def of_run(file, length):
 
 
 def claimed_and_seen(runs, name):
-    """Of the entries that all runs have: claimed error over scatter, the share within two errors, their number."""
+    """Of the entries that most runs have: claimed error over scatter, the share within two errors, their number."""
     n = min(run[name].shape[1] for run in runs)
     values, errors = np.array([run[name][:, :n] for run in runs]).transpose(1, 0, 2)
-    known = np.isfinite(values).all(axis=0) & np.isfinite(errors).all(axis=0) & (values.std(axis=0) > 0.0)
-    values, errors = values[:, known], errors[:, known]
-    ratios = np.sqrt((errors**2).mean(axis=0) / values.var(axis=0, ddof=1))
-    return np.median(ratios), (np.abs(values - values.mean(axis=0)) < 2.0 * errors).mean(), known.sum()
+    has_both = np.isfinite(values) & np.isfinite(errors)  # D is NaN in a run that is not diffusive yet
+    values, errors = np.where(has_both, values, np.nan), np.where(has_both, errors, np.nan)
+    known = has_both.mean(axis=0) > 0.75
+    known[known] = np.nanstd(values[:, known], axis=0) > 0.0
+    values, errors, has_both = values[:, known], errors[:, known], has_both[:, known]
+    ratios = np.sqrt(np.nanmean(errors**2, axis=0) / np.nanvar(values, axis=0, ddof=1))
+    is_within = np.abs(values - np.nanmean(values, axis=0)) < 2.0 * errors
+    return np.median(ratios), is_within.sum() / has_both.sum(), known.sum()
 
 
 def table(folder):

@@ -6,7 +6,6 @@ reduced units are not converted: 1 σ becomes 1 Å and 1 τ becomes 1 ps.
 
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
 from functools import partial
 from math import ceil
 from pathlib import Path
@@ -14,28 +13,26 @@ from typing import Any, NamedTuple
 
 import MDAnalysis
 import numpy as np
-from MDAnalysis.analysis.msd import EinsteinMSD
-from MDAnalysis.analysis.rdf import InterRDF
 from MDAnalysis.coordinates.H5MD import H5MDReader
 from MDAnalysis.coordinates.memory import MemoryReader
 from MDAnalysis.guesser.tables import SYMB2Z
 from MDAnalysis.lib.util import store_init_arguments
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from minimd import observers
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.quiet import quiet, warn
+from minimd.core.engine.engine import Engine
 from minimd.core.files.h5md_reader import H5MDContents, admitted, damage_told, read_file
 from minimd.core.files.h5md_schema import has_edges
-from minimd.core.files.turned_cell import ROTATION, Turn, cell_dimensions, turn_of
+from minimd.core.files.turned_cell import ROTATION, Turn, as_in_run, cell_dimensions, turn_of
+from minimd.core.integrators.rows import VelocityVerlet
 from minimd.core.simulation.simulation import Simulation
-from minimd.core.structure.constraints import DistanceConstraints
-from minimd.core.structure.observables import Array, center
-from minimd.core.structure.statistics import FEW, with_error
+from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
-from minimd.observers.motion import finite_size_correction, is_cubic, per_ps_in_words, with_its_error
+from minimd.observers.motion import DisplacementResult, molecules_of
 from minimd.observers.viscosity import ViscosityResult
 
 __all__ = ["Diffusion", "Frames", "RadialDistribution", "RunUniverse", "Turn", "diffusion_coefficient",
@@ -44,9 +41,8 @@ __all__ = ["Diffusion", "Frames", "RadialDistribution", "RunUniverse", "Turn", "
 VERSION = MDAnalysis.__version__
 MOLECULE = "MOL"  # resname of a molecule without a formula
 MOST_COUNTS = 10**7  # of molecules times species
-RDF_FRAMES, RDF_DISTANCES = 50, 1e7  # at most, so that g(r) takes half a second
-MSD_FRAMES, MSD_ATOMS = 200, 400  # at most
-FIT_FROM, FIT_TO = 0.1, 0.5  # of the duration: after the ballistic start, and before there are too few pairs of frames
+RDF_FRAMES, RDF_ATOMS = 50, 10**6  # at most, the atoms of all frames together, so that g(r) takes a second
+MSD_FRAMES, MSD_ATOMS, MSD_LEVELS = 500, 1000, 8  # at most
 UNEVEN = 1e-6  # largest relative difference between equal spacings of frames, whose times are rounded
 CM2_PER_S = 1e-4  # per Å²/ps
 
@@ -64,7 +60,7 @@ class Frames:
     Attributes
     ----------
     system : System, a copy made with the first frame; None before.
-    conserves_momentum : whether the simulation does.
+    conserves_momentum : whether the simulation does.  moves_freely : whether nothing holds its center of mass.
     turn : Turn of a cell in an orientation that MDAnalysis does not hold; positions and velocities are kept turned.
         Else None.
     """
@@ -73,6 +69,7 @@ class Frames:
         self.system: System | None = None
         self.turn: Turn | None = None
         self.conserves_momentum = False
+        self.moves_freely = False
         self._rows: list[dict[str, Any]] = []
         self._moving: list[tuple[NDArray[np.float32], ...]] = []
 
@@ -88,6 +85,7 @@ class Frames:
         if self.system is None:
             self.system, self.turn = system.copy(), turn_of(system.cell, units.to_angstrom)
             self.conserves_momentum = simulation.conserves_momentum
+            self.moves_freely = simulation.engine.moves_freely
         if len(system) != len(self.system):
             ours = f"Frames keeps frames of one simulation, of {len(self.system)} atoms"
             raise ValueError(f"{ours}; this simulation has {len(system)}")
@@ -154,7 +152,9 @@ class RunUniverse(MDAnalysis.Universe):
     none."""
 
     system: System
+    times: Array  # of frames [ps, or τ]
     conserves_momentum: bool  # whether the run did
+    moves_freely: bool  # whether nothing held its center of mass
     contents: H5MDContents
 
 
@@ -210,7 +210,10 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
         spacing = {"dt": _spacing(name, steps, times)}
     with quiet(), damage_told(run) if isinstance(run, str | Path) else nullcontext():
         made = _with_topology(told.system)
-        made.system, made.conserves_momentum = told.system, told.conserves_momentum
+        made.system = told.system
+        made.times = times
+        made.conserves_momentum = told.conserves_momentum
+        made.moves_freely = told.moves_freely
         if isinstance(told, H5MDContents):
             made.contents = told
         made.trajectory = reader(turn=turn, **spacing)
@@ -234,10 +237,7 @@ def _spacing(name: str, steps: NDArray[np.int64], times: Array) -> float:
 def _with_topology(system: System) -> RunUniverse:
     """A universe without a trajectory. Residues are molecules, numbered from 1 in the order of their first atoms;
     bonds and lengths held fixed connect the atoms of a molecule."""
-    held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
-    i, j = np.concatenate([system.bonds, *held]).T
-    bonded = coo_array((np.ones(len(i), bool), (i, j)), shape=(len(system), len(system)))
-    parts = np.unique(connected_components(bonded, directed=False)[1], return_index=True, return_inverse=True)
+    parts = np.unique(molecules_of(system), return_index=True, return_inverse=True)
     of_atoms, n_molecules = parts[1].argsort().argsort()[parts[2]], len(parts[0])
     labels, segments = [str(label) for label in system.species], np.zeros(n_molecules, int)
     topology = {"masses": system.masses, "types": labels, "names": labels, "resids": np.arange(1, n_molecules + 1)}
@@ -296,152 +296,143 @@ class RadialDistribution(NamedTuple):
         return f"RadialDistribution({found}; highest at {self.r[k]:.4g}, {self.g[k]:.4g})"
 
 
-def radial_distribution(run: Run, n_bins: int = 200) -> RadialDistribution:
-    """g(r) by MDAnalysis' InterRDF, up to half the smallest height of the cell, from evenly chosen frames and atoms.
+def radial_distribution(run: Run, n_bins: int = 200, r_max: float | None = None) -> RadialDistribution:
+    """g(r) by the observer RadialDistribution, in the cell of each frame, without the first bin, from evenly chosen
+    frames. Bonded pairs count like all others.
 
-    Bonded pairs count like all others. If distances between all atoms would take too long, they are measured from some
-    atoms to all atoms.  run : an argument of universe, or a universe.
+    run : an argument of universe, or a universe.  r_max : as for the observer [length of the file].
 
     Raises
     ------
     ValueError : if the cell is not periodic in all directions, or there is only one atom.  Others as universe.
     """
     with universe_of(run) as made, quiet():
-        system, n_frames = made.system, len(made.trajectory)
-        if not system.cell.pbc.all() or len(system) < 2:
-            needs = "g(r) needs at least two atoms, and a cell that is periodic in all directions"
-            raise ValueError(f"{needs}; {_name(made)} holds {system!r}")
-        r_max = float(system.cell.heights.min() / 2.0) * system.units.to_angstrom
-        stride = ceil(n_frames / RDF_FRAMES)
-        some = _every(made, RDF_DISTANCES * stride / n_frames / len(system))
-        # The range begins after the first bin, so that no atom is its own neighbor; each atom has N − 1 others.
-        result = InterRDF(some, made.atoms, nbins=n_bins - 1, range=(r_max / n_bins, r_max)).run(step=stride).results
-    return RadialDistribution(result.bins / system.units.to_angstrom, result.rdf * len(system) / (len(system) - 1))
+        most = min(RDF_FRAMES, max(1, RDF_ATOMS // len(made.system)))
+        looking = observers.RadialDistribution(r_max, n_bins, every=1, name="")
+        found = _observed(looking, made, most).result()
+    return RadialDistribution(found.r[1:], found.g[1:])
 
 
-def _every(made: MDAnalysis.Universe, n_atoms: float) -> MDAnalysis.AtomGroup:
-    """About n_atoms atoms, evenly chosen."""
-    return made.atoms[:: max(1, ceil(len(made.atoms) / max(1.0, n_atoms)))]
+class _Recorded(Engine):
+    """An engine without forces, whose states are the frames of a run."""
+
+    conserves_momentum = moves_freely = False
+
+    def __init__(self, run: RunUniverse, spacing: float) -> None:
+        self.conserves_momentum = run.conserves_momentum
+        self.moves_freely = run.moves_freely
+        super().__init__(run.system.copy(), [], VelocityVerlet(spacing))
+
+    def show(self, ts: Any) -> None:
+        """Take the state of a frame of the universe."""
+        system, units = self.system, self.system.units
+        system.positions[:] = as_in_run(ts, ts.positions) / units.to_angstrom
+        system.velocities[:] = as_in_run(ts, ts.velocities) * (units.to_picosecond / units.to_angstrom)
+        if "cell" in ts.data:
+            cell = system.cell.strained(ts.data["cell"])
+            self.constraint_set.follow(system.cell, cell)
+            system.cell = cell
+
+
+def _observed(looking: Any, made: RunUniverse, most: int) -> Any:
+    """An observer that has seen evenly chosen frames; what is correlated begins anew where their spacing changes.
+    most : number of frames, about."""
+    stride = ceil(len(made.times) / most)
+    spacings = np.diff(made.times[::stride]) / made.system.units.to_picosecond
+    usual = float(np.quantile(spacings, 0.5, method="lower")) if len(spacings) else 1.0
+    engine = _Recorded(made, usual)
+    for k, ts in enumerate(made.trajectory[::stride]):
+        engine.show(ts)
+        if k and abs(spacings[k - 1] - usual) > UNEVEN * usual:
+            looking.interrupt()
+        looking.observe(engine)
+        engine.count(1)
+    return looking
 
 
 def _name(made: RunUniverse) -> str:
     return repr(made.trajectory.filename) if hasattr(made, "contents") else "this run"
 
 
-@dataclass(frozen=True)
 class Diffusion(Displayed):
-    """Self-diffusion by Einstein's relation ⟨|r(t) − r(0)|²⟩ → 6 D t. str() is one line about it.
+    """Self-diffusion in the frames of a run, by the observer MeanSquareDisplacement. str() is one line about it.
 
     Attributes
     ----------
-    coefficient : D in this cell [Å²/ps, or σ²/τ].  cm2_per_s : the same in cm²/s, None in reduced units.
-    error : standard error of D, from the scatter of the slopes of the atoms; NaN for fewer than 4 atoms.
+    result : DisplacementResult, in the units of the run.
+    coefficient : D in this cell [Å²/ps, or σ²/τ]; NaN unless the slope has stopped to change with the lag.
+        cm2_per_s : the same in cm²/s, None in reduced units.
+    error : standard error of D, from blocks of time.
     infinite, infinite_error : D in an infinite system, by the correction of Yeh and Hummer; None if no viscosity was
         given.
-    window : lags of the straight-line fit [ps or τ].  lags, displacements : (T,) [ps or τ], (T,)
-        mean squares [Å² or σ²].
+    window : lags of D [ps or τ].  lags, displacements : (T,) [ps or τ], (T,) mean squares [Å² or σ²].
     """
 
-    coefficient: float
-    cm2_per_s: float | None
-    window: tuple[float, float]
-    lags: Array
-    displacements: Array
-    error: float = np.nan
-    infinite: float | None = None
-    infinite_error: float = np.nan
-
-    @property
-    def _time(self) -> str:
-        return "τ" if self.cm2_per_s is None else "ps"
-
-    def _told(self, value: float, error: float) -> str:
-        return f"{with_error(value, error)} σ²/τ" if self.cm2_per_s is None else per_ps_in_words(value, error)
+    def __init__(self, result: DisplacementResult) -> None:
+        units = result.units
+        per_time = units.to_angstrom**2 / units.to_picosecond
+        start, end = result.window
+        self.result = result
+        self.coefficient = per_time * result.diffusion
+        self.error = per_time * result.diffusion_error
+        self.cm2_per_s = self.coefficient * CM2_PER_S if units is ASE else None
+        self.infinite = None if np.isnan(result.infinite) else per_time * result.infinite
+        self.infinite_error = per_time * result.infinite_error
+        self.window = (start * units.to_picosecond, end * units.to_picosecond)
+        self.lags = result.times * units.to_picosecond
+        self.displacements = result.msd * units.to_angstrom**2
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        rows = [("diffusion", str(self)), ("lags", f"{len(self.lags)}, up to {self.lags[-1]:.4g} {self._time}")]
-        larger = ("", "in a larger cell D is larger: viscosity= corrects for this")
-        return rows if self.infinite is not None else [*rows, larger]
+        return self.result.display_rows()
 
     def __repr__(self) -> str:
         return f"Diffusion({self})"
 
     def __str__(self) -> str:
-        time, (start, end) = self._time, self.window
-        found = f"D = {self._told(self.coefficient, self.error)}, from lags of {start:.4g} to {end:.4g} {time}"
-        if self.infinite is None:
-            return found
-        return f"{found}; {self._told(self.infinite, self.infinite_error)} in an infinite system (Yeh and Hummer)"
+        lines = [line for _, line in self.display_rows()]
+        return lines[0] if self.infinite is None else f"{lines[0]}; {lines[-1]}"
 
 
-def mean_square_displacement(run: Run) -> tuple[Array, Array]:
-    """Lags [ps, or τ], (T,), and ⟨|r(t₀ + lag) − r(t₀)|²⟩ [Å², or σ²], (T,), by MDAnalysis' EinsteinMSD.
+def mean_square_displacement(run: Run, of: str = "atoms") -> tuple[Array, Array]:
+    """Lags [ps, or τ], (T,), and ⟨|r(t₀ + lag) − r(t₀)|²⟩ [Å², or σ²], (T,), by the observer MeanSquareDisplacement:
+    relative to the center of mass, and without the motion of the cell, as described there.
 
-    They are relative to the center of mass of all atoms if the run conserved the momentum, as its file tells. If there
-    are many frames or atoms, some of them are used, evenly chosen.  run : an argument of universe, or a universe.
+    If there are many frames or atoms, some of them are used, evenly chosen. Where frames are not evenly spaced, a new
+    series begins.  run : an argument of universe, or a universe.  of : "atoms" or "molecules", whose centers count.
 
     Raises
     ------
     ValueError : if there is only one frame.  Others as universe.
     """
-    lags, of_atoms = _displacements(run)
-    return lags, of_atoms.mean(axis=1)
-
-
-def _displacements(run: Run) -> tuple[Array, Array]:
-    """Lags, (T,), and mean squares of each of n atoms, (T, n); see mean_square_displacement."""
-    with universe_of(run) as made, quiet():
-        if len(made.trajectory) < 2:
-            raise ValueError(f"a displacement needs at least 2 frames; {_name(made)} holds {len(made.trajectory)}")
-        some, rows, positions = _every(made, MSD_ATOMS), [], []
-        for ts in made.trajectory[:: ceil(len(made.trajectory) / MSD_FRAMES)]:
-            rows.append({"time": ts.time})
-            whole = np.asarray(ts.positions, dtype=np.float64)
-            positions.append(whole[some.ix] - center(whole, made.system.masses, made.conserves_momentum))
-        relative = MDAnalysis.Universe.empty(len(some))
-        relative.trajectory = RecordedReader(np.array(positions), rows)
-        apart = np.diff([row["time"] for row in rows])
-        result = EinsteinMSD(relative.atoms, fft=False, non_linear=not np.allclose(apart, apart[0])).run().results
-    return np.asarray(result.delta_t_values, dtype=np.float64), np.asarray(result.msds_by_particle)
+    found = diffusion_coefficient(run, of=of)
+    return found.lags, found.displacements
 
 
 def diffusion_coefficient(
-    run: Run, window: tuple[float, float] | None = None, viscosity: float | ViscosityResult | None = None
-) -> Diffusion:
-    """D from the mean-square displacement, by a straight line fitted within a window of lags, with its standard error.
+    run: Run, window: tuple[float, float] | None = None, viscosity: float | ViscosityResult | None = None,
+    of: str = "atoms",
+) -> Diffusion:  # fmt: skip
+    """D from the mean-square displacement, with its standard error, if its slope has stopped to change with the lag.
 
-    The error is that of the mean over atoms, which move almost independently of each other.
-
-    run : an argument of universe, or a universe.
-    window : [ps, or τ]; from a tenth to half of the duration if not given.
+    run, of : as for mean_square_displacement.
+    window : [ps, or τ]; D is then the mean slope over its octaves, whether atoms diffuse there or not.
     viscosity : η [energy time/length³], or the result of md.observers.Viscosity, whose error then counts, for the
         correction of Yeh and Hummer for the size of a cubic cell; see observers.motion.
 
     Raises
     ------
-    ValueError : if the window holds fewer than three lags; if a viscosity is given, and the cell is not cubic or the
-        run is in memory. Others as mean_square_displacement.
+    ValueError : if the window holds no octave of lags; if a viscosity is given, and the cell is not cubic.
+        Others as mean_square_displacement.
     """
-    with universe_of(run) as made:
-        (lags, of_atoms), cell, units = _displacements(made), made.system.cell, made.system.units
-    squares, (start, end) = of_atoms.mean(axis=1), window or (FIT_FROM * lags[-1], FIT_TO * lags[-1])
-    chosen, infinite = (lags >= start) & (lags <= end), None
-    if chosen.sum() < 3:
-        needs = f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g})"
-        raise ValueError(f"{needs} holds {chosen.sum()} of {len(lags)}")
-    infinite_error = np.nan
-    coefficient = float(np.polyfit(lags[chosen], squares[chosen], 1)[0]) / 6.0
-    each = np.polyfit(lags[chosen], of_atoms[chosen], 1)[0] / 6.0
-    error = float(each.std(ddof=1) / np.sqrt(len(each))) if len(each) >= FEW else np.nan
-    if viscosity is not None:
-        if not is_cubic(cell) or not hasattr(made, "contents"):
-            needs = "the correction of Yeh and Hummer needs the file of a run in a cubic cell"
-            raise ValueError(f"{needs} that is periodic in all directions; without one, do not pass viscosity")
-        thermal_energy = units.k_B * float(made.contents.record.temperature.mean())
-        eta, eta_error = with_its_error(viscosity)
-        added = finite_size_correction(thermal_energy, eta, float(np.linalg.norm(cell.vectors[0])))
-        added *= units.to_angstrom**2 / units.to_picosecond
-        infinite, infinite_error = coefficient + added, float(np.hypot(error, added * eta_error / eta))
-    absolute = coefficient * CM2_PER_S if units is ASE else None
-    return Diffusion(coefficient, absolute, (float(start), float(end)), lags, squares, error, infinite, infinite_error)
+    with universe_of(run) as made, quiet():
+        n_frames = len(made.trajectory)
+        if n_frames < 2:
+            raise ValueError(f"a displacement needs at least 2 frames; {_name(made)} holds {n_frames}")
+        looking = observers.MeanSquareDisplacement(every=1, n_levels=MSD_LEVELS, most_atoms=MSD_ATOMS, of=of, name="")
+        _observed(looking, made, MSD_FRAMES)
+        if window is not None:
+            start, end = window
+            per_time = made.system.units.to_picosecond
+            window = (start / per_time, end / per_time)
+        return Diffusion(looking.result(window, viscosity))

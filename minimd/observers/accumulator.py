@@ -84,8 +84,7 @@ class BlockedSums:
         """The result of a law for the sums, and its standard error."""
         with np.errstate(all="ignore"):
             value = np.asarray(law(self.total), dtype=np.float64)
-        found = self.replicas(law)
-        return value, spread(found) if len(found) else np.full_like(value, np.nan)
+        return value, spread(self.replicas(law))
 
     def state(self) -> State:
         """The state, for restore."""

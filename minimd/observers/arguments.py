@@ -11,6 +11,7 @@ from minimd.core.console.words import shown
 from minimd.core.structure.checks import checked_choice, checked_count, checked_number
 
 AXES = "abc"
+PARTICLES = ATOMS, MOLECULES = "atoms", "molecules"
 
 
 class Argument(NamedTuple):
@@ -42,6 +43,7 @@ def label() -> Any:
 levels = partial(checked_count, limit=40)  # of a correlator
 positive = partial(checked_number, demand="positive and finite")
 axis_name = partial(checked_choice, allowed=tuple(AXES))
+particles = partial(checked_choice, allowed=PARTICLES)
 
 
 def interval(name: str, value: Any) -> list[float]:

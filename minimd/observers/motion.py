@@ -18,13 +18,14 @@ from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_count, checked_number
+from minimd.core.structure.constraints import DistanceConstraints
 from minimd.core.structure.observables import center
-from minimd.core.structure.statistics import spread, with_error
-from minimd.core.structure.units import UnitSystem
+from minimd.core.structure.system import System
 from minimd.observers.accumulator import ObservedRun, Result, Series, State
-from minimd.observers.arguments import argument, label, levels, steps
+from minimd.observers.arguments import ATOMS, MOLECULES, argument, label, levels, particles, steps
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
-from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, Plateau, TimeCorrelation
+from minimd.observers.diffusion import Diffusivity, diffusion_words, diffusivity
+from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, TimeCorrelation, running_integral
 from minimd.observers.viscosity import ViscosityResult
 
 if TYPE_CHECKING:
@@ -35,9 +36,7 @@ POINTS = 16  # entries on each level of the correlator
 MOST_ATOMS = "largest number of atoms, chosen evenly, with up to one more for each species; it bounds time and memory"
 XI = 2.837297  # ξ of a cubic cell
 CUBIC = 1e-9  # largest relative deviation of the squares and products of lattice vectors from those of a cube
-DECADE = 10.0  # the window of a fit ends at this multiple of its start
-LEFT = 0.5  # of the distance of neighbors: an atom that has moved by more has left its place
-USUAL = 10.0  # 10⁻⁵ cm²/s per Å²/ps
+OF = "atoms, or molecules (atoms that bonds or rigid lengths connect), whose centers count, each by its number of atoms"
 AXES = ("x", "y", "z")
 
 
@@ -45,15 +44,6 @@ def is_cubic(cell: Cell) -> bool:
     """Whether a cell is a cube that is periodic in all directions."""
     square = cell.vectors @ cell.vectors.T
     return bool(cell.pbc.all() and np.abs(square - np.eye(3) * square[0, 0]).max() < CUBIC * square[0, 0])
-
-
-def slope(times: Array, squares: Array) -> Array:
-    """Slopes of straight lines through mean squares (..., T) at times (T,), each point weighted by 1/t, because its
-    error grows as t."""
-    weights = 1.0 / times
-    weights = weights**2 / (weights**2).sum()
-    t = times - weights @ times
-    return np.asarray((squares * (weights * t)).sum(axis=-1) / (weights * t * t).sum())
 
 
 def finite_size_correction(thermal_energy: float, viscosity: float, edge: float) -> float:
@@ -74,29 +64,40 @@ def with_its_error(viscosity: float | ViscosityResult) -> tuple[float, float]:
     return checked_number("viscosity", viscosity, "positive and finite"), 0.0
 
 
-def diffusion_words(coefficient: float, error: float, units: UnitSystem) -> str:
-    """D in words, in Å²/ps and cm²/s, or in reduced units."""
-    if units.name != "ASE":
-        return f"{with_error(coefficient, error)} {units.length}²/{units.time}"
-    return per_ps_in_words(coefficient / units.to_picosecond, error / units.to_picosecond)
+def molecules_of(system: System) -> NDArray[np.int64]:
+    """(N,) the number of the molecule of each atom: bonds and lengths held fixed connect the atoms of a molecule."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
+    i, j = np.concatenate([system.bonds, *held]).T
+    bonded = coo_array((np.ones(len(i), bool), (i, j)), shape=(len(system), len(system)))
+    return np.asarray(connected_components(bonded, directed=False)[1], dtype=np.int64)
 
 
-def per_ps_in_words(coefficient: float, error: float) -> str:
-    """D [Å²/ps] in words, also in cm²/s."""
-    return f"{with_error(coefficient, error)} Å²/ps = ({with_error(USUAL * coefficient, USUAL * error)})·10⁻⁵ cm²/s"
+def of_molecules(vectors: Array, masses: Array, molecules: NDArray[np.int64]) -> Array:
+    """(N, 3) for each atom, of vectors (N, 3) of atoms, the mean of its molecule, weighted by masses.
+    molecules : see molecules_of."""
+    sums = [np.bincount(molecules, masses * along) for along in vectors.T]
+    return np.asarray((sums / np.bincount(molecules, masses)).T[molecules])
 
 
 class _OfAtoms(TimeCorrelation):
-    """A correlation of a vector of each atom, relative to the center of mass of all atoms if n_dof leaves it out."""
+    """A correlation of a vector of each atom, or of the center of its molecule, relative to the center of mass of all
+    atoms: if the momentum is constant, or if nothing holds several molecules, which a bath moves together."""
 
+    convention = 3  # relative to the center of mass also under a bath
     law: ClassVar[tuple]  # of the correlator
     every: int = steps(10)
     n_levels: int = argument(levels, LEVELS, 10)
     most_atoms: int = argument(checked_count, MOST_ATOMS, 4096)
+    of: str = argument(particles, OF, ATOMS)
     name: str = label()
     chosen: list[int] = field(init=False, default_factory=lambda: [0])
     is_cubic: bool = field(init=False, default=False)
     numbers: list[int] = field(init=False, default_factory=lambda: [1])  # of chosen atoms of each species
+    is_relative: bool = field(init=False, default=False)  # to the center of mass
+    widening: float = field(init=False, default=1.0)  # of D: n/(n − 1) for n independent particles relative to it
 
     @property
     def n_components(self) -> int:
@@ -109,6 +110,11 @@ class _OfAtoms(TimeCorrelation):
         chosen = [np.flatnonzero(index == k)[::stride] for k in range(len(system.species_names))]
         self.chosen, self.numbers = np.concatenate(chosen).tolist(), [len(one) for one in chosen]
         self.is_cubic = is_cubic(system.cell)
+        n_molecules = int(molecules_of(system).max()) + 1
+        n_particles = n_molecules if self.of == MOLECULES else len(system)
+        self.is_relative = engine.conserves_momentum or (engine.moves_freely and n_molecules > 1)
+        if self.is_relative and not engine.conserves_momentum:
+            self.widening = n_particles / (n_particles - 1.0)
 
     def _laid_out(self, scene: ObservedRun) -> None:
         are_atoms = min(self.chosen) >= 0 and max(self.chosen) < scene.n_atoms
@@ -117,12 +123,19 @@ class _OfAtoms(TimeCorrelation):
         starts = np.concatenate([[0], np.cumsum(self.numbers)])
         self._order = np.array(self.chosen)
         self._takes_all = self.chosen == [*range(len(self.chosen))] and len(self.chosen) == scene.n_atoms
+        self._molecules: NDArray[np.int64] | None = None
         correlator = MultipleTau(type(self).law, starts, self.n_components, POINTS, self.n_levels, averages=False)
         self._correlate_by(correlator)
 
     def _look(self, engine: Engine) -> None:
         look = Look(engine)
-        vectors, of_center = self._vectors(look)
+        vectors = self._vectors(look)
+        masses = engine.system.masses
+        of_center = center(vectors, masses, self.is_relative)
+        if self.of == MOLECULES:
+            if self._molecules is None:
+                self._molecules = molecules_of(engine.system)
+            vectors = of_molecules(vectors, masses, self._molecules)
         chosen = vectors if self._takes_all else np.take(vectors, self._order, axis=0)
         self._add(look, self._entry(chosen - of_center))
 
@@ -131,8 +144,8 @@ class _OfAtoms(TimeCorrelation):
         return vectors.T
 
     @abstractmethod
-    def _vectors(self, look: Look) -> tuple[Array, Array]:
-        """The vectors of all atoms, (N, 3), and what to subtract from them, (3,)."""
+    def _vectors(self, look: Look) -> Array:
+        """The vectors of all atoms, (N, 3)."""
 
     def _means(self, seen: NDArray[np.bool_]) -> Callable[[Array], Array]:
         """The function of the sums that gives means over all atoms, over those of each species, and of each
@@ -229,9 +242,8 @@ class MeanSquareDisplacement(_OfAtoms):
         super()._laid_out(scene)
         self._of_cell = CellMotion(scene.n_atoms)
 
-    def _vectors(self, look: Look) -> tuple[Array, Array]:
-        vectors = self._of_cell.taken_off(look.engine)
-        return vectors, center(vectors, look.system.masses, look.engine.conserves_momentum)
+    def _vectors(self, look: Look) -> Array:
+        return self._of_cell.taken_off(look.engine)
 
     def _parts(self) -> list[Any]:
         return [*super()._parts(), self._of_cell]
@@ -241,21 +253,26 @@ class MeanSquareDisplacement(_OfAtoms):
     ) -> DisplacementResult:
         """The displacements so far, and D of the atoms, each with its standard error.
 
-        window : lags for the fit of a straight line [time]; if not given, a decade that begins when atoms have moved by
-            half the distance of neighbors, and ends at a quarter of the run at the latest.
+        window : lags [time]; D is then the mean slope over its octaves, whether atoms diffuse there or not. If not
+            given, D is that of diffusivity, if the slope has stopped to change with the lag.
         viscosity : η [energy time/length³], for the finite-size correction of Yeh and Hummer, which needs a cubic cell;
             or the result of md.observers.Viscosity, whose error then counts, too.
 
-        Raises ValueError before the first look, for a window with fewer than 3 lags, or if a viscosity is given and the
-        cell is not cubic.
+        Raises ValueError before the first look, for a window without an octave of lags, or if a viscosity is given and
+        the cell is not cubic.
         """
         scene = self.answered()
         seen, times, longest = self._seen()
-        means, errors = self._estimate(times, longest, self._means(seen))
+        law = self._means(seen)
+        means, errors = self._estimate(times, longest, law)
+        squares = self.widening * means
+        without = self.widening * self.sums.replicas(law)
+        rows = range(1 + len(scene.species))
+        whole, *of_species = (diffusivity(times, squares[k], without[:, k], longest, window) for k in rows)
         _, temperature, volume = (self.sums.total[:HEAD] / self.sums.total[COUNT]).tolist()
-        n_atoms = sum(self.numbers)
-        found = DisplacementResult(scene, times, means, errors, self.is_cubic, temperature, volume, n_atoms)
-        return found.fitted(self.sums.replicas(self._means(seen)), window, longest, viscosity)
+        mean = scene, times, means, errors, whole, sum(self.numbers)
+        found = DisplacementResult(*mean, tuple(of_species), self.is_cubic, temperature, volume)
+        return found if viscosity is None else found.corrected(viscosity)
 
 
 class VelocityAutocorrelation(_OfAtoms):
@@ -268,8 +285,8 @@ class VelocityAutocorrelation(_OfAtoms):
     kind = "velocity-autocorrelation"
     law = Product()
 
-    def _vectors(self, look: Look) -> tuple[Array, Array]:
-        return look.engine.velocities, look.drift
+    def _vectors(self, look: Look) -> Array:
+        return look.engine.velocities
 
     def result(self) -> VelocityResult:
         """The autocorrelation so far, its running integral, and D, each with its standard error.
@@ -277,9 +294,16 @@ class VelocityAutocorrelation(_OfAtoms):
         scene = self.answered()
         seen, times, longest = self._seen()
         law = self._means(seen)
-        (values, errors), n_atoms = self._estimate(times, longest, law), sum(self.numbers)
-        integral, error, found = self._integral(times, longest, lambda sums: law(sums)[0] / 3.0)
-        return VelocityResult(scene, times, values, errors, integral, error, found, n_atoms)
+        values, errors = self._estimate(times, longest, law)
+
+        def integral(sums: Array) -> Array:
+            return running_integral(times, law(sums)[0] / 3.0)
+
+        along, its_error = self._estimate(times, longest, integral)
+        factor = 6.0 * self.widening  # the integral of this one is a mean square displacement
+        squares, without = (factor * running_integral(times, one) for one in (along, self.sums.replicas(integral)))
+        found = diffusivity(times, squares, without, longest)
+        return VelocityResult(scene, times, values, errors, found, sum(self.numbers), along, its_error)
 
 
 @dataclass(frozen=True, repr=False)
@@ -288,13 +312,27 @@ class MotionResult(Result):
 
     times : (T,) lags [time].
     means, errors : (1 + S + 3, T), of all atoms, of those of each species, and along x, y, z.
+    diffusivity : Diffusivity of all atoms in this cell.
+    n_atoms : number of atoms that were observed.
     """
 
     times: Array
     means: Array
     errors: Array
+    diffusivity: Diffusivity
+    n_atoms: int
     symbol: ClassVar[str]  # name of the series
     coefficients = ("diffusion", "diffusion_error")
+
+    @property
+    def diffusion(self) -> float:
+        """D in this cell [length²/time]."""
+        return self.diffusivity.value
+
+    @property
+    def diffusion_error(self) -> float:
+        """Its standard error."""
+        return self.diffusivity.error
 
     @property
     def unit(self) -> str:
@@ -317,24 +355,21 @@ class DisplacementResult(MotionResult):
 
     times : (T,) lags [time].
     means, errors : (1 + S + 3, T) [length²], of all atoms, of those of each species, and along x, y, z.
-    diffusion, diffusion_error : D in this cell [length²/time]; NaN if the window holds too few lags.
-        diffusion_of_species : D of each, (S,).
+    diffusivity, of_species : Diffusivity of all atoms in this cell, and of those of each species, (S,).
+    n_atoms : see MotionResult.
+    diffusion, diffusion_error : D, and its standard error [length²/time]; NaN unless the slope has stopped to change.
+        diffusion_of_species : D of each, (S,).  window : lags of D [time].
     infinite, infinite_error : D of an infinite system by Yeh and Hummer; NaN without a viscosity. The error includes
         that of the viscosity, if it is known.
-    window : of the straight line [time].  temperature, volume : means.
-    n_atoms : number of atoms whose displacements were measured.
+    temperature, volume : means.
     """
 
+    of_species: tuple[Diffusivity, ...]
     is_cubic: bool
     temperature: float
     volume: float
-    n_atoms: int
-    diffusion: float = np.nan
-    diffusion_error: float = np.nan
-    diffusion_of_species: tuple[float, ...] = ()
     infinite: float = np.nan
     infinite_error: float = np.nan
-    window: tuple[float, float] = (np.nan, np.nan)
     title = "mean-square displacement"
     symbol = "msd"
 
@@ -343,37 +378,26 @@ class DisplacementResult(MotionResult):
         """(T,) [length²], of all atoms."""
         return np.asarray(self.means[0])
 
-    def fitted(self, without: Array, window: tuple[float, float] | None, longest: float,
-               viscosity: float | ViscosityResult | None) -> DisplacementResult:  # fmt: skip
-        """This result with D.  without : (K, 1 + S + 3, T) replicas of the means.  longest : last lag for a fit [time].
-        Raises ValueError."""
-        spacing = (self.volume / self.scene.n_atoms) ** (1.0 / 3.0)
-        start, end = window or (0.1 * longest, longest if np.isnan(spacing) else 0.0)
-        has_left = self.msd > (LEFT * spacing) ** 2  # False for all lags without a volume
-        if window is None and has_left.any():
-            start = float(self.times[np.argmax(has_left)])
-            end = min(DECADE * start, longest)
-        inside = (self.times >= start) & (self.times <= end) & (self.times > 0.0)
-        if inside.sum() < 3:
-            if window is None:
-                return self
-            held = f"({start:.4g}, {end:.4g}) holds {inside.sum()} of {len(self.times)}"
-            raise ValueError(f"the window of the fit must hold at least 3 lags; {held}")
-        times, n = self.times[inside], 1 + len(self.scene.species)
-        coefficients = slope(times, self.means[:n, inside]) / 6.0
-        error = float(spread(slope(times, without[:, 0, inside]) / 6.0)) if len(without) else np.nan
-        found, *of_species = coefficients.tolist()
-        made = {"diffusion": found, "diffusion_error": error, "diffusion_of_species": tuple(of_species)}
-        made["window"] = float(times[0]), float(times[-1])
-        if viscosity is not None:
-            if not self.is_cubic:
-                needs = "needs a cubic cell that is periodic in all directions; without one, do not pass viscosity"
-                raise ValueError(f"the correction of Yeh and Hummer {needs}")
-            thermal_energy, edge = self.units.k_B * self.temperature, self.volume ** (1.0 / 3.0)
-            eta, eta_error = with_its_error(viscosity)
-            added = finite_size_correction(thermal_energy, eta, edge)
-            made |= {"infinite": found + added, "infinite_error": float(np.hypot(error, added * eta_error / eta))}
-        return replace(self, **made)
+    @property
+    def diffusion_of_species(self) -> tuple[float, ...]:
+        """D of each species."""
+        return tuple(one.value for one in self.of_species)
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """The lags of D [time]."""
+        return self.diffusivity.window
+
+    def corrected(self, viscosity: float | ViscosityResult) -> DisplacementResult:
+        """This result with D of an infinite system.  Raises ValueError."""
+        if not self.is_cubic:
+            needs = "needs a cubic cell that is periodic in all directions; without one, do not pass viscosity"
+            raise ValueError(f"the correction of Yeh and Hummer {needs}")
+        thermal_energy, edge = self.units.k_B * self.temperature, self.volume ** (1.0 / 3.0)
+        eta, eta_error = with_its_error(viscosity)
+        added = finite_size_correction(thermal_energy, eta, edge)
+        error = float(np.hypot(self.diffusion_error, added * eta_error / eta))
+        return replace(self, infinite=self.diffusion + added, infinite_error=error)
 
     def numbers(self) -> dict[str, float]:
         """See Result."""
@@ -382,16 +406,14 @@ class DisplacementResult(MotionResult):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        units, (start, end) = self.units, self.window
-        if np.isnan(self.diffusion):
-            said = f"unknown: the atoms have not left their places in lags up to {units.shown(self.times[-1])}"
-            return [("diffusion", said)]
-        words = diffusion_words(self.diffusion, self.diffusion_error, units)
-        rows = [("diffusion", f"D = {words}, from lags of {units.shown(start)} to {units.shown(end)}, in this cell")]
+        rows = [("diffusion", self.diffusivity.in_words(self.units))]
+        if len(self.of_species) > 1:
+            of_species = zip(self.scene.species, self.of_species, strict=True)
+            rows += [("", f"{name}: {found.in_words(self.units)}") for name, found in of_species]
         if np.isfinite(self.infinite):
-            words = diffusion_words(self.infinite, self.infinite_error, units)
+            words = diffusion_words(self.infinite, self.infinite_error, self.units)
             rows.append(("", f"D = {words} in an infinite cell (Yeh and Hummer)"))
-        elif self.is_cubic:
+        elif self.is_cubic and np.isfinite(self.diffusion):
             rows.append(("", "in a larger cell D is larger: result(viscosity=...) corrects for this"))
         return rows
 
@@ -400,8 +422,9 @@ class DisplacementResult(MotionResult):
         (times, unit), later = self.abscissa(), self.times > 0.0
         panel.loglog(times[later], self.msd[later], marker="o", ms=2.5, lw=1.0)
         if np.isfinite(self.diffusion):
-            line = 6.0 * self.diffusion * self.times[later]
-            panel.loglog(times[later], line, color="0.6", lw=0.8, ls="--", label="6 D t")
+            start, end = self.window
+            inside = (self.times >= start) & (self.times <= end)
+            panel.loglog(times[inside], self.msd[inside], color="0.4", lw=3.0, alpha=0.5, label="slope 6 D")
             panel.legend(frameon=False, fontsize=8)
         panel.set(xlabel=f"t  [{unit}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{self.unit}]", title=self.title)
 
@@ -412,14 +435,13 @@ class VelocityResult(MotionResult):
 
     times : (T,) lags [time].
     means, errors : (1 + S + 3, T) [length²/time²], of all atoms, of those of each species, and along x, y, z.
-    integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].  plateau : of the integral.
-    n_atoms : number of atoms that were observed.
+    integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].
+    diffusivity : Diffusivity, by means of the integral over octaves of lags.
+    n_atoms : see MotionResult.
     """
 
     integral: Array
     integral_error: Array
-    plateau: Plateau
-    n_atoms: int
     title = "velocity autocorrelation"
     symbol = "vacf"
 
@@ -427,16 +449,6 @@ class VelocityResult(MotionResult):
     def vacf(self) -> Array:
         """(T,) [length²/time²], of all atoms."""
         return np.asarray(self.means[0])
-
-    @property
-    def diffusion(self) -> float:
-        """D in this cell [length²/time]."""
-        return self.plateau.value
-
-    @property
-    def diffusion_error(self) -> float:
-        """Its standard error."""
-        return self.plateau.error
 
     @property
     def unit(self) -> str:
@@ -450,12 +462,11 @@ class VelocityResult(MotionResult):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        words = diffusion_words(self.diffusion, self.diffusion_error, self.units)
-        return [("velocities", f"D = {words}, in this cell; {self.plateau.said(self.units)}")]
+        return [("velocities", self.diffusivity.in_words(self.units))]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
         panel.axhline(0.0, color="0.7", lw=0.8)
         self.draw_curves(panel, {"": self.vacf / self.vacf[0]}, "t", "⟨v(0) · v(t)⟩ / ⟨v²⟩")
-        last = max(self.plateau.window[1], float(self.times[min(15, len(self.times) - 1)]))
+        last = np.fmax(self.diffusivity.window[1], self.times[min(15, len(self.times) - 1)])
         panel.set(xlim=(0.0, last * self.units.to_picosecond or None))

@@ -18,6 +18,7 @@ from minimd.core.structure.statistics import spread
 from minimd.core.structure.units import UnitSystem
 from minimd.observers.accumulator import Accumulator, BlockedSums
 from minimd.observers.correlator import MultipleTau
+from minimd.observers.diffusion import LONGEST
 
 Array = NDArray[np.float64]
 SLOWER = 1.5  # S: ratio of the slowest correlation time to the mean time of the integral; Wolff's value
@@ -79,13 +80,11 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
         chosen = values[..., inside]
         return np.asarray(np.trapezoid(chosen, t) / (t[-1] - t[0]) if t[-1] > t[0] else chosen.mean(axis=-1))
 
-    error = float(spread(mean(without))) if len(without) else np.nan
-    return Plateau(float(mean(integral)), error, (float(t[0]), float(t[-1])), is_reached)
+    return Plateau(float(mean(integral)), float(spread(mean(without))), (float(t[0]), float(t[-1])), is_reached)
 
 
 COUNT, TEMPERATURE, VOLUME, HEAD = 0, 1, 2, 3  # places in the sums, before those of the correlator
 LEVELS = "largest number of levels of the correlator"
-LONGEST = 0.25  # of the duration: longer lags have too few origins
 
 
 class TimeCorrelation(Accumulator):
@@ -137,6 +136,5 @@ class TimeCorrelation(Accumulator):
             return running_integral(times, law(sums))
 
         values, errors = self._estimate(times, longest, integral)
-        good, without = times <= max(longest, times[min(1, len(times) - 1)]), self.sums.replicas(integral)
-        without = without[:, good] if len(without) else np.zeros((0, good.sum()))
-        return values, errors, plateau(times[good], values[good], without)
+        good = times <= max(longest, times[min(1, len(times) - 1)])
+        return values, errors, plateau(times[good], values[good], self.sums.replicas(integral)[:, good])

@@ -353,6 +353,7 @@ class OfObservers(Section):
 ARGUMENTS: dict[Any, Any] = {  # of observers, by what they must be
     checked_count: PositiveInt, arguments.levels: PositiveInt, arguments.positive: Positive, arguments.identifier: str,
     arguments.axis_name: Annotated[str, one_of(arguments.AXES)],
+    arguments.particles: Annotated[str, one_of(arguments.PARTICLES)],
     arguments.interval: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)],
 }  # fmt: skip
 

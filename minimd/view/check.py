@@ -22,6 +22,7 @@ from minimd.core.structure.constraints import DistanceConstraints, lengths_of
 from minimd.core.structure.observables import Array, absolute_momentum, kinetic_energy, momentum
 from minimd.core.structure.system import System
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
+from minimd.observers.diffusion import SHORT
 
 # 2⁻²⁴, relative rounding of a velocity to float32, and therefore the largest error of a momentum relative to Σ|mv|
 SINGLE = 6e-8
@@ -29,7 +30,6 @@ KINETIC = 1e-6  # K is quadratic in velocities: its error is twice that rounding
 LENGTHS = 2.1e-7  # √12 times that rounding: a length depends on six rounded coordinates
 EXACT = 0.0
 OBSERVED = (*SERIES, "constraint_violation")
-ENOUGH_FRAMES = 20  # for a diffusion coefficient: its fit then has eight lags
 
 
 @dataclass(frozen=True)
@@ -184,10 +184,9 @@ def comparisons(made: RunUniverse, record: Record, found: list[Array], damaged: 
 
 
 def liquid(run: str | Path | RunUniverse) -> list[str]:
-    """Lines about a liquid that is periodic in all directions: the first peak of g(r), and D if there are enough frames
-    and the atoms have left their places.
+    """Lines about a liquid that is periodic in all directions: the first peak of g(r); D, or why it is not known, if
+    there are enough frames.
 
-    They have left them if they have moved by half the distance of neighbors within the window of the fit.
     run : a file, or its universe.  Raises as universe.
     """
     with universe_of(run) as made:
@@ -203,10 +202,9 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
         apart = np.linalg.norm(bonds, axis=1)
         inside = ", between bonded atoms" * bool((np.abs(apart - peak) < 0.1 * peak).any())
         lines = [f"g(r)           first peak at {peak:.3g} {system.units.length}{inside}"]
-        if contents.n_frames >= ENOUGH_FRAMES:
+        if contents.n_frames > 1:
             diffusion = diffusion_coefficient(made)
-            moved = float(diffusion.displacements[diffusion.lags <= diffusion.window[1]][-1]) ** 0.5
-            if moved > 0.5 * peak * system.units.to_angstrom:
+            if diffusion.result.diffusivity.state != SHORT:
                 slowed = ", slowed by the friction of Langevin dynamics" * (contents.method == LangevinBAOAB.name)
                 lines.append(f"diffusion      {diffusion}{slowed}")
     return lines

@@ -84,10 +84,12 @@ def test_restart_is_the_end_of_the_run_to_the_last_bit_and_series_share_one_step
 
 @pytest.mark.parametrize("n_steps", [20, 23])  # the end of the run is a frame, or lies beyond the last one
 def test_appended_run_continues_on_the_grid_of_the_first_one(tmp_path, n_steps):
-    path = tmp_path / "a.h5md"
+    path, called = tmp_path / "a.h5md", []
     simulation().run(n_steps, every=5, trajectory=path, store_forces=True)
-    record = resumed(path).run(until_step=n_steps + 20, every=5, trajectory=path, append=True)
+    look = [lambda sim: called.append(sim.step)]  # functions see the start, the file has it or does not want it
+    record = resumed(path).run(until_step=n_steps + 20, every=5, trajectory=path, append=True, observers=look)
     contents = read_file(path)
+    assert called == [n_steps, 25, 30, 35, 40] == record.step.tolist()
     assert contents.record.step.tolist() == [0, 5, 10, 15, 20, 25, 30, 35, 40]
     assert (np.diff(contents.record.time) > 0.0).all()
     assert contents.step == n_steps + 20

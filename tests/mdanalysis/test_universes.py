@@ -160,23 +160,21 @@ def test_universe_in_memory_is_that_of_the_file(path, units):
     assert ours == theirs
 
 
-@pytest.mark.parametrize(("distances", "every"), [(1e9, 1), pytest.param(2e3, 6, marks=pytest.mark.slow)])
-def test_radial_distribution_equals_counting_all_images(path, monkeypatch, distances, every):
+def test_radial_distribution_equals_counting_all_images(path):
     rng, n_atoms, n_frames, n_bins = np.random.default_rng(4), 24, 20, 6
     frames = [rng.uniform(-2.0, 2.0, (n_atoms, 3)) @ TURNED for _ in range(n_frames)]  # far outside of the cell too
     for positions in frames:
         positions[::2] = positions[1::2] + rng.normal(0.0, 0.6, (n_atoms // 2, 3))  # so that g(r) is not flat
-    monkeypatch.setattr("minimd.mdanalysis.universes.RDF_DISTANCES", distances)
     made = md.System(frames[0], masses=1.0, cell=SKEWED @ TURNED, units=ASE)
     r, g = radial_distribution(universe(written(path, made, frames)), n_bins)
     edges = np.linspace(1 / n_bins, 1.0, n_bins) * md.Cell.of(TURNED).heights.min() / 2
     images, counts = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), -1).reshape(-1, 3) @ TURNED, 0
-    for positions in frames:  # from every so manieth atom to all images of all atoms
-        apart = positions[None, :, :] - positions[::every][:, None, :]
+    for positions in frames:
+        apart = positions[None, :, :] - positions[:, None, :]
         apart -= np.round(apart @ np.linalg.inv(TURNED)) @ TURNED
         counts += np.histogram(np.linalg.norm(apart[:, :, None, :] + images, axis=-1), bins=edges)[0]
     shells = 4 / 3 * np.pi * np.diff(edges**3)
-    expected = counts / n_frames / (n_atoms / every) / (n_atoms - 1) * abs(np.linalg.det(TURNED)) / shells
+    expected = counts / n_frames / n_atoms / (n_atoms - 1) * abs(np.linalg.det(TURNED)) / shells
     np.testing.assert_allclose(r, 0.5 * (edges[1:] + edges[:-1]), rtol=1e-6)
     np.testing.assert_allclose(g, expected, rtol=0.01)  # float32 may put a pair on the edge of a bin to the other side
     assert expected[0] > 2.0 > expected[-1] > 0.5
@@ -184,13 +182,14 @@ def test_radial_distribution_equals_counting_all_images(path, monkeypatch, dista
 
 @UNITS
 def test_diffusion_of_a_random_walk_is_that_of_its_steps(path, units):
-    rng, n_atoms, n_frames, step = np.random.default_rng(6), 500, 50, 0.3
+    rng, n_atoms, n_frames, step = np.random.default_rng(6), 200, 200, 0.3
     walk = np.cumsum(rng.normal(0.0, step, (n_frames, n_atoms, 3)), axis=0)
     found = diffusion_coefficient(universe(written(path, md.System(walk[0], masses=1.0, cell=9.0, units=units), walk)))
     frame_time = 0.5 / (PER_PICOSECOND if units is ASE else 1.0)
     expected = pytest.approx(step**2 / 2.0 / frame_time, rel=0.05)  # <x²> = step² a frame = 2 D t; four standard errors
     assert found.coefficient == expected
-    assert found.window == pytest.approx((0.1 * 49 * frame_time, 0.5 * 49 * frame_time))
+    assert abs(found.coefficient - step**2 / 2.0 / frame_time) < 3.0 * found.error
+    assert found.window[1] <= 0.25 * 199 * frame_time * (1.0 + 1e-6)
     assert found.cm2_per_s == (None if units is LJ else pytest.approx(found.coefficient * 1e-16 / 1e-12))
     assert diffusion_coefficient(path, (0.0, 10 * frame_time)).coefficient == expected
 
@@ -198,25 +197,26 @@ def test_diffusion_of_a_random_walk_is_that_of_its_steps(path, units):
 def test_what_cannot_be_analyzed_is_refused(path, tmp_path):
     ten = written(path, md.System(np.eye(3)), [np.eye(3)] * 10)
     one, slab = written(tmp_path / "b.h5md", md.System(np.eye(3)), [np.eye(3)]), universe(simulation("slab"))
-    assert_answered(lambda: diffusion_coefficient(ten, (100.0, 200.0)), ValueError, "at least 3 lags")
+    assert_answered(lambda: diffusion_coefficient(ten, (100.0, 200.0)), ValueError, "a lag and its double", "200.0")
     assert_answered(lambda: diffusion_coefficient(one), ValueError, "at least 2 frames")
     assert_answered(lambda: radial_distribution(slab), ValueError, "periodic in all directions")
     assert_answered(lambda: universe(Frames()), ValueError, "empty")
 
 
-def test_displacement_of_unevenly_spaced_frames_is_that_of_their_times(path):
+def test_where_the_spacing_of_frames_changes_a_new_series_begins(path):
     steps, velocity = [0, 1, 2, 4, 8], np.outer([1.0, 0.0, -1.0], [0.1, 0.2, 0.2])
     written(path, md.System(np.eye(3), cell=9.0), [np.eye(3) + 0.5 * step * velocity for step in steps], steps)
     lags, squares = mean_square_displacement(path)
-    np.testing.assert_allclose(lags, 0.5 * np.array([0, 1, 2, 3, 4, 6, 7, 8]))
+    np.testing.assert_allclose(lags, 0.5 * np.array([0, 1, 2]))
     np.testing.assert_allclose(squares, 0.06 * lags**2, rtol=1e-6)
 
 
 @pytest.mark.slow
 def test_diffusing_liquid_is_told_with_its_peak_and_coefficient(path, tmp_path):
-    noise = np.random.default_rng(4).normal(0.0, 0.1, (20, 125, 3))
+    noise = np.random.default_rng(4).normal(0.0, 0.1, (100, 125, 3))
     first, second = liquid(written(path, md.System(SITES, cell=5.0), SITES + np.cumsum(noise, axis=0)))
     assert first.startswith("g(r)           first peak at ")
     assert second.startswith("diffusion      D = 0.0")  # D = 0.1² / (2 · 0.5)
-    (line,) = liquid(written(tmp_path / "still.h5md", md.System(SITES, cell=5.0), SITES + 0.1 * noise))
+    line, still = liquid(written(tmp_path / "still.h5md", md.System(SITES, cell=5.0), SITES + 0.1 * noise))
+    assert "D = " not in still
     assert float(line.split()[-2]) == pytest.approx(1.0, abs=0.03)  # σ, next neighbors of the crystal

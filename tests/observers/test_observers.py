@@ -180,7 +180,7 @@ def test_radial_distribution_of_a_crystal_counts_all_images(cell):
 @pytest.mark.parametrize("drift", [0.0, 1.0, -1.0])
 @pytest.mark.parametrize("growth", [1.0, 1.001])
 def test_free_atoms_move_as_their_velocities_say(growth, drift):
-    """⟨v²⟩ t² at every lag, also in a growing cell, relative to the center of mass; but a bath makes that thermal."""
+    """⟨v²⟩ t² at every lag, also in a growing cell, relative to the center of mass, also under a bath."""
     velocities = np.random.default_rng(2).normal(size=(20, 3))
     velocities -= velocities.mean(axis=0)
     system = md.System(np.zeros((20, 3)), velocities=velocities + drift, cell=50.0)
@@ -195,7 +195,7 @@ def test_free_atoms_move_as_their_velocities_say(growth, drift):
             sim.system.cell = md.Cell.of(growth * sim.system.cell.vectors)
             sim.positions[:] *= growth
         sim.positions[:] += 0.01 * (velocities + drift)
-    result, mean = looking.result(), ((velocities + min(drift, 0.0)) ** 2).sum(axis=1).mean()
+    result, mean = looking.result(), (velocities**2).sum(axis=1).mean()
     assert len(result.times) > 40
     np.testing.assert_allclose(result.msd, mean * result.times**2, rtol=1e-9, atol=1e-15)
 

@@ -409,9 +409,13 @@ class Engine:
         """Whether momentum is constant: no fixed atoms, no outside force, no bath of each atom, no counts_center."""
         return self._is_still_under(self.method)
 
+    @property
+    def moves_freely(self) -> bool:
+        """Whether nothing holds the center of mass: no fixed atoms, no outside force."""
+        return not (self.interactions.act_from_outside or self.constraint_set.n_fixed)
+
     def _is_still_under(self, method: Splitting) -> bool:
-        moves = self.counts_center or self.interactions.act_from_outside or self.constraint_set.n_fixed
-        return method.conserves_momentum and not moves
+        return method.conserves_momentum and self.moves_freely and not self.counts_center
 
     @property
     def reservoir_energy(self) -> float:

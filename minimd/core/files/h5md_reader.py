@@ -257,7 +257,7 @@ class H5MDContents(Displayed):
     too_long_a_step : the warning of a Report that the time step is too long, or empty.
     since : the first step from which on method, bath and state are those of one run; 0 for all of them.
     reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.
-    conserves_momentum : whether the run did.
+    conserves_momentum : whether the run did.  moves_freely : whether nothing held its center; false in older files.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
     observers : of minimd.observers, by name, in their state at the restart.  lacks_results : whether they have looked
         since their results were written, as in a killed run.
@@ -273,6 +273,7 @@ class H5MDContents(Displayed):
     method: str
     reservoir_energy: float
     conserves_momentum: bool
+    moves_freely: bool
     n_frames: int
     has_forces: bool
     title: str

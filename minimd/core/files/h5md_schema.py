@@ -200,6 +200,7 @@ METHOD: dict[str, tuple[Callable[[Engine], Any], Callable[[Any], Any]]] = {  # a
     # a seed may be larger than the integers of HDF5
     "parameters": (lambda of: json.dumps(of.method.parameters), json.loads),
     "conserves_momentum": (lambda of: of.conserves_momentum, bool),
+    "moves_freely": (lambda of: of.moves_freely, bool),
     "precision": (lambda of: of.interactions.options.precision, str),
     "skin": (
         lambda of: np.nan if of.interactions.options.skin is None else of.interactions.options.skin,

@@ -34,8 +34,12 @@ class Attached:
             raise ValueError(f"observers must have different names; {several}")
         self._engine = engine
         if not engine.is_as_left:  # the state was changed since the last run
-            for one in self.accumulators:
-                one.interrupt()
+            self.interrupt()
+
+    def interrupt(self) -> None:
+        """Atoms were moved: later looks are not correlated with earlier ones."""
+        for one in self.accumulators:
+            one.interrupt()
 
     def begin(self) -> None:
         """Look at the first state.  Raises ValueError if something cannot be observed."""

@@ -242,7 +242,7 @@ class Simulation(Closed, Displayed):
                 self.record = record = Record(self.system.units, len(self.system), first_h5md(trajectory))
                 guard.begin_run()
                 attached.begin()
-                self._observe([] if append and start % every else writers, attached.functions)
+                self._observe([] if append and start % every else writers, attached)
                 checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS
                 while engine.step < end:
                     next_look = engine.step + every - engine.step % every
@@ -254,7 +254,7 @@ class Simulation(Closed, Displayed):
                         guard.observe()  # before others look at what may have failed
                     guard.observing += attached.look()
                     if at == next_look:
-                        self._observe(writers, attached.functions)
+                        self._observe(writers, attached)
                     if monotonic() > checkpoint_due:
                         for writer in writers:
                             writer.checkpoint()
@@ -262,16 +262,18 @@ class Simulation(Closed, Displayed):
                 engine.leave()
         return record
 
-    def _observe(self, writers: Sequence[Writer], observers: Sequence[Callable]) -> None:
+    def _observe(self, writers: Sequence[Writer], attached: Attached) -> None:
         engine, frame = self.engine, self.guard.observe()
         if self.record is not None:
             self.record.append(frame)
         for writer in writers:
             writer.write(frame)
-        if observers:
+        if attached.functions:
             engine.leave()
+            cell = engine.system.cell
+            positions = engine.positions.copy()
             try:
-                for observer in observers:
+                for observer in attached.functions:
                     observer(self)
             finally:
                 if not engine.is_as_left:
@@ -280,6 +282,8 @@ class Simulation(Closed, Displayed):
                 later = f"{engine.method.name} can only take over in a new run"
                 raise ValueError(f"a thermostat cannot be switched on or off within a run; {later}")
             if not engine.is_as_left:
+                if engine.system.cell is cell and (positions != engine.positions).any():
+                    attached.interrupt()  # as when atoms were wrapped; observers know how a cell moves atoms
                 self.guard.forget()
                 engine.begin()
 

@@ -135,7 +135,7 @@ def replicas(estimate: Callable[[Array], Any], total: Array, parts: Array) -> Ar
     estimate : function of sums (n,), linear or not; returns a number or an array.  total : (n,).  parts : (K, n),
         of blocks of equal length.
     This is the jackknife: B. Efron, C. Stein, Ann. Statist. 9, 586 (1981)."""
-    return np.array([estimate(total - part) for part in parts], dtype=np.float64)
+    return np.array([estimate(total - part) for part in (0.0, *parts)], dtype=np.float64)[1:]  # (0, ...) without blocks
 
 
 def spread(without: Array) -> Array:

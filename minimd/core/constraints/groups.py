@@ -57,7 +57,8 @@ class Graph(NamedTuple):
 
 class Bodies(NamedTuple):
     """Bodies of atoms that constraints connect.
-    label : (N,) the body of each atom; an atom without constraints is a body.  last : (B,) the last atom of each body.
+    label : (N,) the body of each atom; an atom without constraints is a body.  last : (B,) the last atom of each body,
+        in the order of its pairs, which the numbers of atoms do not change.
     is_free : (B,) whether none of its atoms is held fixed, so that constraints do not change its momentum."""
 
     label: Ints
@@ -74,6 +75,7 @@ def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
     n_bodies, label = connected_components(coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n)), directed=False)
     last, is_free = np.zeros(n_bodies, dtype=np.int64), np.ones(n_bodies, dtype=bool)
     last[label] = np.arange(n)
+    last[label[pairs[:, 1]]] = pairs[:, 1]
     is_free[label[inverse_masses == 0.0]] = False
     return Bodies(label, last, is_free)
 

@@ -39,7 +39,7 @@ def test_each_scene_has_one_hash_however_its_atoms_are_numbered_wrapped_and_move
     run = Run(name)
     assert run.hash == HASHES[name]
     assert Run(name, np.random.default_rng(5).permutation(len(run.order))).hash == run.hash
-    if run.simulation.bonds is None:
+    if run.simulation.rigid_bonds is None:
         grid = run.simulation.engine.interactions.grid
         assert Run(name, moves=moves_of(name, grid), grid=grid).hash == run.hash
 

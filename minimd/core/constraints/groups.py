@@ -5,9 +5,10 @@ A solver is a function solver(first, last, *arguments) that treats components fi
 marker, a NamedTuple class that type_of(solver) ties to it, so that the next process finds the compiled kernel.
 
 Constraints that share an atom are coupled:  A_kl = (r_k · s_l) c_kl  with  c_kk = 1/m_i + 1/m_j, c_kl = ±1/m of the
-shared atom. In reverse Cuthill-McKee order the matrix of a chain is tridiagonal, that of a ring or a sheet has a narrow
-band, and that of a small cage is full. Elimination fills nothing outside the envelope, so one factorization serves them
-all. A. George, J. W. Liu, Computer Solution of Large Sparse Positive Definite Systems (1981), 4.
+shared atom. In the order of the distance from an end (and of the user, where that is the same) the matrix of a chain
+is tridiagonal, that of a ring or a sheet has a narrow band, and that of a small cage is full. Elimination fills
+nothing outside the envelope, so one factorization serves them all. A. George, J. W. Liu, Computer Solution of Large
+Sparse Positive Definite Systems (1981), 4.
 """
 
 from collections import defaultdict, namedtuple
@@ -57,7 +58,8 @@ class Graph(NamedTuple):
 
 class Bodies(NamedTuple):
     """Bodies of atoms that constraints connect.
-    label : (N,) the body of each atom; an atom without constraints is a body.  last : (B,) the last atom of each body.
+    label : (N,) the body of each atom; an atom without constraints is a body.  last : (B,) the last atom of each body,
+        in the order of its pairs, which the numbers of atoms do not change.
     is_free : (B,) whether none of its atoms is held fixed, so that constraints do not change its momentum."""
 
     label: Ints
@@ -74,6 +76,7 @@ def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
     n_bodies, label = connected_components(coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n)), directed=False)
     last, is_free = np.zeros(n_bodies, dtype=np.int64), np.ones(n_bodies, dtype=bool)
     last[label] = np.arange(n)
+    last[label[pairs[:, 1]]] = pairs[:, 1]
     is_free[label[inverse_masses == 0.0]] = False
     return Bodies(label, last, is_free)
 
@@ -81,22 +84,21 @@ def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
 def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
     """The graph of (K, 2) pairs of atoms, with (N,) 1/mass, zero for fixed atoms.  ids : (K,) numbers of the pairs."""
     from scipy.sparse import coo_array  # loaded only if there are constraints
-    from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
+    from scipy.sparse.csgraph import connected_components, dijkstra
 
     n = len(inverse_masses)
     apart = n + np.arange(pairs.size).reshape(-1, 2)  # a fixed atom does not couple its constraints
     bodies = np.where(inverse_masses[pairs] > 0.0, pairs, apart)
-    graph = coo_array((np.ones(len(pairs)), bodies.T), shape=(n + pairs.size,) * 2)
-    component = connected_components(graph, directed=False)[1]
     k, sides = np.repeat(np.arange(len(pairs)), 2), bodies.reshape(-1)
     incidence = coo_array((np.tile([-1.0, 1.0], len(pairs)), (k, sides)), shape=(len(pairs), n + pairs.size)).tocsr()
-    coupled = (incidence * np.concatenate([inverse_masses, np.zeros(pairs.size)])) @ incidence.T
-    band_order = reverse_cuthill_mckee(coupled.tocsr(), symmetric_mode=True).astype(np.int64)
-    label = component[bodies[band_order, 0]]
-    order = band_order[np.argsort(label, kind="stable")]
-    label = component[bodies[order, 0]]
+    coupled = ((incidence * np.concatenate([inverse_masses, np.zeros(pairs.size)])) @ incidence.T).tocsr()
+    label = connected_components(coupled)[1]
+    by_degree = np.lexsort((np.diff(coupled.indptr), label))
+    ends = by_degree[np.flatnonzero(np.diff(label[by_degree], prepend=-1))]
+    order = np.lexsort((-dijkstra(abs(coupled), unweighted=True, indices=ends, min_only=True), label))
+    label = label[order]
     starts = np.flatnonzero(np.diff(label, prepend=-1, append=label[-1] + 1))
-    matrix = coupled.tocsr()[order][:, order].tocoo()
+    matrix = coupled[order][:, order].tocoo()
     first, second = np.ascontiguousarray(pairs[order, 0]), np.ascontiguousarray(pairs[order, 1])
     return Graph(ids[order], first, second, _enveloped(pairs[order], inverse_masses, starts, matrix))
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from minimd.core.compiled.by_address import ByAddress
+from minimd.core.compiled.fixed_point import sum_in_any_order
 from minimd.core.compiled.kernels import DirectCalls, called_kernel
 from minimd.core.compiled.machine import EPS
 from minimd.core.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation
@@ -152,11 +153,11 @@ class ConstraintSolver:
 
     def virial(self, positions: Floats, velocities: Floats, forces: Floats) -> Floats:
         """W = Σ λ r_ij ⊗ r_ij of the constraint forces, (3, 3) [energy]. forces : (N, 3), all others."""
-        virial = np.zeros((3, 3))
+        shares = []
         for order, multipliers in self.multipliers(positions, velocities, forces * self.inverse_masses[:, None]):
             bonds = self.bonds(positions)[order]
-            virial += np.einsum("k,ki,kj->ij", multipliers, bonds, bonds)
-        return virial
+            shares.append(np.einsum("k,ki,kj->kij", multipliers, bonds, bonds))
+        return sum_in_any_order(np.concatenate(shares))
 
     def bonds(self, positions: Floats) -> Floats:
         """r_ij, (K, 3) [length]."""

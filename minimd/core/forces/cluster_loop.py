@@ -196,7 +196,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
     forces = sums.forces[arrays.domains.place[domain] * block :]
     nothing, zero = broadcast(0, load(forces, 0, lanes)), zeros(lanes)
     own_share, scale = 0.5 if sums.detail == PER_ATOM else 1.0, scale_of(steps, zero)
-    limit2, stops = limit_of(steps), rows.stops[rows.layers[0] - 1]
+    stops = rows.stops[rows.layers[0] - 1]
     energy = xx = yy = zz = yz = xz = xy = zero
     for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
         if rows.start[slot] == stops[slot] and not with_energy(sums):  # in a gas many rows are empty
@@ -240,7 +240,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
         forces[place] -= without_bias(total(fx), n_entries, lanes)
         forces[place + n_lanes] -= without_bias(total(fy), n_entries, lanes)
         forces[place + 2 * n_lanes] -= without_bias(total(fz), n_entries, lanes)
-        if lanes_beyond(size2, limit2):
+        if lanes_beyond(size2, steps):
             memory.is_out[domain] = 1
         if with_energy(sums) and (sums.detail == PER_ATOM or lane == n_lanes - 1):
             k = slot if sums.detail == PER_ATOM else APART * domain
@@ -391,18 +391,12 @@ def summed_squares(f, to, steps):
 
 
 @by_type
-def lanes_beyond(size2, limit2):
-    """The lanes, as bits, whose squares are beyond a limit or no numbers; none if nothing is limited: limit2 is ()."""
-    if not isinstance(limit2, types.Float):
-        return lambda size2, limit2: 0
+def lanes_beyond(size2, steps):
+    """The lanes, as bits, whose squares are beyond limit2 of Steps or no numbers; none without Steps."""
+    if not is_fixed(steps):
+        return lambda size2, steps: 0
     all_lanes = (1 << size2.lanes) - 1
-    return lambda size2, limit2: ~bits_from_mask(size2 <= limit2) & all_lanes
-
-
-@by_type
-def limit_of(steps):
-    """limit2 of Steps; () without them."""
-    return (lambda steps: steps.limit2) if is_fixed(steps) else lambda steps: ()
+    return lambda size2, steps: ~bits_from_mask(size2 <= steps.limit2) & all_lanes
 
 
 @scalar

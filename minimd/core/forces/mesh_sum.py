@@ -202,15 +202,10 @@ def charge_sum(
 
     Raises ValueError for a mesh in fixed-point arithmetic, or for an accuracy that no mesh reaches; and as WaveSum.
     """
-    n_waves = split.largest_wave**3 * abs(np.linalg.det(system.cell.lattice)) / (12.0 * pi**2)
-    too_many = n_waves > MOST_CELLS and method == "ewald"  # a mesh will do
-    wave_by_wave = (
-        np.inf
-        if too_many and not is_fixed
-        else 0.0
-        if is_fixed or method == "waves"
-        else PER_WAVE * len(system) * n_waves
-    )
+    n_waves = split.largest_wave**3 * (system.volume or 0.0) / (12.0 * pi**2)
+    wave_by_wave = PER_WAVE * len(system) * n_waves if n_waves <= MOST_CELLS else np.inf
+    if is_fixed or method == "waves":
+        wave_by_wave = 0.0
     times = {
         window: PER_SUM
         + PER_POINT * prod(shape_for(system, window))

@@ -7,6 +7,10 @@ has the same share. exp(i k·r) = X_a Y_b Z_c, of which a cell (a, b ≥ 0, c �
 waves for eight multiplications with an addition. Atoms are taken in blocks, whose X, Y, Z stay in the cache; each chunk
 of atoms has sums of its own, which are added in their order: the same bits for any number of threads.
 
+In fixed-point arithmetic products are rounded before they are added, so that S is the same for atoms in any order.
+Positions are counted from an atom that the other forces choose, see choose_atom, and wrapped: forces are the same for
+atoms that are numbered differently, wrapped, or moved together. The chosen atom also takes what is left of Σ F.
+
 P. P. Ewald, Ann. Phys. 369, 253 (1921); net charges: a uniform background, of energy −½ Q²/V ∫ S(r) d³r,
 Q = Σ q; the share of atom i is −½ q_i Q/V ∫ S(r) d³r.
 """
@@ -19,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
-from minimd.core.compiled.fixed_point import force_along, is_fixed
-from minimd.core.compiled.kernels import DirectCalls, by_type, called_kernel, scalar
+from minimd.core.compiled.fixed_point import force_along, on_grid, plus_rounded, rounder_for, sum_in_any_order
+from minimd.core.compiled.kernels import DirectCalls, called_kernel, scalar
 from minimd.core.compiled.program import GO_ON, Operation, n_chunks_of, operation
 from minimd.core.compiled.simd import broadcast, fma, load, store, total, zeros
 from minimd.core.compiled.simd.vector import count, lanes_for
@@ -30,6 +34,7 @@ from minimd.core.structure.system import System
 
 BLOCK = 128  # atoms whose tables are made at once
 MOST_SUMS = 16  # chunks of atoms, each with sums of its own
+CUT = 0.618  # of fractional coordinates: atoms are wrapped at a place where those of crystals are not
 MOST_CELLS = 100_000  # of four waves each: their sums take half a gigabyte
 ROOM = 1.2  # for waves that come when the cell becomes larger
 SIGNS = np.array([(1, 1, 1), (1, 1, -1), (1, -1, 1), (1, -1, -1)])  # of a, b, c, for the four waves of a cell
@@ -43,19 +48,32 @@ class Waves(
     ByAddress,
     namedtuple(
         "Waves",
-        "positions charges inverse sizes rows weights bends tables sums amplitudes totals rest forces steps detail "
-        "lanes",
+        "positions charges rounder lattice inverse chosen sizes rows weights bends tables sums amplitudes totals "
+        "rest forces steps detail lanes",
     ),
 ):
     """What the sum works on.
 
-    positions : (N, 3) [length].  charges : (N,) [√(energy · length)].  inverse : (3, 3) of the lattice [1/length].
+    positions : (N, 3) [length].  charges : (N,) [√(energy · length)].  rounder : see rounder_for; () without a grid.
+    lattice, inverse : (3, 3) [length], [1/length].  chosen : (1,) int, see choose_atom.
     sizes : (7,) int, see N_ROWS.  rows : (R, 4) int, cells of the same a and b.
     weights, bends : (C, 4) of L̂ and dL̂/dk², for the four waves of a cell.
     tables : (chunks, …) of the atoms of a block.  sums : (chunks, C · 8 · lanes).  amplitudes : (C, 8).
-    totals : (1, 7) output: energy and virial.  rest : (chunks, 3) int64, the sums of rounded impulses.
+    totals : (1, 7) output: energy and virial.  rest : (chunks, 3), the sums of forces.
     forces : (N, 3) output; int64 impulses in fixed-point arithmetic, where steps : Steps, else ().  detail : see term.
     """
+
+
+@called_kernel
+def choose_atom(waves, _chunk):
+    """The atom on which the other forces are largest along x; of those with equal forces its position decides."""
+    f, r = waves.forces, waves.positions
+    best = 0
+    for i in range(1, waves.charges.size):
+        if (f[i, 0], r[i, 0], r[i, 1], r[i, 2]) > (f[best, 0], r[best, 0], r[best, 1], r[best, 2]):
+            best = i
+    waves.chosen[0] = best
+    return GO_ON
 
 
 @called_kernel
@@ -78,14 +96,17 @@ def sum_waves(waves, chunk):
 @scalar
 def _fill_tables(waves, table, first, last):
     """q exp(2πi a s₁), exp(2πi b s₂), exp(2πi c s₃) of the atoms of a block, in fractional coordinates s."""
-    inverse, sizes, n_lanes = waves.inverse, waves.sizes, np.uintp(count(waves.lanes))
-    place = np.uintp(sizes[F])
+    lattice, inverse, sizes, n_lanes = waves.lattice, waves.inverse, waves.sizes, np.uintp(count(waves.lanes))
+    place, r, o = np.uintp(sizes[F]), waves.positions, np.uintp(waves.chosen[0])
     for k in range(BLOCK):
         i = np.uintp(min(first + k, last - 1))
-        x, y, z = waves.positions[i, 0], waves.positions[i, 1], waves.positions[i, 2]
+        x, y, z = r[i, 0] - r[o, 0], r[i, 1] - r[o, 1], r[i, 2] - r[o, 2]
+        for d in range(3):
+            cells = np.floor(x * inverse[0, d] + y * inverse[1, d] + z * inverse[2, d] + CUT)
+            x, y, z = x - cells * lattice[d, 0], y - cells * lattice[d, 1], z - cells * lattice[d, 2]
         for d in range(3):
             s = x * inverse[0, d] + y * inverse[1, d] + z * inverse[2, d]
-            table[place + np.uintp(d * BLOCK + k)] = 2.0 * pi * (s - np.floor(s + 0.5))
+            table[place + np.uintp(d * BLOCK + k)] = 2.0 * pi * s
         table[np.uintp(sizes[X] + k)] = waves.charges[i] if first + k < last else 0.0
     for d in range(3):
         begin, end = sizes[X + d], sizes[X + d + 1]
@@ -120,7 +141,7 @@ def _multiply(waves, table, row):
 @scalar
 def _add_cell(waves, table, sums, cell, c):
     """The products of X Y with Z_c, real and imaginary parts each with each, summed over the atoms of a block."""
-    lanes, n_lanes, block = waves.lanes, np.uintp(count(waves.lanes)), np.uintp(BLOCK)
+    lanes, n_lanes, block, rounder = waves.lanes, np.uintp(count(waves.lanes)), np.uintp(BLOCK), waves.rounder
     at, at_z = np.uintp(waves.sizes[XY]), np.uintp(waves.sizes[Z] + 2 * BLOCK * c)
     place = np.uintp(cell * SUMS) * n_lanes
     p_rc, p_is = load(sums, place, lanes), load(sums, place + n_lanes, lanes)
@@ -131,8 +152,10 @@ def _add_cell(waves, table, sums, cell, c):
         zc, zs = load(table, at_z + k, lanes), load(table, at_z + block + k, lanes)
         pr, pi_ = load(table, at + k, lanes), load(table, at + block + k, lanes)
         mr, mi = load(table, at + block + block + k, lanes), load(table, at + block + block + block + k, lanes)
-        p_rc, p_is, p_rs, p_ic = fma(pr, zc, p_rc), fma(pi_, zs, p_is), fma(pr, zs, p_rs), fma(pi_, zc, p_ic)
-        m_rc, m_is, m_rs, m_ic = fma(mr, zc, m_rc), fma(mi, zs, m_is), fma(mr, zs, m_rs), fma(mi, zc, m_ic)
+        p_rc, p_is = plus_rounded(pr, zc, p_rc, rounder), plus_rounded(pi_, zs, p_is, rounder)
+        p_rs, p_ic = plus_rounded(pr, zs, p_rs, rounder), plus_rounded(pi_, zc, p_ic, rounder)
+        m_rc, m_is = plus_rounded(mr, zc, m_rc, rounder), plus_rounded(mi, zs, m_is, rounder)
+        m_rs, m_ic = plus_rounded(mr, zs, m_rs, rounder), plus_rounded(mi, zc, m_ic, rounder)
     for part in (p_rc, p_is, p_rs, p_ic, m_rc, m_is, m_rs, m_ic):
         store(sums, place, part)
         place += n_lanes
@@ -166,7 +189,7 @@ def weigh_waves(waves, _chunk):
 
 @scalar
 def _added(waves, cell, part):
-    """One of the sums of a cell, of all chunks."""
+    """One of the sums of a cell, of all chunks [√(energy · length)]."""
     n_lanes, added = np.uintp(count(waves.lanes)), 0.0
     for chunk in range(waves.sums.shape[0]):
         added += total(load(waves.sums[chunk], np.uintp(cell * SUMS + part) * n_lanes, waves.lanes))
@@ -211,7 +234,7 @@ def push_atoms(waves, chunk):
                 f = 4.0 * pi * (inverse[d, 0] * fa + inverse[d, 1] * fb + inverse[d, 2] * fc)
                 g = force_along(f, 1.0, waves.steps)
                 waves.forces[np.uintp(i), d] += g
-                _keep_rest(waves, chunk, d, g)
+                waves.rest[chunk, d] += g
     return GO_ON
 
 
@@ -241,28 +264,12 @@ def _add_row(waves, table, row, k):
     store(table, at_f + block + block, fma(xr, pzi, xi * pzr) + fma(yr, mzi, yi * mzr) + fc)
 
 
-@by_type
-def _keep_rest(waves, chunk, d, g):
-    """rest += an impulse."""
-    if not is_fixed(waves.types[waves.fields.index("steps")]):
-        return lambda waves, chunk, d, g: None
-
-    def keep(waves, chunk, d, g):
-        waves.rest[chunk, d] += g
-
-    return keep
-
-
 @called_kernel
 def balance_impulses(waves, _chunk):
-    """The impulses of all waves add up to a few steps, left by rounding: the first atoms give back one each."""
-    for d in range(3):
-        rest = 0
-        for chunk in range(waves.rest.shape[0]):
-            rest += waves.rest[chunk, d]
-        step = 1 if rest > 0 else -1
-        for k in range(abs(rest)):
-            waves.forces[k % waves.charges.size, d] -= step
+    """The impulses of all waves add up to a few steps, left by rounding: the chosen atom gives them back."""
+    for chunk in range(waves.rest.shape[0]):
+        for d in range(3):
+            waves.forces[waves.chosen[0], d] -= waves.rest[chunk, d]
     return GO_ON
 
 
@@ -280,14 +287,18 @@ class ChargeSum(OwnTerm):
         self._charges, self._split, self._calls = charges, split, DirectCalls()
         self._n_chunks = min(n_chunks_of(len(charges)), MOST_SUMS)
         self._energy = -0.5 * split.at_zero * charges**2  # of each charge with its own smooth part
-        self._net = float(charges.sum())
-        self._inverse, self._totals = np.zeros((3, 3)), np.zeros((1, 7))
+        self._net = float(sum_in_any_order(charges))
+        self._lattice, self._inverse = np.zeros((2, 3, 3))
+        self._totals = np.zeros((1, 7))
         self._said = f"error of forces at most {split.bound:.1g} of their rms, or of that between neighbors"
 
     def _keep(self, system: System) -> None:
-        """Take the present cell."""
-        self._inverse[:] = system.cell.inverse
-        self._volume = float(abs(np.linalg.det(system.cell.lattice)))
+        """Take the present cell, without LAPACK, whose rounding depends on the processor."""
+        lattice = system.cell.lattice
+        normals = np.cross(lattice[[1, 2, 0]], lattice[[2, 0, 1]])
+        volume = float((lattice[0] * normals[0]).sum())
+        self._lattice[:] = lattice
+        self._inverse[:], self._volume = (normals / volume).T, abs(volume)
 
     def _of_atoms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Each atom's share of energy and virial, (N,) and (N, 6)."""
@@ -306,9 +317,12 @@ class ChargeSum(OwnTerm):
             target.virials[:] += virials
             target.virials[:, :3] += shares[:, None]
         else:
-            target.energies[0] += self._totals[0, 0] + self._energy.sum() + background
-            target.virials[0] += self._totals[0, 1:]
-            target.virials[0, :3] += background
+            totals = self._totals[0].copy()
+            totals[:4] += background
+            totals[0] += sum_in_any_order(self._energy)
+            totals = on_grid(totals, target.steps.energy if target.steps else 0.0)
+            target.energies[0] += totals[0]
+            target.virials[0] += totals[1:]
 
 
 class WaveSum(ChargeSum):
@@ -319,6 +333,7 @@ class WaveSum(ChargeSum):
     def __init__(self, system: System, charges: NDArray[np.float64], split: Split) -> None:
         super().__init__(system, charges, split)
         self._sizes, self._lanes = np.zeros(7, dtype=np.int64), lanes_for()
+        self._chosen = np.zeros(1, np.int64)
         rows, weights, bends = self._waves(system)
         room = int(ROOM * len(weights)) + 8
         self._rows, self._weights, self._bends = np.zeros((room, 4), np.int64), np.zeros((room, 4)), np.zeros((room, 4))
@@ -326,7 +341,6 @@ class WaveSum(ChargeSum):
         self._tables = np.zeros((self._n_chunks, self._room))
         self._sums = np.zeros((self._n_chunks, room * SUMS * self._lanes.size))
         self._amplitudes = np.zeros((room, AMPLITUDES))
-        self._rest = np.zeros((self._n_chunks, 3), dtype=np.int64)
         self._take(system, rows, weights, bends)
 
     @property
@@ -349,9 +363,13 @@ class WaveSum(ChargeSum):
 
     def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
-        where = system.positions, self._charges, self._inverse, self._sizes, self._rows, self._weights, self._bends
-        what = self._tables, self._sums, self._amplitudes, self._totals, self._rest, target.forces, target.steps
-        waves = Waves(*where, *what, target.detail, self._lanes)
+        rounder = rounder_for(self._charges) if target.steps else ()
+        rest = np.zeros_like(target.forces[: self._n_chunks])
+        where = system.positions, self._charges, rounder, self._lattice, self._inverse, self._chosen, self._sizes
+        what = self._rows, self._weights, self._bends, self._tables, self._sums, self._amplitudes, self._totals, rest
+        waves = Waves(*where, *what, target.forces, target.steps, target.detail, self._lanes)
+        if target.steps:
+            yield operation(self._calls, choose_atom, waves)
         yield operation(self._calls, sum_waves, waves, self._n_chunks)
         yield operation(self._calls, weigh_waves, waves)
         yield operation(self._calls, push_atoms, waves, self._n_chunks)
@@ -361,14 +379,14 @@ class WaveSum(ChargeSum):
     def _waves(self, system: System) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
         """rows, weights and bends for the present cell."""
         lattice, largest = system.cell.lattice, self._split.largest_wave
-        reciprocal = 2.0 * pi * system.cell.inverse
+        self._keep(system)
         ends = np.floor(largest * np.linalg.norm(lattice, axis=1) / (2.0 * pi))
         if (n := float(np.prod(ends + 1.0))) > MOST_CELLS:
             needs = f"needs some {2.0 * n:.1g} waves in this cell, but at most {2 * MOST_CELLS} are allowed"
             raise ValueError(f"cutoff of Coulomb must be larger; {self._split.cutoff:.3g} {needs}")
         most = ends.astype(np.int64)
         cells = np.stack(np.meshgrid(*(np.arange(n + 1) for n in most), indexing="ij"), axis=-1).reshape(-1, 3)
-        k2 = ((cells[:, None] * SIGNS @ reciprocal.T) ** 2).sum(axis=-1)  # (C, 4)
+        k2 = (np.einsum("csi,di->csd", cells[:, None] * SIGNS, 2.0 * pi * self._inverse) ** 2).sum(axis=-1)  # (C, 4)
         a, b, c = (cells[:, None, d] for d in range(3))
         is_new = (SIGNS[:, 1] > 0) | ((a > 0) & (b > 0))  # of ±b, and below of ±c, the same waves once
         is_new = is_new & ((SIGNS[:, 2] > 0) | ((c > 0) & ((a > 0) | (b > 0))))
@@ -381,8 +399,7 @@ class WaveSum(ChargeSum):
         rows = np.column_stack([cells[firsts, :2], np.cumsum(n_cells) - n_cells, n_cells])
         self._cells, counts, k2 = cells[kept], counts[kept], k2[kept]
         spectrum, bend = self._split.spectrum(np.where(counts, k2, 1.0))
-        volume = abs(np.linalg.det(lattice))
-        return rows, np.where(counts, spectrum, 0.0) / volume, np.where(counts, bend, 0.0) / volume
+        return rows, np.where(counts, spectrum, 0.0) / self._volume, np.where(counts, bend, 0.0) / self._volume
 
     def _places(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         """Where the tables X, Y, Z, XY and those of forces begin."""
@@ -393,7 +410,6 @@ class WaveSum(ChargeSum):
         """Write waves to memory that stays in its place."""
         self._rows[: len(rows)], self._weights[: len(weights)], self._bends[: len(bends)] = rows, weights, bends
         self._sizes[:] = len(rows), len(weights), *self._places(rows)
-        self._keep(system)
         self._positions = system.positions
 
     def _of_atoms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

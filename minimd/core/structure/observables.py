@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from minimd.core.compiled.fixed_point import on_grid
+from minimd.core.compiled.fixed_point import on_grid, sum_in_any_order
 from minimd.core.compiled.kernels import kernel, scalar
 from minimd.core.structure.checks import checked_count, checked_number
 from minimd.core.structure.vectors import Array
@@ -54,14 +54,14 @@ def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum:
 def center(vectors: Array, masses: Array, conserves_momentum: bool = True) -> Array:
     """What to subtract from positions or velocities: Σ m r / Σ m if leaves_out_center, else 0; (3,)."""
     if leaves_out_center(len(masses), conserves_momentum):
-        return np.asarray(momentum(vectors, masses) / masses.sum())
+        return np.asarray(momentum(vectors, masses) / sum_in_any_order(masses))
     return np.zeros(3)
 
 
 def thermal_energy(kinetic: float, drift: Array, masses: Array) -> float:
     """½ Σ m (v − V)² = K − ½ V² Σ m [energy]; 0 if what is left of K is only rounding.  drift : V,
     center of velocities."""
-    left = kinetic - 0.5 * float(masses.sum()) * float(drift @ drift)
+    left = kinetic - 0.5 * float(sum_in_any_order(masses)) * float((drift * drift).sum())
     return 0.0 if left <= AT_REST * kinetic else left
 
 

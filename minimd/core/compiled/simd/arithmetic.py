@@ -67,7 +67,7 @@ def _choose(_context, mask, a, b):
 
 def select(mask, a, b):
     """Lane by lane: a where the mask is set, b elsewhere; one of them may be a number. a if mask else b for a bool."""
-    return a if mask else b
+    return np.where(mask, a, b)
 
 
 @overload(select)

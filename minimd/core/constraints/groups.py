@@ -5,10 +5,10 @@ A solver is a function solver(first, last, *arguments) that treats components fi
 marker, a NamedTuple class that type_of(solver) ties to it, so that the next process finds the compiled kernel.
 
 Constraints that share an atom are coupled:  A_kl = (r_k · s_l) c_kl  with  c_kk = 1/m_i + 1/m_j, c_kl = ±1/m of the
-shared atom. In the order of the distance from an end (and of the user, where that is the same) the matrix of a chain
-is tridiagonal, that of a ring or a sheet has a narrow band, and that of a small cage is full. Elimination fills
-nothing outside the envelope, so one factorization serves them all. A. George, J. W. Liu, Computer Solution of Large
-Sparse Positive Definite Systems (1981), 4.
+shared atom. In the order of the distance to an end, the farthest first (of the user where it is the same, the last
+first), the matrix of a chain is tridiagonal, that of a ring or a sheet has a narrow band, and that of a small cage is
+full. Elimination fills nothing outside the envelope, so one factorization serves them all. A. George, J. W. Liu,
+Computer Solution of Large Sparse Positive Definite Systems (1981), 4.
 """
 
 from collections import defaultdict, namedtuple
@@ -95,7 +95,7 @@ def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
     label = connected_components(coupled)[1]
     by_degree = np.lexsort((np.diff(coupled.indptr), label))
     ends = by_degree[np.flatnonzero(np.diff(label[by_degree], prepend=-1))]
-    order = np.lexsort((-dijkstra(abs(coupled), unweighted=True, indices=ends, min_only=True), label))
+    order = np.lexsort((dijkstra(abs(coupled), unweighted=True, indices=ends, min_only=True), -label))[::-1]
     label = label[order]
     starts = np.flatnonzero(np.diff(label, prepend=-1, append=label[-1] + 1))
     matrix = coupled[order][:, order].tocoo()

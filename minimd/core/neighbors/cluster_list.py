@@ -109,7 +109,7 @@ class ClusterList(VerletList):
     def ready(self, positions: Array, cell: Cell) -> None:
         """See VerletList: memory; without a list of this cell, the operations build one."""
         of = (self._cell, None if self._columns_of is None else self._columns_of[0])
-        if not all(one is not None and cell.same_as(one) for one in of):
+        if not all(one is cell or (one is not None and cell.same_as(one)) for one in of):
             self._take(positions, cell)
         elif positions is not self._positions:
             self._positions = positions

@@ -42,8 +42,17 @@ class LammpsProgram:
         if processes > 1 and self.mpiexec is None:
             raise FileNotFoundError(f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, "
                                     "or use processes=1")  # fmt: skip
-        start = [str(self.mpiexec), "-n", str(processes)] if processes > 1 else []
-        return [*start, str(self.lmp), "-in", script, "-log", log, "-screen", "none", "-nocite"]
+        return [
+            *([str(self.mpiexec), "-n", str(processes)] if processes > 1 else []),
+            str(self.lmp),
+            "-in",
+            script,
+            "-log",
+            log,
+            "-screen",
+            "none",
+            "-nocite",
+        ]
 
 
 def environment() -> dict[str, str]:

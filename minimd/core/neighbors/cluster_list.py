@@ -264,8 +264,9 @@ class ClusterList(VerletList):
         n_clusters = (self._n_atoms + n_columns * (n_lanes - 1)) // n_lanes
         heights = (np.float64, (n_clusters,))
         boxes = (np.float64, (n_clusters, 6))
-        search = heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows)
-        ((bottom, top, boxes_now, *for_search),) = memory.overlaid("scratch", search, spare=spare)
+        ((bottom, top, boxes_now, *for_search),) = memory.overlaid(
+            "scratch", (heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows)), spare=spare
+        )
         self._coordinates = memory.array("coordinates", np.float64, n_ghosts * n_block, spare=1.0)
         n_entries = max(int(self._entry_start[-1]), n_clusters * n_lanes * ENTRIES_GUESSED) + AHEAD
         sort = bins_for_sort(self._n_atoms, self._columns.counts)
@@ -285,11 +286,12 @@ class ClusterList(VerletList):
             (0.5 * self._widths) ** 2,
             self._layers,
         )
-        number = np.int64 if self._is_fixed else np.float64
         self.memory = ClusterMemory(
             self._coordinates,
             self._shifts,
-            memory.array("forces", number, n_forces * n_block, in_page=HALF_A_PAGE, spare=1.0),
+            memory.array(
+                "forces", np.int64 if self._is_fixed else np.float64, n_forces * n_block, in_page=HALF_A_PAGE, spare=1.0
+            ),
             memory.array("first sum", np.int64, n_in_windows if self._is_fixed else 0),
             self._far,
             np.zeros(self.n_domains * self._is_fixed, dtype=np.int64),

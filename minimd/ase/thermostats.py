@@ -58,8 +58,9 @@ class Noisy(MolecularDynamics):
         if self._seed is None:
             drawn = np.asarray(self._rng.standard_normal(size=4), dtype=float)
             self.comm.broadcast(drawn, 0)
-            words = np.random.SeedSequence(drawn.view(np.uint32).tolist()).generate_state(4)
-            self._seed = int.from_bytes(words.tobytes(), "little")
+            self._seed = int.from_bytes(
+                np.random.SeedSequence(drawn.view(np.uint32).tolist()).generate_state(4).tobytes(), "little"
+            )
         return self._seed
 
 

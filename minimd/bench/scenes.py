@@ -214,8 +214,10 @@ def _triangles(n: int) -> md.System:
 
 def _rigid_triangles(system: md.System) -> md.DistanceConstraints:
     third = system.bonds[:, 1].reshape(-1, 2)
-    lengths = np.repeat([1.0, 2.0 * np.sin(0.5 * TRIANGLE_ANGLE)], [len(system.bonds), len(third)])
-    return md.DistanceConstraints(np.concatenate([system.bonds, third]), lengths)
+    return md.DistanceConstraints(
+        np.concatenate([system.bonds, third]),
+        np.repeat([1.0, 2.0 * np.sin(0.5 * TRIANGLE_ANGLE)], [len(system.bonds), len(third)]),
+    )
 
 
 def _lj(cutoff: float = CUTOFF, truncation: TruncationName = "shifted", scale=(1.0, 1.0, 1.0)):
@@ -302,8 +304,9 @@ def _water(name: str, n: int) -> BenchScene:
     text = (f"Rigid SPC/E water: 298 K, measured errors of the forces of charges of at most {WATER[name]:g} of "
             "their rms, both laws cut at the one of 8, 9, 10 and 12 Å with which an engine is fastest, Δt 2 fs, "
             "NVE")  # fmt: skip
-    step = md.VelocityVerlet(2.0 * md.units.fs)
-    scene = BenchScene(name, text, system, tuple(potentials), 298.0, (rigid,), step, error=WATER[name])
+    scene = BenchScene(
+        name, text, system, tuple(potentials), 298.0, (rigid,), md.VelocityVerlet(2.0 * md.units.fs), error=WATER[name]
+    )
     return scene.cut(scene.law.cutoff, scene.error)
 
 

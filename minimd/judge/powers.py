@@ -42,8 +42,9 @@ def powers_of(values: Array, r: Array) -> Powers | None:
             sizes = np.linalg.norm(matrix, axis=0)
             found = np.linalg.lstsq(matrix / sizes, values * weights, rcond=None)[0] / sizes
             if np.abs(values * weights - matrix @ found).max() < FITTED:
-                terms = zip(n[::-1], map(float, found[:count][::-1]), strict=True)
-                return Powers(dict(terms), float(found[-1]) * constant)
+                return Powers(
+                    dict(zip(n[::-1], map(float, found[:count][::-1]), strict=True)), float(found[-1]) * constant
+                )
     return None
 
 

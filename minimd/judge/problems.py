@@ -5,9 +5,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from minimd.core.structure.observables import Array
-
+Array = NDArray[np.float64]
 Function = Callable[..., Any]  # a student's
 # k and g for N particles
 STIFFNESS = 0.25

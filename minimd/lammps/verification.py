@@ -167,8 +167,14 @@ def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> V
         rows.append([whole, *(_largest(found - known) / most for known, found, most in kinds)])
         atoms.append(longest(there.forces - here.forces)[0])
     whole, energies, forces, virials = np.max(rows, axis=0).tolist()
-    scale = max(float(np.abs(ours[0].energies).sum()), PART * float(np.abs(ours[1].energies).sum()))
-    return Verification(whole, energies, forces, virials, int(atoms[np.argmax(rows, axis=0)[2]]), scale)
+    return Verification(
+        whole,
+        energies,
+        forces,
+        virials,
+        int(atoms[np.argmax(rows, axis=0)[2]]),
+        max(float(np.abs(ours[0].energies).sum()), PART * float(np.abs(ours[1].energies).sum())),
+    )
 
 
 def _largest(numbers: Array) -> float:

@@ -166,8 +166,12 @@ def _nonbonded(
     sigma = np.where(is_well, NM * sigma, 1.0)
     numbers = ASE.coulomb * product, np.full_like(product, LARGEST), KJ * epsilon * is_well, sigma
     if (acts := is_well | (product != 0.0)).any():
-        law = ChargedLaw(LennardJonesLaw(), CoulombLaw(NO_REST))  # without a cutoff
-        potentials.append(BondPotential(law, [one[acts] for one in numbers], pairs[acts]))
+        # without a cutoff
+        potentials.append(
+            BondPotential(
+                ChargedLaw(LennardJonesLaw(), CoulombLaw(NO_REST)), [one[acts] for one in numbers], pairs[acts]
+            )
+        )
     return potentials
 
 

@@ -109,7 +109,7 @@ class ClusterList(VerletList):
     def ready(self, positions: Array, cell: Cell) -> None:
         """See VerletList: memory; without a list of this cell, the operations build one."""
         of = (self._cell, None if self._columns_of is None else self._columns_of[0])
-        if not all(one is not None and cell.same_as(one) for one in of):
+        if not all(one is cell or (one is not None and cell.same_as(one)) for one in of):
             self._take(positions, cell)
         elif positions is not self._positions:
             self._positions = positions
@@ -264,8 +264,9 @@ class ClusterList(VerletList):
         n_clusters = (self._n_atoms + n_columns * (n_lanes - 1)) // n_lanes
         heights = (np.float64, (n_clusters,))
         boxes = (np.float64, (n_clusters, 6))
-        search = heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows)
-        ((bottom, top, boxes_now, *for_search),) = memory.overlaid("scratch", search, spare=spare)
+        ((bottom, top, boxes_now, *for_search),) = memory.overlaid(
+            "scratch", (heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows)), spare=spare
+        )
         self._coordinates = memory.array("coordinates", np.float64, n_ghosts * n_block, spare=1.0)
         n_entries = max(int(self._entry_start[-1]), n_clusters * n_lanes * ENTRIES_GUESSED) + AHEAD
         sort = bins_for_sort(self._n_atoms, self._columns.counts)
@@ -285,11 +286,12 @@ class ClusterList(VerletList):
             (0.5 * self._widths) ** 2,
             self._layers,
         )
-        number = np.int64 if self._is_fixed else np.float64
         self.memory = ClusterMemory(
             self._coordinates,
             self._shifts,
-            memory.array("forces", number, n_forces * n_block, in_page=HALF_A_PAGE, spare=1.0),
+            memory.array(
+                "forces", np.int64 if self._is_fixed else np.float64, n_forces * n_block, in_page=HALF_A_PAGE, spare=1.0
+            ),
             memory.array("first sum", np.int64, n_in_windows if self._is_fixed else 0),
             self._far,
             np.zeros(self.n_domains * self._is_fixed, dtype=np.int64),

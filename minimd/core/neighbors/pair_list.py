@@ -57,12 +57,12 @@ class PairList(VerletList):
         """See VerletList: what is_in_reach needs."""
         if positions is not self.reach.positions:
             self.reach = self.reach._replace(positions=positions)
-        is_same = self._cell is not None and cell.same_as(self._cell)
+        is_same = cell is self._cell or (self._cell is not None and cell.same_as(self._cell))
         self.reach.limit2[0] = self.limit2 if is_same else NEVER
 
     def update(self, positions: Array, cell: Cell) -> bool:
         """See VerletList."""
-        is_same = self._cell is not None and cell.same_as(self._cell)
+        is_same = cell is self._cell or (self._cell is not None and cell.same_as(self._cell))
         if is_same and not any_moved(positions, self._reference, self.limit2):
             return False
         self._cell = None  # no list until the new one is whole

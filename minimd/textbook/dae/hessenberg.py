@@ -337,8 +337,9 @@ class Mechanical(Hessenberg):
             return super().constraint(k, t, *parts)
         q, v, _ = parts
         q_second = self._highest_derivative(t, *parts)
-        turning = time_derivative(lambda e: self.g(t + e, q + e * v), 2, unit_of_time(q, v, q_second))
-        return self.jacobian(t, q) @ q_second + turning
+        return self.jacobian(t, q) @ q_second + time_derivative(
+            lambda e: self.g(t + e, q + e * v), 2, unit_of_time(q, v, q_second)
+        )
 
     def mass(self, q: Array) -> Array:
         """M(q), (n, n)."""

@@ -125,8 +125,9 @@ def projected(problem: Holonomic, q0: Array, q: Array, iteration: Iteration | No
     residual = lambda x: problem.violation(q + directions @ x)  # noqa: E731
     jacobian = lambda x: problem.jacobian(q + directions @ x) @ directions  # noqa: E731
     solve = (iteration or problem.solver.iteration()).solve
-    scale = np.abs(q).max() / np.abs(directions).max()
-    return q + directions @ solve(residual, np.zeros(directions.shape[1]), jacobian, scale=scale)
+    return q + directions @ solve(
+        residual, np.zeros(directions.shape[1]), jacobian, scale=np.abs(q).max() / np.abs(directions).max()
+    )
 
 
 def tangent(problem: Holonomic, q: Array, v: Array) -> Array:

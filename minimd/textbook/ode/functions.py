@@ -172,8 +172,7 @@ def derivative(function: Map, given: Map | None, x: Array) -> Array:
 def error_of_differences(function: Map, x: Array) -> float:
     """Relative error of accurate_differences, estimated from those with half the spacing."""
     wide = accurate_differences(function, x)
-    narrow = accurate_differences(function, x, 0.5)
-    return float(np.abs(wide - narrow).max() / (np.abs(wide).max() or 1.0))
+    return float(np.abs(wide - accurate_differences(function, x, 0.5)).max() / (np.abs(wide).max() or 1.0))
 
 
 def remark_on_differences(function: Map, given: Any, x: Array) -> str:

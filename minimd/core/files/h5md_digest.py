@@ -212,11 +212,14 @@ def restore_observers(h5: h5py.File, file: str | Path, restart: Restart, observe
     known, states = h5.get(OBSERVERS, {}), restart.states()
     for one in observers:
         if one.name in known:
-            if (was := json.loads(known[one.name].attrs["arguments"])) != json.loads(json.dumps(one.made_with())):
+            was = json.loads(known[one.name].attrs["arguments"])
+            now = json.loads(json.dumps(one.made_with()))
+            state = states.get(one.name, {})
+            if was != now and one.can_restore(state):  # else restore tells of its convention
                 holds = f"file {str(file)!r} holds the observer {one.name} with the arguments {was}"
                 raise ValueError(f"{holds}; use the same arguments, or pass another name=")
             if not one.n_looks:
-                one.restore(states.get(one.name, {}))
+                one.restore(state)
     if left := set(known) - {one.name for one in observers}:
         words = f"file {str(file)!r} holds the observers {listed(sorted(left))}, which this run does not continue"
         warn(f"{words}; to continue them, pass them as observers=[...]")

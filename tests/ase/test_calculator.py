@@ -173,7 +173,7 @@ def langevin(atoms=None, rng=1, **options):
 
 PLANE, SPRING = FixedPlane(0, (0, 0, 1)), Hookean(0, 1, 5.0, 1.0)
 test_wrong_calls_are_answered = pytest.mark.filterwarnings("ignore")(answered(
-    (lambda: md.System.from_ase([[0.0, 0.0, 0.0]]), TypeError, "ase.Atoms", "list"),
+    (lambda: md.System.from_ase([[0.0, 0.0, 0.0]]), TypeError, "ase.Atoms", "[[0.0, 0.0, 0.0]]"),
     (lambda: ours.system_from_atoms(held(PLANE)), ValueError, "atoms.constraints", "FixedPlane"),
     (lambda: ours.VelocityVerlet(held(SPRING), TIMESTEP).run(1), ValueError, "atoms.constraints", "Hookean"),
     (lambda: ours.VelocityVerlet(argon(1), TIMESTEP).step(), RuntimeError, "atoms.calc", "no calculator"),

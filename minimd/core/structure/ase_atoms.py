@@ -34,7 +34,7 @@ def system_arguments(atoms: Atoms, bonds: Given = None, constraints: bool = True
     constraints : True to take those of the atoms; False if the caller handles them.
     Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, and as
     joined_in."""
-    checked_kind("system", atoms, Atoms, "a minimd System or an ase.Atoms")
+    checked_kind("atoms", atoms, Atoms, "an ase.Atoms or, as system, a minimd System")
     found = joined_in(atoms) if bonds is None else None
     velocities, masses = atoms.get_velocities(), atoms.get_masses()
     if constraints and fixes_center(atoms):

@@ -32,6 +32,7 @@ from minimd.core.simulation.simulation import Simulation
 from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
+from minimd.observers.arguments import interval
 from minimd.observers.motion import DisplacementResult, molecules_of
 from minimd.observers.viscosity import ViscosityResult
 
@@ -432,7 +433,7 @@ def diffusion_coefficient(
         looking = observers.MeanSquareDisplacement(every=1, n_levels=MSD_LEVELS, most_atoms=MSD_ATOMS, of=of, name="")
         _observed(looking, made, MSD_FRAMES)
         if window is not None:
-            start, end = window
+            start, end = interval("window", window)
             per_time = made.system.units.to_picosecond
             window = (start / per_time, end / per_time)
         return Diffusion(looking.result(window, viscosity))

@@ -22,7 +22,7 @@ from minimd.core.structure.constraints import DistanceConstraints
 from minimd.core.structure.observables import center
 from minimd.core.structure.system import System
 from minimd.observers.accumulator import ObservedRun, Result, Series, State
-from minimd.observers.arguments import ATOMS, MOLECULES, argument, label, levels, particles, steps
+from minimd.observers.arguments import ATOMS, MOLECULES, argument, interval, label, levels, particles, steps
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
 from minimd.observers.diffusion import Diffusivity, diffusion_words, diffusivity
 from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, TimeCorrelation, running_integral
@@ -53,7 +53,10 @@ def finite_size_correction(thermal_energy: float, viscosity: float, edge: float)
 
     thermal_energy : k_B T [energy].  viscosity : η [energy time/length³].  edge : L [length].
     I.-C. Yeh, G. Hummer, J. Phys. Chem. B 108, 15873 (2004); B. Dünweg, K. Kremer, J. Chem. Phys. 99, 6983 (1993).
-    """
+    Raises ValueError for a number out of range."""
+    checked_number("thermal_energy", thermal_energy, "finite and not negative")
+    checked_number("viscosity", viscosity, "positive and finite")
+    checked_number("edge", edge, "positive and finite")
     return XI * thermal_energy / (6.0 * np.pi * viscosity * edge)
 
 
@@ -261,6 +264,8 @@ class MeanSquareDisplacement(_OfAtoms):
         Raises ValueError before the first look, for a window without an octave of lags, or if a viscosity is given and
         the cell is not cubic.
         """
+        if window is not None:
+            interval("window", window)
         scene = self.answered()
         seen, times, longest = self._seen()
         law = self._means(seen)

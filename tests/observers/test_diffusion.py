@@ -271,7 +271,10 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize("scene", SCENES)
+FAST = ("NPT, triclinic", "fixed atoms", "rigid mixture, NPT")
+
+
+@pytest.mark.parametrize("scene", [pytest.param(one, marks=() if one in FAST else pytest.mark.slow) for one in SCENES])
 def test_file_and_observer_have_the_same_displacements_and_distances(scene, tmp_path):
     """Of the same frames; positions of MDAnalysis are in float32."""
     sim, file = SCENES[scene](), tmp_path / "a.h5md"

@@ -140,8 +140,10 @@ def adjoint(method: type[Splitting]) -> type[Splitting]:
 
     Raises
     ------
-    TypeError : for a method with a bath, which cannot be undone.
+    TypeError : for a method with a bath, which cannot be undone, or anything but a method.
     """
+    if not (isinstance(method, type) and issubclass(method, Splitting)):
+        raise TypeError(f"method must be a class, such as VelocityVerlet; method = {shown(method)}")
     _refuse_bath(method)
     return _method(f"adjoint({method.name})", mirrored(method.sequence()), f"adjoint of {method.name}: {method.source}")
 

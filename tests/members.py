@@ -1,5 +1,6 @@
 """Members of small ensembles, as functions that worker processes can import, and what may befall them."""
 
+import sys
 import time
 from functools import partial
 from pathlib import Path
@@ -24,6 +25,11 @@ def liquid(member, fate=None, law=None, **options):
     if fate is not None:
         fate(simulation, member)
     return simulation
+
+
+def leaves(_simulation, member):
+    if member.index == 1:
+        sys.exit(5)
 
 
 def melted(simulation, member):

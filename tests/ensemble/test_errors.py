@@ -9,7 +9,7 @@ from types import ModuleType
 
 import members
 import pytest
-from members import run
+from members import leaves, run
 from wrong_calls import assert_answered
 
 from minimd.ensemble.folder import EnsembleFolder, name_of
@@ -104,11 +104,6 @@ def test_a_lambda_is_known_by_its_own_code(tmp_path):
 @pytest.mark.parametrize("text", ["a.b", "=1", "a=", "a=1:2:0", "a=1:2:x", "a=2:1:1", "a=1:2:1e-9", "a=1:inf:1"])
 def test_settings_that_make_no_sense_are_refused(text):
     assert_answered(lambda: parsed_setting(text), ValueError, "--set", repr(text))
-
-
-def leaves(_simulation, member):
-    if member.index == 1:
-        sys.exit(5)
 
 
 @pytest.mark.parametrize("workers", [0, 1])

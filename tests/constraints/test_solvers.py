@@ -86,7 +86,9 @@ def test_constraint_forces_conserve_momenta_and_do_no_work_and_a_reversed_motion
     assert np.abs(motion.step(100).positions - start).max() < 1e-9  # rounding, amplified
 
 
-@pytest.mark.parametrize(("solver", "masses"), [("auto", OF_WATER), ("auto", [1.0, 16.0, 16.0]), *CASES])
+@pytest.mark.parametrize(
+    ("solver", "masses"), [("auto", OF_WATER), pytest.param("auto", [1.0, 16.0, 16.0], marks=pytest.mark.slow), *CASES]
+)
 def test_rounding_of_lengths_over_a_short_step_is_no_momentum(solver, masses):
     """What a solver leaves of the lengths, divided by Δt, acts on both atoms: 16,000 steps leave rounding alone."""
     motion = Motion((*water(64), np.tile(masses, 64)), solver, tangent=False)

@@ -54,7 +54,7 @@ def test_objects_travel_and_units_stay_the_same_object(way):
     assert WAYS[way](MINE) == MINE
 
 
-@pytest.mark.parametrize("way", [*WAYS, "file"])
+@pytest.mark.parametrize("way", ["pickle", pytest.param("copy", marks=pytest.mark.slow), "deepcopy", "file"])
 @pytest.mark.parametrize("scene", RUNS)
 def test_a_copy_of_a_simulation_and_one_from_its_file_make_the_steps_of_the_run_in_one(scene, way, tmp_path):
     (whole, one), file = (RUNS[scene]() for _ in range(2)), tmp_path / "a.h5md"

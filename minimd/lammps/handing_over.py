@@ -115,6 +115,7 @@ class HandOver(Displayed):
 
 def not_carried_over(simulation: Simulation) -> list[str]:
     """The promises of minimd that a run by LAMMPS does not keep, one sentence each."""
+    checked_kind("simulation", simulation, Simulation, "a Simulation")
     engine = simulation.engine
     method = simulation.method
     extra = engine.extra_observables

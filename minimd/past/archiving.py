@@ -9,7 +9,7 @@ from typing import Any
 from minimd.core.console.display import Displayed
 from minimd.core.files.trajectory import open_trajectories
 from minimd.core.simulation.resuming import Potentials
-from minimd.core.structure.checks import checked_count
+from minimd.core.structure.checks import checked_count, checked_path
 from minimd.past.past import Past, go_to
 
 
@@ -44,6 +44,7 @@ def archive(
     OSError as open_trajectories.
     """
     every, past = checked_count("every", every), Past(file, potentials)
+    out = checked_path("out", out)
     contents, steps = past.contents, past.contents.record.step
     kept = [k for k, step in enumerate(steps) if k == 0 or step % every == 0]
     if len(kept) > 1:
@@ -54,5 +55,5 @@ def archive(
         for k in kept:
             writer.write(go_to(simulation, file, contents, k))
         simulation.engine.go_on_from(contents.restart)
-    sizes = Path(file).stat().st_size, Path(out).stat().st_size
-    return Archive(Path(out), every, (len(steps), len(kept)), sizes)
+    sizes = Path(file).stat().st_size, out.stat().st_size
+    return Archive(out, every, (len(steps), len(kept)), sizes)

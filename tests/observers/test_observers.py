@@ -268,7 +268,9 @@ def test_the_correction_of_yeh_and_hummer(run):
     assert both.infinite - both.diffusion == pytest.approx(added * 2.0 / eta.viscosity)
     of_viscosity = added * 2.0 / eta.viscosity**2 * eta.viscosity_error
     assert both.infinite_error == pytest.approx(np.hypot(both.diffusion_error, of_viscosity))
-    assert_answered(lambda: looking.result(window=(0.1, 0.101)), ValueError, "window", "0.101")
+    wrong = {"0.101": (0.1, 0.101), "(0.2, 0.1)": (0.2, 0.1), "'early'": "early", "= 0.1": 0.1, "None": (0.1, None)}
+    for shown, value in wrong.items():
+        assert_answered(lambda value=value: looking.result(window=value), ValueError, "window", shown)
 
 
 def test_fluctuations_at_constant_pressure_are_those_of_the_record():

@@ -40,6 +40,7 @@ from minimd.core.potentials.term import (
     check_force,
 )
 from minimd.core.structure.cell import Images
+from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.errors import RangeError, why_not_compiled
 from minimd.core.structure.grid import TOO_LARGE, Grid, steps_of
 from minimd.core.structure.system import System, check_resolution
@@ -134,7 +135,8 @@ class Forces:
     def __init__(
         self, system: System, potentials: Potential | Sequence[Potential], options: Options | None = None
     ) -> None:
-        self.system, self.options = system, options or Options()
+        self.system = checked_kind("system", system, System, "a minimd System")
+        self.options = checked_kind("options", options, Options | None, "Options") or Options()
         self.pool = pool_for(self.options, len(system))
         self.potentials = as_potentials(potentials)
         self.terms: list[Term] = []

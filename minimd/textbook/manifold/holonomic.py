@@ -9,6 +9,8 @@ Symmetric sequences stay symmetric. Compositions of velocity Verlet, such as Yos
 have order 2 at most, because a constrained drift is not an exact flow: two of them in a row differ from a single one.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -16,7 +18,7 @@ from minimd.core.console.quiet import warn
 from minimd.core.integrators.method import Array
 from minimd.core.integrators.order_conditions import nystrom_order
 from minimd.core.integrators.substeps import Drift, Kick, Substeps, are_alike, repeated
-from minimd.core.structure.checks import checked_numbers
+from minimd.core.structure.checks import checked_kind, checked_numbers
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.ode.functions import Function, derivative, remark_on_differences, time_derivative, unit_of_time
 from minimd.textbook.ode.newton import Iteration, Newton
@@ -45,6 +47,7 @@ class Holonomic(SecondOrder):
     Raises
     ------
     ValueError : if f takes v, or constraints depend on each other at the start.
+    TypeError : if g or jacobian is no function.
     """
 
     drifts_on_lines = False
@@ -54,8 +57,8 @@ class Holonomic(SecondOrder):
         super().__init__(f, solver=solver)
         if "v" in self.f.takes:
             raise ValueError("a constrained step needs forces that do not depend on v; f takes v")
-        self._g = g
-        self._jacobian = jacobian
+        self._g = checked_kind("g", g, Callable, "a function g(q)")
+        self._jacobian = checked_kind("jacobian", jacobian, Callable | None, "a function of q")
         self._masses = checked_numbers("masses", masses, "numbers")
 
     def violation(self, q: Array) -> Array:

@@ -415,6 +415,7 @@ class DensityControl:
     Raises
     ------
     ValueError : if the density is not positive and finite, or max_steps is not a whole number, at least 1.
+    TypeError : if the rate is no function.
     """
 
     rate: Rate | None = None
@@ -422,6 +423,7 @@ class DensityControl:
     max_steps: int = 1_000_000
 
     def __post_init__(self) -> None:
+        checked_kind("rate", self.rate, Callable | None, "a function G(t, q, v)")
         checked_number("density", self.density, "positive and finite")
         checked_count("max_steps", self.max_steps)
 

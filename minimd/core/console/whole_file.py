@@ -16,7 +16,6 @@ try:
     import fcntl
 except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
-UNFINISHED = ".minimd-unfinished"  # end of temporary names, which no other program gives
 HAS_LOCKS = fcntl is not None  # where it has not, a file that is open cannot be renamed or removed
 
 IN_USE = (
@@ -29,7 +28,7 @@ UNLOCKABLE = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of
 
 
 def temporary(path: Path) -> Path:
-    """The name of a file that is not yet whole."""
+    """The name of a file that is not yet whole; no other program gives such a name."""
     return path.with_name(f"{path.name}.minimd-unfinished")
 
 

@@ -72,19 +72,23 @@ FIELDS = {
     "particles/trajectory/velocity/value": VECTORS,
     "particles/trajectory/force/value": VECTORS,
     "particles/trajectory/box/edges/value": TENSOR,
-    "observables/potential_energy/value": NUMBER,
-    "observables/kinetic_energy/value": NUMBER,
-    "observables/total_energy/value": NUMBER,
-    "observables/conserved_energy/value": NUMBER,
-    "observables/temperature/value": NUMBER,
-    "observables/pressure/value": NUMBER,
-    "observables/work/value": NUMBER,
-    "observables/volume/value": NUMBER,
-    "observables/momentum/value": VECTOR,
-    "observables/angular_momentum/value": VECTOR,
-    "observables/cell/value": TENSOR,
-    "observables/stress/value": TENSOR,
 }
+# observables of frames, by name
+OBSERVABLES = {
+    "potential_energy": NUMBER,
+    "kinetic_energy": NUMBER,
+    "total_energy": NUMBER,
+    "conserved_energy": NUMBER,
+    "temperature": NUMBER,
+    "pressure": NUMBER,
+    "work": NUMBER,
+    "volume": NUMBER,
+    "momentum": VECTOR,
+    "angular_momentum": VECTOR,
+    "cell": TENSOR,
+    "stress": TENSOR,
+}
+FIELDS |= {f"observables/{name}/value": field for name, field in OBSERVABLES.items()}
 
 
 def check_fields(values: Iterable[tuple[str, Any]], scene: h5py.Group) -> None:

@@ -186,7 +186,7 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
         user = os.geteuid() if hasattr(os, "geteuid") else now.st_uid
         if not now.st_uid == restart.st_uid == user:
             raise ValueError("this trajectory, or the .h5md file, belongs to another user")
-        if (now.st_ino, restart.st_ino) != (inode, own) or now.st_size < size:
+        if not (_has_inode(now, inode) and _has_inode(restart, own)) or now.st_size < size:
             raise ValueError("this trajectory, or the .h5md file, is a copy or was changed")
         if now.st_size == size:
             return ""
@@ -195,6 +195,11 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
         file.write(first)
         file.truncate(size)
     return f"was cut to {size} bytes, its size at the step from which the run goes on"
+
+
+def _has_inode(file: os.stat_result, inode: int) -> bool:
+    """Asked by name: the recorder of the tests answers for files that it has made again."""
+    return file.st_ino == inode
 
 
 def _has_grown(file: int, suffix: str, n_bytes: int, size: int, first: bytes, last: bytes) -> bool:

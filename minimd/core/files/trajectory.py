@@ -188,7 +188,7 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
             raise ValueError("this trajectory, or the .h5md file, belongs to another user")
         if not (_has_inode(now, inode) and _has_inode(restart, own)) or now.st_size < size:
             raise ValueError("this trajectory, or the .h5md file, is a copy or was changed")
-        if now.st_size == size:
+        if now.st_size == size and read_at(file.fileno(), N_FIRST, 0) == first[:size]:
             return ""
         if size < N_FIRST + N_LAST or not _has_grown(file.fileno(), suffix, now.st_size, size, first, last):
             raise ValueError("this trajectory was changed, or had too few bytes to tell whether the run has written it")
@@ -204,11 +204,11 @@ def _has_inode(file: os.stat_result, inode: int) -> bool:
 
 def _has_grown(file: int, suffix: str, n_bytes: int, size: int, first: bytes, last: bytes) -> bool:
     """Whether a file of n_bytes bytes begins with one of size bytes, whose first and last bytes are known, but for what
-    its format changes when frames are added."""
+    its format changes when frames are added; a power failure may have taken the frames themselves."""
     n_changed = sum(was != now for was, now in zip(first, read_at(file, N_FIRST, 0), strict=True))
     n, begin = _last_bytes(size)
     was, now = (np.frombuffer(part[:n] + bytes(-n % SLOT), "<u8") for part in (last, read_at(file, n, begin)))
-    names_later_frame = (suffix == ".traj") & (was == 0) & (now >= size) & (now < n_bytes)
+    names_later_frame = (suffix == ".traj") & (was == 0) & (now >= size) & (now < n_bytes + size)
     return n_changed <= COUNTERS and bool(((was == now) | names_later_frame).all())
 
 

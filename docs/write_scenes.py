@@ -61,6 +61,13 @@ MEANINGS = {
         "species": "a label for each atom; by default those of the file, or the element",
         "charges": "charges [e] of all atoms, or of species, `{ Na = 1.0, Cl = -1.0 }`; instead of those of the file",
         "format": 'format of `file`, such as `"lammps-data"`, if the suffix does not show it',
+        "masses": (
+            "masses [u, or reduced] of atoms whose file does not state them: one for all, a list, or by names of atoms "
+            "or types, `{ W = 72.0 }`"
+        ),
+        "elements": 'elements of atoms, in place of those guessed from their names: a list, or `{ NA = "N" }`',
+        "atom_style": 'LAMMPS\' atom style of a data file that does not name it, such as `"full"`',
+        "lammps_units": 'LAMMPS\' units of a file that does not state them: `"real"`, `"metal"`, `"lj"`',
         "bonds": (
             'pairs of atoms; or `"file"`: the bonds, angles and dihedrals of `file`; or the name of another file with '
             "bonds; charges of that file are used if `file` has none"
@@ -70,7 +77,10 @@ MEANINGS = {
         "model": "model; its parameters are in the table of [water](water.md)",
         "molecules": "number of molecules; the atoms of each are O, H, H",
         "density": "density, which determines the edge of the cubic cell",
-        "cutoff": "cutoff of Lennard-Jones and charges; if not given, 9 Å, or 0.45 of a shorter edge, with a warning",
+        "cutoff": (
+            "cutoff of Lennard-Jones and charges; if not given, 9 Å, or 0.45 of a shorter edge, with a warning, unless "
+            "the atoms are those of a file"
+        ),
         "accuracy": "accuracy of the forces of charges, see the potential `coulomb`",
         "seed": "seed of the orientations",
     },
@@ -204,10 +214,12 @@ NOTES = {
         "`element`, unless units are reduced."
     ),
     "water": (
-        "Rigid water, instead of `[structure]`: atoms, charges, potentials and constraints of a water model, as "
-        "`md.water` makes them. Further potentials may be added. `[water]` alone makes 512 molecules of SPC/E. "
-        "The molecules stand on a lattice, with random orientations: add a `[minimization]`, and an `[equilibration]` "
-        "or a thermostat. Units must be ASE's, and `[constraints]` must not have `pairs`."
+        "Rigid water: charges, potentials and constraints of a water model, as `md.water` makes them. Further "
+        "potentials may be added. Units must be ASE's, and `[constraints]` must not have `pairs`.\n\n"
+        "Beside `[structure]` with `file`, the atoms are those of the file, O and H in any order: see "
+        "[water of a file](water.md#water-of-a-file). Then leave out `molecules`, `density`, `seed`, and `bonds` and "
+        "`charges` of the structure. Without `[structure]`, `[water]` alone makes 512 molecules of SPC/E. They stand "
+        "on a lattice, with random orientations: add a `[minimization]`, and an `[equilibration]` or a thermostat."
     ),
     "constraints": "Optional. Constraints that are not given here are those of the structure file.",
     "potential, lennard-jones": (

@@ -12,9 +12,11 @@ from ase.calculators.calculator import external_calculators
 from minimd.ase.calculator import Calculator
 from minimd.ase.dynamics import VelocityVerlet
 from minimd.ase.thermostats import Andersen, Bussi, Langevin, LangevinBAOAB, NoseHooverChainNVT, NVTBerendsen
-from minimd.core.files.structure_file import ASEWriter, atomic_mass, system_from_file
+from minimd.core.files.ase_writer import ASEWriter
+from minimd.core.files.structure_file import system_from_file
 from minimd.core.potentials.term import ForcesFromCalculator
 from minimd.core.structure.ase_atoms import atoms_from_system
+from minimd.core.structure.elements import atomic_mass
 from minimd.core.structure.system import System
 
 system_from_atoms = System.from_ase

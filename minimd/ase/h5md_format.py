@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from ase import Atoms
 
+from minimd.core.files.ase_writer import atoms_of_frame
 from minimd.core.files.h5md_reader import frames_of, read_file
-from minimd.core.files.structure_file import atoms_of_frame
 from minimd.core.structure.ase_atoms import atoms_from_system
 
 

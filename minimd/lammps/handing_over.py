@@ -29,9 +29,9 @@ from minimd.core.potentials.term import bound
 from minimd.core.simulation.simulation import Simulation
 from minimd.core.structure.checks import checked_count, checked_flag, checked_kind, checked_path
 from minimd.core.structure.errors import HandOverError, sentence
+from minimd.core.structure.lammps_box import Box
 from minimd.core.structure.observables import Array
 from minimd.lammps import script
-from minimd.lammps.box import IMAGES, Box
 from minimd.lammps.model import Model
 from minimd.lammps.program import INSTALL, OUTPUT, LammpsProgram, Log, find_program, run
 from minimd.lammps.verification import LEAST, Verification, compare, in_both
@@ -325,7 +325,7 @@ def _remove_raw(job: Job) -> None:
 def _verified(job: Job, model: Model) -> Verification:
     """Compare step 0 in the scene and in a copy.  Raises HandOverError if LAMMPS and minimd differ."""
     copy, ours = in_both(job.engine, model.smallest_cutoff, model.skin)
-    box = Box(copy)
+    box = Box(copy.cell, copy.positions)
     box.make_room(model.reach)
     script.write_atoms(job.folder / script.COPY, model, box, copy.velocities)
     log = run(job.command(script.VERIFY), job.folder, script.LOG, job)
@@ -335,7 +335,7 @@ def _verified(job: Job, model: Model) -> Verification:
         raise HandOverError(f"LAMMPS runs on {log.processes} process instead of {job.processes}; {job.program.lmp} was "
                             f"probably built without MPI, or for another mpiexec than {job.program.mpiexec}: "
                             f"{INSTALL}")  # fmt: skip
-    places = zip(script.STEP_0.values(), (model.box, box), strict=True)
+    places = zip(script.STEP_0, (model.box, box), strict=True)
     written = ((columns, box) for name, box in places for _, columns in frames(job.folder / name, len(copy)))
     verification = compare(ours, (script.per_atom(*one) for one in written))
     verification.check(job.engine, model.tolerance)
@@ -409,9 +409,11 @@ def _stand(job: Job, box: Box, step: int, columns: Array) -> None:
         raise HandOverError(f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step "
                             f"({timestep:g})")  # fmt: skip
     half = 0.5 * (step - engine.step) * timestep
-    if (most := np.abs(box.crossed(half * (velocities - engine.velocities))).max()) > IMAGES / 2:
+    limit = box.most_images // 2
+    most = np.abs(box.crossed(half * (velocities - engine.velocities))).max()
+    if most > limit:
         raise HandOverError(f"it is unknown how many cells the atoms have crossed at step {step}: their places are "
-                            f"uncertain by {most:.3g} cells since step {engine.step}, and LAMMPS counts {IMAGES // 2} "
+                            f"uncertain by {most:.3g} cells since step {engine.step}, and LAMMPS counts {limit} "
                             f"at most; bring frames back more often (every = {job.every})")  # fmt: skip
     engine.positions[:] = box.positions_back(columns[:, :3], engine.positions + half * (velocities + engine.velocities))
     engine.velocities[:] = velocities

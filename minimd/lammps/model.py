@@ -11,8 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from minimd.core.console.words import shown
 from minimd.core.engine.engine import Engine
@@ -22,13 +20,15 @@ from minimd.core.potentials.coulomb import Coulomb
 from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.pair import UNSCALED, Nonbonded
 from minimd.core.potentials.truncation import ForceShifted, Shifted
-from minimd.core.structure.bond_graph import Indices, among
-from minimd.core.structure.cell import Array, nearest_vectors
+from minimd.core.structure.bond_graph import among, connected
+from minimd.core.structure.cell import nearest_vectors
 from minimd.core.structure.constraints import DistanceConstraints
-from minimd.lammps.box import Box
+from minimd.core.structure.lammps_box import Box
+from minimd.core.structure.observables import Array
 from minimd.lammps.expression import energy_expression
 from minimd.lammps.verification import TOLERANCE
 
+Indices = NDArray[np.int64]
 EQUAL = 1e-12  # largest relative difference of sides of a triangle that count as equal
 FLAT = 1e-6  # a triangle is a line if 1 − third side / sum of the two others is below this
 MOST_BONDS = 3  # of a middle atom
@@ -40,13 +40,11 @@ def rigid_groups(constraints: DistanceConstraints, n_atoms: int) -> tuple[Indice
     [rad], that keep these lengths.  Raises ValueError for molecules that LAMMPS cannot hold."""
     pairs = constraints.pairs
     lengths = np.asarray(constraints.lengths)
-    n_molecules, molecule = connected_components(
-        coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n_atoms, n_atoms)), directed=False
-    )
+    molecule = connected(pairs, n_atoms)
     of_pair = molecule[pairs[:, 0]]
-    n_bonds = np.bincount(of_pair, minlength=n_molecules)
-    n_members = np.bincount(molecule, minlength=n_molecules)
-    degree = np.zeros(n_molecules, dtype=np.int64)
+    n_members = np.bincount(molecule)
+    n_bonds = np.bincount(of_pair, minlength=len(n_members))
+    degree = np.zeros_like(n_bonds)
     np.maximum.at(degree, molecule, np.bincount(pairs.ravel(), minlength=n_atoms))
     is_star = (n_bonds == n_members - 1) & (degree == n_bonds) & (n_bonds <= MOST_BONDS)
     is_triangle = (n_bonds == 3) & (n_members == 3)
@@ -189,7 +187,7 @@ class Model:
 
     def __init__(self, engine: Engine) -> None:
         system = engine.system
-        self.box = Box(system)
+        self.box = Box(system.cell, system.positions)
         self.types = AtomTypes.of(engine)
         self.joined = {"bond": Groups(2), "angle": Groups(3), "dihedral": Groups(4)}
         self.bonds, self.angles, _ = self.joined.values()

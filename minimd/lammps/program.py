@@ -76,7 +76,7 @@ def find_program() -> LammpsProgram:
     if found is None:
         raise FileNotFoundError(
             f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path; without LAMMPS no input is "
-            "written for it; docs/lammps.md says how ASE writes the atoms alone"
+            "written for it; system.write('atoms.data') writes the atoms alone"
         )
     try:
         told = subprocess.run(

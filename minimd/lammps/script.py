@@ -1,6 +1,5 @@
 """The files that LAMMPS reads: atoms, forces, the verification at step 0, the run."""
 
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,8 @@ from minimd.core.engine.engine import Engine
 from minimd.core.integrators.rows import Leapfrog, VelocityVerlet
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.thermostats import LangevinBAOAB, StochasticVelocityRescaling
+from minimd.core.structure.lammps_box import Box
 from minimd.core.structure.observables import Array
-from minimd.lammps.box import Box
 from minimd.lammps.model import Model, words
 from minimd.lammps.verification import Evaluated
 
@@ -24,12 +23,11 @@ RUN = "run.lmp"
 LOG = "run.log"
 # results at step 0
 COPY = "copy.data"
-STEP_0 = {"atoms.data": "atoms.data.bin", "copy.data": "copy.data.bin"}
+STEP_0 = ("atoms.data.bin", "copy.data.bin")
 FRAMES = "frames.bin"
 LAST = "last.bin"
-RAW = (FRAMES, LAST, COPY, *STEP_0.values())  # removed at the end
+RAW = (FRAMES, LAST, COPY, *STEP_0)  # removed at the end
 FILES = (ATOMS, FORCES, VERIFY, RUN, LOG, *RAW)  # all files of a hand-over except the trajectory
-ATOMS_AT_ONCE = 100_000  # written in one piece
 # tolerance relative to the lengths
 SHAKE_TOLERANCE = 1e-13
 SHAKE_ITERATIONS = 200
@@ -76,32 +74,16 @@ def write(folder: Path, engine: Engine, model: Model, n_steps: int, every: int) 
 
 def write_atoms(path: Path, model: Model, box: Box, velocities: Array) -> None:
     """The data file, with velocities (N, 3); all numbers have all their digits."""
-    types = model.types
-    joined = [(word, groups, len(groups.atoms)) for word, groups in model.joined.items()]
-    sections: list[tuple[str, Iterable[str]]] = [
-        ("Masses", (f"{k} {mass:.17g}\n" for k, mass in enumerate(types.masses, start=1))),
-        ("Atoms # full", _rows(f"%d 1 %d{4 * ' %.17g'}\n", types.of_atom + 1, model.charges, box.positions)),
-        ("Velocities", _rows(f"%d{3 * ' %.17g'}\n", box.turned(velocities))),
-    ]
-    for word, groups, n in joined:
-        lines = _rows(f"%d %d{' %d' * groups.size}\n", groups.types + 1, groups.atoms + 1)
-        sections += [(f"{word.capitalize()}s", lines)] * (n > 0)
+    types = model.types.of_atom + 1
+    sections: dict[str, list[NDArray[Any]]] = {
+        "Masses": [model.types.masses],
+        "Atoms # full": [np.ones_like(types), types, model.charges, box.positions],
+        "Velocities": [box.turned(velocities)],
+    }
+    for word, groups in model.joined.items():
+        sections[f"{word.capitalize()}s"] = [groups.types + 1, groups.atoms + 1]
     with path.open("x", encoding="ascii") as file:
-        file.write(f"atoms of a scene of minimd\n\n{len(types.of_atom)} atoms\n{len(types.masses)} atom types\n")
-        file.writelines(f"{n} {word}s\n{len(groups.coefficients)} {word} types\n" for word, groups, n in joined)
-        file.write("\n".join(["", *box.lines(), ""]))
-        for title, rows in sections:
-            file.write(f"\n{title}\n\n")
-            file.writelines(rows)
-
-
-def _rows(row: str, *columns: NDArray[Any]) -> Iterator[str]:
-    """Lines of a table, in pieces: a number, from 1 on, and the entries of the columns."""
-    for first in range(0, len(columns[0]), ATOMS_AT_ONCE):
-        ones = (one[first : first + ATOMS_AT_ONCE] for one in columns)
-        part = [np.atleast_2d(one.T).tolist() for one in ones]
-        numbers = range(first + 1, first + 1 + len(part[0][0]))
-        yield "".join([row % line for line in zip(numbers, *(axis for one in part for axis in one), strict=True)])
+        file.writelines(box.data_file("atoms of a scene of minimd", sections))
 
 
 def forces_script(model: Model) -> str:
@@ -153,8 +135,10 @@ def held(model: Model, fix: str = "shake", tolerance: float = SHAKE_TOLERANCE,
     """Rigid bonds, after all other fixes. Fix rattle is not the default: that of LAMMPS 22 Jul 2025 moves molecules of
     three atoms on the border of two processes wrongly, and dumps velocities with a component along the bonds. The
     positions of SHAKE are those of RATTLE, and so are its velocities after a projection, see handing_over."""
-    kinds = {"b": model.rigid_bonds, "a": model.rigid_angles}
-    types = [word for key, ones in kinds.items() if ones for word in (key, *(str(k + 1) for k in ones))]
+    types = []
+    for letter, kinds in (("b", model.rigid_bonds), ("a", model.rigid_angles)):
+        if kinds:
+            types += [letter, *(str(k + 1) for k in kinds)]
     return [f"fix rigid all {fix} {tolerance} {most} 0 {' '.join(types)}"] if types else []
 
 

@@ -29,11 +29,12 @@ from minimd.core.files.h5md_schema import has_edges
 from minimd.core.files.turned_cell import ROTATION, Turn, as_in_run, cell_dimensions, turn_of
 from minimd.core.integrators.rows import VelocityVerlet
 from minimd.core.simulation.simulation import Simulation
+from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
 from minimd.observers.arguments import interval
-from minimd.observers.motion import DisplacementResult, molecules_of
+from minimd.observers.motion import DisplacementResult
 from minimd.observers.viscosity import ViscosityResult
 
 __all__ = ["Diffusion", "Frames", "RadialDistribution", "RunUniverse", "Turn", "diffusion_coefficient",
@@ -166,7 +167,8 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
     """A minimd file as an MDAnalysis universe: masses, charges, types, names, elements if labels are symbols, bonds,
     angles, dihedrals, residues.
 
-    Each molecule is a residue: the atoms that bonds or fixed lengths connect. Observables are in ts.data.
+    Names, residues and chains are those of system.topology, as of md.from_openmm. Without one each molecule is a
+    residue: the atoms that bonds or fixed lengths connect. Observables are in ts.data.
 
     MDAnalysis places a cell with a along x and b in the xy plane. If the cell of the run has another orientation,
     positions, velocities and forces are turned with it, and a warning says so: r @ R, where R is ts.data["rotation"],
@@ -236,17 +238,30 @@ def _spacing(name: str, steps: NDArray[np.int64], times: Array) -> float:
 
 
 def _with_topology(system: System) -> RunUniverse:
-    """A universe without a trajectory. Residues are molecules, numbered from 1 in the order of their first atoms;
-    bonds and lengths held fixed connect the atoms of a molecule."""
+    """A universe without a trajectory. Names, residues and chains are those of the system's topology. Without one,
+    residues are molecules, numbered from 1 in the order of their first atoms; bonds and lengths held fixed connect the
+    atoms of a molecule."""
     parts = np.unique(molecules_of(system), return_index=True, return_inverse=True)
     of_atoms, n_molecules = parts[1].argsort().argsort()[parts[2]], len(parts[0])
     labels, segments = [str(label) for label in system.species], np.zeros(n_molecules, int)
-    topology = {"masses": system.masses, "types": labels, "names": labels, "resids": np.arange(1, n_molecules + 1)}
+    topology: dict[str, Any] = {
+        "masses": system.masses,
+        "types": labels,
+        "names": labels,
+        "resids": np.arange(1, n_molecules + 1),
+    }
     topology |= {"resnames": _formulas(system, of_atoms, n_molecules), "segids": ["SYSTEM"]}
     known = {"elements": [label if label in SYMB2Z else "" for label in labels], "charges": system.charges.tolist()}
     topology |= {name: values for name, values in known.items() if any(values)}
     topology |= {name: [tuple(row) for row in rows.tolist()] for name, rows in system.groups().items() if len(rows)}
-    made = RunUniverse.empty(len(system), n_molecules, atom_resindex=of_atoms, residue_segindex=segments)
+    if len(texts := system.topology):
+        is_first = np.append(True, (texts[1:, 2:] != texts[:-1, 2:]).any(axis=1))
+        of_atoms, residues = is_first.cumsum() - 1, texts[is_first]
+        segids, segments = np.unique(residues[:, 4], return_inverse=True)
+        topology |= {"names": texts[:, 0], "elements": texts[:, 1], "chainIDs": texts[:, 4], "segids": segids}
+        topology |= {"resnames": residues[:, 2], "resids": residues[:, 3].astype(int)}
+    n_segments = len(topology["segids"])
+    made = RunUniverse.empty(len(system), len(segments), n_segments, atom_resindex=of_atoms, residue_segindex=segments)
     for name, values in topology.items():
         made.add_TopologyAttr(name, values)
     return made

@@ -18,9 +18,8 @@ from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_count, checked_number
-from minimd.core.structure.constraints import DistanceConstraints
+from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.observables import center
-from minimd.core.structure.system import System
 from minimd.observers.accumulator import ObservedRun, Result, Series, State
 from minimd.observers.arguments import ATOMS, MOLECULES, argument, interval, label, levels, particles, steps
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
@@ -65,17 +64,6 @@ def with_its_error(viscosity: float | ViscosityResult) -> tuple[float, float]:
     if isinstance(viscosity, ViscosityResult):
         return checked_number("viscosity", viscosity.viscosity, "positive and finite"), viscosity.viscosity_error
     return checked_number("viscosity", viscosity, "positive and finite"), 0.0
-
-
-def molecules_of(system: System) -> NDArray[np.int64]:
-    """(N,) the number of the molecule of each atom: bonds and lengths held fixed connect the atoms of a molecule."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
-    i, j = np.concatenate([system.bonds, *held]).T
-    bonded = coo_array((np.ones(len(i), bool), (i, j)), shape=(len(system), len(system)))
-    return np.asarray(connected_components(bonded, directed=False)[1], dtype=np.int64)
 
 
 def of_molecules(vectors: Array, masses: Array, molecules: NDArray[np.int64]) -> Array:

@@ -5,17 +5,21 @@ Units are converted from OpenMM's nm, kJ/mol and e to minimd.units.ASE.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from minimd.core.console.quiet import warn
 from minimd.core.console.words import listed, shown
 from minimd.core.potentials.bonded import (
     BondPotential,
     HarmonicAngle,
     HarmonicBond,
+    HarmonicImproper,
     PeriodicDihedral,
     RyckaertBellemans,
 )
@@ -25,7 +29,7 @@ from minimd.core.potentials.pair import UNSCALED, LennardJones
 from minimd.core.potentials.prolates import LEAST_ACCURATE, MOST_ACCURATE
 from minimd.core.potentials.term import OwnPotential
 from minimd.core.structure.checks import LARGEST
-from minimd.core.structure.constraints import Constraint, DistanceConstraints
+from minimd.core.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE, KJ_PER_MOL_PER_EV
@@ -37,14 +41,66 @@ if TYPE_CHECKING:
 # Å, eV
 NM = 10.0
 KJ = 1.0 / KJ_PER_MOL_PER_EV
-# for each force: what OpenMM calls one of its terms, how many atoms it has, and the potential of their parameters
-BONDED: Mapping[str, tuple[str, int, Callable[..., OwnPotential]]] = {
+# laws of harmonic impropers, as of _kind: α is k/2, or k after 0.5
+IMPROPERS = (
+    "α*(theta-β)^2",
+    "α*min((abs(theta-β)),2*pi-(abs(theta-β)))^2",
+    "α*((theta-β)-floor((theta-β)/(2*pi)+0.5)*(2*pi))^2",
+    "α*((step(-(theta-β+pi))*2*pi+theta+step(theta-β-pi)*(-2*pi))-β)^2",
+)
+
+
+def _improper(law: str, atoms: Any, k: Array, angle: Array) -> HarmonicImproper:
+    """Warns if the law jumps at φ = π, which minimd's does not."""
+    if "pi" not in law and angle.any():
+        warn(
+            "OpenMM's k*(theta-theta0)^2 jumps at theta = pi, where theta0 is not 0; in minimd theta - theta0 is taken "
+            "between -pi and pi: beyond that its energies differ from those of OpenMM"
+        )
+    factor = 1.0 if law.startswith("0.5") else 2.0
+    return HarmonicImproper(factor * KJ * k, np.angle(np.exp(1j * angle)), atoms)
+
+
+def _well(a: Array, c: Array) -> tuple[Array, Array]:
+    """ε and σ of A/r¹² − C/r⁶; 0 where both are 0.  Raises ValueError where only one is."""
+    for pair in np.column_stack([a, c])[np.sign(a) != np.sign(c)].tolist():
+        raise ValueError(
+            f"A, C in a law A/r^12 - C/r^6 of OpenMM must be of one sign or both 0; A, C = {pair}: minimd has "
+            "no law of one of them alone"
+        )
+    return c * c / (4.0 * a + (a == 0.0)), (a / (c + (c == 0.0))) ** (1.0 / 6.0)
+
+
+def _in_ase_units(epsilon: Array, sigma: Array) -> tuple[Array, Array]:
+    """ε [eV] and σ [Å]; ghosts are of one kind, whatever their σ."""
+    is_well = (epsilon != 0.0) & (sigma != 0.0)
+    return KJ * epsilon * is_well, np.where(is_well, NM * sigma, 1.0)
+
+
+# for each force or law: what OpenMM calls one of its terms, how many atoms it has, the potential of their parameters
+BONDED: Mapping[str, tuple[str, int, Any]] = {
     "HarmonicBondForce": ("Bond", 2, lambda at, length, k: HarmonicBond(KJ / NM**2 * k, NM * length, at)),
     "HarmonicAngleForce": ("Angle", 3, lambda at, angle, k: HarmonicAngle(KJ * k, angle, at)),
     "PeriodicTorsionForce": ("Torsion", 4, lambda at, n, phase, k: PeriodicDihedral(KJ * k, n, phase, at)),
-    "RBTorsionForce": ("Torsion", 4, lambda at, *c: RyckaertBellemans([KJ * one for one in c], at)),
+    "RBTorsionForce": ("Torsion", 4, lambda at, *c: RyckaertBellemans([KJ * power for power in c], at)),
+    "-α/r^6+β/r^12": ("Bond", 2, lambda at, c, a: BondPotential(LennardJonesLaw(), _in_ase_units(*_well(a, c)), at)),
+    **{k + law: ("Torsion", 4, partial(_improper, k + law)) for k in ("", "0.5*") for law in IMPROPERS},
 }
-KNOWN = (*BONDED, "NonbondedForce", "CMMotionRemover")
+# wells: ε and σ of the parameters of particles; laws of their own mix geometrically
+WELLS: Mapping[str, Any] = {
+    "NonbondedForce": lambda charge, sigma, epsilon: (epsilon, sigma),
+    "4*(sqrt(α1*α2))*(((sqrt(β1*β2))/r)^12-((sqrt(β1*β2))/r)^6)": lambda epsilon, sigma: (epsilon, sigma),
+    "α1*α2/r^12-β1*β2/r^6": lambda a, c: _well(a * a, c * c),
+}
+KNOWN = (*BONDED, *WELLS, "CMMotionRemover")
+# what OpenMM calls the terms of a force, and those of custom ones that may be taken
+TERMS = ("Particles", "Bonds", "Angles", "Torsions", "Donors", "Multipoles", "TorsionTorsions")
+CUSTOM = {"CustomTorsionForce": "Torsion", "CustomBondForce": "Bond", "CustomNonbondedForce": "Particle"}
+
+TWICE = (
+    "from_openmm takes the wells of one force; the system has a NonbondedForce with wells, or a CustomNonbondedForce, "
+    "beside another: take one of them for all atoms"
+)
 
 
 def from_openmm(
@@ -57,14 +113,19 @@ def from_openmm(
         sim = md.Simulation(system, potentials, md.VelocityVerlet(2.0 * md.units.fs), constraints)
 
     Taken: harmonic bonds and angles, periodic and Ryckaert-Bellemans torsions, NonbondedForce, masses, box vectors,
-    constraints; CMMotionRemover is left out, because minimd's forces conserve momentum. Species are the elements,
-    numbered where they have several Lennard-Jones parameters; bonds are those of the topology.
+    constraints. Of custom forces: harmonic impropers, and, as OPLS has them, wells that mix geometrically beside a
+    NonbondedForce without wells, and bonds C, A of GROMACS, by the expressions that readers of OpenMM write; see
+    IMPROPERS, BONDED and WELLS. CMMotionRemover is left out, because minimd's forces conserve momentum, and so are
+    forces without terms. A particle of mass 0 is one of FixedAtoms, with the mass of its element. Species are the
+    elements, numbered where they have several Lennard-Jones parameters; bonds and names are those of the topology.
 
     The exceptions of NonbondedForce become exclusions of LennardJones and Coulomb, and, if they have parameters, a
     BondPotential. The law of charges is summed to ewaldErrorTolerance, whatever Ewald parameters or PME grid are given.
     Energies differ from those of OpenMM: its constant k_e, 138.9354576 kJ nm/(mol e²), is larger by 9e-10 of it; its
     dispersion correction is a mean over N (N + 1)/2 pairs, not over N²/2. Terms of minimd act on nearest
     images; those of OpenMM do if they use periodic boundary conditions, or if molecules are whole.
+
+    Warns of impropers k*(theta-theta0)^2 with theta0 other than 0, which have a jump in OpenMM.
 
     Parameters
     ----------
@@ -73,122 +134,197 @@ def from_openmm(
 
     Raises
     ------
-    TypeError : for anything but a system of OpenMM.  ValueError : for other forces (custom ones, baths, barostats),
-        virtual sites, LJPME and parameter offsets, by name; for another number of atoms; as System and potentials.
+    TypeError : for anything but a system of OpenMM.  ValueError : for other forces (other custom ones, with their
+        expressions, baths, barostats), virtual sites, LJPME and parameter offsets, by name; for a particle without
+        mass and element; for another number of atoms; as System and potentials.
     """
     if not hasattr(openmm_system, "getForces"):
         raise TypeError(f"openmm_system must be an openmm.System; openmm_system = {shown(openmm_system)}")
-    forces = openmm_system.getForces()
+    forces = [force for force in openmm_system.getForces() if _has_terms(force)]
     places = np.array(_plain(positions), dtype=np.float64)
     n = openmm_system.getNumParticles()
-    elements = [one.element for one in topology.atoms()]
-    if not n == len(elements) == len(places):
+    atoms = [*topology.atoms()]
+    if not n == len(atoms) == len(places):
         raise ValueError(
             f"OpenMM's system, topology and positions must have the same number of atoms; they have {n}, "
-            f"{len(elements)} and {len(places)}"
+            f"{len(atoms)} and {len(places)}"
         )
-    if strange := _strange(openmm_system, forces):
-        raise ValueError(
-            f"from_openmm takes {listed(KNOWN)}; it does not take {listed(strange)}: baths and barostats are given "
-            "to md.Simulation; other forces need OpenMM itself, or another force field"
-        )
-    nonbonded = next((one for one in forces if type(one).__name__ == "NonbondedForce"), None)
-    charges, sigma, epsilon = np.zeros((3, n)) if nonbonded is None else _rows(nonbonded, "Particle", 3).T
-    # ghosts of one kind, whatever their σ
-    sigma = np.where(epsilon > 0.0, NM * sigma, 1.0)
-    epsilon = KJ * epsilon
-    species = _labels([one.symbol if one else "X" for one in elements], np.column_stack([epsilon, sigma]))
-    held = _rows(openmm_system, "Constraint", 3)
+    _check(openmm_system, forces, atoms)
+    masses, fixed = _masses(openmm_system, atoms)
+    charges = np.zeros(n)
+    numbers = np.zeros((n, 2))
+    potentials: list[OwnPotential] = []
+    wells = nonbonded = None
+    for force in forces:
+        kind, order = _kind(force)
+        if kind in BONDED:
+            name, size, potential = BONDED[kind]
+            rows = _rows(force, name)
+            potentials.append(potential(rows[:, :size].astype(int), *rows[:, size:].T[order]))
+        elif kind in WELLS:
+            parameters = _rows(force, "Particle").T[order]
+            of_force = np.column_stack(_in_ase_units(*WELLS[kind](*parameters)))
+            if of_force[:, 0].any():
+                if wells is not None:
+                    raise ValueError(TWICE)
+                wells = force
+                numbers = of_force
+            if kind == "NonbondedForce":
+                nonbonded = force
+                charges = parameters[0]
+    names = [*map(_names, atoms)]
+    wells_of = [*map(tuple, numbers.tolist())]
+    species = _labels([(symbol or "X", *well) for (_, symbol, *_), well in zip(names, wells_of, strict=True)])
+    held = _rows(openmm_system, "Constraint")
+    held = held[~np.isin(held[:, :2], fixed).all(axis=1)]
+    lengths = [DistanceConstraints(held[:, :2].astype(int), NM * held[:, 2])] if len(held) else []
     system = System(
         NM * places,
-        masses=[_plain(openmm_system.getParticleMass(k)) for k in range(n)],
+        masses=masses,
         charges=charges,
         cell=NM * np.array([_plain(row) for row in openmm_system.getDefaultPeriodicBoxVectors()])
         if openmm_system.usesPeriodicBoundaryConditions()
         else None,
         species=species,
-        bonds=np.unique(np.sort([(a.index, b.index) for a, b in topology.bonds()] or np.zeros((0, 2), int)), axis=0),
+        bonds=sorted({tuple(sorted((a.index, b.index))) for a, b in topology.bonds()}),
         units=ASE,
-        constraints=[DistanceConstraints(held[:, :2].astype(int), NM * held[:, 2])] if len(held) else [],
+        constraints=[*lengths, FixedAtoms(fixed)] if fixed else lengths,
+        topology=np.array(names),
     )
-    potentials: list[OwnPotential] = []
-    for one in forces:
-        name, size, potential = BONDED.get(type(one).__name__, ("", 0, None))
-        if potential is not None and len(rows := _rows(one, name, size)):
-            potentials.append(potential(rows[:, :size].astype(int), *rows[:, size:].T))
+    if wells is not None:
+        potentials.append(_lennard_jones(wells, dict(zip(species, wells_of, strict=True))))
     if nonbonded is not None:
-        kinds = {one: (well, size) for one, well, size in zip(species, epsilon.tolist(), sigma.tolist(), strict=True)}
-        potentials += _nonbonded(nonbonded, kinds, bool(charges.any()))
+        potentials += _charged(nonbonded, charges)
     return system, potentials, system.constraints
 
 
-def _strange(openmm_system: openmm.System, forces: list[openmm.Force]) -> list[str]:
-    """What of a system minimd does not have, in words."""
-    names = [type(one).__name__ for one in forces]
-    found = [name for name in names if name not in KNOWN]
-    if names.count("NonbondedForce") > 1:
-        found.append("a second NonbondedForce")
-    sites = [k for k in range(openmm_system.getNumParticles()) if openmm_system.isVirtualSite(k)]
-    if sites:
-        found.append(f"virtual sites, such as particle {sites[0]}")
-    for one in (one for one, name in zip(forces, names, strict=True) if name == "NonbondedForce"):
-        if one.getNonbondedMethod() == one.LJPME:
-            found.append("the method LJPME")
-        if one.getNumParticleParameterOffsets() or one.getNumExceptionParameterOffsets():
-            found.append("parameter offsets of NonbondedForce")
-        if not one.getIncludeDirectSpace():
-            found.append("NonbondedForce without its direct space")
-    return found
+def _has_terms(force: openmm.Force) -> bool:
+    """Whether a force acts on any atom; true for those whose terms OpenMM does not count, as barostats."""
+    return 0 not in [getattr(force, f"getNum{name}", object)() for name in TERMS]
 
 
-def _nonbonded(
-    force: openmm.NonbondedForce, kinds: Mapping[Any, tuple[float, float]], charged: bool
-) -> list[OwnPotential]:
-    """Its potentials.  kinds : (ε, σ) of each species.  charged : whether any atom is."""
-    potentials: list[OwnPotential] = []
-    method = force.getNonbondedMethod()
-    cutoff = None if method == force.NoCutoff else NM * _plain(force.getCutoffDistance())
-    rows = _rows(force, "Exception", 5)
-    pairs = rows[:, :2].astype(int)
-    product, sigma, epsilon = rows[:, 2:].T
-    if any(epsilon > 0.0 for epsilon, _ in kinds.values()):
-        has_tail = force.usesPeriodicBoundaryConditions() and force.getUseDispersionCorrection()
-        options: Any = {"tail_correction": has_tail, "exclusions": pairs, "truncation": "truncated"}
-        if cutoff is not None and force.getUseSwitchingFunction():
-            options |= {"truncation": "switched", "switch_start": NM * _plain(force.getSwitchingDistance())}
-        potentials.append(LennardJones(kinds, None, cutoff, **options))
-    if charged:
-        is_sum = method in (force.NoCutoff, force.Ewald, force.PME)
-        accuracy = min(max(force.getEwaldErrorTolerance(), MOST_ACCURATE), LEAST_ACCURATE)
-        options = {} if is_sum else {"method": "reaction-field", "dielectric": force.getReactionFieldDielectric()}
-        potentials.append(Coulomb(cutoff, accuracy, bonded_scale=UNSCALED, exclusions=pairs, **options))
-    is_well = (epsilon > 0.0) & (sigma > 0.0)
-    sigma = np.where(is_well, NM * sigma, 1.0)
-    numbers = ASE.coulomb * product, np.full_like(product, LARGEST), KJ * epsilon * is_well, sigma
-    if (acts := is_well | (product != 0.0)).any():
-        # without a cutoff
-        potentials.append(
-            BondPotential(
-                ChargedLaw(LennardJonesLaw(), CoulombLaw(NO_REST)), [one[acts] for one in numbers], pairs[acts]
-            )
+def _kind(force: Any) -> tuple[str, Any]:
+    """The class of a force; of a custom one, if minimd may have it, its law. And which of its parameters are α, β …
+
+    A law is its energy without blanks, with definitions in their places, in parentheses, and with parameters called α,
+    β … in the order in which they appear.
+    """
+    name = f"Per{CUSTOM.get(type(force).__name__)}Parameter"
+    parameters = [getattr(force, f"get{name}Name")(k) for k in range(getattr(force, f"getNum{name}s", int)())]
+    if not parameters or getattr(force, "getNumInteractionGroups", int)():
+        return type(force).__name__, slice(None)
+    law, _, definitions = re.sub(r"\s|\.0\b", "", force.getEnergyFunction()).partition(";")
+    for symbol, value in re.findall(r"(\w+)=([^;\\]+)", definitions):
+        law = re.sub(rf"\b{symbol}\b", f"({value})", law)
+    law = re.sub(r"\(3\.14159\d*\)|3\.14159\d*", "pi", law)
+    letters: dict[str, str] = {}
+    symbols = rf"\b({'|'.join(map(re.escape, parameters))})(?=[12]?\b)"
+    law = re.sub(symbols, lambda symbol: letters.setdefault(symbol[0], chr(ord("α") + len(letters))), law)
+    return law, [parameters.index(symbol) for symbol in letters]
+
+
+def _masses(openmm_system: openmm.System, atoms: list[Any]) -> tuple[list[float], list[int]]:
+    """Masses [u], and the atoms that OpenMM holds by a mass of 0, which get that of their element."""
+    masses = [_plain(openmm_system.getParticleMass(k)) for k in range(len(atoms))]
+    fixed = [k for k, mass in enumerate(masses) if mass == 0.0]
+    for k in fixed:
+        masses[k] = _plain(atoms[k].element.mass)
+    return masses, fixed
+
+
+def _check(openmm_system: openmm.System, forces: list[Any], atoms: list[Any]) -> None:
+    """Raise ValueError for what minimd does not have, in words."""
+    strange = []
+    for k, atom in enumerate(atoms):
+        is_massless = not (atom.element or _plain(openmm_system.getParticleMass(k)))
+        if is_massless or openmm_system.isVirtualSite(k):
+            strange = [f"virtual sites, or sites of mass 0 that have no element, such as particle {k}"]
+    for force in forces:
+        kind, _ = _kind(force)
+        if kind not in KNOWN:
+            strange.append(type(force).__name__)
+            if hasattr(force, "getEnergyFunction"):
+                strange.append(f"its energy {force.getEnergyFunction()}")
+        elif kind == "NonbondedForce":
+            if force.getNonbondedMethod() == force.LJPME:
+                strange.append("the method LJPME")
+            if force.getNumParticleParameterOffsets() or force.getNumExceptionParameterOffsets():
+                strange.append("parameter offsets of NonbondedForce")
+            if not force.getIncludeDirectSpace():
+                strange.append("NonbondedForce without its direct space")
+    if [type(force).__name__ for force in forces].count("NonbondedForce") > 1:
+        strange.append("a second NonbondedForce")
+    if strange:
+        raise ValueError(
+            f"from_openmm takes {listed(filter(str.isalpha, KNOWN))}; it does not take {listed(strange)}: baths and "
+            "barostats are given to md.Simulation; other forces need OpenMM itself, or another force field"
         )
+
+
+def _lennard_jones(force: Any, kinds: Mapping[Any, Any]) -> LennardJones:
+    """The wells of a NonbondedForce, or of a CustomNonbondedForce.  kinds : (ε, σ) of each species."""
+    is_custom = type(force).__name__ == "CustomNonbondedForce"
+    has_tail = force.getUseLongRangeCorrection() if is_custom else force.getUseDispersionCorrection()
+    pairs = _rows(force, "Exclusion", "Particles") if is_custom else _rows(force, "Exception")
+    cutoff = _cutoff(force)
+    is_switched = cutoff is not None and force.getUseSwitchingFunction()
+    return LennardJones(
+        kinds,
+        None,
+        cutoff,
+        "switched" if is_switched else "truncated",
+        mixing="geometric" if is_custom else "lorentz-berthelot",
+        switch_start=NM * _plain(force.getSwitchingDistance()) if is_switched else None,
+        tail_correction=has_tail and force.usesPeriodicBoundaryConditions(),
+        exclusions=pairs[:, :2].astype(int),
+    )
+
+
+def _cutoff(force: Any) -> float | None:
+    return None if force.getNonbondedMethod() == force.NoCutoff else NM * _plain(force.getCutoffDistance())
+
+
+def _charged(force: openmm.NonbondedForce, charges: Array) -> list[OwnPotential]:
+    """The potentials of its charges and exceptions."""
+    potentials: list[OwnPotential] = []
+    rows = _rows(force, "Exception")
+    pairs = rows[:, :2].astype(int)
+    if charges.any():
+        is_sum = force.getNonbondedMethod() in (force.NoCutoff, force.Ewald, force.PME)
+        accuracy = min(max(force.getEwaldErrorTolerance(), MOST_ACCURATE), LEAST_ACCURATE)
+        options: Any = {} if is_sum else {"method": "reaction-field", "dielectric": force.getReactionFieldDielectric()}
+        potentials.append(Coulomb(_cutoff(force), accuracy, bonded_scale=UNSCALED, exclusions=pairs, **options))
+    product = ASE.coulomb * rows[:, 2]
+    no_cutoff = np.full(len(rows), LARGEST)
+    numbers = np.array([product, no_cutoff, *_in_ase_units(rows[:, 4], rows[:, 3])])
+    acts = numbers[[0, 2]].any(axis=0)
+    if acts.any():
+        law = ChargedLaw(LennardJonesLaw(), CoulombLaw(NO_REST))
+        potentials.append(BondPotential(law, (*numbers[:, acts],), pairs[acts]))
     return potentials
 
 
-def _labels(elements: list[str], parameters: Array) -> list[str]:
-    """Species: the elements, and where one has several rows of parameters (N, 2), their numbers, from 1 on."""
-    kinds: dict[str, dict[tuple[float, ...], int]] = {}
-    of_each = [(name, tuple(row)) for name, row in zip(elements, parameters.tolist(), strict=True)]
-    for name, row in of_each:
-        kinds.setdefault(name, {}).setdefault(row, len(kinds.get(name, ())) + 1)
-    return [f"{name}{kinds[name][row]}" if len(kinds[name]) > 1 else name for name, row in of_each]
+def _names(atom: Any) -> list[str]:
+    """Its row in the topology of a System. A residue whose label is no number has that of its place."""
+    residue = atom.residue
+    symbol = atom.element.symbol if atom.element else ""
+    number = residue.id if residue.id.lstrip("-").isdecimal() else str(residue.index + 1)
+    return [atom.name, symbol, residue.name, number, residue.chain.id]
 
 
-def _rows(owner: Any, name: str, width: int) -> Array:
+def _labels(atoms: list[Any]) -> list[str]:
+    """Species of atoms (symbol, ε, σ): the symbols, and where one has several ε and σ, their numbers, from 1 on."""
+    kinds: dict[str, dict[Any, int]] = {}
+    for atom in atoms:
+        kinds.setdefault(atom[0], {}).setdefault(atom, len(kinds[atom[0]]) + 1)
+    return [f"{atom[0]}{kinds[atom[0]][atom]}" if len(kinds[atom[0]]) > 1 else atom[0] for atom in atoms]
+
+
+def _rows(owner: Any, name: str, what: str = "Parameters") -> Array:
     """All parameters that a system or a force of OpenMM has of its terms, by their name, (n, …) in nm, kJ/mol, e."""
-    parameters = getattr(owner, f"get{name}Parameters")
-    rows = [[_plain(one) for one in parameters(k)] for k in range(getattr(owner, f"getNum{name}s")())]
-    return np.array(rows, dtype=np.float64).reshape(len(rows), -1 if rows else width)
+    parameters = getattr(owner, f"get{name}{what}")
+    rows = [np.hstack([_plain(one) for one in parameters(k)]) for k in range(getattr(owner, f"getNum{name}s")())]
+    return np.array(rows, dtype=np.float64) if rows else np.zeros((0, 5))
 
 
 def _plain(quantity: Any) -> Any:

@@ -18,10 +18,11 @@ from minimd.core.structure.system import System, changed
 from minimd.observers import Accumulator
 from minimd.scene.problems import problems
 from minimd.scene.section import Reading
-from minimd.scene.sections import Numbers, SceneSections, TabulatedSection, as_sections, read_table
+from minimd.scene.sections import OF_FILES, Numbers, SceneSections, TabulatedSection, as_sections, read_table
 
 D = TypeVar("D", bound="Document")
 Made = TypeVar("Made")
+BYTE_ORDER_MARK = "\ufeff"  # with which editors of Windows begin UTF-8
 # of tables in tables, for which tomllib would take gigabytes
 DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+\s*\.\s*){64}")
 
@@ -46,10 +47,12 @@ class Document:
         Raises ValueError, OSError, with the name of the file, for a structure that cannot be read or is impossible,
         or for impossible constraints."""
         structure, water = self.sections.structure, self.sections.water
-        with blamed_on(f"{self.path}: {'structure' if water is None else 'water'}"):
+        is_built = water is not None and structure.file is None
+        with blamed_on(f"{self.path}: {'water' if is_built else 'structure'}"):
             made = self._from_lattice if structure.file is None else self._from_file
-            system = made() if water is None else water.system()
-            system = changed(system, **structure.model_dump(include={"species", "charges"}, exclude_none=True))
+            given = structure.model_dump(include={"species", "charges"}, exclude_none=True)
+            system: Any = None if is_built else changed(made(), **given)
+            system = water.system(system) if water else system
         return self.constrained(system)
 
     def potentials(self) -> list[Any]:
@@ -134,7 +137,7 @@ class Document:
         structure = self.sections.structure
         lattice, element, mass = structure.lattice or "", structure.element, 1.0
         if self.units is units.ASE:
-            from minimd.core.files.structure_file import atomic_mass
+            from minimd.core.structure.elements import atomic_mass
 
             mass = atomic_mass(element or "")
         edge = structure.lattice_constant or constant_from_density(lattice, structure.density or 0.0, mass)
@@ -146,7 +149,8 @@ class Document:
         from minimd.core.files.structure_file import system_from_file
 
         structure = self.sections.structure
-        named: dict[str, Any] = {"format": structure.format, "bonds": structure.bonds, "units": self.units}
+        named: dict[str, Any] = {"units": self.units} | structure.model_dump(include=set(OF_FILES))
+        named["bonds"] = [] if self.sections.water else structure.bonds  # water has its own
         return system_from_file(self.path.parent / (structure.file or ""), structure.cell, structure.pbc, **named)
 
 
@@ -178,8 +182,9 @@ def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[An
 
 
 def parsed(kind: type[D], text: str, path: Path) -> D:
-    """Check the text of a scene file.  kind : Document, or Scene.  path : see Document.
+    """Check the text of a scene file; a byte order mark is left out.  kind : Document, or Scene.  path : see Document.
     Raises ValueError, with one line for each problem: the file, the place, the value and what is expected."""
+    text = text.removeprefix(BYTE_ORDER_MARK)
     try:
         if DEEP_KEY.search(text):
             raise RecursionError

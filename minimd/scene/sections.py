@@ -32,7 +32,7 @@ from minimd.core.structure.units import GRAM_PER_CM3
 from minimd.observers import KINDS, Accumulator, arguments
 from minimd.scene.force_sections import ForceSection
 from minimd.scene.section import KEY_UNITS, Dimension, NotNegative, PairOfAtoms, Positive, Section, Three, one_of
-from minimd.scene.water import ModelName, water, water_potentials
+from minimd.scene.water import ModelName, water, water_of, water_potentials
 
 Column = Annotated[list[FiniteFloat], Field(min_length=FEWEST)]
 
@@ -52,13 +52,13 @@ class TableSection(Section):
 
 
 def read_table(path: Path) -> Numbers:
-    """The two columns of a text file, in the units of the scene; '#' begins a comment.  Raises ValueError,
-    with the path, for anything else."""
+    """The two columns of a text file, in the units of the scene; '#' begins a comment, a byte order mark is left out.
+    Raises ValueError, with the path, for anything else."""
     if path.exists() and not path.is_file():
         raise ValueError(f"table {str(path)!r} is not a regular file")
     try:
         with quiet():  # NumPy warns of an empty file, which is refused
-            columns = np.loadtxt(path, ndmin=2, encoding="utf-8")
+            columns = np.loadtxt(path, ndmin=2, encoding="utf-8-sig")
     except FileNotFoundError:
         raise ValueError(f"table {str(path)!r} does not exist; its path is taken relative to the scene file") from None
     except OSError as error:
@@ -81,14 +81,20 @@ def as_sections(tables: Mapping[str, Numbers], units: str) -> str:
     )
 
 
+# by structure and water: either gives the atoms, and water their charges and bonds
+GIVEN_TWICE = {"lattice", "bonds", "charges", "molecules", "density", "seed"}
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
+
+
+OF_FILES = ("format", "masses", "elements", "atom_style", "lammps_units")  # keys of system_from_file
 
 
 class StructureSection(Section):
     """[structure]: a file that ASE or MDAnalysis reads, or a block of a cubic crystal.
     format : name of the format, for a file whose suffix does not show it.  bonds : pairs of atoms; "file" for the
-        bonds, angles and dihedrals in the file; or the name of another file that holds them."""
+        bonds, angles and dihedrals in the file; or the name of another file that holds them.
+    masses, elements, atom_style, lammps_units : what the file does not state, see system_from_file."""
 
     file: str | None = None
     lattice: Annotated[str, one_of(BASES)] | None = None
@@ -101,13 +107,17 @@ class StructureSection(Section):
     species: list[str] | None = None
     charges: list[FiniteFloat] | dict[str, FiniteFloat] | None = None
     format: str | None = None
+    masses: Positive | list[Positive] | dict[str, Positive] | None = None
+    elements: list[str] | dict[str, str] | None = None
+    atom_style: str | None = None
+    lammps_units: str | None = None
     bonds: list[PairOfAtoms] | str | None = None
 
     def faults(self, units: str) -> Iterator[str]:
         """See Section."""
         if (self.file is None) == (self.lattice is None):
             yield "must have either file or lattice"
-        of_files, of_lattices = ("cell", "format"), ("element", "repeat", "density", "lattice_constant")
+        of_files, of_lattices = ("cell", *OF_FILES), ("element", "repeat", "density", "lattice_constant")
         made, others = ("lattice", of_files) if self.file is None else ("file", of_lattices)
         yield from (f"cannot have {name} together with {made}" for name in others if name in self.model_fields_set)
         if self.file is not None:
@@ -122,7 +132,8 @@ class StructureSection(Section):
 
 
 class WaterSection(Section):
-    """[water]: rigid water instead of [structure], with its potentials and constraints: see minimd.scene.water."""
+    """[water]: rigid water, of the atoms of [structure] file or of a box of its own, with its potentials and
+    constraints: see minimd.scene.water."""
 
     model: ModelName = "SPC/E"
     molecules: Annotated[PositiveInt, Field(le=MOST_ATOMS // 3)] = 512
@@ -131,14 +142,16 @@ class WaterSection(Section):
     accuracy: Positive = 1e-5
     seed: NonNegativeInt = 0
 
-    def system(self) -> System:
-        """The molecules, held rigid.  Raises ValueError as water."""
+    def system(self, placed: System | None) -> System:
+        """The molecules, held rigid.  placed : the atoms of a file, or None.  Raises ValueError as water, water_of."""
         given = self.model, self.molecules, self.density / GRAM_PER_CM3
-        system, _, rigid = water(*given, cutoff=self.cutoff, seed=self.seed)
-        return changed(system, constraints=(rigid,))
+        made = water_of(placed, self.model) if placed else water(*given, cutoff=self.cutoff, seed=self.seed)
+        system, _, rigid = made
+        return changed(system, constraints=(*system.constraints, rigid))
 
     def potentials(self) -> list[OwnPotential]:
-        """Its potentials, also of a run in a file, without making molecules.  Raises ValueError as water."""
+        """Its potentials, also of a run in a file, without making molecules.  With atoms of a file, molecules and
+        density have their default values, and the default cutoff is 9 Å.  Raises ValueError as water."""
         return water_potentials(self.model, self.molecules, self.density / GRAM_PER_CM3, self.cutoff, self.accuracy)
 
 
@@ -431,7 +444,9 @@ class SceneSections(Section):
         faults = {
             "structure is missing; give it, or water in its place": not given & {"structure", "water"},
             "potential is missing; give it": not given & {"potential", "water"},
-            "structure and water both give all atoms; leave one of them out": given >= {"structure", "water"},
+            "structure and water give the same; leave lattice, bonds, charges, molecules, density, seed out": self.water
+            and "structure" in given
+            and (self.structure.model_fields_set | self.water.model_fields_set) & GIVEN_TWICE,
             "constraints.pairs would replace those of water; leave them out": self.water and pairs is not None,
             f'water needs units = "ASE"; units = "{units}"': self.water and units != "ASE",
             f"equilibration needs {temperature}, at which first velocities are drawn": self.equilibration and is_cold,

@@ -4,20 +4,24 @@ from math import ceil, cos, radians, sin
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from minimd.core.console.quiet import warn
+from minimd.core.neighbors.queries import neighbor_list
 from minimd.core.potentials.coulomb import Coulomb
 from minimd.core.potentials.pair import LennardJones
 from minimd.core.potentials.term import OwnPotential
 from minimd.core.structure.checks import checked_choice, checked_count, checked_number
-from minimd.core.structure.constraints import DistanceConstraints
+from minimd.core.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.core.structure.lattice import BASES, crystal
-from minimd.core.structure.system import System
+from minimd.core.structure.system import System, changed
 from minimd.core.structure.units import ASE, GRAM_PER_CM3, KJ_PER_MOL_PER_EV
 
 MASSES = (15.9994, 1.008, 1.008)  # u
+OH = 1.3  # Å: hydrogens of other molecules are farther away, in hydrogen bonds 1.6 Å and more
 CUTOFF, OF_BOX = 9.0, 0.45  # default cutoff [Å], and the most of the edge of the box that it takes
 SWITCH_FROM = 0.9  # of the cutoff
+RigidWater = tuple[System, list[OwnPotential], DistanceConstraints]
 
 
 class Model(NamedTuple):
@@ -51,7 +55,7 @@ def water(
     cutoff: float | None = None,
     accuracy: float = 1e-5,
     seed: int = 0,
-) -> tuple[System, list[OwnPotential], DistanceConstraints]:
+) -> RigidWater:
     """Rigid water in a cubic periodic box: the system, its potentials and its constraints, for a Simulation.
 
         system, potentials, rigid = md.water("SPC/E", 512)
@@ -74,7 +78,7 @@ def water(
     if cutoff is None and (most := OF_BOX * edge) < CUTOFF:
         small = f"the cutoff of water is {most:.3g} Å, not {CUTOFF:g} Å, because the box is only {edge:.3g} Å wide"
         warn(f"{small}; take more molecules, or give cutoff to choose it")
-    length, angle, charge, _, _ = MODELS[model]
+    length, angle, *_ = MODELS[model]
     # the lattice with the fewest empty places, from which some are left out evenly
     repeats = {name: ceil(round((n / len(BASES[name])) ** (1.0 / 3.0), 9)) for name in ("sc", "bcc", "fcc")}
     name = min(repeats, key=lambda one: len(BASES[one]) * repeats[one] ** 3)
@@ -83,19 +87,50 @@ def water(
     half = radians(0.5 * angle)
     shape = length * np.array([[0.0, 0.0, 0.0], [sin(half), 0.0, cos(half)], [-sin(half), 0.0, cos(half)]])
     turns = np.linalg.qr(np.random.default_rng(checked_count("seed", seed, 0)).normal(size=(n, 3, 3)))[0]
-    first = 3 * np.arange(n)[:, None, None]
-    system = System(
-        (centers[:, None] + shape @ turns).reshape(-1, 3),
-        masses=np.tile(MASSES, n),
-        charges=np.tile([-2.0 * charge, charge, charge], n),
-        species=["O", "H", "H"] * n,
-        bonds=(first + [[0, 1], [0, 2]]).reshape(-1, 2),
-        cell=edge,
-        units=ASE,
+    positions = (centers[:, None] + shape @ turns).reshape(-1, 3)
+    system = System(positions, masses=1.0, species=["O", "H", "H"] * n, cell=edge, units=ASE)
+    return _rigid(system, model, np.arange(3 * n).reshape(n, 3), potentials)
+
+
+def water_of(system: System, model: ModelName = "SPC/E", cutoff: float = CUTOFF, accuracy: float = 1e-5) -> RigidWater:
+    """Rigid water of atoms O and H that are there, such as those of a file; the answer is as that of water.
+
+    The hydrogens of an oxygen are those within OH of it, in any order and through any image, whatever the bonds. Atoms
+    keep their order, velocities, cell, and those that are fixed; masses, charges, bonds and lengths become those of the
+    model. As all constraints, the lengths are pulled to theirs when a run begins, and a warning says from how far.
+
+    system : in ASE's units.  cutoff : of Lennard-Jones and charges [Å].  model, accuracy : as for water.
+
+    Raises ValueError with the first atom that is of no molecule of an O and two H, such as the fourth site of some
+    models; and as water.
+    """
+    potentials = water_potentials(model, 1, 1.0, cutoff, accuracy)
+    species = system.species
+    i, j = neighbor_list("ij", system, OH)
+    is_arm = (species[i] == "O") & (species[j] == "H")
+    oxygens = i[is_arm]
+    hydrogens = j[is_arm]
+    n_arms = np.bincount(np.append(oxygens, hydrogens), minlength=len(system))
+    odd = np.flatnonzero(n_arms != 1 + (species == "O"))
+    if odd.size:
+        atom = f"atom {odd[0]}, {species[odd[0]]}, has {n_arms[odd[0]]} partners"
+        raise ValueError(f"molecules of water must be an O and two H within {OH:g} Å of it, and no fourth site; {atom}")
+    return _rigid(system, model, np.column_stack([oxygens[::2], hydrogens.reshape(-1, 2)]), potentials)
+
+
+def _rigid(system: System, model: str, molecules: NDArray[np.int64], potentials: list[OwnPotential]) -> RigidWater:
+    """What water returns, from atoms in their places.  molecules : (n, 3), indices of O, H, H."""
+    length, angle, charge, *_ = MODELS[model]
+    pairs = molecules[:, [[0, 1], [0, 2], [1, 2]]]
+    lengths = np.tile([length, length, 2.0 * length * sin(radians(0.5 * angle))], len(molecules))
+    held = changed(
+        system,
+        masses=np.where(system.species == "O", *MASSES[:2]),
+        charges={"O": -2.0 * charge, "H": charge},
+        bonds=pairs[:, :2].reshape(-1, 2),
+        constraints=[one for one in system.constraints if isinstance(one, FixedAtoms)],
     )
-    lengths = np.tile([length, length, 2.0 * length * sin(half)], n)
-    rigid = DistanceConstraints((first + [[0, 1], [0, 2], [1, 2]]).reshape(-1, 2), lengths)
-    return system, potentials, rigid
+    return held, potentials, DistanceConstraints(pairs.reshape(-1, 2), lengths)
 
 
 DENSEST = 3.0  # g/cm³, more than that of any ice

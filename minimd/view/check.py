@@ -105,6 +105,8 @@ def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
     bound = "accuracy bounds the rms error of the forces of charges, over their rms"
     calls = (one.removeprefix("Coulomb: ") for one in contents.potentials if one.startswith("Coulomb: "))
     lines += [Line("charges", call, bound, True) for call in calls]
+    if contents.thin_cell:
+        lines.append(Line("cell", contents.thin_cell, "TOO THIN; open it in this direction, with pbc", False))
     n_dof = ConstraintSet(system, system.constraints).degrees_of_freedom(is_free)
     report = conservation_report(record, angular, None, is_free, lines, n_dof, contents.too_long_a_step)
     if "temperature" in contents.parameters:  # of a thermostat

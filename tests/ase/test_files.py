@@ -88,7 +88,7 @@ def test_types_of_lammps_data_are_elements_only_with_their_masses_and_unknown_sy
     known |= {masses: ["1", "2"] for masses in [(14.027, 15.035), (14.0, 13.0), (100.0, 120.0)]}
     for masses, species in known.items():
         (tmp_path / "a.data").write_text(TWO_ATOMS.format(*masses))
-        assert minimd.ase.system_from_file(tmp_path / "a.data").species.tolist() == species
+        assert minimd.ase.system_from_file(tmp_path / "a.data", lammps_units="metal").species.tolist() == species
     (tmp_path / "ab.xyz").write_text("2\n\nA 0 0 0\nB 1 0 0\n")
     assert_answered(lambda: minimd.ase.system_from_file(tmp_path / "ab.xyz"), ValueError, "chemical symbol", "'A'")
 

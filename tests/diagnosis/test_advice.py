@@ -17,6 +17,7 @@ import minimd as md
 from minimd.core.compiled.kernels import compile_clock
 from minimd.core.integrators.substeps import repeated
 from minimd.integrators import SPLITTINGS, THERMOSTATS, SecondOrder, energy_oscillation, run_steps, stability_limit
+from minimd.view.check import check_file
 
 OTHERS = md.integrators.PEFRL, md.integrators.Ruth3, md.integrators.KahanLi6, md.PositionVerlet
 QUICK = "diatomic", "chain", "ring", "rigid dumbbells", "squeezed, one layer fixed"
@@ -278,3 +279,68 @@ def test_a_slab_with_a_dipole_is_told(axis, scene, is_told):
     assert bool(told) == is_told, [str(one.message) for one in caught]
     if told:
         assert " 32 e σ " in told[0]  # 16 ions, two layers apart
+
+
+CUT = md.LennardJones(1.0, 1.0, 2.5)
+WCA = md.LennardJones(1.0, 1.0, 2.0 ** (1.0 / 6.0))
+IONS = md.LennardJones({"Na": (0.0006, 2.16), "Cl": (0.0145, 4.83)}, cutoff=9.0)
+FCC = np.array([[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]])
+ROCK_SALT = {"cell": 2.82 * FCC, "species": ["Na", "Cl"]}
+CHAIN = np.diag([10.0, 10.0, 1.12])
+
+
+def plane(thickness, axis=2, tilt=0.0, **more):
+    """A square lattice of spacing 1.15, shaken in its plane, as in a file of two dimensions.
+    tilt : the share of each edge in the next one."""
+    n = 6
+    places = np.insert(1.15 * np.array([*np.ndindex(n, n)]), axis, 0.0, axis=1)
+    shaken = np.insert(np.random.default_rng(5).normal(0.0, 0.07, (n * n, 2)), axis, 0.0, axis=1)
+    edges = np.diag(np.insert([1.15 * n, 1.15 * n], axis, thickness))
+    return md.System(places + shaken, cell=edges + tilt * np.eye(3, k=-1) @ edges, **more)
+
+
+def fcc_cell(neighbor, repeat=1):
+    """Of one atom, or of repeat² in a layer of one."""
+    vectors = FCC * neighbor / np.sqrt(2.0)
+    places = np.array([*np.ndindex(repeat, repeat)]) @ vectors[:2]
+    return md.System(places, cell=vectors * [[repeat], [repeat], [1]])
+
+
+THIN = {  # scene, and whether its cell is thinner than the distance of neighbors
+    "bounds of 0.5": (plane(1.0), CUT, True), "bounds of 0.1": (plane(0.2), CUT, True),
+    "across a": (plane(1.0, axis=0), CUT, True), "an inclined edge": (plane(1.0, tilt=1.0), CUT, True),
+    "atoms that only repel": (plane(1.0), WCA, True), "bonds": (plane(0.96, bonds=[[0, 1], [1, 2]]), BONDED, True),
+    "two thin edges": (md.System(np.outer(np.arange(20.0), [1.1, 0, 0]), cell=[22.0, 1.0, 1.0]), CUT, True),
+    "open": (plane(1.0, pbc=(True, True, False)), CUT, False), "a thick cell": (plane(2.6), CUT, False),
+    "at the minimum": (plane(1.12), CUT, False), "a liquid": (LIQUID, LJ, False),
+    "a primitive cell": (fcc_cell(1.1), CUT, False), "a compressed one": (fcc_cell(0.9), CUT, False),
+    "a compressed layer": (fcc_cell(0.9, 4), CUT, False), "soft atoms": (fcc_cell(0.9, 3), WCA, False),
+    "chains along a short period": (md.System([[0, 0, 0], [5.0, 5.0, 0]], cell=CHAIN), CUT, False),
+    "rock salt": (md.System([[0, 0, 0], [2.82, 0, 0]], **ROCK_SALT), IONS, False),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", THIN)
+def test_a_cell_thinner_than_its_neighbors_is_told(name):
+    """By an evaluation, and once by a simulation; no cell of a crystal is, however small or compressed."""
+    system, law, is_thin = THIN[name]
+    with warnings.catch_warnings(record=True, action="always") as evaluated:
+        md.evaluate(system, law)
+    told = [str(one.message) for one in evaluated]
+    assert {one.filename for one in evaluated} <= {__file__}
+    assert told == [one for one in hints_of(system.copy(), law, 1e-6) if "thin" in one]
+    assert len(told) == is_thin
+    if told:
+        length = float(np.linalg.norm(system.cell.lattice, axis=1).min())
+        assert f" {length:.3g} σ long, " in told[0]
+        assert "pbc=" in told[0]
+        assert "\n" not in told[0]
+
+
+def test_a_thin_cell_stands_in_the_file_of_its_run(tmp_path):
+    for system, is_thin in ((plane(1.0), True), (plane(1.0, pbc=(True, True, False)), False)):
+        path = tmp_path / f"{is_thin}.h5md"
+        with warnings.catch_warnings(action="ignore"):
+            md.Simulation(system, CUT, md.VelocityVerlet(1e-5)).run(2, every=1, trajectory=path)
+        checked = str(check_file(path))
+        assert ("lattice vector [0. 0. 1.] is 1 σ long" in checked) is is_thin, checked

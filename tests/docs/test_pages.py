@@ -216,7 +216,7 @@ def test_end_to_end_distances_of_that_page_are_those_of_whole_molecules(melt):
 
 def test_scene_and_tables_of_that_page_are_those_of_the_code(melt):
     (text, *_), page = blocks(DOCS / "formats.md", "toml"), text_of(DOCS / "formats.md")
-    written, read = page.split("Read as structures")
+    written, read = page.split("what a file states, and what is guessed")
     (melt / "melt.toml").write_text(text + "[dynamics]\ntimestep_fs = 1.0\nsteps = 0\n")
     scene = load_scene("melt.toml")
     assert (len(scene.system().angles), len(scene.simulation().potentials)) == (12, 2)

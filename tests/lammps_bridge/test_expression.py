@@ -9,7 +9,7 @@ from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.core.potentials.law import checked_law
-from minimd.lammps.box import Box
+from minimd.core.structure.lammps_box import Box
 from minimd.lammps.expression import UnwritableError, energy_expression
 from minimd.lammps.model import Model
 from minimd.lammps.script import write_atoms
@@ -83,6 +83,6 @@ def test_charges_and_their_accuracy_as_text(tmp_path):
 def test_positions_come_back_to_where_they_were(name):
     system = SCENES[name]().system
     system.positions[:] += 7.0 * system.cell.vectors[0] - 11.0 * system.cell.vectors[2]
-    box = Box(system)
+    box = Box(system.cell, system.positions)
     assert np.abs(box.positions_back(box.positions, system.positions) - system.positions).max() < 1e-12
     assert box.edges == pytest.approx(system.cell.lattice @ box.turn, abs=1e-12)

@@ -256,7 +256,7 @@ FAILURES = [  # what is replaced, scene, arguments, error, what must be shown
     ([COPIES], SCENES["argon"], {"processes": 2}, HandOverError, "1 process instead of 2"),
     ([NO_PACKAGE, found(shutil.which("echo"))], SCENES["argon"], {}, HandOverError, "does not start", "echo): -h"),
     ([NO_ROOM], SCENES["argon"], {"steps": 20, "every": 20}, OSError, "3 frames of 108 atoms", "1e-05 GB left"),
-    ([(script, "_rows", NO_SPACE)], SCENES["argon"], {}, OSError, "No space left on device"),
+    ([(script, "write_atoms", NO_SPACE)], SCENES["argon"], {}, OSError, "No space left on device"),
     ([NONSENSE], displaced_dumbbells, {}, HandOverError, "before its first step", "Unrecognized pair style"),
     ([LARGER], lambda: on_the_cutoff("shifted"), {}, *DIFFER, "1.5 apart, on the cutoff of LennardJones"),
     ([replaced("* * 1 1 ", "* * 1.000000001 1 ")], SCENES["argon"], {}, *DIFFER, "energies of atoms by 1.0e-09"),

@@ -220,3 +220,53 @@ def test_diffusing_liquid_is_told_with_its_peak_and_coefficient(path, tmp_path):
     line, still = liquid(written(tmp_path / "still.h5md", md.System(SITES, cell=5.0), SITES + 0.1 * noise))
     assert "D = " not in still
     assert float(line.split()[-2]) == pytest.approx(1.0, abs=0.03)  # σ, next neighbors of the crystal
+
+
+ROWS = np.array([
+    ["CA", "C", "ALA", "5", "A"], ["CB", "C", "ALA", "5", "A"], ["OW", "O", "HOH", "6", "A"],
+    ["OW", "O", "HOH", "6", "B"], ["X", "", "HOH", "-7", "B"],
+])  # fmt: skip
+SPREAD = 3.0 * np.arange(15.0).reshape(5, 3)
+
+
+def test_names_residues_and_chains_are_those_of_the_topology(path):
+    """Of a system, its copies, and a file; residues end where name, number or chain change."""
+    system = md.System(SPREAD, masses=12.0, units=ASE, topology=ROWS, species=["C1", "C1", "O", "O", "X"])
+    sim = still(system)
+    sim.run(1, trajectory=path, progress=False)
+    for run in sim, path:
+        u = universe(run)
+        assert u.system.topology.tolist() == ROWS.tolist()
+        assert not u.system.topology.flags.writeable
+        assert u.atoms.names.tolist() == ["CA", "CB", "OW", "OW", "X"]
+        assert u.atoms.elements.tolist() == ["C", "C", "O", "O", ""]
+        assert u.residues.resids.tolist() == [5, 6, 6, -7]
+        assert u.select_atoms("protein").indices.tolist() == [0, 1]
+        assert u.select_atoms("resname HOH").indices.tolist() == [2, 3, 4]
+        assert u.select_atoms("segid B and chainID B").indices.tolist() == [3, 4]
+    assert len(md.System(SPREAD).topology) == 0
+
+
+@pytest.mark.parametrize(
+    ("topology", "shown"),
+    [
+        (ROWS[:3], "(5, 5)"), (ROWS[:, :4], "(5, 5)"), (np.zeros((5, 5)), "(5, 5)"), ("protein", "protein"),
+        (np.where(ROWS == "-7", "7A", ROWS), "7A"), (np.where(ROWS == "CB", "\x1b[2J", ROWS), "[1]"),
+        (np.where(ROWS == "CB", "C\nB", ROWS), "[1]"), (np.where(ROWS == "-7", "9" * 30, ROWS), "999"),
+    ],
+)  # fmt: skip
+def test_what_is_no_topology_is_answered_with_a_sentence(topology, shown):
+    assert_answered(lambda: md.System(SPREAD, topology=topology), ValueError, "topology", shown)
+
+
+@pytest.mark.parametrize("stored", [
+    np.full((4, 5, 1), 49, np.uint8), np.full((5, 5, 1), 200, np.uint8), np.full((5, 5, 2), 27, np.uint8),
+    np.full((5, 5), 49, np.uint8), np.full((5, 5, 3), 49.0), np.zeros((5, 5, 0), np.uint8), np.uint8(49),
+], ids=lambda stored: f"{stored.dtype}{stored.shape}")  # fmt: skip
+def test_a_topology_of_a_file_that_minimd_does_not_write_is_refused(path, stored):
+    still(md.System(SPREAD, masses=12.0, units=ASE, topology=ROWS)).run(1, trajectory=path, progress=False)
+    with h5py.File(path, "r+") as h5:
+        del h5["minimd/topology"]
+        h5["minimd/topology"] = stored
+        sign(h5)
+    assert_answered(lambda: universe(path), OSError, "a.h5md", "damaged")

@@ -1,5 +1,6 @@
 """Force fields read by OpenMM: its Reference platform finds the same energies and forces."""
 
+from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
@@ -209,6 +210,240 @@ def test_molecules_keep_their_energy_and_their_bonds(file, method, timestep):
     assert np.ptp(np.polyval(np.polyfit(record.time, energies, 1), record.time)) < 3e-3 * exchanged
 
 
+def of_argon(n, spacing=0.4, elements="Ar", ids=None):
+    """n atoms of argon along a wave, each a residue: system, topology, positions [nm]; the system has no force yet."""
+    made, topology = openmm.System(), app.Topology()
+    chain = topology.addChain("B")
+    for k in range(n):
+        residue = topology.addResidue("GAS", chain, None if ids is None else ids[k])
+        topology.addAtom(f"A{k}", app.Element.getBySymbol(elements) if elements else None, residue)
+        made.addParticle(39.948)
+    k = np.arange(n)[:, None]
+    return made, topology, spacing * np.hstack([0.8 * k, 0.5 * np.sin(2.1 * k), 0.4 * np.cos(1.3 * k)])
+
+
+def assert_one_force_agrees(made, topology, places, tolerance=1e-9):
+    """Of a system with forces of one kind.  Returns the potentials."""
+    system, potentials, _ = md.from_openmm(made, topology, places)
+    assert_same(md.evaluate(system, potentials), *reference(made, places)(), tolerance)
+    return potentials
+
+
+@pytest.mark.parametrize(
+    "force",
+    [
+        openmm.CMAPTorsionForce(), openmm.CustomTorsionForce("k*theta^3"), openmm.CustomBondForce("r^5"),
+        openmm.CustomExternalForce("x"), openmm.CustomHbondForce("distance(d1,a1)"), openmm.GBSAOBCForce(),
+        openmm.CustomCentroidBondForce(2, "distance(g1,g2)"), openmm.CustomNonbondedForce("1/r"),
+    ],
+    ids=lambda force: type(force).__name__,
+)  # fmt: skip
+def test_a_force_without_terms_is_left_out(force):
+    made, topology, places = chains()
+    found = md.evaluate(*md.from_openmm(made, topology, places)[:2])
+    made.addForce(force)
+    system, potentials, _ = md.from_openmm(made, topology, places)
+    assert md.evaluate(system, potentials).potential_energy == found.potential_energy
+
+
+PI = f"pi = {np.pi:.15g}"
+TURNED = f"thetap = step(-(theta-theta0+pi))*2*pi+theta+step(theta-theta0-pi)*(-2*pi); {PI}"
+TORUS = f"d = theta - phi0; {PI}"
+IMPROPERS = [  # as files of CHARMM, DMS; CharmmPsfFile; AmberPrmtopFile; GromacsTopFile; ParmEd write it
+    ("k*(theta-theta0)^2", ("k", "theta0"), 1.0),
+    ("0.5*kappa * (theta - t)^2", ("t", "kappa"), 0.5),
+    ("k*min(dtheta, 2*pi-dtheta)^2; dtheta = abs(theta-theta0);pi = 3.141593;", ("k", "theta0"), 1.0),
+    (f"k*min(dtheta, 2*{np.pi}-dtheta)^2; dtheta = abs(theta-theta0)", ("theta0", "k"), 1.0),
+    ("0.5*k*min(dtheta, 2*pi-dtheta)^2; dtheta = abs(theta-theta0); pi = 3.1415926535", ("k", "theta0"), 0.5),
+    (f"0.5*k*(thetap-theta0)^2; {TURNED}", ("theta0", "k"), 0.5),
+    (f"kf*torus^2; torus = d - floor(d/(2*pi)+0.5)*(2*pi); {TORUS}", ("kf", "phi0"), 1.0),
+]
+
+
+@pytest.mark.parametrize(("energy", "names", "factor"), IMPROPERS)
+def test_custom_torsions_of_harmonic_impropers_have_the_energies_and_forces_of_openmm(energy, names, factor):
+    """Angles are all around the circle, also a millionth of π from ±π, and rest angles too where OpenMM has no jump."""
+    turns = np.pi * np.array([-1.0 + 1e-6, -0.9, -0.5, -0.1, 0.2, 0.6, 0.95, 1.0 - 1e-6])
+    rests = [0.0] if energy in ("k*(theta-theta0)^2", "0.5*kappa * (theta - t)^2") else [0.0, 0.6, -2.5, np.pi, -np.pi]
+    scenes = [(turn, rest) for turn in turns for rest in rests if abs(abs(turn - rest) - np.pi) > 1e-5]
+    made, topology, _ = of_argon(4 * len(scenes))
+    force, places = openmm.CustomTorsionForce(energy), []
+    for name in names:
+        force.addPerTorsionParameter(name)
+    for s, (turn, rest) in enumerate(scenes):
+        last = [0.15 + 0.1 * np.cos(turn), 0.1 * np.sin(turn), 0.17]
+        places += [np.add(at, [s, 0, 0]) for at in ([0.27, 0, 0.02], [0.15, 0, 0], [0.15, 0, 0.14], last)]
+        stiffness = {"k": 40.0 + s, "kappa": 40.0 + s, "kf": 40.0 + s}
+        force.addTorsion(*range(4 * s, 4 * s + 4), [stiffness.get(name, rest) for name in names])
+    made.addForce(force)
+    [improper] = assert_one_force_agrees(made, topology, np.array(places), 1e-5 if "3.141593" in energy else 1e-9)
+    assert type(improper) is md.HarmonicImproper
+    assert improper.k == pytest.approx(2.0 * factor * KJ * (40.0 + np.arange(len(scenes))))
+
+
+def test_a_jump_of_openmms_impropers_is_told():
+    made, topology, places = of_argon(4)
+    force = openmm.CustomTorsionForce("k*(theta-theta0)^2")
+    force.addPerTorsionParameter("k")
+    force.addPerTorsionParameter("theta0")
+    force.addTorsion(0, 1, 2, 3, [50.0, 3.0])
+    made.addForce(force)
+    with pytest.warns(UserWarning, match="theta = pi"):
+        md.from_openmm(made, topology, places)
+
+
+GEOMETRIC = {  # as tutorials for OPLS, readers of DMS files and of GROMACS files write it; parameters by ε and σ
+    "4*epsilon*((sigma/r)^12-(sigma/r)^6); sigma=sqrt(sigma1*sigma2); epsilon=sqrt(epsilon1*epsilon2)":
+        lambda well, size: {"sigma": size, "epsilon": well},
+    "4.0*eps12*((sig12/r)^12 - (sig12/r)^6); sig12=sqrt(sig1*sig2); eps12=sqrt(eps1*eps2)":
+        lambda well, size: {"eps": well, "sig": size},
+    "A1*A2/r^12-C1*C2/r^6":
+        lambda well, size: {"C": np.sqrt(4 * well * size**6), "A": np.sqrt(4 * well * size**12)},
+}  # fmt: skip
+
+
+def opls(energy, method="CutoffPeriodic", switched=False, tail=False):
+    """The chains, with wells that mix geometrically beside the charges: system, topology, positions."""
+    made, topology, places = chains(method, wells=False, charged=not tail)
+    wells, parameters = openmm.CustomNonbondedForce(energy), GEOMETRIC[energy]
+    for name in parameters(1.0, 1.0):
+        wells.addPerParticleParameter(name)
+    for k in range(N_CHAINS * N):
+        well, size = (0.0, 0.0) if k % 6 == 4 else (0.3 + 0.2 * (k % 6), 0.2 + 0.02 * (k % 6))
+        wells.addParticle([*parameters(well, size).values()])
+    pairs = nonbonded(made)
+    for k in range(pairs.getNumExceptions()):
+        wells.addExclusion(*pairs.getExceptionParameters(k)[:2])
+    wells.setNonbondedMethod(METHODS[method])
+    wells.setCutoffDistance(0.9)
+    wells.setUseSwitchingFunction(switched)
+    wells.setSwitchingDistance(0.7)
+    wells.setUseLongRangeCorrection(tail)
+    made.addForce(wells)
+    return made, topology, places
+
+
+@pytest.mark.parametrize(
+    ("method", "switched"), [("NoCutoff", False), ("CutoffPeriodic", False), ("CutoffPeriodic", True)]
+)
+@pytest.mark.parametrize("energy", GEOMETRIC)
+def test_wells_that_mix_geometrically_have_the_energies_and_forces_of_openmm(energy, method, switched):
+    made, topology, places = opls(energy, method, switched)
+    system, potentials, _ = md.from_openmm(made, topology, places)
+    assert_same(md.evaluate(system, potentials), *reference(made, places)(), 1e-8)
+    [lj] = [one for one in potentials if isinstance(one, md.LennardJones)]
+    assert (lj.mixing, lj.truncation, lj.tail_correction) == (
+        "geometric",
+        "switched" if switched else "truncated",
+        False,
+    )
+
+
+def test_the_tail_of_geometric_mixing_is_that_of_openmm_up_to_its_mean_over_pairs():
+    """See the test of that of NonbondedForce; here OpenMM integrates numerically."""
+    energy = next(iter(GEOMETRIC))
+    made, topology, places = opls(energy, tail=True)
+    system, potentials, _ = md.from_openmm(made, topology, places)
+    [lj] = [one for one in potentials if isinstance(one, md.LennardJones)]
+    counts, names, n = np.bincount(system.species_index), system.species_names, len(system)
+    tail, _ = lj.tail(counts, names, system.volume)
+    own = sum(lj.tail(row, names, system.volume)[0] for row in np.diag(np.sqrt(counts)))
+    openmms = reference(made, places)()[0]
+    made.getForce(made.getNumForces() - 1).setUseLongRangeCorrection(False)
+    openmms -= reference(made, places)()[0]
+    assert openmms == pytest.approx(n / (n + 1) * (tail + own), rel=1e-4)
+
+
+BUTANE = """
+[ defaults ]
+1 3 yes 0.5 0.5
+[ atomtypes ]
+CT CT 6 12.011 0.0 A 0.35 0.276144
+CX CX 6 12.011 0.0 A 0.36 0.376144
+HC HC 1 1.008 0.0 A 0.25 0.12552
+[ moleculetype ]
+BUT 3
+[ atoms ]
+1 CT 1 BUT C1 1 -0.18 12.011
+2 CX 1 BUT C2 1 -0.06 12.011
+3 CX 1 BUT C3 1 0.14 12.011
+4 CT 1 BUT C4 1 -0.18 12.011
+5 HC 1 BUT H1 1 0.28 1.008
+[ bonds ]
+1 2 1 0.153 224262.4
+2 3 1 0.153 224262.4
+3 4 1 0.153 224262.4
+4 5 1 0.109 284512.0
+[ pairs ]
+1 4 1
+2 5 1
+[ angles ]
+1 2 3 1 112.7 488.273
+[ dihedrals ]
+1 2 3 4 3 2.9288 -1.4644 0.2092 -1.6736 0.0 0.0
+2 3 4 5 2 35.0 334.72
+1 3 4 5 2 200.0 334.72
+[ system ]
+butane
+[ molecules ]
+BUT 8
+"""
+
+
+def test_a_file_of_gromacs_with_the_rules_of_opls_has_the_energies_and_forces_of_openmm(tmp_path):
+    """Geometric mixing, pairs 1-4 as bonds with A and C, harmonic impropers."""
+    (tmp_path / "a.top").write_text(BUTANE)
+    top = app.GromacsTopFile(str(tmp_path / "a.top"), periodicBoxVectors=[openmm.Vec3(*row) for row in CUBE])
+    made = top.createSystem(nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=1.0, useDispersionCorrection=False)
+    one = [[0.1, 0.1, 0.2], [0.25, 0.11, 0.2], [0.31, 0.24, 0.2], [0.46, 0.25, 0.22], [0.5, 0.32, 0.29]]
+    places = np.concatenate([np.add(one, [1.1 * (k % 2), 1.1 * (k // 2 % 2), 1.03 * (k // 4)]) for k in range(8)])
+    for force in made.getForces():
+        if isinstance(force, openmm.CustomNonbondedForce):
+            force.setUseLongRangeCorrection(False)
+    potentials = assert_one_force_agrees(made, top.topology, places)
+    kinds = {type(potential) for potential in potentials}
+    assert {md.HarmonicImproper, md.LennardJones, md.BondPotential, md.RyckaertBellemans} <= kinds
+
+
+def test_atoms_without_mass_are_fixed_atoms_with_the_mass_of_their_element():
+    """As in OpenMM, lengths between them are no constraints."""
+    made, topology, places = of_argon(5)
+    made.addConstraint(0, 2, 0.5)
+    made.addConstraint(3, 4, 0.33)
+    for k in (0, 2):
+        made.setParticleMass(k, 0.0)
+    system, _, (lengths, fixed) = md.from_openmm(made, topology, places)
+    assert (type(fixed), fixed.atoms.tolist(), lengths.pairs.tolist()) == (md.FixedAtoms, [0, 2], [[3, 4]])
+    assert system.masses == pytest.approx(39.948, rel=1e-5)
+    sim = md.Simulation(system, md.LennardJones(0.01, 3.4), md.VelocityVerlet(1.0 * md.units.fs))
+    sim.run(20, progress=False)
+    moved = np.abs(sim.system.positions - 10.0 * places).max(axis=1) > 0.0
+    assert moved.tolist() == [False, True, False, True, True]
+
+
+def test_atoms_keep_the_names_of_the_topology(tmp_path):
+    """Names, elements, residues and chains, in memory and in a file, of which MDAnalysis selects them."""
+    mdanalysis = pytest.importorskip("minimd.mdanalysis")
+    made, topology, places = of_argon(5, ids=["7", "8", "8A", "-3", "12"])
+    [*atoms] = topology.atoms()
+    atoms[0].residue.name, atoms[1].residue.name = "HOH", "ALA"
+    atoms[1].name, atoms[2].element = "CA", None
+    system = md.from_openmm(made, topology, places)[0]
+    rows = [["A0", "Ar", "HOH", "7", "B"], ["CA", "Ar", "ALA", "8", "B"], ["A2", "", "GAS", "3", "B"],
+            ["A3", "Ar", "GAS", "-3", "B"], ["A4", "Ar", "GAS", "12", "B"]]  # fmt: skip
+    assert system.topology.tolist() == rows
+    sim = md.Simulation(system, [md.LennardJones(0.01, 3.4)], md.VelocityVerlet(1.0 * md.units.fs))
+    sim.run(2, trajectory=tmp_path / "run.h5md", progress=False)
+    resumed = md.Simulation.resume(tmp_path / "run.h5md", [md.LennardJones(0.01, 3.4)])
+    assert resumed.system.topology.tolist() == rows
+    for run in sim, tmp_path / "run.h5md":
+        atoms = mdanalysis.universe(run).atoms
+        assert atoms.select_atoms("protein").indices.tolist() == [1]
+        assert atoms.select_atoms("resname HOH and chainID B and segid B and element Ar").indices.tolist() == [0]
+        assert atoms.residues.resids.tolist() == [7, 8, 3, -3, 12]
+        assert atoms.names.tolist() == ["A0", "CA", "A2", "A3", "A4"]
+
+
 def changed(change, method="NoCutoff"):
     """The chains, after something was done to their system."""
     made, *others = chains(method)
@@ -225,14 +460,67 @@ def add_offset(made):
     made.getForce(4).addParticleParameterOffset("lambda", 0, 0.1, 0.0, 0.0)
 
 
+def with_terms(force, add, *numbers):
+    getattr(force, f"add{add}")(*numbers)
+    return with_force(force)
+
+
+def with_torsion(energy, *names, is_global=False):
+    force = openmm.CustomTorsionForce(energy)
+    for name in names:
+        force.addPerTorsionParameter(name)
+    if is_global:
+        force.addGlobalParameter("g", 1.0)
+    return with_terms(force, "Torsion", 0, 1, 2, 3, [1.0] * len(names))
+
+
+def with_map():
+    force = openmm.CMAPTorsionForce()
+    force.addMap(2, [0.0] * 4)
+    return with_terms(force, "Torsion", 0, *range(4), *range(1, 5))
+
+
+def with_pairs(energy, *names, wells=False, repulsive=False):
+    made, *others = chains(wells=wells)
+    force = openmm.CustomNonbondedForce(energy)
+    for name in names:
+        force.addPerParticleParameter(name)
+    for _ in range(N_CHAINS * N):
+        force.addParticle([1.0, 0.0 if repulsive else 1.0])
+    made.addForce(force)
+    return made, *others
+
+
+def with_pairs_twice():
+    made, *others = with_pairs("a1*a2/r^12-b1*b2/r^6", "a", "b")
+    made.addForce(deepcopy(made.getForce(made.getNumForces() - 1)))
+    return made, *others
+
+
+def with_a_massless_site():
+    made, topology, places = of_argon(4, elements="")
+    made.setParticleMass(2, 0.0)
+    return made, topology, places
+
+
 SITE = openmm.TwoParticleAverageSite(0, 1, 0.5, 0.5)
 REFUSED = [  # arguments, error, what must be named
-    (lambda: with_force(openmm.CustomBondForce("r")), ValueError, "'CustomBondForce'"),
+    (lambda: with_terms(openmm.CustomBondForce("r"), "Bond", 0, 1), ValueError, "'CustomBondForce'", "energy r"),
+    (lambda: with_torsion("k*(1+cos(theta-t))", "k", "t"), ValueError, "'CustomTorsionForce'", "k*(1+cos(theta-t))"),
+    (lambda: with_torsion("g*(theta-t)^2", "t", is_global=True), ValueError, "'CustomTorsionForce'", "g*(theta-t)^2"),
+    (lambda: with_torsion("k*(theta-t)^4", "t", "k"), ValueError, "'CustomTorsionForce'", "k*(theta-t)^4"),
+    (lambda: with_pairs("a1*a2/r^9-b1*b2/r^6", "a", "b"), ValueError, "'CustomNonbondedForce'", "a1*a2/r^9-b1*b2/r^6"),
+    (lambda: with_pairs("a1*b2/r^12-b1*a2/r^6", "a", "b"), ValueError, "'CustomNonbondedForce'"),
+    (lambda: with_pairs("a1*a2/r^12-b1*b2/r^6", "a", "b", wells=True), ValueError, "NonbondedForce with wells"),
+    (lambda: with_pairs("a1*a2/r^12-b1*b2/r^6", "a", "b", repulsive=True), ValueError, "A, C", "[1.0, 0.0]"),
+    (with_pairs_twice, ValueError, "CustomNonbondedForce", "wells"),
+    (lambda: changed(lambda made: made.getForce(4).setParticleParameters(0, 0.1, 0.2, -0.3)), ValueError, "epsilon"),
+    (with_a_massless_site, ValueError, "particle 2", "mass 0", "virtual site"),
     (lambda: with_force(openmm.MonteCarloBarostat(1.0, 300.0)), ValueError, "'MonteCarloBarostat'", "md.Simulation"),
     (lambda: with_force(openmm.AndersenThermostat(300.0, 1.0)), ValueError, "'AndersenThermostat'"),
-    (lambda: with_force(openmm.GBSAOBCForce()), ValueError, "'GBSAOBCForce'"),
-    (lambda: with_force(openmm.CMAPTorsionForce()), ValueError, "'CMAPTorsionForce'"),
-    (lambda: with_force(openmm.NonbondedForce()), ValueError, "second NonbondedForce"),
+    (lambda: with_terms(openmm.GBSAOBCForce(), "Particle", 0.0, 0.1, 0.8), ValueError, "'GBSAOBCForce'"),
+    (with_map, ValueError, "'CMAPTorsionForce'"),
+    (lambda: with_terms(openmm.NonbondedForce(), "Particle", 0, 1, 0), ValueError, "second NonbondedForce"),
     (lambda: chains("LJPME"), ValueError, "LJPME"),
     (lambda: changed(lambda made: made.setVirtualSite(5, SITE)), ValueError, "virtual sites", "particle 5"),
     (lambda: changed(add_offset), ValueError, "offsets"),

@@ -30,7 +30,7 @@ DEEP = "nested too deeply"
 NO_TOML = [
     ("a = [", "not valid TOML"), ("b = 1\nb = 2\nc = 3\n", "(at line 2, column 6), in 'b = 2'"), (b"\xff\xfe", "UTF-8"),
     (f"x = {'[' * 2000}{']' * 2000}", DEEP), (f"{'a.' * 20_000}a = 1", DEEP), (f"[{'a . ' * 20_000}a]", DEEP),
-    ("\ufeff", "not valid TOML"),
+    ("\ufeff", "dynamics is missing"), ("\ufeff\ufeff", "not valid TOML"),
 ]  # fmt: skip
 STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 SECONDS, KILOBYTES = 2.0, 1_000_000  # for one scene, of processor time

@@ -10,6 +10,7 @@ from ase import Atoms
 from ase.io import write
 from references import melt_scene, scene_text
 from scene_texts import ARGON, MIXTURE, REDUCED, SALT, TABULATED, WATER, R, U, scene_of, write_tables
+from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.core.files.h5md_reader import read_file
@@ -17,6 +18,7 @@ from minimd.integrators import THERMOSTATS, LangevinBAOAB
 from minimd.scene import load_scene, resume_run, run_scene
 from minimd.scene.running import differences
 from minimd.scene.section import KEY_UNITS, Section, sections_below
+from minimd.scene.water import water_of
 
 DOCS = Path(__file__).parents[2] / "docs"
 # SI values, independent of minimd.units (CODATA 2018; minimd has ASE's of 2014, equal to 1e-6)
@@ -144,6 +146,69 @@ def test_water_of_a_scene_is_that_of_a_script_and_goes_on_from_its_file_alone(fo
     assert load_scene(ARGON.with_name("water.toml")).simulation().n_dof == 747
 
 
+def mixed_water(model="SPC/E", seed=4):
+    """27 molecules of a model, as ASE's atoms: in another order, and wrapped, so that molecules cross faces."""
+    system, rng = md.water(model, 27, cutoff=4.0)[0], np.random.default_rng(seed)
+    order, edge = rng.permutation(81), [system.cell.vectors[0, 0]] * 3
+    atoms = Atoms(system.species[order], system.positions[order], cell=edge, pbc=True)
+    atoms.wrap()
+    atoms.set_momenta(0.1 * rng.standard_normal((81, 3)))
+    return atoms
+
+
+WATER_OF_FILE = """
+structure = { file = "box.extxyz" }
+water = { model = "SPC/E", cutoff_A = 4.0 }
+dynamics = { timestep_fs = 1.0, steps = 4 }
+output = { every = 2, trajectory = "a.h5md" }
+"""
+
+
+def test_water_of_a_file_is_the_same_water_by_one_key(folder):
+    """Whatever the order of the atoms: energy, masses, charges and degrees of freedom, with velocities of the file."""
+    atoms, (system, potentials, _) = mixed_water(), md.water("SPC/E", 27, cutoff=4.0)
+    write("box.extxyz", atoms)
+    scene = scene_of(WATER_OF_FILE)
+    simulation = scene.simulation()
+    expected = md.evaluate(system, potentials).potential_energy
+    assert energy_of(scene) == pytest.approx(expected, rel=1e-6)  # rounding: the file has 8 decimals
+    assert list(map(repr, simulation.potentials)) == list(map(repr, potentials))
+    assert simulation.n_dof == 6 * 27 - 3
+    assert simulation.system.species.tolist() == atoms.get_chemical_symbols()
+    assert simulation.velocities == pytest.approx(atoms.get_velocities(), abs=1e-8)
+    for name in ("masses", "charges"):
+        by_kind = [dict(zip(one.species, getattr(one, name), strict=True)) for one in (simulation.system, system)]
+        assert by_kind[0] == by_kind[1]
+    (long,) = scene_of(WATER_OF_FILE.replace(", cutoff_A = 4.0", "")).potentials()[1:]
+    assert long.cutoff == 9.0
+
+
+@pytest.mark.parametrize("suffix", ["pdb", "gro"])
+def test_water_of_a_file_takes_the_lengths_of_its_model_and_goes_on_without_the_file(folder, suffix):
+    write(f"box.{suffix}", mixed_water("TIP3P"))
+    scene = scene_of(WATER_OF_FILE.replace("extxyz", suffix))
+    with pytest.warns(UserWarning, match="projected onto the constraints"):
+        whole = run_scene(scene, steps=8, trajectory=folder / "whole.h5md", tell=lambda _: None)
+    held = md.water("SPC/E", 27, cutoff=4.0)[2]
+    assert whole.constraints[0].lengths == pytest.approx(held.lengths, rel=1e-15)
+    with pytest.warns(UserWarning, match="projected onto the constraints"):
+        run_scene(scene, tell=lambda _: None)
+    Path(f"box.{suffix}").unlink()
+    assert np.array_equal(resume_run("a.h5md", 4, tell=lambda _: None).positions, whole.positions)
+
+
+def test_atoms_of_a_file_that_are_no_water_are_told_by_the_first_of_them(folder):
+    two = [[0, 0, 0], [1.0, 0, 0], [0, 1.0, 0], [4, 0, 0], [5.0, 0, 0], [4, 1.0, 0]]
+    for gone, shown in ((0, "atom 0, H, has 0"), (1, "atom 0, O, has 1"), (3, "atom 3, H, has 0")):
+        atoms = Atoms("OH2OH2", two, cell=[12.0] * 3, pbc=True)
+        del atoms[gone]
+        write("box.extxyz", atoms)
+        assert_answered(scene_of(WATER_OF_FILE).system, ValueError, "scene.toml: structure: ", "two H", shown)
+    places = [[0, 0, 0], [0.96, 0, 0], [-0.24, 0.93, 0], [0.1, 0.1, 0]]
+    four = md.System(places, cell=9.0, species=["O", "H", "H", "MW"], masses=1.0, units=md.units.ASE)
+    assert_answered(lambda: water_of(four), ValueError, "no fourth site; atom 3, MW")
+
+
 def test_every_registered_thermostat_is_built_from_its_own_parameters(monkeypatch):
     def begin(self, timestep, temperature, friction, seed, strength=2.0):
         LangevinBAOAB.__init__(self, timestep, temperature, strength * friction, seed)
@@ -199,6 +264,17 @@ def test_a_table_is_that_of_a_script_in_the_unit_of_its_keys(folder):
     assert np.array_equal(potential.pair_energy(R[:-200]), script.pair_energy(R[:-200]))
     # eV, K; the third pair is beyond the end of its table
     assert energy_of(scene_of(MIXTURE)) == pytest.approx(3.5 + 250.0 * 8.617330337e-5, rel=1e-7)
+
+
+def test_a_byte_order_mark_changes_nothing(folder):
+    """Of a scene, by its path and as text, and of its table: editors of Windows begin UTF-8 with it."""
+    (plain,) = scene_of(TABULATED).potentials()
+    for name, text in (("scene.toml", TABULATED), ("lj.dat", Path("lj.dat").read_text())):
+        Path(name).write_text(text, encoding="utf-8-sig")
+    marked = load_scene("scene.toml")
+    assert marked.text == scene_of(Path("scene.toml").read_text(encoding="utf-8")).text == TABULATED
+    (potential,) = marked.potentials()
+    assert repr(potential) == repr(plain)
 
 
 def test_a_run_goes_on_from_its_file_alone_with_its_table_and_its_stress(folder):

@@ -125,7 +125,8 @@ def test_lammps_data_keeps_its_types_velocities_and_bonds(folder):
     same_groups(md.System.from_ase(atoms).angles, ANGLES)
     assert md.System.from_ase(atoms, bonds=[[0, 1]]).bonds.tolist() == [[0, 1]]
     Path("melt.unknown").write_text(Path("melt.data").read_text())
-    same_groups(system_from_file("melt.unknown", format="lammps-data").bonds, BONDS)
+    assert_answered(lambda: system_from_file("melt.unknown", format="lammps-data"), ValueError, "lammps_units=")
+    same_groups(system_from_file("melt.unknown", format="lammps-data", units=md.units.LJ).bonds, BONDS)
 
 
 @pytest.mark.parametrize("file", ["a.traj", "a.extxyz", None], ids=str)
@@ -213,7 +214,7 @@ def from_mdanalysis():
 WAYS_IN = {
     "a universe": from_mdanalysis, "atoms": lambda: md.System.from_ase(salt()),
     "a file of ASE": lambda: (ase.io.write("a.traj", salt()), system_from_file("a.traj"))[1],
-    "LAMMPS data, full": lambda: system_from_file("salt-full.data"),
+    "LAMMPS data, full": lambda: system_from_file("salt-full.data", units=md.units.ASE),
     "LAMMPS data, charge": lambda: system_from_file("salt-charge.data", units=md.units.LJ),
     "LAMMPS data beside": lambda: system_from_file("salt.xyz", bonds="salt-full.data"),
     "a PSF beside": lambda: system_from_file("melt.pdb", bonds="ions.psf"),

@@ -4,7 +4,9 @@ Temporary names are those of new files, and never followed as links: whoever can
 links there. No other program gives such names: what lies there was left by a killed run.
 """
 
+import bz2
 import errno
+import gzip
 import os
 import stat
 from contextlib import ExitStack, suppress
@@ -75,6 +77,13 @@ def write_whole(file: Path, content: str | bytes, overwrite: bool = True) -> Non
         raise
     except OSError as error:
         raise OSError(f"{str(file)!r} cannot be written: {error.strerror}") from None
+
+
+def text_of(path: Path) -> str:
+    """The text of a file, which may be compressed (.gz, .bz2).  Raises OSError if it cannot be read."""
+    opened: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(path.suffix, open)
+    with opened(path, "rt", encoding="utf-8", errors="replace") as file:
+        return str(file.read())
 
 
 def rendered(figure: Any, kind: str | None) -> bytes:

@@ -26,6 +26,7 @@ from minimd.core.compiled.threads import MOST_CHUNKS
 from minimd.core.constraints import closed_forms, networks
 from minimd.core.constraints.closed_forms import Atoms, Bonds, TriatomicMolecules
 from minimd.core.constraints.networks import NetworkScratch, dependent_constraint
+from minimd.core.structure.bond_graph import connected
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -69,11 +70,9 @@ class Bodies(NamedTuple):
 
 def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
     """The bodies formed by (K, 2) pairs of atoms, with (N,) 1/mass, zero for atoms that are held fixed."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     n = len(inverse_masses)
-    n_bodies, label = connected_components(coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n)), directed=False)
+    label = connected(pairs, n)
+    n_bodies = 1 + label.max()
     last, is_free = np.zeros(n_bodies, dtype=np.int64), np.ones(n_bodies, dtype=bool)
     last[label] = np.arange(n)
     last[label[pairs[:, 1]]] = pairs[:, 1]

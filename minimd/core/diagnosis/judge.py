@@ -14,7 +14,7 @@ from minimd.core.diagnosis.stiffness import Stiffness
 from minimd.core.diagnosis.timestep import OSCILLATION, StepAdvice, advice_at
 from minimd.core.engine.cell_rescaling import EVAPORATED
 from minimd.core.engine.engine import Engine, Snapshot
-from minimd.core.forces.contacts import Contact, contacts
+from minimd.core.forces.contacts import OPEN_IT, Contact, contacts, thin_cell
 from minimd.core.integrators.order_conditions import accurate_step, stability_limit
 from minimd.core.neighbors.queries import ClosestPair, closest_pair
 from minimd.core.potentials.bonded import HarmonicBond
@@ -329,6 +329,12 @@ def polar_slab(evidence: Evidence) -> Verdict | None:
     return Verdict(f"{cause}: {share}", "give the slab two like faces, or a second slab, turned over, in the same cell")
 
 
+def own_images(evidence: Evidence) -> Verdict | None:
+    """Atoms that are pushed by their own images, as in a cell of two dimensions that is left periodic."""
+    cause = thin_cell(evidence.system, evidence.engine.interactions.potentials)
+    return Verdict(cause, OPEN_IT) if cause else None
+
+
 def not_numbers(evidence: Evidence) -> Verdict | None:
     """Positions or velocities that are not finite."""
     system = evidence.system
@@ -535,6 +541,7 @@ RULES = (
     Rule(BEFORE, "reach", no_pair_in_reach), Rule(BEFORE, "barostat", slow_barostat),
     Rule(BEFORE, "pressure", crushing_pressure), Rule(BEFORE, "center", moving_center),
     Rule(BEFORE, "plane", flat_motion), Rule(BEFORE, "slab", polar_slab),
+    Rule(BEFORE, "thin", own_images),
     Rule(START, "start", thrown_at_start), Rule(DURING, "number", not_numbers),
     Rule(DURING, "neighbors", past_neighbors), Rule(AFTER, "law", law_without_number),
     Rule(AFTER, "overlap", overlap_at_start), Rule(AFTER, "overlap", one_place), Rule(AFTER, "barostat", barostat),

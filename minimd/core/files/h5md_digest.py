@@ -37,7 +37,7 @@ from minimd.core.console.words import listed, shown
 from minimd.core.engine.engine import Checkpoint, Snapshot
 from minimd.core.engine.observer import StoredObserver
 from minimd.core.files.h5_items import NOTHING, REFERENCE, Item, put
-from minimd.core.files.stored_fields import FIELDS, check_fields
+from minimd.core.files.stored_fields import FIELDS, STEPS, check_fields
 from minimd.core.neighbors.verlet_list import Built
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.grid import Grid
@@ -162,6 +162,8 @@ def _whole(h5: h5py.File, name: str) -> Restart | None:
     """The restart of a name; None if it is damaged."""
     try:
         arrays, numbers = read_group(h5[name])
+        if STEPS in h5 and numbers["step"] < h5[STEPS][0]:
+            return None  # frames of a run begin with it
         return Restart(unflattened(arrays, numbers), int(numbers["n_frames"]), arrays, name == EARLIER)
     except MemoryError:
         raise

@@ -255,6 +255,7 @@ class H5MDContents(Displayed):
     method : its name in integrators.METHODS.  parameters : arguments with which it can be made again.
     barostat : StochasticCellRescaling, or None.  precision, skin : of the options.  potentials : in words.
     too_long_a_step : the warning of a Report that the time step is too long, or empty.
+    thin_cell : that atoms are pushed by their own images, or empty.
     since : the first step from which on method, bath and state are those of one run; 0 for all of them.
     reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.
     conserves_momentum : whether the run did.  moves_freely : whether nothing held its center; false in older files.
@@ -287,6 +288,7 @@ class H5MDContents(Displayed):
     lacks_results: bool
     barostat: StochasticCellRescaling | None = None
     too_long_a_step: str = ""
+    thin_cell: str = ""
     since: int = 0
 
     def __repr__(self) -> str:
@@ -404,6 +406,7 @@ def _damage(path: str | Path) -> tuple[str, str]:
 def _system(group: h5py.Group, restart: Checkpoint) -> System:
     names = group["species_names"]
     labels = names.asstr()[:] if h5py.check_string_dtype(names.dtype) else names[:]
+    texts = group["topology"][:] if "topology" in group else np.zeros((0, 5, 1), np.uint8)
     return System(
         restart.state.positions,
         velocities=restart.state.velocities,
@@ -412,6 +415,7 @@ def _system(group: h5py.Group, restart: Checkpoint) -> System:
         **{name: group[name][:] for name in ("masses", "charges", *GROUPS) if name in group},
         units=SYSTEMS[group.attrs["units"]],
         constraints=read_constraints(group),
+        topology=texts.view(f"S{texts.shape[-1]}")[..., 0].astype(str),
     )
 
 

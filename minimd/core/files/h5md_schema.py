@@ -9,6 +9,7 @@
                             observers, digests: see h5md_digest
     minimd/constraints      pairs (K, 2), their lengths (K,), with the attributes tolerance and solver; fixed (F,)
                             atoms; without what the run does not have
+    minimd/topology         (N, 5, W) uint8, the texts of System.topology in ASCII, if there are any
 
 Numbers in reduced units are written unchanged with the same labels, because MDAnalysis refuses a file without units;
 the attribute units of the group minimd is then "LJ". For MDAnalysis a box with edges is periodic in all directions, and
@@ -36,6 +37,8 @@ from minimd.core.diagnosis.judge import too_long_a_step
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.record import SERIES, Frame
 from minimd.core.files.h5_items import NOTHING, REFERENCE, TEXT, Item
+from minimd.core.files.stored_fields import STEPS
+from minimd.core.forces.contacts import thin_cell
 from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
@@ -46,7 +49,7 @@ CHUNK_BYTES = 64 * 1024  # of one series; a larger entry is a chunk of its own
 CHUNK_ROWS, FEW_ROWS = 512, 16  # the most rows, and the fewest for a file with few frames: more may be appended
 LARGEST_ENUMERATION = 1000  # so many labels fit into the header of a dataset, 64 KiB
 TRAJECTORY = "particles/trajectory"
-STEPS, TIMES = f"{TRAJECTORY}/position/step", f"{TRAJECTORY}/position/time"
+TIMES = f"{TRAJECTORY}/position/time"
 # the name in Timestep.data that MDAnalysis' Timestep.dt reads first; its H5MD reader fills data from observables
 SPACING = "dt"
 TOLERANCE, SOLVER = ("the tolerance of lengths",), ("the solver of lengths",)  # words, as of _held
@@ -142,6 +145,8 @@ def description(engine: Engine) -> dict[str, Item]:
         if (values := getattr(system, second)).any():
             found[f"{TRAJECTORY}/{name}"] = Item({"unit": unit}, values)
             found[f"minimd/{second}"] = Item(other=f"{TRAJECTORY}/{name}")
+    if len(system.topology):
+        found["minimd/topology"] = Item(data=system.topology.astype("S").view(np.uint8).reshape(len(system), 5, -1))
     for name, members in system.groups().items():
         if len(members) or name == "bonds":
             found[f"connectivity/{name}"] = Item({REFERENCE: TRAJECTORY}, members)
@@ -211,6 +216,7 @@ METHOD: dict[str, tuple[Callable[[Engine], Any], Callable[[Any], Any]]] = {  # a
         lambda stored: [printable(one) for one in stored],
     ),
     "too_long_a_step": (lambda of: too_long_a_step(of) or "", _text),
+    "thin_cell": (lambda of: thin_cell(of.system, of.interactions.potentials), _text),
     "barostat": (
         lambda of: "" if of.barostat is None else json.dumps(of.barostat.parameters),
         lambda stored: StochasticCellRescaling(**json.loads(stored)) if stored else None,

@@ -32,6 +32,7 @@ class Stored(NamedTuple):
     kind: np.dtype = REAL
 
 
+STEPS = "particles/trajectory/position/step"  # of frames
 UNKNOWN = Stored((-1,))  # no array is so
 NUMBER = Stored()
 STEP = Stored((), -MOST_STEPS, MOST_STEPS, WHOLE)
@@ -66,7 +67,7 @@ FIELDS = {
     "n_frames": COUNT,
     # frames; observables of scripts may be anything
     "minimd/time": NUMBER,
-    "particles/trajectory/position/step": STEP,
+    STEPS: STEP,
     "particles/trajectory/position/time": NUMBER,
     "particles/trajectory/position/value": VECTORS,
     "particles/trajectory/velocity/value": VECTORS,

@@ -1,42 +1,69 @@
-"""Structures, and the bonds, angles and dihedrals in them, from files that ASE or MDAnalysis reads;
-masses of chemical elements; trajectories that ASE writes."""
+"""The door for structure files: what comes in is what the file states, whoever reads it.
 
+    reader        formats
+    minimd        LAMMPS data; .h5md
+    MDAnalysis    PDB, GRO, MOL2, ... : see OF_MDANALYSIS
+    ASE           all others
+
+Each gives the arguments of a System, and what its file states about names, elements and masses: see structure.elements.
+"""
+
+import io
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import ase.io
 import numpy as np
 from ase import Atoms
-from ase.calculators.singlepoint import SinglePointCalculator
-from ase.data import atomic_masses, atomic_numbers
-from ase.io.formats import UnknownFileTypeError, ioformats
-from ase.io.trajectory import TrajectoryWriter
-from numpy.typing import ArrayLike
+from ase.calculators.lammps import convert
+from ase.data import atomic_masses, chemical_symbols
+from ase.io.formats import UnknownFileTypeError, filetype, ioformats
+from numpy.typing import ArrayLike, NDArray
 
 from minimd.core.console.quiet import quiet, warn
-from minimd.core.engine.engine import Engine
-from minimd.core.engine.record import Frame
-from minimd.core.files.claim import Claim
+from minimd.core.console.whole_file import text_of
+from minimd.core.console.words import listed
 from minimd.core.files.h5md_reader import looked_at
-from minimd.core.files.trajectory import Writer
-from minimd.core.structure.ase_atoms import atoms_from_system, calculators_stress, label_by_tags
+from minimd.core.files.lammps_data import read_lammps_data
+from minimd.core.structure.ase_atoms import stated_of, system_arguments
 from minimd.core.structure.bond_graph import GROUPS, Joined, joined_in
 from minimd.core.structure.cell import Cell
-from minimd.core.structure.checks import checked_path
-from minimd.core.structure.system import System, changed
+from minimd.core.structure.checks import checked_choice, checked_path
+from minimd.core.structure.elements import Stated, guessed_element, identified, is_element
+from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE, LJ, UnitSystem
 
 LAMMPS = "lammps-data"
-# formats that ASE does not find by suffix
-SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS, ".mol2": "MOL2", ".gsd": "GSD", ".txyz": "TXYZ"}
+DUMP = "lammps-dump-text"
+SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS, ".lammpstrj": DUMP, ".dump": DUMP}
+LAMMPS_UNITS = ("lj", "real", "metal", "si", "cgs", "electron", "micro", "nano")
+PER_PICOSECOND = {"metal": 1.0, "real": 1e3}  # Å/ps of velocities; lengths, masses, charges are those of minimd
+PACKED = (".gz", ".bz2")
+# suffixes of formats that MDAnalysis reads, and its names for them
+OF_MDANALYSIS = {
+    suffix: suffix[1:].upper()
+    for suffix in (".pdb", ".gro", ".mol2", ".gsd", ".txyz", ".pqr", ".pdbqt", ".crd", ".dms", ".mmtf", ".mmcif")
+} | {".ent": "PDB", ".arc": "TXYZ"}
+INSTEAD = {"proteindatabank": "PDB", "gromacs": "GRO", "ENT": "PDB", "DATA": LAMMPS}
+INSTEAD |= {"dlp4": "CONFIG", "dlp-history": "HISTORY"}
+SECOND = {"PDB": "proteindatabank", "GRO": "gromacs"}  # ASE's names, where MDAnalysis cannot read a file
 XYZ = (".xyz", ".extxyz")
-NAMES_BONDS = ("PDB", "ENT")  # formats whose atoms are read by ASE, and whose bonds by MDAnalysis
-STATE_MASSES = ("DATA", "GSD")  # formats read by MDAnalysis that state masses, in their own units
+XYZ_OF_ASE = ("xyz", "extxyz", "simple-xyz")
 MASS_OF_ELEMENT = 1e-3  # relative: 12.0 and 16.0 are carbon and oxygen, but 14.027 is CH₂, not nitrogen
-NOTHING: dict[str, Any] = dict.fromkeys(GROUPS)  # no bonds, angles, dihedrals, impropers
-NEAR = 2e-3  # Å, largest difference of the same position read by ASE and by MDAnalysis
+SAME_MASS = 0.1  # u, largest difference of the masses of one atom in two files
+ATOMS = ("ATOM  ", "HETATM")  # records of a PDB file
+PDB_LINE = 54  # columns up to the end of z
+
+
+class Structure(NamedTuple):
+    """What a file holds.  arguments : of System.  stated : of names, elements and masses.
+    n_types : of bonds and so on, see Joined."""
+
+    arguments: dict[str, Any]
+    stated: Stated
+    n_types: dict[str, int] = {}  # noqa: RUF012 - never changed
 
 
 def system_from_file(
@@ -47,9 +74,17 @@ def system_from_file(
     format: str | None = None,
     units: UnitSystem | None = None,
     bonds: ArrayLike | str | Path | None = "file",
+    masses: Any = None,
+    elements: Any = None,
+    atom_style: str | None = None,
+    lammps_units: str | None = None,
 ) -> System:
-    """The last structure in a file of any format that ASE or MDAnalysis reads, with its bonds, angles,
-    dihedrals and impropers.
+    """The last structure in a file of any format that ASE or MDAnalysis reads, with its bonds, angles, dihedrals and
+    impropers.
+
+    What the file states is taken; what is guessed is told by a warning; what is neither is refused. Masses are those
+    that the file states, else those of the elements that it states, else those of elements guessed from the names of
+    atoms and residues: see docs/formats.md.
 
     Parameters
     ----------
@@ -57,13 +92,16 @@ def system_from_file(
         the directions with a vector are periodic.
     format : ASE's name of the format ("lammps-data"), or MDAnalysis' name ("GRO"); if not given,
         suffix and content decide.
-    units : minimd.units.ASE if not given, or minimd.units.LJ, for which the numbers in the file are taken unchanged.
-        With LJ, masses and velocities are those of the file if it states masses (LAMMPS data, GSD; files of ASE with
-        masses, as minimd writes them); else masses are 1 and velocities 0. A file .h5md of minimd states its units,
-        and is read in no others.
+    units : minimd.units.ASE if not given, or minimd.units.LJ, for which the numbers in the file are taken unchanged;
+        masses that the file does not state are then 1, and velocities without masses 0. Files that state their units,
+        .h5md of minimd and LAMMPS data, are read in no others.
     bonds : "file" for the bonds, angles and dihedrals in the file; the name of another file that holds them, such as a
-        PSF, and with them charges, if the file of the atoms has none; pairs of atoms; or None for no bonds, with a
-        warning if the file has some.
+        PSF, with the same atoms in the same order, and with masses and charges, which are taken if it states them;
+        pairs of atoms; or None for no bonds, with a warning if the file has some.
+    masses, elements : of atoms whose file does not state them, or in place of them: [u], or [mass] in reduced units,
+        and chemical symbols; one for each atom, or by names of atoms or types, as in {"W": 72.0}.
+    atom_style : of LAMMPS data that does not name it ("full", "bond").
+    lammps_units : of LAMMPS files that do not state theirs: "real", "metal", "lj" and so on.
 
     Species of LAMMPS data are its types, unless units are ASE's and the masses are those of as many chemical elements,
     to 0.1 %.
@@ -72,43 +110,48 @@ def system_from_file(
 
     Raises
     ------
-    ValueError : if a file does not exist or cannot be read, with the reader's reason in one sentence; and as System.
+    ValueError : if a file does not exist or cannot be read, with the reader's reason in one sentence; if it states
+        neither masses nor elements, and names do not tell them; if it states no units and velocities depend on them;
+        and as System.
     """
     path = checked_path("file", file)
-    form = format or SUFFIXES.get(path.suffix.lower())
+    if lammps_units is not None:
+        checked_choice("lammps_units", lammps_units, LAMMPS_UNITS)
+    form = _form(path, format)
+    takes_bonds = isinstance(bonds, str) and bonds == "file"
+    door = Door(path, form, units, masses, elements, atom_style, lammps_units, takes_bonds)
 
     def read() -> System:
-        with _read_as(path, "a structure", form):
-            source = _source(path, form, units or ASE)
-            system = _system(source, units or ASE, form)
-        if isinstance(source, System) and units not in (None, source.units):
-            states = f"file {str(path)!r} states units = {source.units.name!r}"
-            raise ValueError(f"{states}; it cannot be read with units = {units and units.name!r}")
-        if cell is not None or pbc is not None:
-            placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
-            if isinstance(source, Atoms):  # lengths of constraints are measured in the new cell
-                source.cell[:], source.pbc = placed.vectors, placed.pbc
-                with quiet():  # its warnings have been given
-                    system = _system(source, units or ASE, form)
-            else:
-                system.cell = placed
-        if bonds is not None and not isinstance(bonds, str | Path):
-            return changed(system, **NOTHING | {"bonds": bonds})
-        if bonds is None:
-            with suppress(ValueError):  # bonds were not asked for, so that it does not matter if they cannot be read
-                if found := _joined_in(path, form, source, system):
-                    words = f'file {str(path)!r} has {found}, which are not used; use them with bonds = "file", in a '
-                    warn(f"{words}scene under [structure], or leave them out with bonds = []")
-            return changed(system, **NOTHING)
-        found = (
-            _joined_in(path, form, source, system) if bonds == "file" else _joined_beside(path.parent / bonds, system)
-        )
-        for name, n_types in found.n_types.items():
+        beside = None
+        if isinstance(bonds, str | Path) and not takes_bonds:
+            beside = _beside(path.parent / bonds, units or ASE)
+        with _read_as(path, "a structure", format):
+            structure = door.structure(cell, pbc, beside)
+        arguments = dict(structure.arguments)
+        n_types = structure.n_types
+        own = Joined({name: arguments[name] for name in GROUPS})
+        if beside is not None:
+            _check_same_atoms(path, structure, beside)
+            n_types = beside.n_types
+            arguments |= {name: beside.arguments[name] for name in GROUPS}
+            if not np.any(arguments["charges"]):
+                arguments["charges"] = beside.arguments["charges"]
+        elif bonds is None or not isinstance(bonds, str | Path):
+            n_types = {}
+            arguments |= dict.fromkeys(GROUPS) | {"bonds": bonds}
+        if bonds is None and own:
+            warn(
+                f'{door.source} has {own}, which are not used; use them with bonds = "file", in a scene under '
+                "[structure], or leave them out with bonds = []"
+            )
+        for name, n in n_types.items():
             groups = {"bonds": "pairs", "angles": "triples"}.get(name, "quadruples")
-            one = f"{'an' if name[0] in 'ai' else 'a'} {name[:-1]} potential"
-            words = f"the {name} of {str(path)!r} are of {n_types} types, which {one} does not distinguish; give it"
-            warn(f"{words} {groups} of one type, or arrays of parameters")
-        return changed(system, **found.groups, charges=system.charges if system.charges.any() else found.charges)
+            potential = f"{'an' if name[0] in 'ai' else 'a'} {name[:-1]} potential"
+            warn(
+                f"the {name} of {str(path)!r} are of {n} types, which {potential} does not distinguish; give it "
+                f"{groups} of one type, or arrays of parameters"
+            )
+        return System(**arguments)
 
     try:
         return looked_at(path, read)
@@ -116,191 +159,342 @@ def system_from_file(
         raise ValueError(str(error)) from None
 
 
-def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
-    """The System in an .h5md file, a universe for a format of MDAnalysis, else ASE's atoms.
+def _form(path: Path, format: str | None) -> str | None:
+    """The format: LAMMPS, ASE's or MDAnalysis' name, ".h5md", or None if only the content can tell."""
+    name = path.name.lower()
+    for packed in PACKED:
+        name = name.removesuffix(packed)
+    suffix = Path(name).suffix
+    form = format or SUFFIXES.get(suffix) or OF_MDANALYSIS.get(suffix) or (suffix if suffix == ".h5md" else None)
+    return INSTEAD.get(form or "", form)
 
-    With LJ, numbers of LAMMPS data are unchanged. Impropers of LAMMPS data, which ASE does not read, are added in the
-    form in which ASE adds dihedrals: see structure.joined.
-    """
-    if form is not None and form not in ioformats:
-        return _universe(path, form)
-    if form is None and path.suffix.lower() == ".h5md":
+
+class Door(NamedTuple):
+    """One file and how it is to be read; see system_from_file.  form : see _form.
+    takes_bonds : whether it matters if bonds cannot be read."""
+
+    path: Path
+    form: str | None
+    units: UnitSystem | None
+    masses: Any = None
+    elements: Any = None
+    atom_style: str | None = None
+    lammps_units: str | None = None
+    takes_bonds: bool = True
+
+    @property
+    def source(self) -> str:
+        """The file, in words."""
+        return f"file {str(self.path)!r}"
+
+    def structure(self, cell: Any, pbc: Any, beside: Structure | None = None) -> Structure:
+        """What the file holds, in a cell that replaces its own before that is judged.
+        beside : a second file, whose masses are taken."""
+        masses = self.masses
+        if masses is None and beside is not None and self.units is not LJ:
+            masses = beside.stated
+        form = self.form or self._told_by_content()
+        if form == ".h5md":
+            structure = self._of_minimd()
+        elif form == LAMMPS:
+            structure = self._of_lammps(masses)
+        elif form in ioformats:
+            return self._of_ase(form, masses, cell, pbc)
+        else:
+            try:
+                structure = self._of_mdanalysis(form, masses)
+            except (OSError, IndexError, KeyError) as error:
+                with suppress(Exception):
+                    return self._of_ase(SECOND[form], masses, cell, pbc)
+                raise error
+        if cell is not None or pbc is not None:
+            own = structure.arguments["cell"]
+            own = own.vectors if isinstance(own, Cell) else own
+            structure.arguments.update(cell=own if cell is None else cell, pbc=pbc)
+        return structure
+
+    def _told_by_content(self) -> str:
+        """The format that ASE finds, or mmCIF.  Raises UnknownFileTypeError."""
+        if ".cif" in self.path.name.lower() and "_atom_site." in text_of(self.path):
+            return "MMCIF"
+        form = filetype(str(self.path))
+        form = INSTEAD.get(form, form)
+        if form not in ioformats and form not in INSTEAD.values():
+            raise UnknownFileTypeError
+        return form
+
+    def _of_minimd(self) -> Structure:
         from minimd.core.files.h5md_reader import read_file
 
-        return read_file(path).system
-    options: dict[str, Any] = {"units": "ASE" if units is LJ else "metal"} if form == LAMMPS else {}
-    read = ase.io.read(path, format=form, **options)
-    atoms = read if isinstance(read, Atoms) else read[-1]
-    if form == LAMMPS:
-        from MDAnalysis.topology.LAMMPSParser import DATAParser
+        system = read_file(self.path).system
+        if self.units not in (None, system.units):
+            states = f"{self.source} states units = {system.units.name!r}"
+            raise ValueError(f"{states}; it cannot be read with units = {self.units and self.units.name!r}")
+        names = ("positions", "masses", "charges", "velocities", "cell", "species", *GROUPS, "units", "constraints")
+        stated = Stated(self.source, system.species.tolist(), system.positions, None, system.masses)
+        return Structure({name: getattr(system, name) for name in names}, stated)
 
-        with quiet(), DATAParser(str(path)) as parser:
-            lines = parser.grab_datafile()[1].get("Impropers", ())
-        place = {number: k for k, number in enumerate(atoms.arrays["id"].tolist())}
-        words: list[list[str]] = [[] for _ in place]
-        for line in lines:
-            kind, *members = map(int, line.split()[1:6])
-            first, second, third, fourth = (place[one] for one in members)
-            words[first].append(f"{second}-{third}-{fourth}({kind})")
-        if lines:
-            atoms.arrays["impropers"] = np.array([",".join(each) or "_" for each in words])
-    if "id" in atoms.arrays:  # these are all atoms of the file in its order, whatever ids they have there
-        atoms.arrays["id"] = np.arange(1, len(atoms) + 1)
-    return atoms
+    def _of_lammps(self, masses: Any) -> Structure:
+        data = read_lammps_data(self.path, self.atom_style)
+        name, units = self._lammps_units(data.units, data.velocities is not None and bool(data.velocities.any()))
+        if data.skipped:
+            warn(f"{self.source} has sections that LAMMPS does not have, which are skipped: {listed(data.skipped)}")
+
+        def converted(values: Any, quantity: str) -> Any:
+            if values is None or units is LJ:
+                return values
+            if name in PER_PICOSECOND:
+                return values * (ASE.to_picosecond * PER_PICOSECOND[name] if quantity == "velocity" else 1.0)
+            return convert(values, quantity, name, "ASE")
+
+        positions = converted(data.positions, "distance")
+        stated = Stated(self.source, data.types, positions, None, converted(data.masses, "mass"))
+        weights, symbols = identified(stated, masses, self.elements, is_reduced=units is LJ)
+        species = data.types if units is LJ or self.elements else _elements_of(data.types, weights)
+        arguments = {
+            "positions": positions,
+            "masses": weights,
+            "charges": converted(data.charges, "charge"),
+            "velocities": converted(data.velocities, "velocity"),
+            "cell": converted(data.cell, "distance"),
+            "pbc": data.pbc,
+            "species": symbols if self.elements else species,
+            **data.groups,
+            "units": units,
+        }
+        return Structure(arguments, stated, data.n_types)
+
+    def _lammps_units(self, stated: str | None, has_velocities: bool) -> tuple[str, UnitSystem]:
+        """LAMMPS' name of the units of a file, and minimd's units for it.  Raises ValueError if they are not known."""
+        if stated and self.lammps_units and stated != self.lammps_units:
+            raise ValueError(f"{self.source} states units = {stated}; lammps_units = {self.lammps_units!r}")
+        name = stated or self.lammps_units
+        if name is None and self.units is not None and (self.units is LJ or not has_velocities):
+            name = "lj" if self.units is LJ else "metal"
+        if name is None:
+            raise ValueError(
+                f"{self.source} does not state its units; give lammps_units='real', 'metal' or 'lj', in a scene "
+                "lammps_units under [structure], or units=minimd.units.LJ"
+            )
+        units = LJ if name == "lj" else ASE
+        if self.units not in (None, units):
+            given = self.units and self.units.name
+            raise ValueError(f"{self.source} is in LAMMPS' units {name}; it cannot be read with units = {given!r}")
+        return name, units
+
+    def _of_mdanalysis(self, form: str, masses: Any) -> Structure:
+        from minimd.core.structure.mdanalysis_atoms import stated_of as stated_of_group, universe_arguments
+
+        universe = universe_of_file(self.path, form)
+        atoms = universe.atoms
+        _check_alternatives(atoms, self.source)
+        groups = dict.fromkeys(GROUPS)
+        given = universe_arguments(atoms, self.units or ASE, groups, None, self.source, masses, self.elements)
+        return Structure(given, stated_of_group(atoms, self.source, given["positions"]))
+
+    def _of_ase(self, form: str, masses: Any, cell: Any, pbc: Any) -> Structure:
+        units = self.units or ASE
+        if form == "gromos":
+            raise ValueError("ASE takes the first letters of all names for elements there; write it as .gro")
+        options: dict[str, Any] = {}
+        if form == DUMP:
+            name, units, columns = self._dump()
+            options["units"] = "ASE" if units is LJ else name
+        frames = ase.io.read(str(self.path), format=form, do_not_split_by_at_sign=True, **options)
+        atoms = frames if isinstance(frames, Atoms) else frames[-1]
+        if not len(atoms):
+            raise ValueError("it has no atoms")
+        if form in XYZ_OF_ASE:
+            _check_labels(text_of(self.path), len(atoms), self.source)
+        if form == DUMP and "mass" in columns:
+            atoms.arrays["mass"] = columns["mass"]
+        elif form == DUMP and "element" not in columns:
+            atoms.arrays["type"] = atoms.numbers.copy()
+        if cell is not None or pbc is not None:
+            placed = Cell.of(atoms.cell.array if cell is None else cell, pbc)
+            atoms.cell[:] = placed.vectors
+            atoms.pbc = placed.pbc
+        if "id" in atoms.arrays:  # these are all atoms of the file in its order, whatever ids they have there
+            atoms.arrays["id"] = np.arange(1, len(atoms) + 1)
+        found = Joined(dict.fromkeys(GROUPS, np.zeros((0, 2), np.int64)))
+        with nullcontext() if self.takes_bonds else suppress(ValueError):
+            found = joined_in(atoms)
+        arguments = system_arguments(atoms, (), source=self.source, masses=masses, elements=self.elements, units=units)
+        return Structure(arguments | found.groups, stated_of(atoms, self.source), found.n_types)
+
+    def _dump(self) -> tuple[str, UnitSystem, dict[str, NDArray[np.float64]]]:
+        """Units of a dump, and its columns; masses in the order of ids."""
+        lines = text_of(self.path).splitlines()
+        starts = [k for k, line in enumerate(lines) if line.startswith("ITEM: ATOMS")]
+        stated = next((lines[k + 1].strip() for k, line in enumerate(lines) if line.startswith("ITEM: UNITS")), None)
+        names = lines[starts[-1]].split()[2:]
+        rows = [line.split() for line in lines[starts[-1] + 1 :] if line.strip()]
+        columns: dict[str, Any] = dict.fromkeys(names)
+        if "mass" in names:
+            order = np.argsort([int(row[names.index("id")]) for row in rows]) if "id" in names else slice(None)
+            columns["mass"] = np.array([float(row[names.index("mass")]) for row in rows])[order]
+        name, units = self._lammps_units(stated, "vx" in names)
+        return name, units, columns
 
 
-def _universe(path: Path, form: str | None, topology_only: bool = False) -> Any:
+def universe_of_file(path: Path, form: str | None) -> Any:
+    """A universe of MDAnalysis; of a format that is named, the last frame in the file's own units.
+    Raises ValueError for a file that was cut."""
     import MDAnalysis
 
+    source: Any = str(path)
+    named: dict[str, Any] = {}
+    if form:
+        named = {"topology_format": form.upper(), "format": form.upper(), "convert_units": False}
+    if form in LAST_FRAMES:
+        text = LAST_FRAMES[form](text_of(path))
+        source = MDAnalysis.lib.util.NamedStream(io.StringIO(text), f"last.{form.lower()}")
     with quiet():
-        formats = ("topology_format", "format") if form else ()
-        made = MDAnalysis.Universe(str(path), **dict.fromkeys(formats, str(form).upper()))
-        if not topology_only:
-            made.trajectory[-1]
-        return made
+        universe = MDAnalysis.Universe(source, **named)
+        if form:
+            universe.trajectory[-1]
+    return universe
 
 
-def _system(source: Any, units: UnitSystem, form: str | None) -> System:
-    if isinstance(source, System):
-        return source.copy()
-    is_ases, is_lammps = isinstance(source, Atoms), form == LAMMPS
-    system = System.from_ase(source) if is_ases else System.from_mdanalysis(source, units=units)
-    types = [str(kind) for kind in source.arrays["type"].tolist()] if is_lammps else system.species
-    if units is LJ:
-        states_masses = is_lammps or (is_ases and source.has("masses")) or str(form).upper() in STATE_MASSES
-        own: dict[str, Any] = {} if states_masses else {"masses": None, "velocities": None}
-        return changed(system, units=LJ, species=types, **own)
-    symbols, has_types = set(system.species_names), is_lammps
-    if is_lammps and "X" not in symbols and len(symbols) >= len(set(types)):
-        # types are elements if all masses are: that of a united atom such as CH₂ differs
-        standard = np.array([atomic_mass(str(symbol)) for symbol in system.species])
-        has_types = bool((np.abs(system.masses - standard) > MASS_OF_ELEMENT * standard).any())
-    return changed(system, species=types) if has_types else system
+def _last_of_gro(text: str) -> str:
+    """The last frame of a GRO file; MDAnalysis reads the first."""
+    lines = text.splitlines()
+    first = 0
+    while True:
+        n = int(lines[first + 1].split()[0])
+        end = first + n + 3
+        if end > len(lines):
+            raise ValueError(f"line {first + 2} announces {n} atoms and a box, but the file ends before: it was cut")
+        if not any(map(str.strip, lines[end:])):
+            break
+        first = end
+    decimals = {len(number.partition(".")[2]) for number in lines[end - 1].split()}
+    if not text.endswith("\n") and len(decimals) > 1:
+        raise ValueError(f"the file ends within its box, {lines[end - 1].strip()!r}: it was cut")
+    return "\n".join([*lines[first:end], ""])
 
 
-def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joined:
-    """The bonds in the file that was read.  system : made from it.  Raises ValueError if they cannot be read, or if
-    MDAnalysis and ASE read the atoms in different orders."""
-    if not isinstance(source, Atoms):
-        return Joined(system.groups())
-    name = {"proteindatabank": "PDB"}.get(form or "", form or path.suffix[1:]).upper()
-    with _read_as(path, "bonds", form):
-        if name not in NAMES_BONDS:
-            return joined_in(source)
-        made = _universe(path, name)
-        positions, found = np.asarray(made.atoms.positions, dtype=np.float64), _joined_of(made)
-    if positions.shape != source.positions.shape or np.abs(positions - source.positions).max() > NEAR:
-        why = f"ASE reads the atoms of file {str(path)!r} in another order than MDAnalysis, which reads the bonds"
-        raise ValueError(f"{why}; give the bonds as pairs")
-    return found
+def _last_of_pdb(text: str) -> str:
+    """The last model of a PDB file, with its cell and bonds; models may differ in their atoms."""
+    lines = text.splitlines(keepends=True)
+    for number, line in enumerate(lines, start=1):
+        if line.startswith(ATOMS) and len(line.rstrip("\n")) < PDB_LINE:
+            raise ValueError(f"line {number} ends within the position of its atom: the file was cut")
+    if not any(line.startswith(ATOMS) for line in lines):
+        raise ValueError("it has no line ATOM or HETATM")
+    models = [k for k, line in enumerate(lines) if line.startswith("MODEL ")]
+    if len(models) < 2:
+        return text
+    others = [line for line in lines[: models[-1]] if line.startswith("CRYST1")][-1:]
+    return "".join(others + lines[models[-1] :])
 
 
-def _joined_beside(path: Path, system: System) -> Joined:
-    """The bonds, and the charges if it has some, in a file other than that of the atoms.  Raises ValueError if it
-    cannot be read, or has another number of atoms."""
+LAST_FRAMES = {"GRO": _last_of_gro, "PDB": _last_of_pdb}
+
+
+def _check_labels(text: str, n: int, source: str) -> None:
+    """Raise ValueError for labels of an XYZ file in capitals that may be elements or names, as CA."""
+    for label in sorted({line.split()[0] for line in text.splitlines()[-n:] if line.strip()}):
+        if len(label) == 2 and label.isupper() and is_element(label.capitalize()) and not guessed_element(label):
+            raise ValueError(
+                f"the label {label!r} of {source} may be the element {label.capitalize()} or the name of an atom; "
+                "write chemical symbols, as 'Ca' or 'C'"
+            )
+
+
+def _check_alternatives(atoms: Any, source: str) -> None:
+    """Raise ValueError for atoms of which a PDB file has several, at alternate locations."""
+    seen: dict[tuple[int, str], int] = {}
+    labels = getattr(atoms, "altLocs", ())
+    for k, label in enumerate(labels if any(labels) else ()):
+        key = (int(atoms.resindices[k]), str(atoms.names[k]))
+        if seen.setdefault(key, k) != k and label != labels[seen[key]]:
+            raise ValueError(
+                f"atoms {seen[key]} and {k}, {key[1]!r}, of {source} are alternate locations, "
+                f"{str(labels[seen[key]])!r} and {str(label)!r}, of one atom, which has an occupancy in both: keep one "
+                "of them in the file"
+            )
+
+
+def _elements_of(types: list[str], masses: Any) -> list[str]:
+    """The elements whose masses all atoms have, if there are as many as types; else the types."""
+    if not all(label.isdigit() for label in types):
+        return types
+    nearest = np.abs(np.subtract.outer(masses, atomic_masses[1:])).argmin(axis=1) + 1
+    standard = atomic_masses[nearest]
+    are_elements = bool((np.abs(masses - standard) <= MASS_OF_ELEMENT * standard).all())
+    symbols = [chemical_symbols[number] for number in nearest]
+    return symbols if are_elements and len(set(symbols)) >= len(set(types)) else types
+
+
+def _beside(path: Path, units: UnitSystem) -> Structure:
+    """Bonds, charges and masses in a file other than that of the atoms.  Raises ValueError if it cannot be read."""
     with _read_as(path, "bonds", None):
-        if SUFFIXES.get(path.suffix.lower()) == LAMMPS:
-            atoms = _source(path, LAMMPS, LJ)
-            n_there, found = len(atoms), joined_in(atoms)._replace(charges=atoms.get_initial_charges())
-        else:
-            from minimd.core.structure.mdanalysis_atoms import charges_of
+        if _form(path, None) == LAMMPS:
+            data = read_lammps_data(path)
+            stated = Stated(f"file {str(path)!r}", data.types, data.positions, None, data.masses)
+            return Structure({**data.groups, "charges": data.charges}, stated, data.n_types)
+        from minimd.core.structure.mdanalysis_atoms import charges_of as charges_of_group, stated_of as stated_of_group
 
-            made = _universe(path, None, topology_only=True)
-            n_there, found = len(made.atoms), _joined_of(made)._replace(charges=charges_of(made.atoms))
-    if n_there != len(system):
-        raise ValueError(f"file {str(path)!r} with the bonds has {n_there} atoms; the structure has {len(system)}")
-    return found
+        atoms = universe_of_file(path, None).atoms
+        stated = stated_of_group(atoms, f"file {str(path)!r}", np.zeros((len(atoms), 3)))
+        groups = {name: getattr(atoms.universe, name).indices if hasattr(atoms, name) else () for name in GROUPS}
+        joined = {name: np.array(rows, np.int64).reshape(-1, GROUPS[name]) for name, rows in groups.items()}
+        return Structure({**joined, "charges": charges_of_group(atoms)}, stated)
 
 
-def _joined_of(universe: Any) -> Joined:
-    """The bonds in a universe; its file may have none."""
-    found = {name: getattr(universe, name).indices if hasattr(universe, name) else () for name in GROUPS}
-    return Joined({name: np.array(found[name], np.int64).reshape(-1, size) for name, size in GROUPS.items()})
+def _check_same_atoms(path: Path, structure: Structure, beside: Structure) -> None:
+    """Raise ValueError unless two files hold the same atoms in the same order, by names and by masses; X is no name."""
+    first, second = structure.stated, beside.stated
+    n = len(structure.arguments["positions"])
+    if len(second.names) != n:
+        raise ValueError(f"{second.source} with the bonds has {len(second.names)} atoms; the structure has {n}")
+    of_residue: dict[int, set[str]] = {}
+    numbers = np.zeros(n, int) if first.residue_of is None else first.residue_of
+    for number, name in zip(numbers, first.names, strict=True):
+        of_residue.setdefault(int(number), set()).add(name)
+    for k, (name, other) in enumerate(zip(first.names, second.names, strict=True)):
+        if name not in (other, "X") and (other in of_residue[int(numbers[k])] or not _may_be_same(first, second, k)):
+            mass = "" if second.masses is None else f" of {second.masses[k]:g} u"
+            raise ValueError(
+                f"atom {k} of file {str(path)!r} is {name!r}, but {other!r}{mass} in {second.source}: both files must "
+                "have the same atoms in the same order"
+            )
+
+
+def _may_be_same(first: Stated, second: Stated, k: int) -> bool:
+    """Whether an atom that two files call differently has one mass, as far as both are known."""
+    symbol = first.elements[k] if first.elements else ""
+    symbol = symbol or guessed_element(first.names[k], first.residues[k] if first.residues else "")
+    mass = None if first.masses is None else float(first.masses[k])
+    if mass is None or np.isnan(mass):
+        mass = float(atomic_masses[chemical_symbols.index(symbol)]) if is_element(symbol) else None
+    other = None if second.masses is None else float(second.masses[k])
+    return mass is None or other is None or abs(mass - other) <= SAME_MASS
 
 
 @contextmanager
 def _read_as(path: Path, what: str, form: str | None) -> Iterator[None]:
     """Turn any error of a reader into a ValueError with one sentence."""
+    source = f"file {str(path)!r}"
     if not path.is_file():
-        raise ValueError(f"file {str(path)!r} does not exist")
+        raise ValueError(f"{source} does not exist")
     try:
         yield
     except Exception as error:
+        if isinstance(error, ValueError) and source in str(error) and "\n" not in str(error):
+            raise
+        reason = " ".join(str(error).split()).rpartition("Error: ")[2]
         if form is None and isinstance(error, StopIteration | UnknownFileTypeError):
             reason = "its suffix and content do not show its format; pass it, such as format='lammps-data'"
-        elif isinstance(error, KeyError) and path.suffix.lower() in XYZ and error.args[0] not in atomic_numbers:
+        elif isinstance(error, KeyError) and path.suffix.lower() in XYZ and not is_element(str(error.args[0])):
             reason = (
                 f"{error.args[0]!r} is not a chemical symbol, which ASE expects in this format; name the atoms X, and "
                 "give their species to System or in the scene under [structure], or write LAMMPS data, whose types may "
                 "have any name"
             )
-        else:
-            reason = f"{type(error).__name__}: {' '.join(str(error).split()) or 'the reader gives no reason'}"
-        raise ValueError(f"file {str(path)!r} cannot be read as {what}: {reason}") from None
-
-
-def atomic_mass(element: str) -> float:
-    """Mass of a chemical element [u].
-
-    Raises
-    ------
-    ValueError : if it is not a chemical symbol.
-    """
-    if element not in atomic_numbers:
-        raise ValueError(f"element must be a chemical symbol, such as 'Ar'; element = {element!r}")
-    return float(atomic_masses[atomic_numbers[element]])
-
-
-def atoms_of_frame(template: Atoms, frame: Frame, forces: Any, conserves_momentum: bool) -> Atoms:
-    """A copy of ASE's atoms in the state of a frame, with step and time in info, and energy, forces and stress, where
-    they are known, as results of a calculator.  conserves_momentum : whether the run did."""
-    atoms, seen = template.copy(), frame.observables
-    atoms.positions[:] = frame.positions
-    if frame.cell is not None:
-        atoms.cell[:] = frame.cell.vectors
-    atoms.set_momenta(frame.velocities * atoms.get_masses()[:, None], apply_constraint=False)
-    atoms.info.update(step=frame.step, time=frame.time)
-    stress = calculators_stress(seen["stress"], atoms, conserves_momentum) if "stress" in seen else None
-    atoms.calc = SinglePointCalculator(atoms, energy=float(seen["potential_energy"]), forces=forces, stress=stress)
-    return atoms
-
-
-class ASEWriter(Writer):
-    """A trajectory written by ASE, in the units of the system: .traj in float64, .xyz and .extxyz as extended XYZ,
-    with 8 decimals.
-
-    Each frame holds positions (not wrapped), momenta, masses, charges, cell, constraints (in .traj all, but without
-    lengths; else only fixed atoms), bonds and angles as texts (not in .traj), the potential energy as the result of a
-    calculator, forces if they are to be stored, the stress if it is observed, and step and time in info. Species that
-    are not elements are stored as labels; in .traj, their names are in info, and the tag of each atom is the index of
-    its name.
-
-    claim : on the file, which gets its name with its first frame.
-    """
-
-    def __init__(self, claim: Claim, engine: Engine, store_forces: bool) -> None:
-        self.claim, self._template, self._store_forces = claim, atoms_from_system(engine.system), store_forces
-        self._conserves_momentum = engine.conserves_momentum
-        is_binary = claim.path.suffix.lower() == ".traj"
-        if is_binary:
-            label_by_tags(self._template, engine.system)
-        self._output = TrajectoryWriter(claim.stream, "w") if is_binary else claim.stream.open("w", encoding="utf-8")
-
-    def write(self, frame: Frame) -> None:
-        """Append one frame."""
-        forces = frame.forces if self._store_forces else None
-        atoms = atoms_of_frame(self._template, frame, forces, self._conserves_momentum)
-        if isinstance(self._output, TrajectoryWriter):
-            self._output.write(atoms)
-        else:
-            ase.io.write(self._output, atoms, format="extxyz")
-            self._output.flush()  # a killed run leaves whole frames
-        self.claim.check()
-        self.claim.appear()
-
-    def close(self) -> None:
-        """Finish the file."""
-        try:
-            self._output.close()
-        finally:
-            self.claim.release()
+        elif isinstance(error, ImportError):
+            reason = f"its reader needs another package: {reason}"
+        elif not isinstance(error, ValueError | OSError) or not reason:
+            reason = f"its reader gives up with {type(error).__name__}: {reason or 'no reason'}; is it in its format?"
+        raise ValueError(f"{source} cannot be read as {what}: {reason}") from None

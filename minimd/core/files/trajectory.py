@@ -44,7 +44,7 @@ class Writer(Protocol):
 FOR_H5MD = ("store_forces", "every", "observers", "n_frames", "bring_others")
 H5MD = ("minimd.core.files.h5md_writer", "H5MDWriter", FOR_H5MD)
 MDANALYSIS = ("minimd.core.files.turned_cell", "MDAnalysisWriter", ("every",))
-ASE = ("minimd.core.files.structure_file", "ASEWriter", ("store_forces",))
+ASE = ("minimd.core.files.ase_writer", "ASEWriter", ("store_forces",))
 # suffix: module and class of its writer, imported when needed, and the options that it takes besides claim and engine
 FORMATS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ".h5md": H5MD,

@@ -1,4 +1,5 @@
-"""Contacts of single atoms: how far, how strong and how stiff each pair is, and which law gives no finite number."""
+"""Contacts of single atoms: how far, how strong and how stiff each pair is, and which law gives no finite number; and
+of atoms with their own images."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from minimd.core.console.quiet import quiet
 from minimd.core.console.words import shown
 from minimd.core.forces.forces import Forces
 from minimd.core.forces.options import Options
+from minimd.core.neighbors.queries import neighbor_list
 from minimd.core.potentials.bonded import Bond
 from minimd.core.potentials.law import is_user_law, law_at, reads_table
 from minimd.core.potentials.laws import FENELaw, HarmonicLaw, LennardJonesLaw
@@ -22,6 +24,10 @@ from minimd.core.structure.cell import nearest_vectors
 from minimd.core.structure.system import System
 
 NEAREST = 16  # neighbors of each atom that are examined: more than the 12 to 14 of a dense shell in a liquid
+# times the distance of an atom from its nearest image: a law that keeps atoms apart pushes it there; neighbors are that
+# near, FEWEST of them in a layer of a crystal and two images
+FARTHER, AROUND, FEWEST = 1.1, 1.05, 6
+OPEN_IT = "leave this direction open, as with pbc=(True, True, False), in a scene [structure] pbc, or make it thicker"
 STEP = 1e-5  # of a central difference, relative to the distance
 
 
@@ -97,6 +103,30 @@ def why_not_finite(system: System, potentials: Sequence[Any]) -> str:
             named = (f"{one.without_number(system.units.length)}; {one.cure}" for one in found if not one.is_finite)
             return next(named, f"{shown(potential)} gives no finite number for atom {bad[0]}")
     return "each potential alone is finite, but not their sum"
+
+
+def thin_cell(system: System, potentials: Sequence[Any]) -> str:
+    """That atoms are pushed by their own images, as a clause; empty if they are not. OPEN_IT says what to do.
+
+    As in a file of two dimensions, whose third edge has no meaning. The pair energy of an atom and its nearest image
+    would fall if this distance grew by a tenth, and half of the atoms have fewer than FEWEST neighbors as near, images
+    in other directions among them: in a compressed crystal there are more.
+    """
+    cell = system.cell
+    if not cell.is_periodic:
+        return ""
+    vector = min(cell.lattice[cell.pbc], key=np.linalg.norm)
+    edge = float(np.linalg.norm(vector))
+    is_pushed = any(
+        np.diff(potential.pair_energy([edge, FARTHER * edge], name, name)) < 0.0
+        for potential in potentials
+        if isinstance(potential, Nonbonded)
+        for name in system.species_names
+    )
+    if not is_pushed or np.median(np.bincount(neighbor_list("i", system, AROUND * edge))) >= FEWEST:
+        return ""
+    length = f"its lattice vector {vector} is {edge:.3g} {system.units.length} long"
+    return f"the cell is thinner than the distance of neighbors: {length}, and atoms push their own images away"
 
 
 # two atoms, their distance, the factor on the law, and its numbers

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.console.display import Displayed, Rows
-from minimd.core.forces.contacts import why_not_finite
+from minimd.core.console.quiet import warn
+from minimd.core.forces.contacts import OPEN_IT, thin_cell, why_not_finite
 from minimd.core.forces.forces import Forces, Potential
 from minimd.core.forces.options import Options
 from minimd.core.potentials.term import PER_ATOM
@@ -50,6 +51,8 @@ class Evaluation(Displayed):
 def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potential]) -> Evaluation:
     """Potential energy, forces, virial and energies per atom of a System, or of ase.Atoms, as they stand.
 
+    A warning says if the cell is so thin that atoms are pushed by their own images.
+
     Raises
     ------
     NonFiniteError : if a force or an energy is not finite, as for two atoms at one place; it names them and the law.
@@ -58,6 +61,8 @@ def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potent
     system = system if isinstance(system, System) else System.from_ase(system)
     forces = Forces(system, potentials, Options(skin=0.0))
     forces.compute(PER_ATOM)
+    if cause := thin_cell(system, forces.potentials):
+        warn(f"{cause}; {OPEN_IT}")
     result = Evaluation(forces.potential_energy, forces.forces, forces.virial, forces.energies)
     if not (np.isfinite(result.forces).all() and np.isfinite(result.energies).all()):
         raise NonFiniteError(f"forces or energies are not finite: {why_not_finite(system, forces.potentials)}")

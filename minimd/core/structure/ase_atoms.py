@@ -4,46 +4,141 @@ from typing import Any
 
 import numpy as np
 from ase import Atoms
+from ase.calculators.singlepoint import SinglePointCalculator
 from ase.constraints import FixAtoms, FixBondLengths, FixCom, FixConstraint, FixLinearTriatomic
 from ase.data import atomic_numbers
 from ase.geometry import find_mic
 from ase.stress import full_3x3_to_voigt_6_stress
+from ase.units import fs
 from numpy.typing import ArrayLike, NDArray
 
+from minimd.core.console.quiet import warn
 from minimd.core.structure.bond_graph import GROUPS, joined_in, texts
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms, lengths_of
+from minimd.core.structure.elements import LAMMPS_UNITS, Stated, check_names, identified
 from minimd.core.structure.observables import center, momentum, stress as kinetic_stress
-from minimd.core.structure.units import ASE
+from minimd.core.structure.units import ASE, UnitSystem
 
 LABELS = "species_labels"  # the array of an ase.Atoms for species that are not chemical elements
 # in the info of atoms from a .traj, which keeps no such array: the names of species; tags are indices into them
 NAMES = "species_names"
+FULL = 1e-3  # least difference of an occupancy from one
 Given = ArrayLike | None
 Pairs = tuple[NDArray[np.int64], NDArray[np.float64]]
 UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCom"
 
 
-def system_arguments(atoms: Atoms, bonds: Given = None, constraints: bool = True, **others: Given) -> dict[str, Any]:
-    """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and
-    constraints. Charges are the initial charges. Species are the chemical symbols, or labels that atoms_from_system or
-    label_by_tags stored in them.
+def system_arguments(
+    atoms: Atoms,
+    bonds: Given = None,
+    constraints: bool = True,
+    source: str = "these atoms",
+    masses: Any = None,
+    elements: Any = None,
+    units: UnitSystem = ASE,
+    **others: Given,
+) -> dict[str, Any]:
+    """Arguments for System from an ase.Atoms: positions, velocities, masses, cell, periodicity and
+    constraints. Charges are the initial charges, or those of a column of a file. Species are
+    the chemical symbols, or labels that atoms_from_system or label_by_tags stored in them.
+
     bonds, others : bonds, angles, dihedrals and impropers, as for System; without bonds,
         what the arrays of the atoms name: see joined_in.
     constraints : True to take those of the atoms; False if the caller handles them.
-    Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, and as
-    joined_in."""
+    source : in words, for messages.  masses, elements : given by the user, see elements.identified.
+    units : ASE's; or reduced units, in which numbers are unchanged, and velocities without masses are left out.
+
+    Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, for sites
+    that are occupied in part, for atoms without mass and element (X), and as joined_in.
+    """
     checked_kind("atoms", atoms, Atoms, "an ase.Atoms or, as system, a minimd System")
+    check_occupancy(atoms, source)
     found = joined_in(atoms) if bonds is None else None
-    velocities, masses = atoms.get_velocities(), atoms.get_masses()
+    stated = stated_of(atoms, source)
+    weights, symbols = identified(stated, masses, elements, is_reduced=units is not ASE)
+    labels = stated.names if "type" in atoms.arrays and not any(symbols) else _labels(atoms)
+    velocities = _velocities(atoms, source, units, stated.masses is not None)
     if constraints and fixes_center(atoms):
-        velocities -= momentum(velocities, masses) / masses.sum()
-    return {"positions": atoms.positions, "masses": masses, "charges": atoms.get_initial_charges(),
-            "velocities": velocities, "cell": cell_of(atoms), "species": _labels(atoms),
-            **(found.groups if found is not None else {"bonds": bonds}),
-            **{name: given for name, given in others.items() if given is not None}, "units": ASE,
-            "constraints": constraints_of(atoms) if constraints else ()}  # fmt: skip
+        velocities -= momentum(velocities, weights) / weights.sum()
+    return {
+        "positions": atoms.positions,
+        "masses": weights,
+        "charges": charges_of(atoms),
+        "velocities": velocities,
+        "cell": cell_of(atoms),
+        "species": symbols if elements is not None else labels,
+        **(found.groups if found is not None else {"bonds": bonds}),
+        **{name: given for name, given in others.items() if given is not None},
+        "units": units,
+        "constraints": constraints_of(atoms) if constraints else (),
+    }
+
+
+def stated_of(atoms: Atoms, source: str) -> Stated:
+    """What atoms state. Types of LAMMPS and X are no elements; names of atoms, which ASE keeps from PDB and GRO files,
+    must agree with the elements that it has made of them.  Raises ValueError if they do not."""
+    arrays = atoms.arrays
+    symbols = [symbol if symbol != "X" else "" for symbol in atoms.get_chemical_symbols()]
+    masses = atoms.get_masses() if atoms.has("masses") else None
+    for name in ("mass", "Mass"):
+        masses = arrays.get(name) if masses is None else masses
+    names = [str(label) for label in arrays.get("atomtypes", _labels(atoms))]
+    if masses is None and "type" in arrays and np.array_equal(arrays["type"], atoms.numbers):
+        symbols = [""] * len(atoms)
+        names = [str(kind) for kind in arrays["type"].tolist()]
+    residues = [str(label) for label in arrays["residuenames"]] if "residuenames" in arrays else None
+    residue_of = np.unique(arrays["residuenumbers"], return_inverse=True)[1] if "residuenumbers" in arrays else None
+    stated = Stated(source, names, atoms.positions, symbols, masses, residues, residue_of)
+    if masses is None and "atomtypes" in arrays and residues is not None:
+        check_names(stated)
+    return stated
+
+
+def check_occupancy(atoms: Atoms, source: str) -> None:
+    """Raise ValueError for sites of a CIF file that are occupied in part, or by several elements."""
+    sites = atoms.info.get("occupancy")
+    kinds = atoms.arrays.get("spacegroup_kinds", range(len(atoms)))
+    for k, kind in enumerate(kinds if isinstance(sites, dict) else ()):
+        shares = sites.get(str(kind), {})
+        if len(shares) > 1 or any(abs(share - 1.0) > FULL for share in shares.values()):
+            told = ", ".join(f"{share:g} of {element}" for element, share in shares.items())
+            raise ValueError(
+                f"the site of atom {k} of {source} has an occupancy of {told}: a list of such sites is no structure; "
+                "choose atoms for them, with whole occupancies"
+            )
+
+
+def charges_of(atoms: Atoms) -> NDArray[np.float64]:
+    """Initial charges [e], or those of a column of an extended XYZ file, which ASE keeps as results."""
+    results = atoms.calc.results if isinstance(atoms.calc, SinglePointCalculator) else {}
+    initial = atoms.get_initial_charges()
+    return initial if atoms.has("initial_charges") else np.asarray(results.get("charges", initial))
+
+
+def _velocities(atoms: Atoms, source: str, units: UnitSystem, has_masses: bool) -> NDArray[np.float64]:
+    """Velocities of momenta, or of a column of an extended XYZ file: velo in ASE's units, as its specification says,
+    vel in Å/fs, as GPUMD writes it, which is told; in reduced units unchanged, and zero if they depend on masses that
+    nobody states."""
+    columns = [name for name in ("velo", "vel") if name in atoms.arrays and not atoms.has("momenta")]
+    if not columns:
+        title = LAMMPS_UNITS.search(str(atoms.info.get("comment")))
+        if title and title[1] != "metal" and atoms.has("momenta"):
+            warn(
+                f"the file of {source} states units = {title[1]}; if these were not given to ase.io.read, velocities "
+                "are wrong: minimd.ase.system_from_file reads them as stated"
+            )
+        is_known = units is ASE or has_masses or "type" in atoms.arrays
+        velocities: NDArray[np.float64] = atoms.get_velocities() * is_known
+        return velocities
+    column = np.array(atoms.arrays[columns[0]], dtype=np.float64)
+    if units is not ASE:
+        return column
+    in_fs = columns[0] == "vel"
+    unit = "Å/fs" if in_fs else "ASE's units"
+    warn(f"the column {columns[0]!r} of {source} is taken for velocities in {unit}; the file does not state their unit")
+    return column / fs if in_fs else column
 
 
 def atoms_from_system(system: Any) -> Atoms:

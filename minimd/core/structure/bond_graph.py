@@ -38,6 +38,15 @@ def pairs_by_bonds_apart(bonds: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     return [np.array(pairs, dtype=np.int64).reshape(-1, 2) for pairs in found]
 
 
+def connected(pairs: NDArray[np.int64], n_atoms: int) -> NDArray[np.int64]:
+    """(N,) the number, from 0 on, of the molecule of each atom: pairs (P, 2) connect the atoms of one."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    bonded = coo_array((np.ones(len(pairs)), pairs.T), shape=(n_atoms, n_atoms))
+    return np.asarray(connected_components(bonded, directed=False)[1], dtype=np.int64)
+
+
 def checked_pairs(name: str, pairs: ArrayLike | None, n_atoms: int | None = None) -> NDArray[np.int64]:
     """Pairs of atoms as a (P, 2) int array, (0, 2) if there are none.  n_atoms : None for any number of atoms.
     Raises ValueError as checked_groups, or if a pair is given twice, in either order."""

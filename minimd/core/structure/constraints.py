@@ -1,12 +1,12 @@
 """Constraints of a scene: fixed distances and fixed atoms. Their solvers are in minimd.core.constraints."""
 
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from minimd.core.console.words import shown
-from minimd.core.structure.bond_graph import checked_pairs
+from minimd.core.structure.bond_graph import checked_pairs, connected
 from minimd.core.structure.cell import Array, Cell, nearest_vectors
 from minimd.core.structure.checks import (
     MOST_ATOMS,
@@ -97,3 +97,9 @@ def lengths_of(positions: Array, cell: Cell, constraints: DistanceConstraints) -
     """(K,) [length], as given; else the present distances to the nearest image."""
     given = constraints.lengths
     return np.linalg.norm(nearest_vectors(positions, cell, constraints.pairs), axis=1) if given is None else given
+
+
+def molecules_of(system: Any) -> NDArray[np.int64]:
+    """(N,) the number of the molecule of each atom: bonds and lengths held fixed connect the atoms of a molecule."""
+    held = [each.pairs for each in system.constraints if isinstance(each, DistanceConstraints)]
+    return connected(np.concatenate([system.bonds, *held]), len(system))

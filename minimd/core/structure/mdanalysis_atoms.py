@@ -1,47 +1,146 @@
 """Atoms of MDAnalysis as systems."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from MDAnalysis import AtomGroup, NoDataError, Universe
+from MDAnalysis.guesser.default_guesser import DefaultGuesser
 from MDAnalysis.lib.mdamath import triclinic_vectors
+from MDAnalysis.lib.util import openany
+from MDAnalysis.units import get_conversion_factor
 from numpy.typing import ArrayLike, NDArray
 
+from minimd.core.console.quiet import quiet
 from minimd.core.structure.bond_graph import GROUPS
 from minimd.core.structure.checks import checked_kind
+from minimd.core.structure.elements import LAMMPS_UNITS, Stated, identified, symbol_of
 from minimd.core.structure.units import LJ, UnitSystem
 
 
-def universe_arguments(universe: Universe | AtomGroup, units: UnitSystem, groups: Mapping[str, ArrayLike | None],
-                       pbc: ArrayLike | None) -> dict[str, Any]:  # fmt: skip
+def universe_arguments(
+    universe: Universe | AtomGroup,
+    units: UnitSystem,
+    groups: Mapping[str, ArrayLike | None],
+    pbc: ArrayLike | None,
+    source: str = "this universe",
+    masses: Any = None,
+    elements: Any = None,
+) -> dict[str, Any]:
     """Arguments for System from a universe or a group of its atoms, as System.from_mdanalysis describes them.
+
     groups : bonds, angles, dihedrals and impropers by these names; None for those of the universe.
-    Raises TypeError for anything else.  ValueError for atoms without masses, where the units have no default."""
+    The topology is None where names, numbers or chains of residues are missing, or a text is not ASCII.
+    source : in words, for messages.  masses, elements : given by the user, see elements.identified.
+
+    Raises TypeError for anything else.  ValueError for atoms whose masses are neither stated nor known by their
+    elements, where the units have no default, and for velocities in unknown units.
+    """
     checked_kind("universe", universe, Universe | AtomGroup, "an MDAnalysis Universe or AtomGroup")
     checked_kind("units", units, UnitSystem, "minimd.units.LJ or minimd.units.ASE")
     atoms = universe.atoms
-    ts, to_length, to_speed = atoms.universe.trajectory.ts, units.to_angstrom, units.to_picosecond / units.to_angstrom
-    is_periodic = ts.dimensions is not None and bool(np.all(ts.dimensions[:3] > 0.0))
-    return {"positions": atoms.positions.astype(np.float64) / to_length, "masses": _masses(atoms, units),
-            "charges": charges_of(atoms),
-            "velocities": atoms.velocities.astype(np.float64) * to_speed if ts.has_velocities else None,
-            "cell": triclinic_vectors(ts.dimensions, dtype=np.float64) / to_length if is_periodic else None, "pbc": pbc,
-            "species": _species(atoms),
-            **{name: _within(atoms, name, GROUPS[name]) if given is None else given for name, given in groups.items()},
-            "units": units}  # fmt: skip
+    trajectory = atoms.universe.trajectory
+    length, speed = _scales(trajectory, units, source)
+    positions = length * as_decimals(atoms.positions)
+    stated = stated_of(atoms, source, positions)
+    weights, symbols = identified(stated, masses, elements, is_reduced=units is LJ)
+    topology = None
+    with suppress(NoDataError, UnicodeEncodeError):
+        texts = np.array([stated.names, symbols, atoms.resnames, atoms.resids, atoms.segids], "S")
+        topology = texts.T.astype(str)
+    return {
+        "positions": positions,
+        "masses": weights,
+        "charges": charges_of(atoms),
+        "velocities": speed * as_decimals(atoms.velocities) if trajectory.ts.has_velocities else None,
+        "cell": _cell(trajectory.ts.dimensions, length),
+        "pbc": pbc,
+        "species": _species(atoms, symbols),
+        **{name: _within(atoms, name, GROUPS[name]) if given is None else given for name, given in groups.items()},
+        "units": units,
+        "topology": topology,
+    }
 
 
-def _masses(atoms: AtomGroup, units: UnitSystem) -> NDArray[np.float64] | None:
-    masses = np.asarray(getattr(atoms, "masses", np.zeros(len(atoms))), dtype=np.float64)
-    if not masses.any() and units is LJ:
+def _scales(trajectory: Any, units: UnitSystem, source: str) -> tuple[float, float]:
+    """Factors from the numbers of a trajectory to lengths and velocities in units; 1 for reduced units, in which
+    numbers are those of the file."""
+    native = trajectory.units
+    length, time = native.get("length") or "Angstrom", native.get("time") or "ps"
+    speed = native.get("velocity") or f"{length}/{time}"
+    to_speed = get_conversion_factor("speed", speed, "Angstrom/ps")
+    is_converted = bool(getattr(trajectory, "convert_units", False))
+    is_lammps = trajectory.format == "DATA"
+    if units is LJ:
+        return 1.0, 1.0 / to_speed if is_converted and is_lammps else 1.0
+    scale = 1.0 if is_converted else to_speed
+    if is_lammps and trajectory.ts.has_velocities:
+        with openany(trajectory.filename) as file:
+            stated = LAMMPS_UNITS.search(file.readline())
+        if stated is None or stated.group(1) not in ("real", "metal"):
+            raise ValueError(
+                f"the velocities of {source} are in units that its LAMMPS data file does not state as real or metal; "
+                "read it with minimd.ase.system_from_file and lammps_units="
+            )
+        scale *= 1.0 if stated.group(1) == "real" else 1.0 / to_speed
+    to_length = 1.0 if is_converted else get_conversion_factor("length", length, "Angstrom")
+    return to_length / units.to_angstrom, scale * units.to_picosecond / units.to_angstrom
+
+
+def _cell(dimensions: Any, length: float) -> NDArray[np.float64] | None:
+    """Cell vectors of lengths and angles; an edge of length 0 is an open direction, a wrong cell is none."""
+    if dimensions is None:
         return None
-    if not (masses > 0.0).all():
-        first = int(np.argmin(masses > 0.0))
-        given = f"MDAnalysis has {masses[first]} for atom {first}, as for all types that it does not know"
-        remedy = "set universe.atoms.masses, or call universe.add_TopologyAttr('masses', values)"
-        raise ValueError(f"masses must be positive; {given}: {remedy}")
-    return masses
+    edges, angles = np.split(as_decimals(dimensions), 2)
+    is_open = edges <= 0.0
+    vectors: NDArray[np.float64] = triclinic_vectors([*np.where(is_open, 1.0, edges), *angles], dtype=np.float64)
+    if is_open.all() or not vectors.any():
+        return None
+    vectors[is_open] = 0.0
+    return length * vectors
+
+
+def as_decimals(values: Any) -> NDArray[np.float64]:
+    """Numbers that MDAnalysis has rounded to float32, in their shortest decimals, which are those of a text file."""
+    rounded = np.asarray(values, dtype=np.float32)
+    return np.array([float(text) for text in rounded.ravel().astype(str)]).reshape(rounded.shape)
+
+
+def stated_of(atoms: AtomGroup, source: str, positions: NDArray[np.float64]) -> Stated:
+    """What a group of atoms states, apart from what MDAnalysis has guessed."""
+    elements = [symbol_of(str(text)) for text in atoms.elements] if _is_stated(atoms, "elements") else None
+    has_residues = hasattr(atoms, "resnames")
+    return Stated(
+        source,
+        [str(name) for name in getattr(atoms, "names", _types(atoms))],
+        positions,
+        elements,
+        _masses(atoms),
+        [str(name) for name in atoms.resnames] if has_residues else None,
+        np.unique(atoms.resindices, return_inverse=True)[1] if has_residues else None,
+    )
+
+
+def _is_stated(atoms: AtomGroup, name: str) -> bool:
+    """Whether a universe has an attribute of atoms that MDAnalysis has not guessed."""
+    attribute = getattr(atoms.universe._topology, name, None)
+    return attribute is not None and not attribute.is_guessed
+
+
+def _masses(atoms: AtomGroup) -> NDArray[np.float64] | None:
+    """Masses [u] that are not those which MDAnalysis guesses; NaN where it knows none."""
+    if not hasattr(atoms, "masses"):
+        return None
+    masses = np.array(atoms.masses, dtype=np.float64)
+    if _is_stated(atoms, "masses"):
+        return masses
+    kinds = next((getattr(atoms, name) for name in ("elements", "types") if hasattr(atoms, name)), None)
+    with quiet():
+        is_guess = kinds is None or np.array_equal(DefaultGuesser(None).guess_masses(np.asarray(kinds)), masses)
+    if is_guess:
+        return None
+    return np.where(masses > 0.0, masses, np.nan)
 
 
 def charges_of(atoms: AtomGroup) -> NDArray[np.float64] | None:
@@ -50,17 +149,26 @@ def charges_of(atoms: AtomGroup) -> NDArray[np.float64] | None:
     if (charges := getattr(atoms, "charges", None)) is None:
         return None
     charges = np.asarray(charges, dtype=np.float64)
-    rounded = charges.astype(np.float32)
-    return rounded.astype(str).astype(np.float64) if np.array_equal(rounded, charges) else charges
+    return as_decimals(charges) if np.array_equal(charges.astype(np.float32), charges) else charges
 
 
-def _species(atoms: AtomGroup) -> list[str] | None:
-    """Types, or else elements, or else names, or None."""
-    for name in ("types", "elements", "names"):
+def _types(atoms: AtomGroup) -> list[str]:
+    """Types that a universe states, or else names, or nothing."""
+    for name in ("types", "names"):
         labels = [str(label) for label in getattr(atoms, name, ())]
-        if any(labels):
-            return [label or "X" for label in labels]
-    return None
+        if any(labels) and _is_stated(atoms, name):
+            return labels
+    return [""] * len(atoms)
+
+
+def _species(atoms: AtomGroup, symbols: Sequence[str]) -> list[str]:
+    """Types that are stated, unless they are elements in capitals; else elements, or names where there are none."""
+    has_types = _is_stated(atoms, "types")
+    pairs = zip(_types(atoms), symbols, strict=True)
+    return [
+        (label or symbol or "X") if has_types and label.upper() != symbol.upper() else symbol or label or "X"
+        for label, symbol in pairs
+    ]
 
 
 def _within(atoms: AtomGroup, name: str, size: int) -> NDArray[np.int64]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -14,7 +16,14 @@ from minimd.core.console.words import listed, shown
 from minimd.core.structure import units as unit_systems
 from minimd.core.structure.bond_graph import GROUPS, checked_groups, checked_pairs
 from minimd.core.structure.cell import Cell
-from minimd.core.structure.checks import LARGEST, MOST_ATOMS, check_rows, checked_kind, checked_numbers, checked_sizes
+from minimd.core.structure.checks import (
+    LARGEST,
+    MOST_ATOMS,
+    check_rows,
+    checked_kind,
+    checked_numbers,
+    checked_sizes,
+)
 from minimd.core.structure.constraints import Constraint
 from minimd.core.structure.observables import largest_component
 from minimd.core.structure.units import UnitSystem
@@ -24,7 +33,8 @@ if TYPE_CHECKING:
     import MDAnalysis
 
 AnySystem: TypeAlias = "System | ase.Atoms"
-READ_ONLY = ("masses", "charges", "species_names", "species_index", *GROUPS, "units")
+READ_ONLY = ("masses", "charges", "species_names", "species_index", *GROUPS, "units", "topology")
+ROW = re.compile(r"([ -~]*\n){3}-?[0-9]{1,9}\n[ -~]*")  # of topology
 MOST_BINS = 2**20  # along a lattice vector: their numbers are int64
 RESOLVED = 1e-6  # of a length: the largest rounding error of separations that is allowed
 NEUTRAL = 1e-9  # net charge, relative to the sum of all sizes: below it is rounding
@@ -47,6 +57,8 @@ class System(Displayed):
         the planes through the first and the last three.
     units : minimd.units.LJ (reduced, default) or minimd.units.ASE (eV, Å, u).
     constraints : DistanceConstraints and FixedAtoms that a Simulation keeps unless it is given others.
+    topology : (N, 5) str in ASCII, for programs that select atoms by names: the atom's name, its element or "", the
+        name and the number of its residue, and its chain; atoms of a residue follow each other. (0, 5) if not known.
 
     Attributes
     ----------
@@ -58,8 +70,10 @@ class System(Displayed):
     ------
     ValueError : if a shape does not fit, a number is masked, complex, a bool or not finite, a mass is not positive, a
         bond, an angle or a dihedral names a missing atom, one atom twice or one pair twice, or a periodic direction has
-        no lattice vector. TypeError : for units or constraints of another kind.
+        no lattice vector, or a text of topology is not printable. TypeError : for units or constraints of another kind.
     """
+
+    topology: NDArray[np.str_] = np.zeros((0, 5), str)  # of pickles of earlier versions
 
     def __init__(self, positions: ArrayLike, *, masses: ArrayLike | None = None, velocities: ArrayLike | None = None,
                  cell: ArrayLike | Cell | None = None, pbc: ArrayLike | None = None,
@@ -67,7 +81,8 @@ class System(Displayed):
                  angles: ArrayLike | None = None, dihedrals: ArrayLike | None = None,
                  impropers: ArrayLike | None = None, units: UnitSystem = unit_systems.LJ,
                  constraints: Sequence[Constraint] = (),
-                 charges: ArrayLike | Mapping[Any, float] | None = None) -> None:  # fmt: skip
+                 charges: ArrayLike | Mapping[Any, float] | None = None,
+                 topology: ArrayLike | None = None) -> None:  # fmt: skip
         checked_kind("units", units, UnitSystem, "minimd.units.LJ or minimd.units.ASE")
         if not isinstance(constraints, list | tuple) or not all(isinstance(one, Constraint) for one in constraints):
             wanted = "a list of DistanceConstraints and FixedAtoms"
@@ -89,12 +104,14 @@ class System(Displayed):
         self.angles = checked_groups("angles", angles, GROUPS["angles"], n_atoms)
         self.dihedrals = checked_groups("dihedrals", dihedrals, GROUPS["dihedrals"], n_atoms)
         self.impropers = checked_groups("impropers", impropers, GROUPS["impropers"], n_atoms)
+        if topology is not None:
+            self.topology = _topology(topology, n_atoms)
         self.__setstate__({})
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """What may not be changed is read-only, in a copy too, where NumPy forgets it."""
         self.__dict__.update(state)
-        for fixed in (self.masses, self.charges, self.species_index, *self.groups().values()):
+        for fixed in (self.masses, self.charges, self.species_index, *self.groups().values(), self.topology):
             fixed.setflags(write=False)
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -189,7 +206,9 @@ class System(Displayed):
                         impropers: ArrayLike | None = None, pbc: ArrayLike | None = None) -> System:  # fmt: skip
         """A system from the present frame of an MDAnalysis universe, or of a group of its atoms: all that System takes,
         except constraints. MDAnalysis holds positions, velocities and cell in float32, the cell as lengths and angles.
-        Species are its types.
+        Species are its types, or else elements. Masses that MDAnalysis has guessed are guessed anew, by the names of
+        atoms and residues, which a warning tells: see minimd.core.structure.elements. Topology is that of its
+        residues, if it has any, and if all texts are ASCII.
 
         Parameters
         ----------
@@ -199,7 +218,8 @@ class System(Displayed):
 
         Raises
         ------
-        TypeError : for anything but a universe or a group.  ValueError : as System, or if MDAnalysis has no masses.
+        TypeError : for anything but a universe or a group.  ValueError : as System; for atoms whose mass is neither
+            stated nor told by their names, or 0; for velocities of LAMMPS data that does not state its units.
         """
         from minimd.core.structure.mdanalysis_atoms import universe_arguments
 
@@ -213,10 +233,25 @@ class System(Displayed):
 
         return atoms_from_system(self)
 
+    def write(self, file: str | Path, overwrite: bool = False) -> None:
+        """Write a LAMMPS data file, .data or .lmp, of atom style full: positions in their images, velocities, masses,
+        charges, species as labels of types, molecules (what bonds and fixed lengths connect), bonds, angles, dihedrals
+        and impropers of one type each; not constraints. Units are metal (Å, ps, u, e) for ASE's, else lj, with charges
+        q √k_e. The title states units and boundary.
+
+        Raises
+        ------
+        ValueError : for another suffix.  FileExistsError : if the file exists, unless overwrite=True.
+        """
+        from minimd.core.structure.lammps_file import write_lammps_data
+
+        write_lammps_data(file, self, overwrite)
+
 
 def changed(system: System, **changes: Any) -> System:
     """A copy of a system with other arguments."""
-    names = ("positions", "masses", "charges", "velocities", "cell", "species", *GROUPS, "units", "constraints")
+    names = ("positions", "masses", "charges", "velocities", "cell", "species", *GROUPS, "units", "constraints",
+             "topology")  # fmt: skip
     return System(**{name: getattr(system, name) for name in names} | changes)
 
 
@@ -248,6 +283,18 @@ def _charges(charges: Any, species_names: tuple, species_index: NDArray[np.int64
         raise ValueError(f"charges must be {n_atoms} numbers, one for each atom; their shape is {checked.shape}")
     check_rows("charges", f"finite and below {LARGEST:g}", np.abs(checked) <= LARGEST, checked)
     return checked
+
+
+def _topology(topology: Any, n_atoms: int) -> NDArray[np.str_]:
+    if (
+        not isinstance(topology, np.ndarray)
+        or topology.dtype.kind != "U"
+        or topology.shape not in [(n_atoms, 5), (0, 5)]
+    ):
+        raise ValueError(f"topology must be an ({n_atoms}, 5) array of str; topology = {shown(topology)}")
+    is_right = np.array([ROW.fullmatch("\n".join(row)) for row in topology.tolist()], bool)
+    check_rows("topology", "rows of texts in ASCII, the fourth a whole number", is_right, topology)
+    return topology.copy()
 
 
 def _species(species: str | Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, NDArray[np.int64]]:

@@ -1,0 +1,235 @@
+"""Chemical elements and masses of atoms that another program has read: what it states, and what their names tell.
+
+A stated mass wins, then the mass of a stated element. Else the element is guessed from the names of atom and residue:
+
+    ion       the residue is called as its only atom, or ION: NA of NA is sodium, CA of CA calcium; SOD, CLA of CHARMM
+    residue   of proteins, nucleic acids, water: the first letter, which is H, C, N, O, P or S: CA of ALA is carbon
+    other     the first letters; MDAnalysis must not guess another element
+
+Without all of these, and where a guess is absurd, atoms are refused: beads and massless sites have no element.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from ase.data import atomic_masses, atomic_numbers
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from minimd.core.console.quiet import warn
+from minimd.core.console.words import shown
+from minimd.core.structure.checks import checked_number
+
+ISOTOPES = {"D": 2.014, "T": 3.016}  # u
+IONS = {"SOD": "Na", "CLA": "Cl", "POT": "K", "CAL": "Ca", "CES": "Cs", "LIT": "Li", "RUB": "Rb", "BAR": "Ba"}
+SINGLE = ("K", "F", "I")  # symbols of one letter that ions have; W alone is a bead of water, not tungsten
+LETTERS = frozenset("HCNOPS")  # elements of proteins, nucleic acids and water
+SELENIUM = ("MSE", "SEC", "CSE")  # residues with SE
+# symbols of two letters that other residues have
+LONG = frozenset(["CL", "BR", "SI", "FE", "ZN", "MG", "MN", "CU", "NI", "AG", "AU", "PT", "TI", "AL", "LI"])
+LAMMPS_UNITS = re.compile(r"\bunits\s*=\s*(\w+)")  # as LAMMPS' write_data states them in the title of a data file
+BEADS = 2.5  # Å; bonds of guessed elements are shorter
+REMEDY = (
+    "give masses={'NAME': mass} or elements={'NAME': 'symbol'}, in a scene under [structure], or a PSF or topology "
+    "file beside it; sites without mass, which minimd does not have, must be removed"
+)
+
+
+class Stated(NamedTuple):
+    """What is stated of N atoms; None where nothing is.
+
+    source : the file or object, in words.  names : (N,) of atoms.  residues : (N,) names of residues; residue_of : (N,)
+    their numbers, from 0 on.  elements : (N,) chemical symbols, "" for atoms without.  masses : (N,) [u], NaN for atoms
+    without.  positions : (N, 3) [Å].
+    """
+
+    source: str
+    names: Sequence[str]
+    positions: NDArray[np.float64]
+    elements: Sequence[str] | None = None
+    masses: NDArray[np.float64] | None = None
+    residues: Sequence[str] | None = None
+    residue_of: NDArray[np.int64] | None = None
+
+
+def is_element(symbol: str) -> bool:
+    """Whether a text is the symbol of a chemical element."""
+    return atomic_numbers.get(symbol, 0) > 0
+
+
+def symbol_of(text: str) -> str:
+    """The symbol in capitals or not, as a chemical symbol; "" if it is none."""
+    symbol = text.capitalize()
+    return symbol if is_element(symbol) or symbol in ISOTOPES else ""
+
+
+def atomic_mass(element: str) -> float:
+    """Mass of a chemical element [u]; D and T are isotopes of hydrogen.
+
+    Raises
+    ------
+    ValueError : if it is not a chemical symbol.
+    """
+    if element in ISOTOPES:
+        return ISOTOPES[element]
+    if not is_element(element):
+        raise ValueError(f"element must be a chemical symbol, such as 'Ar'; element = {element!r}")
+    return float(atomic_masses[atomic_numbers[element]])
+
+
+def identified(
+    stated: Stated, masses: Any = None, elements: Any = None, *, is_reduced: bool = False
+) -> tuple[NDArray[np.float64], list[str]]:
+    """Masses (N,) [u] and elements (N,) of atoms, "" for an atom with a mass, but without element.
+
+    masses, elements : given by the user, which win: a sequence of N, or by names of atoms; or, as masses, what a second
+        file states of the same atoms.
+    is_reduced : masses that are not stated are 1, whatever the element.
+
+    Warns of elements that are guessed.  Raises ValueError for atoms that have neither mass nor element, for massless
+    sites, and for names and lengths that do not fit.
+    """
+    n = len(stated.names)
+    symbols = list(stated.elements) if stated.elements is not None else [""] * n
+    weights = np.full(n, np.nan) if stated.masses is None else np.array(stated.masses, dtype=np.float64)
+    for k, symbol in _by_atom("elements", elements, stated).items():
+        atomic_mass(symbol)
+        symbols[k] = symbol
+        weights[k] = np.nan
+    for k, mass in _by_atom("masses", masses, stated).items():
+        weights[k] = mass if isinstance(masses, Stated) else checked_number("masses", mass, "positive and finite")
+    for k in np.flatnonzero(weights == 0.0).tolist():
+        raise ValueError(
+            f"the mass of atom {k}, {stated.names[k]!r}, of {stated.source} is 0: it is a massless site, which minimd "
+            "does not have; take a model without such sites, or remove them from the file"
+        )
+    missing = np.flatnonzero(np.isnan(weights)).tolist()
+    nameless = [k for k in missing if not symbols[k]]
+    if nameless and not is_reduced:
+        _guess(stated, nameless, symbols)
+    for k in missing:
+        weights[k] = 1.0 if is_reduced else atomic_mass(symbols[k])
+    return weights, symbols
+
+
+def check_names(stated: Stated) -> None:
+    """Raise ValueError where the elements, which another program has made of names, are not those of the names, or
+    stand as far apart as beads."""
+    residues = stated.residues or []
+    for k, (name, residue, symbol) in enumerate(zip(stated.names, residues, stated.elements or [], strict=True)):
+        certain = certain_element(name, residue)
+        expected = guessed_element(name, residue) if certain is None else certain
+        if symbol != expected and (expected or certain is not None):
+            raise ValueError(
+                f"atom {k}, {name!r} of residue {residue!r}, of {stated.source} is {symbol or 'no element'}, but its "
+                f"name tells {expected or 'no element'}; read the file with minimd.ase.system_from_file, or set masses"
+            )
+    _check_distance(stated, range(len(stated.names)), stated.elements or [])
+
+
+def _by_atom(name: str, given: Any, stated: Stated) -> dict[int, Any]:
+    """What the user gives for atoms, by their indices."""
+    n = len(stated.names)
+    if isinstance(given, Stated):
+        if len(given.names) != n:
+            raise ValueError(f"{given.source} has {len(given.names)} atoms; {stated.source} has {n}")
+        given = given.masses
+    if given is None:
+        return {}
+    if isinstance(given, Mapping):
+        unknown = [key for key in given if key not in set(stated.names)]
+        if unknown:
+            known = ", ".join(sorted(set(stated.names))[:8])
+            raise ValueError(f"{name} names {unknown[0]!r}, but the atoms of {stated.source} are called {known}")
+        return {k: given[label] for k, label in enumerate(stated.names) if label in given}
+    values = np.asarray(given)
+    if values.shape not in ((), (n,)):
+        raise ValueError(f"{name} must be one for each of the {n} atoms, or by their names; {name} = {shown(given)}")
+    return dict(enumerate(np.broadcast_to(values, n).tolist()))
+
+
+def _guess(stated: Stated, atoms: Sequence[int], symbols: list[str]) -> None:
+    """Fill the symbols of atoms by their names.  Raises and warns as identified."""
+    residues = stated.residues or [""] * len(symbols)
+    known: dict[tuple[str, str], str] = {}
+    for k in atoms:
+        kind = (stated.names[k], residues[k])
+        if kind not in known:
+            known[kind] = guessed_element(*kind)
+        if not known[kind]:
+            of = f" of residue {kind[1]!r}" if kind[1] else ""
+            raise ValueError(
+                f"{stated.source} states neither mass nor element of atom {k}, {kind[0]!r}{of}, and its name does not "
+                f"tell them; {REMEDY}"
+            )
+        symbols[k] = known[kind]
+    _check_distance(stated, atoms, symbols)
+    first = atoms[0]
+    warn(
+        f"{stated.source} states no elements: they, and with them masses, are guessed from the names of atoms and "
+        f"residues; atom {first}, {stated.names[first]!r}, is {symbols[first]}; if this is wrong, {REMEDY}"
+    )
+
+
+def _check_distance(stated: Stated, atoms: Sequence[int], symbols: Sequence[str]) -> None:
+    """Raise ValueError for atoms that stand as far apart as beads."""
+    apart = _distance_of_neighbors(stated, atoms)
+    if apart > BEADS:
+        first = atoms[0]
+        raise ValueError(
+            f"the atoms of {stated.source} stand {apart:.3g} Å apart in their residues, as beads do, so that atom "
+            f"{first}, {stated.names[first]!r}, is not {symbols[first]}, as its name says; {REMEDY}"
+        )
+
+
+def _distance_of_neighbors(stated: Stated, atoms: Sequence[int]) -> float:
+    """Median distance to the nearest atom [Å], of atoms in residues of several; 0 if there are none."""
+    if stated.residue_of is None or len(stated.positions) < 2:
+        return 0.0
+    is_shared = np.bincount(stated.residue_of)[stated.residue_of] > 1
+    chosen = [k for k in atoms if is_shared[k]]
+    if not chosen:
+        return 0.0
+    distances, _ = cKDTree(stated.positions).query(stated.positions[chosen], k=2)
+    return float(np.median(distances[:, 1]))
+
+
+def guessed_element(name: str, residue: str = "") -> str:
+    """The element of an atom by its name and that of its residue, by the rules above; "" if they do not tell."""
+    certain = certain_element(name, residue)
+    if certain is not None:
+        return certain
+    from MDAnalysis.guesser.default_guesser import DefaultGuesser
+
+    letters = _letters(name)
+    symbol = letters[:1]
+    long = letters[:2].capitalize()
+    if letters[:2] in LONG or name[:2] == long or (not residue and is_element(letters.capitalize())):
+        symbol = long if is_element(long) else symbol
+    other = str(DefaultGuesser(None).guess_atom_element(name)).capitalize()
+    return symbol if is_element(symbol) and (symbol == other or not is_element(other)) else ""
+
+
+def certain_element(name: str, residue: str) -> str | None:
+    """The element of an ion, or of an atom in a residue of proteins, nucleic acids or water; "" if it has none there,
+    None for other atoms."""
+    from MDAnalysis.core.selection import NucleicSelection, ProteinSelection, WaterSelection
+
+    letters = _letters(name)
+    symbol = letters.capitalize()
+    if letters in IONS and _letters(residue) in (letters, "ION", "IONS"):
+        return IONS[letters]
+    if letters and _letters(residue) in (letters, "ION", "IONS"):
+        return symbol if is_element(symbol) and (len(symbol) == 2 or symbol in SINGLE) else ""
+    if residue in SELENIUM and letters == "SE":
+        return "Se"
+    standard = (ProteinSelection.prot_res, NucleicSelection.nucl_res, WaterSelection.water_res)
+    if any(residue in names for names in standard):
+        return letters[:1] if letters[:1] in LETTERS else ""
+    return None
+
+
+def _letters(name: str) -> str:
+    return re.sub(r"[^A-Za-z]", "", name).upper()

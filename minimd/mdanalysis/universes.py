@@ -254,9 +254,11 @@ def _with_topology(system: System) -> RunUniverse:
     known = {"elements": [label if label in SYMB2Z else "" for label in labels], "charges": system.charges.tolist()}
     topology |= {name: values for name, values in known.items() if any(values)}
     topology |= {name: [tuple(row) for row in rows.tolist()] for name, rows in system.groups().items() if len(rows)}
-    if len(texts := system.topology):
+    texts = system.topology
+    if len(texts):
         is_first = np.append(True, (texts[1:, 2:] != texts[:-1, 2:]).any(axis=1))
-        of_atoms, residues = is_first.cumsum() - 1, texts[is_first]
+        of_atoms = is_first.cumsum() - 1
+        residues = texts[is_first]
         segids, segments = np.unique(residues[:, 4], return_inverse=True)
         topology |= {"names": texts[:, 0], "elements": texts[:, 1], "chainIDs": texts[:, 4], "segids": segids}
         topology |= {"resnames": residues[:, 2], "resids": residues[:, 3].astype(int)}

@@ -11,7 +11,7 @@ from minimd.core.neighbors.queries import neighbor_list
 from minimd.core.potentials.coulomb import Coulomb
 from minimd.core.potentials.pair import LennardJones
 from minimd.core.potentials.term import OwnPotential
-from minimd.core.structure.checks import checked_choice, checked_count, checked_number
+from minimd.core.structure.checks import checked_choice, checked_count, checked_kind, checked_number
 from minimd.core.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.core.structure.lattice import BASES, crystal
 from minimd.core.structure.system import System, changed
@@ -104,6 +104,9 @@ def water_of(system: System, model: ModelName = "SPC/E", cutoff: float = CUTOFF,
     Raises ValueError with the first atom that is of no molecule of an O and two H, such as the fourth site of some
     models; and as water.
     """
+    checked_kind("system", system, System, "a System")
+    if system.units is not ASE:
+        raise ValueError(f"water must be in units 'ASE'; system.units = {system.units.name!r}")
     potentials = water_potentials(model, 1, 1.0, cutoff, accuracy)
     species = system.species
     i, j = neighbor_list("ij", system, OH)

@@ -333,7 +333,7 @@ def test_cells_of_every_kind(here):
 
 def test_units_and_boundary_of_the_first_line(here):
     text = text_of("atomic")
-    title = "LAMMPS data file via write_data, version 2 Aug 2023, timestep = 5, units = Real"
+    title = "LAMMPS data file via write_data, version 2 Aug 2023, timestep = 5, units = real"
     assert (read_text(text).units, read_text(text).pbc) == (None, None)
     assert read_text(text.replace("a title", title)).units == "real"
     assert read_text(text.replace("a title", "my units = 5 chains")).units is None

@@ -80,10 +80,12 @@ def write_whole(file: Path, content: str | bytes, overwrite: bool = True) -> Non
 
 
 def text_of(path: Path) -> str:
-    """The text of a file, which may be compressed (.gz, .bz2).  Raises OSError if it cannot be read."""
-    opened: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(path.suffix, open)
-    with opened(path, "rt", encoding="utf-8", errors="replace") as file:
-        return str(file.read())
+    """The text of a file, which may be compressed (gzip, bzip2).  Raises OSError if it cannot be read."""
+    content = path.read_bytes()
+    for magic, unpacked in ((b"\x1f\x8b", gzip.decompress), (b"BZh", bz2.decompress)):
+        if content.startswith(magic):
+            content = unpacked(content)
+    return content.decode("utf-8-sig", "replace").replace("\r\n", "\n")
 
 
 def rendered(figure: Any, kind: str | None) -> bytes:

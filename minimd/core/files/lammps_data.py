@@ -17,6 +17,7 @@ from minimd.core.console.whole_file import text_of
 from minimd.core.console.words import listed, shown
 from minimd.core.structure.bond_graph import GROUPS
 from minimd.core.structure.checks import LARGEST, SMALLEST, checked_choice
+from minimd.core.structure.elements import LAMMPS_UNITS
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -75,7 +76,6 @@ BOUNDS = ("xlo xhi", "ylo yhi", "zlo zhi")
 EDGES = ("avec", "bvec", "cvec")  # in place of bounds
 HEADER = dict.fromkeys(BOUNDS, 2) | dict.fromkeys((*EDGES, "abc origin", "xy xz yz"), 3)  # numbers; others have one
 KNOWN = re.compile("Atoms|Velocities|Masses|Bonds|Angles|Dihedrals|Impropers|.* Coeffs|.* Type Labels")
-UNITS = re.compile(r"\bunits\s*=\s*(lj|real|metal|si|cgs|electron|micro|nano)\b", re.IGNORECASE)
 BOUNDARY = re.compile(r"\bboundary((?:\s+[pfsm]{1,2}){3})\b")
 
 
@@ -268,7 +268,7 @@ def read_lammps_data(path: str | Path, atom_style: str | None = None) -> LammpsD
     if "Velocities" in file.sections:
         velocities = np.array(file.rows("Velocities", "atoms", "aqqq"))[:, 1:]
     names = {number: label for label, number in file.labels["atom"].items()}
-    units = UNITS.search(file.title)
+    units = LAMMPS_UNITS.search(file.title)
     boundary = BOUNDARY.search(file.title)
     return LammpsData(
         positions=positions,
@@ -280,7 +280,7 @@ def read_lammps_data(path: str | Path, atom_style: str | None = None) -> LammpsD
         charges=column.get("q"),
         molecules=column["m"].astype(np.int64) if "m" in column else None,
         velocities=velocities,
-        units=units and units[1].lower(),
+        units=units and units[1],
         pbc=boundary and tuple("p" in word for word in boundary[1].split()),
         skipped=[title for title in file.sections if not KNOWN.fullmatch(title)],
     )

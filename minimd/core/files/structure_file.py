@@ -19,6 +19,7 @@ import numpy as np
 from ase import Atoms
 from ase.calculators.lammps import convert
 from ase.data import atomic_masses, chemical_symbols
+from ase.io.dlp4 import DLP_V_ASE
 from ase.io.formats import UnknownFileTypeError, filetype, ioformats
 from numpy.typing import ArrayLike, NDArray
 
@@ -27,18 +28,25 @@ from minimd.core.console.whole_file import text_of
 from minimd.core.console.words import listed
 from minimd.core.files.h5md_reader import looked_at
 from minimd.core.files.lammps_data import read_lammps_data
-from minimd.core.structure.ase_atoms import stated_of, system_arguments
+from minimd.core.structure.ase_atoms import LABELS, TYPES, stated_of, system_arguments
 from minimd.core.structure.bond_graph import GROUPS, Joined, joined_in
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_choice, checked_path
-from minimd.core.structure.elements import Stated, guessed_element, identified, is_element
-from minimd.core.structure.system import System
+from minimd.core.structure.elements import (
+    UNITS_OF_LAMMPS,
+    Stated,
+    atomic_mass,
+    guessed_element,
+    identified,
+    is_element,
+    species_of,
+)
+from minimd.core.structure.system import System, arguments_of
 from minimd.core.structure.units import ASE, LJ, UnitSystem
 
 LAMMPS = "lammps-data"
 DUMP = "lammps-dump-text"
 SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS, ".lammpstrj": DUMP, ".dump": DUMP}
-LAMMPS_UNITS = ("lj", "real", "metal", "si", "cgs", "electron", "micro", "nano")
 PER_PICOSECOND = {"metal": 1.0, "real": 1e3}  # Å/ps of velocities; lengths, masses, charges are those of minimd
 PACKED = (".gz", ".bz2")
 # suffixes of formats that MDAnalysis reads, and its names for them
@@ -46,14 +54,14 @@ OF_MDANALYSIS = {
     suffix: suffix[1:].upper()
     for suffix in (".pdb", ".gro", ".mol2", ".gsd", ".txyz", ".pqr", ".pdbqt", ".crd", ".dms", ".mmtf", ".mmcif")
 } | {".ent": "PDB", ".arc": "TXYZ"}
-INSTEAD = {"proteindatabank": "PDB", "gromacs": "GRO", "ENT": "PDB", "DATA": LAMMPS}
-INSTEAD |= {"dlp4": "CONFIG", "dlp-history": "HISTORY"}
-SECOND = {"PDB": "proteindatabank", "GRO": "gromacs"}  # ASE's names, where MDAnalysis cannot read a file
+INSTEAD = {"proteindatabank": "PDB", "gromacs": "GRO", "ENT": "PDB", "DATA": LAMMPS, "CONFIG": "dlp4"}
+DL_POLY = ("dlp4", "dlp-history")
 XYZ = (".xyz", ".extxyz")
 XYZ_OF_ASE = ("xyz", "extxyz", "simple-xyz")
 MASS_OF_ELEMENT = 1e-3  # relative: 12.0 and 16.0 are carbon and oxygen, but 14.027 is CH₂, not nitrogen
 SAME_MASS = 0.1  # u, largest difference of the masses of one atom in two files
 ATOMS = ("ATOM  ", "HETATM")  # records of a PDB file
+DECIMALS = 5  # of the box in a GRO file
 PDB_LINE = 54  # columns up to the end of z
 
 
@@ -116,7 +124,7 @@ def system_from_file(
     """
     path = checked_path("file", file)
     if lammps_units is not None:
-        checked_choice("lammps_units", lammps_units, LAMMPS_UNITS)
+        checked_choice("lammps_units", lammps_units, UNITS_OF_LAMMPS)
     form = _form(path, format)
     takes_bonds = isinstance(bonds, str) and bonds == "file"
     door = Door(path, form, units, masses, elements, atom_style, lammps_units, takes_bonds)
@@ -124,7 +132,7 @@ def system_from_file(
     def read() -> System:
         beside = None
         if isinstance(bonds, str | Path) and not takes_bonds:
-            beside = _beside(path.parent / bonds, units or ASE)
+            beside = _beside(path.parent / bonds, door)
         with _read_as(path, "a structure", format):
             structure = door.structure(cell, pbc, beside)
         arguments = dict(structure.arguments)
@@ -166,6 +174,8 @@ def _form(path: Path, format: str | None) -> str | None:
         name = name.removesuffix(packed)
     suffix = Path(name).suffix
     form = format or SUFFIXES.get(suffix) or OF_MDANALYSIS.get(suffix) or (suffix if suffix == ".h5md" else None)
+    if form is not None and form not in (*ioformats, ".h5md"):
+        form = form.upper()
     return INSTEAD.get(form or "", form)
 
 
@@ -191,22 +201,20 @@ class Door(NamedTuple):
         """What the file holds, in a cell that replaces its own before that is judged.
         beside : a second file, whose masses are taken."""
         masses = self.masses
-        if masses is None and beside is not None and self.units is not LJ:
+        if masses is None and beside is not None:
             masses = beside.stated
         form = self.form or self._told_by_content()
+        of_lammps = self.atom_style or self.lammps_units
+        if of_lammps and form not in (LAMMPS, DUMP):
+            raise ValueError(f"{self.source} is no LAMMPS file; leave {of_lammps!r} out")
         if form == ".h5md":
-            structure = self._of_minimd()
+            structure = self._of_minimd(masses)
         elif form == LAMMPS:
             structure = self._of_lammps(masses)
         elif form in ioformats:
             return self._of_ase(form, masses, cell, pbc)
         else:
-            try:
-                structure = self._of_mdanalysis(form, masses)
-            except (OSError, IndexError, KeyError) as error:
-                with suppress(Exception):
-                    return self._of_ase(SECOND[form], masses, cell, pbc)
-                raise error
+            structure = self._of_mdanalysis(form, masses)
         if cell is not None or pbc is not None:
             own = structure.arguments["cell"]
             own = own.vectors if isinstance(own, Cell) else own
@@ -223,16 +231,18 @@ class Door(NamedTuple):
             raise UnknownFileTypeError
         return form
 
-    def _of_minimd(self) -> Structure:
+    def _of_minimd(self, masses: Any) -> Structure:
         from minimd.core.files.h5md_reader import read_file
 
         system = read_file(self.path).system
         if self.units not in (None, system.units):
             states = f"{self.source} states units = {system.units.name!r}"
             raise ValueError(f"{states}; it cannot be read with units = {self.units and self.units.name!r}")
-        names = ("positions", "masses", "charges", "velocities", "cell", "species", *GROUPS, "units", "constraints")
-        stated = Stated(self.source, system.species.tolist(), system.positions, None, system.masses)
-        return Structure({name: getattr(system, name) for name in names}, stated)
+        labels = system.species.tolist()
+        stated = Stated(self.source, [str(label) for label in labels], system.positions, None, system.masses)
+        weights, symbols = identified(stated, masses, self.elements, is_reduced=system.units is LJ)
+        given = {"masses": weights, "species": species_of(symbols, labels)}
+        return Structure(arguments_of(system) | given, stated)
 
     def _of_lammps(self, masses: Any) -> Structure:
         data = read_lammps_data(self.path, self.atom_style)
@@ -250,7 +260,9 @@ class Door(NamedTuple):
         positions = converted(data.positions, "distance")
         stated = Stated(self.source, data.types, positions, None, converted(data.masses, "mass"))
         weights, symbols = identified(stated, masses, self.elements, is_reduced=units is LJ)
-        species = data.types if units is LJ or self.elements else _elements_of(data.types, weights)
+        species = data.types if units is LJ else _elements_of(data.types, weights)
+        if self.elements is not None:
+            species = species_of(symbols, data.types)
         arguments = {
             "positions": positions,
             "masses": weights,
@@ -258,7 +270,7 @@ class Door(NamedTuple):
             "velocities": converted(data.velocities, "velocity"),
             "cell": converted(data.cell, "distance"),
             "pbc": data.pbc,
-            "species": symbols if self.elements else species,
+            "species": species,
             **data.groups,
             "units": units,
         }
@@ -279,7 +291,10 @@ class Door(NamedTuple):
         units = LJ if name == "lj" else ASE
         if self.units not in (None, units):
             given = self.units and self.units.name
-            raise ValueError(f"{self.source} is in LAMMPS' units {name}; it cannot be read with units = {given!r}")
+            raise ValueError(
+                f"{self.source} is in LAMMPS' units {name}; it cannot be read with units = {given!r}, but with "
+                f"{units.name!r}"
+            )
         return name, units
 
     def _of_mdanalysis(self, form: str, masses: Any) -> Structure:
@@ -289,13 +304,15 @@ class Door(NamedTuple):
         atoms = universe.atoms
         _check_alternatives(atoms, self.source)
         groups = dict.fromkeys(GROUPS)
-        given = universe_arguments(atoms, self.units or ASE, groups, None, self.source, masses, self.elements)
-        return Structure(given, stated_of_group(atoms, self.source, given["positions"]))
+        arguments = universe_arguments(atoms, self.units or ASE, groups, None, self.source, masses, self.elements)
+        return Structure(arguments, stated_of_group(atoms, self.source, arguments["positions"]))
 
     def _of_ase(self, form: str, masses: Any, cell: Any, pbc: Any) -> Structure:
         units = self.units or ASE
         if form == "gromos":
-            raise ValueError("ASE takes the first letters of all names for elements there; write it as .gro")
+            raise ValueError(
+                "this format keeps no elements, and ASE takes the first letters of names; write it as .gro"
+            )
         options: dict[str, Any] = {}
         if form == DUMP:
             name, units, columns = self._dump()
@@ -303,24 +320,31 @@ class Door(NamedTuple):
         frames = ase.io.read(str(self.path), format=form, do_not_split_by_at_sign=True, **options)
         atoms = frames if isinstance(frames, Atoms) else frames[-1]
         if not len(atoms):
-            raise ValueError("it has no atoms")
+            raise ValueError("a structure must have atoms; this file has none")
         if form in XYZ_OF_ASE:
             _check_labels(text_of(self.path), len(atoms), self.source)
-        if form == DUMP and "mass" in columns:
-            atoms.arrays["mass"] = columns["mass"]
-        elif form == DUMP and "element" not in columns:
-            atoms.arrays["type"] = atoms.numbers.copy()
+        if form in DL_POLY:  # ASE takes the velocities, in Å/ps, for atomic units
+            names = map("".join, zip(atoms.get_chemical_symbols(), atoms.arrays["dlp4_labels"], strict=True))
+            _relabel(atoms, [*names], (1.0 if units is LJ else ASE.to_picosecond) / DLP_V_ASE)
+        elif form == DUMP:
+            kinds = atoms.arrays.pop("type", atoms.numbers)
+            atoms.set_array(TYPES, kinds)
+            if "element" not in columns:
+                masses_stated = columns.get("mass")
+                if masses_stated is not None and units is ASE and name not in PER_PICOSECOND:
+                    masses_stated = convert(masses_stated, "mass", name, "ASE")
+                _relabel(atoms, kinds.astype(str).tolist(), 1.0, masses_stated)
         if cell is not None or pbc is not None:
             placed = Cell.of(atoms.cell.array if cell is None else cell, pbc)
             atoms.cell[:] = placed.vectors
             atoms.pbc = placed.pbc
         if "id" in atoms.arrays:  # these are all atoms of the file in its order, whatever ids they have there
             atoms.arrays["id"] = np.arange(1, len(atoms) + 1)
-        found = Joined(dict.fromkeys(GROUPS, np.zeros((0, 2), np.int64)))
+        joined = Joined(dict.fromkeys(GROUPS, np.zeros((0, 2), np.int64)))
         with nullcontext() if self.takes_bonds else suppress(ValueError):
-            found = joined_in(atoms)
+            joined = joined_in(atoms)
         arguments = system_arguments(atoms, (), source=self.source, masses=masses, elements=self.elements, units=units)
-        return Structure(arguments | found.groups, stated_of(atoms, self.source), found.n_types)
+        return Structure(arguments | joined.groups, stated_of(atoms, self.source), joined.n_types)
 
     def _dump(self) -> tuple[str, UnitSystem, dict[str, NDArray[np.float64]]]:
         """Units of a dump, and its columns; masses in the order of ids."""
@@ -363,13 +387,15 @@ def _last_of_gro(text: str) -> str:
     while True:
         n = int(lines[first + 1].split()[0])
         end = first + n + 3
-        if end > len(lines):
-            raise ValueError(f"line {first + 2} announces {n} atoms and a box, but the file ends before: it was cut")
+        if n < 0 or end > len(lines):
+            raise ValueError(
+                f"line {first + 2} announces {n} atoms and a box; the file has {len(lines)} lines: it was cut"
+            )
         if not any(map(str.strip, lines[end:])):
             break
         first = end
-    decimals = {len(number.partition(".")[2]) for number in lines[end - 1].split()}
-    if not text.endswith("\n") and len(decimals) > 1:
+    decimals = [len(number.partition(".")[2]) for number in lines[end - 1].split()]
+    if not text.endswith("\n") and decimals[-1] < decimals[0] == DECIMALS:
         raise ValueError(f"the file ends within its box, {lines[end - 1].strip()!r}: it was cut")
     return "\n".join([*lines[first:end], ""])
 
@@ -393,8 +419,12 @@ LAST_FRAMES = {"GRO": _last_of_gro, "PDB": _last_of_pdb}
 
 
 def _check_labels(text: str, n: int, source: str) -> None:
-    """Raise ValueError for labels of an XYZ file in capitals that may be elements or names, as CA."""
-    for label in sorted({line.split()[0] for line in text.splitlines()[-n:] if line.strip()}):
+    """Raise ValueError for labels of an XYZ file in capitals that may be elements or names, as CA; warns of columns
+    that are not read."""
+    rows = [line.split() for line in text.splitlines() if line.strip()][-n:]
+    if "Properties" not in text and max(map(len, rows)) > 4:
+        warn(f"{source} has columns behind x, y and z, which say nothing about what they are: they are not read")
+    for label in sorted({row[0] for row in rows}):
         if len(label) == 2 and label.isupper() and is_element(label.capitalize()) and not guessed_element(label):
             raise ValueError(
                 f"the label {label!r} of {source} may be the element {label.capitalize()} or the name of an atom; "
@@ -404,35 +434,50 @@ def _check_labels(text: str, n: int, source: str) -> None:
 
 def _check_alternatives(atoms: Any, source: str) -> None:
     """Raise ValueError for atoms of which a PDB file has several, at alternate locations."""
-    seen: dict[tuple[int, str], int] = {}
+    seen: dict[tuple[Any, ...], int] = {}
     labels = getattr(atoms, "altLocs", ())
     for k, label in enumerate(labels if any(labels) else ()):
-        key = (int(atoms.resindices[k]), str(atoms.names[k]))
+        key = (atoms.segids[k], int(atoms.resids[k]), str(atoms.names[k]))
         if seen.setdefault(key, k) != k and label != labels[seen[key]]:
             raise ValueError(
-                f"atoms {seen[key]} and {k}, {key[1]!r}, of {source} are alternate locations, "
+                f"atoms {seen[key]} and {k}, {key[-1]!r}, of {source} are alternate locations, "
                 f"{str(labels[seen[key]])!r} and {str(label)!r}, of one atom, which has an occupancy in both: keep one "
                 "of them in the file"
             )
+
+
+def _relabel(atoms: Atoms, names: list[str], scale: float, masses: Any = None) -> None:
+    """Give atoms, of whose names or types ASE has made elements, the names themselves, velocities times a scale, and
+    masses that their file states."""
+    velocities = scale * atoms.get_velocities()
+    atoms.set_array(LABELS, np.array(names))
+    atoms.arrays[TYPES] = atoms.arrays[LABELS]
+    atoms.numbers[:] = 0
+    if masses is not None:
+        atoms.set_masses(masses)
+    atoms.set_velocities(velocities)
 
 
 def _elements_of(types: list[str], masses: Any) -> list[str]:
     """The elements whose masses all atoms have, if there are as many as types; else the types."""
     if not all(label.isdigit() for label in types):
         return types
-    nearest = np.abs(np.subtract.outer(masses, atomic_masses[1:])).argmin(axis=1) + 1
+    different, of_atom = np.unique(masses, return_inverse=True)
+    nearest = np.abs(np.subtract.outer(different, atomic_masses[1:])).argmin(axis=1) + 1
     standard = atomic_masses[nearest]
-    are_elements = bool((np.abs(masses - standard) <= MASS_OF_ELEMENT * standard).all())
-    symbols = [chemical_symbols[number] for number in nearest]
+    are_elements = bool((np.abs(different - standard) <= MASS_OF_ELEMENT * standard).all())
+    symbols = [chemical_symbols[number] for number in nearest[of_atom]]
     return symbols if are_elements and len(set(symbols)) >= len(set(types)) else types
 
 
-def _beside(path: Path, units: UnitSystem) -> Structure:
-    """Bonds, charges and masses in a file other than that of the atoms.  Raises ValueError if it cannot be read."""
+def _beside(path: Path, door: Door) -> Structure:
+    """Bonds, charges and masses in a file other than that of the atoms; masses of LAMMPS data in units real and metal.
+    Raises ValueError if it cannot be read."""
     with _read_as(path, "bonds", None):
         if _form(path, None) == LAMMPS:
-            data = read_lammps_data(path)
-            stated = Stated(f"file {str(path)!r}", data.types, data.positions, None, data.masses)
+            data = read_lammps_data(path, door.atom_style)
+            masses = data.masses if (data.units or door.lammps_units) in PER_PICOSECOND else None
+            stated = Stated(f"file {str(path)!r}", data.types, data.positions, None, masses)
             return Structure({**data.groups, "charges": data.charges}, stated, data.n_types)
         from minimd.core.structure.mdanalysis_atoms import charges_of as charges_of_group, stated_of as stated_of_group
 
@@ -468,7 +513,9 @@ def _may_be_same(first: Stated, second: Stated, k: int) -> bool:
     symbol = symbol or guessed_element(first.names[k], first.residues[k] if first.residues else "")
     mass = None if first.masses is None else float(first.masses[k])
     if mass is None or np.isnan(mass):
-        mass = float(atomic_masses[chemical_symbols.index(symbol)]) if is_element(symbol) else None
+        mass = atomic_mass(symbol) if symbol else None
+    if symbol and symbol == guessed_element(second.names[k], second.residues[k] if second.residues else ""):
+        return True  # whatever its mass, which may be repartitioned
     other = None if second.masses is None else float(second.masses[k])
     return mass is None or other is None or abs(mass - other) <= SAME_MASS
 
@@ -490,8 +537,8 @@ def _read_as(path: Path, what: str, form: str | None) -> Iterator[None]:
         elif isinstance(error, KeyError) and path.suffix.lower() in XYZ and not is_element(str(error.args[0])):
             reason = (
                 f"{error.args[0]!r} is not a chemical symbol, which ASE expects in this format; name the atoms X, and "
-                "give their species to System or in the scene under [structure], or write LAMMPS data, whose types may "
-                "have any name"
+                "give masses here and species to System, or both in the scene under [structure], or write LAMMPS data, "
+                "whose types may have any name"
             )
         elif isinstance(error, ImportError):
             reason = f"its reader needs another package: {reason}"

@@ -61,7 +61,8 @@ def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potent
     system = system if isinstance(system, System) else System.from_ase(system)
     forces = Forces(system, potentials, Options(skin=0.0))
     forces.compute(PER_ATOM)
-    if cause := thin_cell(system, forces.potentials):
+    cause = thin_cell(system, forces.potentials)
+    if cause:
         warn(f"{cause}; {OPEN_IT}")
     result = Evaluation(forces.potential_energy, forces.forces, forces.virial, forces.energies)
     if not (np.isfinite(result.forces).all() and np.isfinite(result.energies).all()):

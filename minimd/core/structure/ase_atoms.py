@@ -17,12 +17,13 @@ from minimd.core.structure.bond_graph import GROUPS, joined_in, texts
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms, lengths_of
-from minimd.core.structure.elements import LAMMPS_UNITS, Stated, check_names, identified
+from minimd.core.structure.elements import LAMMPS_UNITS, Stated, check_names, identified, species_of
 from minimd.core.structure.observables import center, momentum, stress as kinetic_stress
 from minimd.core.structure.units import ASE, UnitSystem
 
 LABELS = "species_labels"  # the array of an ase.Atoms for species that are not chemical elements
 # in the info of atoms from a .traj, which keeps no such array: the names of species; tags are indices into them
+TYPES = "types"  # an array of atoms from LAMMPS and DL_POLY, whose velocities do not depend on masses
 NAMES = "species_names"
 FULL = 1e-3  # least difference of an occupancy from one
 Given = ArrayLike | None
@@ -55,9 +56,16 @@ def system_arguments(
     """
     checked_kind("atoms", atoms, Atoms, "an ase.Atoms or, as system, a minimd System")
     check_occupancy(atoms, source)
+    title = LAMMPS_UNITS.search(str(atoms.info.get("comment")))
+    if title and title[1] != "metal" and (title[1] != "real" or atoms.has("momenta")):
+        warn(
+            f"the file of {source} states units = {title[1]}; if these were not given to ase.io.read, its numbers are "
+            "wrong: minimd.ase.system_from_file reads them as stated"
+        )
     found = joined_in(atoms) if bonds is None else None
     stated = stated_of(atoms, source)
     weights, symbols = identified(stated, masses, elements, is_reduced=units is not ASE)
+    is_dummy = "residuenames" in atoms.arrays and np.array_equal(atoms.cell.array, np.eye(3))  # of the databank
     labels = stated.names if "type" in atoms.arrays and not any(symbols) else _labels(atoms)
     velocities = _velocities(atoms, source, units, stated.masses is not None)
     if constraints and fixes_center(atoms):
@@ -67,8 +75,8 @@ def system_arguments(
         "masses": weights,
         "charges": charges_of(atoms),
         "velocities": velocities,
-        "cell": cell_of(atoms),
-        "species": symbols if elements is not None else labels,
+        "cell": None if is_dummy else cell_of(atoms),
+        "species": labels if symbols == stated.elements else species_of(symbols, labels),
         **(found.groups if found is not None else {"bonds": bonds}),
         **{name: given for name, given in others.items() if given is not None},
         "units": units,
@@ -102,11 +110,12 @@ def check_occupancy(atoms: Atoms, source: str) -> None:
     kinds = atoms.arrays.get("spacegroup_kinds", range(len(atoms)))
     for k, kind in enumerate(kinds if isinstance(sites, dict) else ()):
         shares = sites.get(str(kind), {})
-        if len(shares) > 1 or any(abs(share - 1.0) > FULL for share in shares.values()):
-            told = ", ".join(f"{share:g} of {element}" for element, share in shares.items())
+        known = [share for share in shares.values() if not isinstance(share, str)]  # others are "." and "?"
+        if len(shares) > 1 or any(abs(share - 1.0) > FULL for share in known):
+            told = ", ".join(f"{share} of {element}" for element, share in shares.items())
             raise ValueError(
                 f"the site of atom {k} of {source} has an occupancy of {told}: a list of such sites is no structure; "
-                "choose atoms for them, with whole occupancies"
+                "choose atoms for them, with whole occupancies, or delete atoms.info['occupancy'] if you have done so"
             )
 
 
@@ -123,13 +132,7 @@ def _velocities(atoms: Atoms, source: str, units: UnitSystem, has_masses: bool) 
     nobody states."""
     columns = [name for name in ("velo", "vel") if name in atoms.arrays and not atoms.has("momenta")]
     if not columns:
-        title = LAMMPS_UNITS.search(str(atoms.info.get("comment")))
-        if title and title[1] != "metal" and atoms.has("momenta"):
-            warn(
-                f"the file of {source} states units = {title[1]}; if these were not given to ase.io.read, velocities "
-                "are wrong: minimd.ase.system_from_file reads them as stated"
-            )
-        is_known = units is ASE or has_masses or "type" in atoms.arrays
+        is_known = units is ASE or has_masses or TYPES in atoms.arrays
         velocities: NDArray[np.float64] = atoms.get_velocities() * is_known
         return velocities
     column = np.array(atoms.arrays[columns[0]], dtype=np.float64)

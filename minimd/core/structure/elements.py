@@ -2,7 +2,7 @@
 
 A stated mass wins, then the mass of a stated element. Else the element is guessed from the names of atom and residue:
 
-    ion       the residue is called as its only atom, or ION: NA of NA is sodium, CA of CA calcium; SOD, CLA of CHARMM
+    ion       the residue is called as its atom, or ION: NA of NA is sodium, CA of CA calcium; SOD, CLA of CHARMM
     residue   of proteins, nucleic acids, water: the first letter, which is H, C, N, O, P or S: CA of ALA is carbon
     other     the first letters; MDAnalysis must not guess another element
 
@@ -25,11 +25,15 @@ from minimd.core.structure.checks import checked_number
 ISOTOPES = {"D": 2.014, "T": 3.016}  # u
 IONS = {"SOD": "Na", "CLA": "Cl", "POT": "K", "CAL": "Ca", "CES": "Cs", "LIT": "Li", "RUB": "Rb", "BAR": "Ba"}
 SINGLE = ("K", "F", "I")  # symbols of one letter that ions have; W alone is a bead of water, not tungsten
-LETTERS = frozenset("HCNOPS")  # elements of proteins, nucleic acids and water
+LETTERS = frozenset("HCNOPS")  # elements of proteins and nucleic acids; others are F, I, B, K
+OXYGEN = ("O", "OW", "OH", "OT")  # letters of its names in water; OM is a massless site
 SELENIUM = ("MSE", "SEC", "CSE")  # residues with SE
 # symbols of two letters that other residues have
-LONG = frozenset(["CL", "BR", "SI", "FE", "ZN", "MG", "MN", "CU", "NI", "AG", "AU", "PT", "TI", "AL", "LI"])
-LAMMPS_UNITS = re.compile(r"\bunits\s*=\s*(\w+)")  # as LAMMPS' write_data states them in the title of a data file
+LONG = re.compile("CL|BR|SI|FE|ZN|MG|MN|CU|NI|CO|CR|RU|RH|SE|SN|PD|IR|AG|AU|PT|TI|AL|LI")
+UNITS_OF_LAMMPS = ("lj", "real", "metal", "si", "cgs", "electron", "micro", "nano")
+# as LAMMPS' write_data states them in the title of a data file
+LAMMPS_UNITS = re.compile(rf"\bunits\s*=\s*({'|'.join(UNITS_OF_LAMMPS)})\b")
+TOLD = 12  # of the names that are guessed by the last rule
 BEADS = 2.5  # Å; bonds of guessed elements are shorter
 REMEDY = (
     "give masses={'NAME': mass} or elements={'NAME': 'symbol'}, in a scene under [structure], or a PSF or topology "
@@ -56,7 +60,7 @@ class Stated(NamedTuple):
 
 def is_element(symbol: str) -> bool:
     """Whether a text is the symbol of a chemical element."""
-    return atomic_numbers.get(symbol, 0) > 0
+    return isinstance(symbol, str) and atomic_numbers.get(symbol, 0) > 0
 
 
 def symbol_of(text: str) -> str:
@@ -72,11 +76,11 @@ def atomic_mass(element: str) -> float:
     ------
     ValueError : if it is not a chemical symbol.
     """
-    if element in ISOTOPES:
-        return ISOTOPES[element]
-    if not is_element(element):
-        raise ValueError(f"element must be a chemical symbol, such as 'Ar'; element = {element!r}")
-    return float(atomic_masses[atomic_numbers[element]])
+    if is_element(element):
+        return float(atomic_masses[atomic_numbers[element]])
+    if element not in (*ISOTOPES,):
+        raise ValueError(f"element must be a chemical symbol, such as 'Ar'; element = {shown(element)}")
+    return ISOTOPES[element]
 
 
 def identified(
@@ -98,12 +102,19 @@ def identified(
         atomic_mass(symbol)
         symbols[k] = symbol
         weights[k] = np.nan
-    for k, mass in _by_atom("masses", masses, stated).items():
-        weights[k] = mass if isinstance(masses, Stated) else checked_number("masses", mass, "positive and finite")
-    for k in np.flatnonzero(weights == 0.0).tolist():
+    source = stated.source
+    if isinstance(masses, Stated):
+        source = masses.source
+        if not is_reduced:
+            weights = _of_both(weights, masses, stated)
+    else:
+        for k, mass in _by_atom("masses", masses, stated).items():
+            weights[k] = checked_number("masses", mass, "positive and finite")
+    massless = np.flatnonzero(weights == 0.0)
+    if massless.size:
         raise ValueError(
-            f"the mass of atom {k}, {stated.names[k]!r}, of {stated.source} is 0: it is a massless site, which minimd "
-            "does not have; take a model without such sites, or remove them from the file"
+            f"the mass of atom {massless[0]}, {stated.names[massless[0]]!r}, is 0 in {source}: it is a massless site, "
+            "which minimd does not have; take a model without such sites, or remove them from the file"
         )
     missing = np.flatnonzero(np.isnan(weights)).tolist()
     nameless = [k for k in missing if not symbols[k]]
@@ -111,7 +122,25 @@ def identified(
         _guess(stated, nameless, symbols)
     for k in missing:
         weights[k] = 1.0 if is_reduced else atomic_mass(symbols[k])
+    if stated.residues is not None and not is_reduced:  # elements of atoms whose masses are stated
+        certain = {kind: certain_element(*kind) or "" for kind in set(zip(stated.names, stated.residues, strict=True))}
+        names = zip(symbols, stated.names, stated.residues, strict=True)
+        symbols = [symbol or certain[name, residue] for symbol, name, residue in names]
     return weights, symbols
+
+
+def _of_both(weights: NDArray[np.float64], second: Stated, stated: Stated) -> NDArray[np.float64]:
+    """Masses of two files: those of the second where it states them."""
+    if len(second.names) != len(weights):
+        raise ValueError(f"{second.source} has {len(second.names)} atoms; {stated.source} has {len(weights)}")
+    if second.masses is None:
+        return weights
+    return np.where(np.isnan(second.masses), weights, second.masses)
+
+
+def species_of(symbols: Sequence[str], labels: Sequence[Any]) -> list[Any]:
+    """Elements of atoms, and labels of those without."""
+    return [symbol or label for symbol, label in zip(symbols, labels, strict=True)]
 
 
 def check_names(stated: Stated) -> None:
@@ -124,7 +153,8 @@ def check_names(stated: Stated) -> None:
         if symbol != expected and (expected or certain is not None):
             raise ValueError(
                 f"atom {k}, {name!r} of residue {residue!r}, of {stated.source} is {symbol or 'no element'}, but its "
-                f"name tells {expected or 'no element'}; read the file with minimd.ase.system_from_file, or set masses"
+                f"name tells {expected or 'no element'}; read the file with minimd.ase.system_from_file, or call "
+                "atoms.set_masses"
             )
     _check_distance(stated, range(len(stated.names)), stated.elements or [])
 
@@ -132,21 +162,20 @@ def check_names(stated: Stated) -> None:
 def _by_atom(name: str, given: Any, stated: Stated) -> dict[int, Any]:
     """What the user gives for atoms, by their indices."""
     n = len(stated.names)
-    if isinstance(given, Stated):
-        if len(given.names) != n:
-            raise ValueError(f"{given.source} has {len(given.names)} atoms; {stated.source} has {n}")
-        given = given.masses
     if given is None:
         return {}
     if isinstance(given, Mapping):
-        unknown = [key for key in given if key not in set(stated.names)]
+        given = {str(key): value for key, value in given.items()}
+        names = set(stated.names)
+        unknown = [key for key in given if key not in names]
         if unknown:
-            known = ", ".join(sorted(set(stated.names))[:8])
+            known = ", ".join(sorted(names)[:8])
             raise ValueError(f"{name} names {unknown[0]!r}, but the atoms of {stated.source} are called {known}")
         return {k: given[label] for k, label in enumerate(stated.names) if label in given}
     values = np.asarray(given)
     if values.shape not in ((), (n,)):
-        raise ValueError(f"{name} must be one for each of the {n} atoms, or by their names; {name} = {shown(given)}")
+        wanted = f"one for each of the {n} atoms of {stated.source}, or by their names"
+        raise ValueError(f"{name} must be {wanted}; {name} = {shown(given)}")
     return dict(enumerate(np.broadcast_to(values, n).tolist()))
 
 
@@ -167,33 +196,33 @@ def _guess(stated: Stated, atoms: Sequence[int], symbols: list[str]) -> None:
         symbols[k] = known[kind]
     _check_distance(stated, atoms, symbols)
     first = atoms[0]
+    others = [f"{name} of {residue} is {known[name, residue]}" for name, residue in known
+              if residue and certain_element(name, residue) is None]  # fmt: skip
+    in_others = f"; in residues that are not known, {', '.join(others[:TOLD])}" if others else ""
     warn(
         f"{stated.source} states no elements: they, and with them masses, are guessed from the names of atoms and "
-        f"residues; atom {first}, {stated.names[first]!r}, is {symbols[first]}; if this is wrong, {REMEDY}"
+        f"residues; atom {first}, {stated.names[first]!r}, is {symbols[first]}{in_others}; if this is wrong, {REMEDY}"
     )
 
 
 def _check_distance(stated: Stated, atoms: Sequence[int], symbols: Sequence[str]) -> None:
-    """Raise ValueError for atoms that stand as far apart as beads."""
-    apart = _distance_of_neighbors(stated, atoms)
-    if apart > BEADS:
-        first = atoms[0]
-        raise ValueError(
-            f"the atoms of {stated.source} stand {apart:.3g} Å apart in their residues, as beads do, so that atom "
-            f"{first}, {stated.names[first]!r}, is not {symbols[first]}, as its name says; {REMEDY}"
-        )
-
-
-def _distance_of_neighbors(stated: Stated, atoms: Sequence[int]) -> float:
-    """Median distance to the nearest atom [Å], of atoms in residues of several; 0 if there are none."""
-    if stated.residue_of is None or len(stated.positions) < 2:
-        return 0.0
+    """Raise ValueError for residues of one name whose atoms stand as far from the nearest as beads, by their median."""
+    if stated.residue_of is None or stated.residues is None or len(stated.positions) < 2:
+        return
     is_shared = np.bincount(stated.residue_of)[stated.residue_of] > 1
-    chosen = [k for k in atoms if is_shared[k]]
-    if not chosen:
-        return 0.0
-    distances, _ = cKDTree(stated.positions).query(stated.positions[chosen], k=2)
-    return float(np.median(distances[:, 1]))
+    of_name: dict[str, list[int]] = {}
+    for k in atoms:
+        if is_shared[k]:
+            of_name.setdefault(stated.residues[k], []).append(k)
+    tree = cKDTree(stated.positions)
+    for residue, members in of_name.items():
+        apart = float(np.median(tree.query(stated.positions[members], k=2)[0][:, 1]))
+        if apart > BEADS:
+            first = members[0]
+            raise ValueError(
+                f"atoms of residues {residue!r} of {stated.source} stand {apart:.3g} Å from the nearest, as beads do, "
+                f"so that atom {first}, {stated.names[first]!r}, is not {symbols[first]}, as its name says; {REMEDY}"
+            )
 
 
 def guessed_element(name: str, residue: str = "") -> str:
@@ -206,10 +235,11 @@ def guessed_element(name: str, residue: str = "") -> str:
     letters = _letters(name)
     symbol = letters[:1]
     long = letters[:2].capitalize()
-    if letters[:2] in LONG or name[:2] == long or (not residue and is_element(letters.capitalize())):
+    if LONG.match(letters) or name[:2] == long or (not residue and is_element(letters.capitalize())):
         symbol = long if is_element(long) else symbol
     other = str(DefaultGuesser(None).guess_atom_element(name)).capitalize()
-    return symbol if is_element(symbol) and (symbol == other or not is_element(other)) else ""
+    is_usual = is_element(symbol) and (len(symbol) == 2 or symbol in (*LETTERS, *SINGLE, "B"))
+    return symbol if is_usual and (symbol == other or not is_element(other)) else ""
 
 
 def certain_element(name: str, residue: str) -> str | None:
@@ -221,12 +251,14 @@ def certain_element(name: str, residue: str) -> str | None:
     symbol = letters.capitalize()
     if letters in IONS and _letters(residue) in (letters, "ION", "IONS"):
         return IONS[letters]
-    if letters and _letters(residue) in (letters, "ION", "IONS"):
-        return symbol if is_element(symbol) and (len(symbol) == 2 or symbol in SINGLE) else ""
+    is_ion = is_element(symbol) and (len(symbol) == 2 or symbol in SINGLE)
+    if letters and is_ion and _letters(residue) in (letters, "ION", "IONS"):
+        return symbol
     if residue in SELENIUM and letters == "SE":
         return "Se"
-    standard = (ProteinSelection.prot_res, NucleicSelection.nucl_res, WaterSelection.water_res)
-    if any(residue in names for names in standard):
+    if residue in WaterSelection.water_res:
+        return letters[:1] if letters in OXYGEN or letters[:1] == "H" else ""
+    if residue in ProteinSelection.prot_res or residue in NucleicSelection.nucl_res:
         return letters[:1] if letters[:1] in LETTERS else ""
     return None
 

@@ -12,10 +12,10 @@ from MDAnalysis.lib.util import openany
 from MDAnalysis.units import get_conversion_factor
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.core.console.quiet import quiet
+from minimd.core.console.quiet import quiet, warn
 from minimd.core.structure.bond_graph import GROUPS
 from minimd.core.structure.checks import checked_kind
-from minimd.core.structure.elements import LAMMPS_UNITS, Stated, identified, symbol_of
+from minimd.core.structure.elements import ISOTOPES, LAMMPS_UNITS, Stated, identified, symbol_of
 from minimd.core.structure.units import LJ, UnitSystem
 
 
@@ -54,7 +54,7 @@ def universe_arguments(
         "masses": weights,
         "charges": charges_of(atoms),
         "velocities": speed * as_decimals(atoms.velocities) if trajectory.ts.has_velocities else None,
-        "cell": _cell(trajectory.ts.dimensions, length),
+        "cell": _cell(trajectory.ts.dimensions, length, source),
         "pbc": pbc,
         "species": _species(atoms, symbols),
         **{name: _within(atoms, name, GROUPS[name]) if given is None else given for name, given in groups.items()},
@@ -65,13 +65,15 @@ def universe_arguments(
 
 def _scales(trajectory: Any, units: UnitSystem, source: str) -> tuple[float, float]:
     """Factors from the numbers of a trajectory to lengths and velocities in units; 1 for reduced units, in which
-    numbers are those of the file."""
+    numbers are those of the file.  Raises ValueError for velocities of LAMMPS files that state neither real nor metal
+    units."""
     native = trajectory.units
-    length, time = native.get("length") or "Angstrom", native.get("time") or "ps"
+    length = native.get("length") or "Angstrom"
+    time = native.get("time") or "ps"
     speed = native.get("velocity") or f"{length}/{time}"
     to_speed = get_conversion_factor("speed", speed, "Angstrom/ps")
     is_converted = bool(getattr(trajectory, "convert_units", False))
-    is_lammps = trajectory.format == "DATA"
+    is_lammps = trajectory.format in ("DATA", "LAMMPSDUMP")
     if units is LJ:
         return 1.0, 1.0 / to_speed if is_converted and is_lammps else 1.0
     scale = 1.0 if is_converted else to_speed
@@ -80,7 +82,7 @@ def _scales(trajectory: Any, units: UnitSystem, source: str) -> tuple[float, flo
             stated = LAMMPS_UNITS.search(file.readline())
         if stated is None or stated.group(1) not in ("real", "metal"):
             raise ValueError(
-                f"the velocities of {source} are in units that its LAMMPS data file does not state as real or metal; "
+                f"the velocities of {source} are in units that its LAMMPS file does not state as real or metal; "
                 "read it with minimd.ase.system_from_file and lammps_units="
             )
         scale *= 1.0 if stated.group(1) == "real" else 1.0 / to_speed
@@ -88,28 +90,35 @@ def _scales(trajectory: Any, units: UnitSystem, source: str) -> tuple[float, flo
     return to_length / units.to_angstrom, scale * units.to_picosecond / units.to_angstrom
 
 
-def _cell(dimensions: Any, length: float) -> NDArray[np.float64] | None:
-    """Cell vectors of lengths and angles; an edge of length 0 is an open direction, a wrong cell is none."""
-    if dimensions is None:
+def _cell(dimensions: Any, length: float, source: str) -> NDArray[np.float64] | None:
+    """Cell vectors of lengths and angles; an edge of length 0 is an open direction. Edges or angles of 0 are no cell,
+    nor is one that cannot be, which is told."""
+    if dimensions is None or not np.any(dimensions[:3]) or not np.any(dimensions[3:]):
         return None
     edges, angles = np.split(as_decimals(dimensions), 2)
-    is_open = edges <= 0.0
-    vectors: NDArray[np.float64] = triclinic_vectors([*np.where(is_open, 1.0, edges), *angles], dtype=np.float64)
-    if is_open.all() or not vectors.any():
+    is_open = edges == 0.0
+    with quiet():
+        vectors: NDArray[np.float64] = triclinic_vectors([*np.where(is_open, 1.0, edges), *angles], dtype=np.float64)
+    if not vectors.any():
+        warn(f"edges and angles {[*edges.tolist(), *angles.tolist()]} of {source} are no cell; give cell=")
         return None
     vectors[is_open] = 0.0
     return length * vectors
 
 
 def as_decimals(values: Any) -> NDArray[np.float64]:
-    """Numbers that MDAnalysis has rounded to float32, in their shortest decimals, which are those of a text file."""
+    """Numbers that MDAnalysis has rounded to float32, in float64 and the same shape: their shortest decimals, which are
+    those of a text file."""
     rounded = np.asarray(values, dtype=np.float32)
     return np.array([float(text) for text in rounded.ravel().astype(str)]).reshape(rounded.shape)
 
 
 def stated_of(atoms: AtomGroup, source: str, positions: NDArray[np.float64]) -> Stated:
     """What a group of atoms states, apart from what MDAnalysis has guessed."""
-    elements = [symbol_of(str(text)) for text in atoms.elements] if _is_stated(atoms, "elements") else None
+    elements = None
+    if _is_stated(atoms, "elements"):  # D and T are in the column of a PDB file, but not in MDAnalysis' elements
+        pairs = zip(atoms.elements, getattr(atoms, "types", atoms.elements), strict=True)
+        elements = [symbol_of(str(text)) or (str(kind) if str(kind) in ISOTOPES else "") for text, kind in pairs]
     has_residues = hasattr(atoms, "resnames")
     return Stated(
         source,
@@ -133,14 +142,18 @@ def _masses(atoms: AtomGroup) -> NDArray[np.float64] | None:
     if not hasattr(atoms, "masses"):
         return None
     masses = np.array(atoms.masses, dtype=np.float64)
-    if _is_stated(atoms, "masses"):
-        return masses
     kinds = next((getattr(atoms, name) for name in ("elements", "types") if hasattr(atoms, name)), None)
+    if kinds is None:
+        return masses if _is_stated(atoms, "masses") else None
     with quiet():
-        is_guess = kinds is None or np.array_equal(DefaultGuesser(None).guess_masses(np.asarray(kinds)), masses)
-    if is_guess:
-        return None
-    return np.where(masses > 0.0, masses, np.nan)
+        is_guess = np.equal(DefaultGuesser(None).guess_masses(np.asarray(kinds)), masses)
+        types = DefaultGuesser(None).guess_types(getattr(atoms, "names", kinds))
+    if not _is_stated(atoms, "masses"):
+        return np.where(is_guess | (masses <= 0.0), np.nan, masses)
+    # Merge forgets that masses and types were guessed
+    return (
+        None if is_guess.all() and kinds is not getattr(atoms, "elements", None) and (kinds == types).all() else masses
+    )
 
 
 def charges_of(atoms: AtomGroup) -> NDArray[np.float64] | None:
@@ -164,11 +177,11 @@ def _types(atoms: AtomGroup) -> list[str]:
 def _species(atoms: AtomGroup, symbols: Sequence[str]) -> list[str]:
     """Types that are stated, unless they are elements in capitals; else elements, or names where there are none."""
     has_types = _is_stated(atoms, "types")
-    pairs = zip(_types(atoms), symbols, strict=True)
-    return [
-        (label or symbol or "X") if has_types and label.upper() != symbol.upper() else symbol or label or "X"
-        for label, symbol in pairs
-    ]
+    species = []
+    for label, symbol in zip(_types(atoms), symbols, strict=True):
+        is_type = has_types and label[:1].isalpha() and label.upper() != symbol.upper()
+        species.append((label if is_type else symbol) or label or "X")
+    return species
 
 
 def _within(atoms: AtomGroup, name: str, size: int) -> NDArray[np.int64]:

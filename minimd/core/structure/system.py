@@ -250,9 +250,14 @@ class System(Displayed):
 
 def changed(system: System, **changes: Any) -> System:
     """A copy of a system with other arguments."""
+    return System(**arguments_of(system) | changes)
+
+
+def arguments_of(system: System) -> dict[str, Any]:
+    """The arguments of a system, by their names."""
     names = ("positions", "masses", "charges", "velocities", "cell", "species", *GROUPS, "units", "constraints",
              "topology")  # fmt: skip
-    return System(**{name: getattr(system, name) for name in names} | changes)
+    return {name: getattr(system, name) for name in names}
 
 
 def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArray[np.float64]:

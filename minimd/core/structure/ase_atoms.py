@@ -35,7 +35,7 @@ def system_arguments(
     atoms: Atoms,
     bonds: Given = None,
     constraints: bool = True,
-    source: str = "these atoms",
+    source: str = "this ase.Atoms",
     masses: Any = None,
     elements: Any = None,
     units: UnitSystem = ASE,

@@ -92,12 +92,10 @@ INSTEAD = "give the bonds as bonds=[[0, 1], ...], or bonds=() for none"
 
 class Joined(NamedTuple):
     """groups : bonds (B, 2), angles (A, 3), the middle atom second, dihedrals (D, 4), impropers (I, 4), int, by these
-    names.  n_types : how many types of each there are, by these names; left out where all are of one type.
-    charges : (N,) [e] of the atoms, where a file without positions has them, as a PSF."""
+    names.  n_types : how many types of each there are, by these names; left out where all are of one type."""
 
     groups: dict[str, Indices]
     n_types: dict[str, int] = {}  # noqa: RUF012 - never changed
-    charges: Any = None
 
     def __bool__(self) -> bool:
         return any(map(len, self.groups.values()))

@@ -206,13 +206,14 @@ def _guess(stated: Stated, atoms: Sequence[int], symbols: list[str]) -> None:
 
 
 def _check_distance(stated: Stated, atoms: Sequence[int], symbols: Sequence[str]) -> None:
-    """Raise ValueError for residues of one name whose atoms stand as far from the nearest as beads, by their median."""
+    """Raise ValueError for residues of one name whose atoms, other than metals, stand as far from the nearest as beads,
+    by their median."""
     if stated.residue_of is None or stated.residues is None or len(stated.positions) < 2:
         return
     is_shared = np.bincount(stated.residue_of)[stated.residue_of] > 1
     of_name: dict[str, list[int]] = {}
     for k in atoms:
-        if is_shared[k]:
+        if is_shared[k] and symbols[k] in LETTERS:
             of_name.setdefault(stated.residues[k], []).append(k)
     tree = cKDTree(stated.positions)
     for residue, members in of_name.items():

@@ -94,7 +94,7 @@ def test_beads_are_not_atoms_by_their_distances(here):
     assert_answered(lambda: system_from_file("a.gro"), ValueError, "beads", "3.5 Å", "masses=")
     assert read("a.gro", masses=72.0).species.tolist() == ["NC3", "PO4"]
     assert_answered(lambda: md.System.from_ase(ase.io.read("a.gro")), ValueError, "beads")
-    metal = [gro_line(0, "MET", "Na", (0.0, 0.0, 0.0)), gro_line(0, "MET", "Na", (0.35, 0.0, 0.0))]
+    metal = [gro_line(0, "ALK", "Na", (0.0, 0.0, 0.0)), gro_line(0, "ALK", "Na", (0.35, 0.0, 0.0))]
     write("b.gro", "metal", "    2", *metal, CELL)
     assert read("b.gro", "'Na', is Na").species.tolist() == ["Na", "Na"]
 

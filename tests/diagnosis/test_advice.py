@@ -344,3 +344,12 @@ def test_a_thin_cell_stands_in_the_file_of_its_run(tmp_path):
             md.Simulation(system, CUT, md.VelocityVerlet(1e-5)).run(2, every=1, trajectory=path)
         checked = str(check_file(path))
         assert ("lattice vector [0. 0. 1.] is 1 σ long" in checked) is is_thin, checked
+
+
+def test_forces_of_any_size_are_judged():
+    """Their squares are beyond the largest number."""
+    draw = np.random.default_rng(2)
+    system = md.System(3.0 * draw.uniform(size=(8, 3)), velocities=draw.normal(size=(8, 3)))
+    simulation = md.Simulation(system, md.ConstantForce([1e200, 0.0, 0.0]), md.VelocityVerlet(1e-3))
+    with warnings.catch_warnings(action="error", category=RuntimeWarning), pytest.raises(md.NonFiniteError):
+        simulation.run(0)

@@ -293,6 +293,7 @@ def flat_motion(evidence: Evidence) -> Verdict | None:
     if moves.shape[1] < 3 or not moves[1].any() or not np.isfinite(moves).all():
         return None
     moves[0] -= moves[0, 0].copy()
+    moves /= largest_component(moves)  # squares of forces of any size are finite
     n_flat = 3 - int(np.linalg.matrix_rank(moves.reshape(-1, 3), FLAT * np.linalg.norm(moves)))
     n_atoms, n_dof = moves.shape[1], engine.n_dof
     n_moving = n_dof - n_flat * (n_atoms - leaves_out_center(n_atoms, engine.conserves_momentum))

@@ -378,3 +378,9 @@ def test_senseless_calls_of_other_doors_are_answered_too(rounds, here):
         call(**good)  # compiles
     seen = [(told, answer_to(*rest)) for told, *rest in hostile_calls(rounds, np.random.default_rng(2), OTHER_DOORS)]
     assert_right((told, answer) for told, answer in seen)
+
+
+def test_times_may_be_as_short_as_in_the_tests_of_ase():
+    assert md.VelocityVerlet(1e-101).timestep == 1e-101
+    assert md.StochasticVelocityRescaling(1.0, 1.0, 1e-101, seed=1).relaxation_time == 1e-101
+    assert_answered(lambda: md.VelocityVerlet(1e-160), ValueError, "timestep", "1e-150", "1e-160")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.console.display import Displayed, Rows, as_text, call_of
-from minimd.core.structure.checks import checked_number
+from minimd.core.structure.checks import SHORTEST, checked_number
 
 __all__ = ["Method"]
 
@@ -87,7 +87,7 @@ class Method(Displayed):
     is_explicit: ClassVar[bool]
 
     def __init__(self, timestep: float) -> None:
-        self.timestep = checked_number("timestep", timestep, "finite and not zero")
+        self.timestep = checked_number("timestep", timestep, "finite and not zero", SHORTEST)
 
     def __repr__(self) -> str:
         return call_of(self, self.parameters)

@@ -26,7 +26,7 @@ from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.state import Bath, State, Surroundings
 from minimd.core.integrators.steps import FIRST, MADE, Moment, projected
 from minimd.core.integrators.substeps import Drift, Kick, Thermalize
-from minimd.core.structure.checks import checked_count, checked_number
+from minimd.core.structure.checks import SHORTEST, checked_count, checked_number
 from minimd.core.structure.observables import AT_REST, SEEDS, kinetic_energy_of
 
 __all__ = ["LangevinBAOAB", "StochasticVelocityRescaling"]
@@ -150,7 +150,7 @@ class LangevinBAOAB(Thermostat):
     @classmethod
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
         """See Thermostat; γ = 1/τ."""
-        tau = checked_number("relaxation_time", relaxation_time, "positive and finite")
+        tau = checked_number("relaxation_time", relaxation_time, "positive and finite", SHORTEST)
         return cls(timestep, temperature, 1.0 / tau, seed)
 
     def touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
@@ -269,7 +269,7 @@ class StochasticVelocityRescaling(Thermostat):
 
     def __init__(self, timestep: float, temperature: float, relaxation_time: float, seed: int) -> None:
         super().__init__(timestep, temperature, seed)
-        self.relaxation_time = checked_number("relaxation_time", relaxation_time, "positive and finite")
+        self.relaxation_time = checked_number("relaxation_time", relaxation_time, "positive and finite", SHORTEST)
 
     @classmethod
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from minimd.core.console.words import listed, shown
 
 SMALLEST, LARGEST = 1e-75, 1e75  # of positive quantities: their fourth powers are still numbers
+SHORTEST = 1e-150  # of times: their squares are
 MOST_ATOMS = 2**27  # 3 GB of positions
 MOST_NUMBERS = 3 * MOST_ATOMS  # in an array
 COUNTS = 2**63  # whole numbers in arrays and files are below it
@@ -32,18 +33,18 @@ def checked_count(name: str, value: Any, least: int = 1, limit: int = COUNTS) ->
     return int(value)
 
 
-def checked_number(name: str, value: Any, demand: str = "finite") -> float:
+def checked_number(name: str, value: Any, demand: str = "finite", smallest: float = SMALLEST) -> float:
     """The value as a float.  demand : one of DEMANDS.
     Raises ValueError for anything that is not a real number, such as a text or a bool, for what the demand excludes,
-    and for numbers whose powers could overflow: above LARGEST or, if they must not be 0, below SMALLEST."""
+    and for numbers whose powers could overflow: above LARGEST or, if they must not be 0, below the smallest."""
     try:
         number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan
     except OverflowError:
         number = inf
     if not DEMANDS[demand](number):
         raise ValueError(f"{name} must be {demand}; {name} = {shown(value)}")
-    if abs(number) > LARGEST or (abs(number) < SMALLEST and not DEMANDS[demand](0.0)):
-        sizes = f"between {SMALLEST:g} and {LARGEST:g} in size"
+    if abs(number) > LARGEST or (abs(number) < smallest and not DEMANDS[demand](0.0)):
+        sizes = f"between {smallest:g} and {LARGEST:g} in size"
         raise ValueError(f"{name} must be {demand}, {sizes}; {name} = {shown(value)}: take other units")
     return number
 

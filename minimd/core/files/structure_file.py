@@ -33,7 +33,6 @@ from minimd.core.structure.bond_graph import GROUPS, Joined, joined_in
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_choice, checked_path
 from minimd.core.structure.elements import (
-    UNITS_OF_LAMMPS,
     Stated,
     atomic_mass,
     guessed_element,
@@ -42,12 +41,11 @@ from minimd.core.structure.elements import (
     species_of,
 )
 from minimd.core.structure.system import System, arguments_of
-from minimd.core.structure.units import ASE, LJ, UnitSystem
+from minimd.core.structure.units import ASE, LJ, PER_PICOSECOND, UNITS_OF_LAMMPS, UnitSystem
 
 LAMMPS = "lammps-data"
 DUMP = "lammps-dump-text"
 SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS, ".lammpstrj": DUMP, ".dump": DUMP}
-PER_PICOSECOND = {"metal": 1.0, "real": 1e3}  # Å/ps of velocities; lengths, masses, charges are those of minimd
 PACKED = (".gz", ".bz2")
 # suffixes of formats that MDAnalysis reads, and its names for them
 OF_MDANALYSIS = {
@@ -343,8 +341,9 @@ class Door(NamedTuple):
         joined = Joined(dict.fromkeys(GROUPS, np.zeros((0, 2), np.int64)))
         with nullcontext() if self.takes_bonds else suppress(ValueError):
             joined = joined_in(atoms)
-        arguments = system_arguments(atoms, (), source=self.source, masses=masses, elements=self.elements, units=units)
-        return Structure(arguments | joined.groups, stated_of(atoms, self.source), joined.n_types)
+        stated = stated_of(atoms, self.source)
+        arguments = system_arguments(atoms, (), stated=stated, masses=masses, elements=self.elements, units=units)
+        return Structure(arguments | joined.groups, stated, joined.n_types)
 
     def _dump(self) -> tuple[str, UnitSystem, dict[str, NDArray[np.float64]]]:
         """Units of a dump, and its columns; masses in the order of ids."""

@@ -17,9 +17,9 @@ from minimd.core.structure.bond_graph import GROUPS, joined_in, texts
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms, lengths_of
-from minimd.core.structure.elements import LAMMPS_UNITS, Stated, check_names, identified, species_of
+from minimd.core.structure.elements import Stated, check_names, identified, species_of
 from minimd.core.structure.observables import center, momentum, stress as kinetic_stress
-from minimd.core.structure.units import ASE, UnitSystem
+from minimd.core.structure.units import ASE, LAMMPS_UNITS, UnitSystem
 
 LABELS = "species_labels"  # the array of an ase.Atoms for species that are not chemical elements
 # in the info of atoms from a .traj, which keeps no such array: the names of species; tags are indices into them
@@ -35,7 +35,7 @@ def system_arguments(
     atoms: Atoms,
     bonds: Given = None,
     constraints: bool = True,
-    source: str = "this ase.Atoms",
+    stated: Stated | None = None,
     masses: Any = None,
     elements: Any = None,
     units: UnitSystem = ASE,
@@ -48,14 +48,16 @@ def system_arguments(
     bonds, others : bonds, angles, dihedrals and impropers, as for System; without bonds,
         what the arrays of the atoms name: see joined_in.
     constraints : True to take those of the atoms; False if the caller handles them.
-    source : in words, for messages.  masses, elements : given by the user, see elements.identified.
+    stated : what stated_of has told, if it was asked.  masses, elements : given by the user, see elements.identified.
     units : ASE's; or reduced units, in which numbers are unchanged, and velocities without masses are left out.
 
     Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, for sites
     that are occupied in part, for atoms without mass and element (X), and as joined_in.
     """
     checked_kind("atoms", atoms, Atoms, "an ase.Atoms or, as system, a minimd System")
-    check_occupancy(atoms, source)
+    stated = stated or stated_of(atoms)
+    source = stated.source
+    _check_occupancy(atoms, source)
     title = LAMMPS_UNITS.search(str(atoms.info.get("comment")))
     if title and title[1] != "metal" and (title[1] != "real" or atoms.has("momenta")):
         warn(
@@ -63,7 +65,6 @@ def system_arguments(
             "wrong: minimd.ase.system_from_file reads them as stated"
         )
     found = joined_in(atoms) if bonds is None else None
-    stated = stated_of(atoms, source)
     weights, symbols = identified(stated, masses, elements, is_reduced=units is not ASE)
     is_dummy = "residuenames" in atoms.arrays and np.array_equal(atoms.cell.array, np.eye(3))  # of the databank
     labels = stated.names if "type" in atoms.arrays and not any(symbols) else _labels(atoms)
@@ -73,7 +74,7 @@ def system_arguments(
     return {
         "positions": atoms.positions,
         "masses": weights,
-        "charges": charges_of(atoms),
+        "charges": _charges(atoms),
         "velocities": velocities,
         "cell": None if is_dummy else cell_of(atoms),
         "species": labels if symbols == stated.elements else species_of(symbols, labels),
@@ -84,14 +85,15 @@ def system_arguments(
     }
 
 
-def stated_of(atoms: Atoms, source: str) -> Stated:
+def stated_of(atoms: Atoms, source: str = "this ase.Atoms") -> Stated:
     """What atoms state. Types of LAMMPS and X are no elements; names of atoms, which ASE keeps from PDB and GRO files,
-    must agree with the elements that it has made of them.  Raises ValueError if they do not."""
+    must agree with the elements that it has made of them.
+
+    source : in words, for messages.  Raises ValueError if they do not agree."""
     arrays = atoms.arrays
     symbols = [symbol if symbol != "X" else "" for symbol in atoms.get_chemical_symbols()]
     masses = atoms.get_masses() if atoms.has("masses") else None
-    for name in ("mass", "Mass"):
-        masses = arrays.get(name) if masses is None else masses
+    masses = arrays.get("mass") if masses is None else masses
     names = [str(label) for label in arrays.get("atomtypes", _labels(atoms))]
     if masses is None and "type" in arrays and np.array_equal(arrays["type"], atoms.numbers):
         symbols = [""] * len(atoms)
@@ -104,7 +106,7 @@ def stated_of(atoms: Atoms, source: str) -> Stated:
     return stated
 
 
-def check_occupancy(atoms: Atoms, source: str) -> None:
+def _check_occupancy(atoms: Atoms, source: str) -> None:
     """Raise ValueError for sites of a CIF file that are occupied in part, or by several elements."""
     sites = atoms.info.get("occupancy")
     kinds = atoms.arrays.get("spacegroup_kinds", range(len(atoms)))
@@ -119,7 +121,7 @@ def check_occupancy(atoms: Atoms, source: str) -> None:
             )
 
 
-def charges_of(atoms: Atoms) -> NDArray[np.float64]:
+def _charges(atoms: Atoms) -> NDArray[np.float64]:
     """Initial charges [e], or those of a column of an extended XYZ file, which ASE keeps as results."""
     results = atoms.calc.results if isinstance(atoms.calc, SinglePointCalculator) else {}
     initial = atoms.get_initial_charges()

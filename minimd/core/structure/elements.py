@@ -3,7 +3,8 @@
 A stated mass wins, then the mass of a stated element. Else the element is guessed from the names of atom and residue:
 
     ion       the residue is called as its atom, or ION: NA of NA is sodium, CA of CA calcium; SOD, CLA of CHARMM
-    residue   of proteins, nucleic acids, water: the first letter, which is H, C, N, O, P or S: CA of ALA is carbon
+    residue   of proteins, nucleic acids: the first letter, which is H, C, N, O, P or S: CA of ALA is carbon; of water:
+              O, OW, OH2, OT are oxygen, H... hydrogen
     other     the first letters; MDAnalysis must not guess another element
 
 Without all of these, and where a guess is absurd, atoms are refused: beads and massless sites have no element.
@@ -11,6 +12,7 @@ Without all of these, and where a guess is absurd, atoms are refused: beads and 
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,9 +32,7 @@ OXYGEN = ("O", "OW", "OH", "OT")  # letters of its names in water; OM is a massl
 SELENIUM = ("MSE", "SEC", "CSE")  # residues with SE
 # symbols of two letters that other residues have
 LONG = re.compile("CL|BR|SI|FE|ZN|MG|MN|CU|NI|CO|CR|RU|RH|SE|SN|PD|IR|AG|AU|PT|TI|AL|LI")
-UNITS_OF_LAMMPS = ("lj", "real", "metal", "si", "cgs", "electron", "micro", "nano")
-# as LAMMPS' write_data states them in the title of a data file
-LAMMPS_UNITS = re.compile(rf"\bunits\s*=\s*({'|'.join(UNITS_OF_LAMMPS)})\b")
+MOST_NAMES = 10_000  # that are remembered
 TOLD = 12  # of the names that are guessed by the last rule
 BEADS = 2.5  # Å; bonds of guessed elements are shorter
 REMEDY = (
@@ -123,9 +123,8 @@ def identified(
     for k in missing:
         weights[k] = 1.0 if is_reduced else atomic_mass(symbols[k])
     if stated.residues is not None and not is_reduced:  # elements of atoms whose masses are stated
-        certain = {kind: certain_element(*kind) or "" for kind in set(zip(stated.names, stated.residues, strict=True))}
         names = zip(symbols, stated.names, stated.residues, strict=True)
-        symbols = [symbol or certain[name, residue] for symbol, name, residue in names]
+        symbols = [symbol or certain_element(name, residue) or "" for symbol, name, residue in names]
     return weights, symbols
 
 
@@ -226,6 +225,7 @@ def _check_distance(stated: Stated, atoms: Sequence[int], symbols: Sequence[str]
             )
 
 
+@lru_cache(MOST_NAMES)
 def guessed_element(name: str, residue: str = "") -> str:
     """The element of an atom by its name and that of its residue, by the rules above; "" if they do not tell."""
     certain = certain_element(name, residue)
@@ -243,6 +243,7 @@ def guessed_element(name: str, residue: str = "") -> str:
     return symbol if is_usual and (symbol == other or not is_element(other)) else ""
 
 
+@lru_cache(MOST_NAMES)
 def certain_element(name: str, residue: str) -> str | None:
     """The element of an ion, or of an atom in a residue of proteins, nucleic acids or water; "" if it has none there,
     None for other atoms."""

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.core.console.quiet import quiet, warn
 from minimd.core.structure.bond_graph import GROUPS
 from minimd.core.structure.checks import checked_kind
-from minimd.core.structure.elements import ISOTOPES, LAMMPS_UNITS, Stated, identified, symbol_of
-from minimd.core.structure.units import LJ, UnitSystem
+from minimd.core.structure.elements import ISOTOPES, Stated, identified, symbol_of
+from minimd.core.structure.units import LAMMPS_UNITS, LJ, UnitSystem
 
 
 def universe_arguments(

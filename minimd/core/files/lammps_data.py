@@ -17,7 +17,7 @@ from minimd.core.console.whole_file import text_of
 from minimd.core.console.words import listed, shown
 from minimd.core.structure.bond_graph import GROUPS
 from minimd.core.structure.checks import LARGEST, SMALLEST, checked_choice
-from minimd.core.structure.units import LAMMPS_UNITS
+from minimd.core.structure.lammps_units import LAMMPS_UNITS
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

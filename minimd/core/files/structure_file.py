@@ -40,8 +40,9 @@ from minimd.core.structure.elements import (
     is_element,
     species_of,
 )
+from minimd.core.structure.lammps_units import PER_PICOSECOND, UNITS_OF_LAMMPS
 from minimd.core.structure.system import System, arguments_of
-from minimd.core.structure.units import ASE, LJ, PER_PICOSECOND, UNITS_OF_LAMMPS, UnitSystem
+from minimd.core.structure.units import ASE, LJ, UnitSystem
 
 LAMMPS = "lammps-data"
 DUMP = "lammps-dump-text"

@@ -18,8 +18,9 @@ from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms, lengths_of
 from minimd.core.structure.elements import Stated, check_names, identified, species_of
+from minimd.core.structure.lammps_units import LAMMPS_UNITS
 from minimd.core.structure.observables import center, momentum, stress as kinetic_stress
-from minimd.core.structure.units import ASE, LAMMPS_UNITS, UnitSystem
+from minimd.core.structure.units import ASE, UnitSystem
 
 LABELS = "species_labels"  # the array of an ase.Atoms for species that are not chemical elements
 # in the info of atoms from a .traj, which keeps no such array: the names of species; tags are indices into them

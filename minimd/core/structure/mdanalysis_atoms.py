@@ -16,7 +16,8 @@ from minimd.core.console.quiet import quiet, warn
 from minimd.core.structure.bond_graph import GROUPS
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.elements import ISOTOPES, Stated, identified, symbol_of
-from minimd.core.structure.units import LAMMPS_UNITS, LJ, UnitSystem
+from minimd.core.structure.lammps_units import LAMMPS_UNITS
+from minimd.core.structure.units import LJ, UnitSystem
 
 
 def universe_arguments(

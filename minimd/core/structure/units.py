@@ -5,7 +5,6 @@ a number given to ASE and taken back is the same number; a test compares the two
 """
 
 import math
-import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,10 +16,6 @@ GRAM_PER_CM3 = 0.6022140858549161  # u/Å³
 BAR = 6.241509125883258e-07  # eV/Å³
 COULOMB = 14.399645351950548  # eV Å/e²
 DEGREE = math.pi / 180.0  # rad
-UNITS_OF_LAMMPS = ("lj", "real", "metal", "si", "cgs", "electron", "micro", "nano")
-# as LAMMPS' write_data states them in the title of a data file
-LAMMPS_UNITS = re.compile(rf"\bunits\s*=\s*({'|'.join(UNITS_OF_LAMMPS)})\b")
-PER_PICOSECOND = {"metal": 1.0, "real": 1e3}  # LAMMPS' velocities [Å/ps]; lengths, masses, charges are those of ASE
 
 
 @dataclass(frozen=True)

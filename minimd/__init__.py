@@ -14,8 +14,15 @@ from minimd.core.console.lazy import LazyNames, submodule
 from minimd.core.console.words import near
 from minimd.moved import follow_moved_modules
 
-ROOMS = "integrators", "observers", "lattice", "units"  # in which people look for a name that is not here
-OF_MDANALYSIS = "universe", "radial_distribution", "diffusion_coefficient", "mean_square_displacement", "Turn"
+# in which people look for a name that is not here
+ROOMS = "integrators", "observers", "lattice", "units"
+OF_MDANALYSIS = (
+    "universe",
+    "radial_distribution",
+    "diffusion_coefficient",
+    "mean_square_displacement",
+    "Turn",
+)
 HIDDEN = {"ensemble", "grade", "replay", "view", "water"}  # modules behind functions of these names
 
 _names = LazyNames(__name__)

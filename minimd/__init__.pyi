@@ -1,13 +1,24 @@
 """The public names of minimd, and where each is: read by type checkers, and at run time."""
 
-from minimd import integrators as integrators, lammps as lammps, observers as observers, potentials as potentials
+from minimd import (
+    integrators as integrators,
+    lammps as lammps,
+    observers as observers,
+    potentials as potentials,
+)
 from minimd.core.console import __version__ as __version__
 from minimd.core.diagnosis.report import Report as Report
 from minimd.core.diagnosis.reversibility import Reversibility as Reversibility
 from minimd.core.diagnosis.shadow_energy import shadow_energy as shadow_energy
-from minimd.core.diagnosis.timestep import StepAdvice as StepAdvice, advise_timestep as advise_timestep
+from minimd.core.diagnosis.timestep import (
+    StepAdvice as StepAdvice,
+    advise_timestep as advise_timestep,
+)
 from minimd.core.engine.record import Record as Record
-from minimd.core.files.h5md_reader import read_observers as read_observers, read_record as read_record
+from minimd.core.files.h5md_reader import (
+    read_observers as read_observers,
+    read_record as read_record,
+)
 from minimd.core.forces.evaluation import Evaluation as Evaluation, evaluate as evaluate
 from minimd.core.forces.forces import Forces as Forces
 from minimd.core.integrators.barostats import StochasticCellRescaling as StochasticCellRescaling
@@ -54,7 +65,10 @@ from minimd.core.potentials.term import Potential as Potential, Term as Term
 from minimd.core.simulation.simulation import Simulation as Simulation
 from minimd.core.structure import lattice as lattice, units as units
 from minimd.core.structure.cell import Cell as Cell
-from minimd.core.structure.constraints import DistanceConstraints as DistanceConstraints, FixedAtoms as FixedAtoms
+from minimd.core.structure.constraints import (
+    DistanceConstraints as DistanceConstraints,
+    FixedAtoms as FixedAtoms,
+)
 from minimd.core.structure.errors import (
     ConstraintError as ConstraintError,
     ConvergenceError as ConvergenceError,

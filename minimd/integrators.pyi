@@ -52,7 +52,13 @@ from minimd.textbook.manifold.invariants import (
     with_multipliers as with_multipliers,
 )
 from minimd.textbook.methods import METHODS as METHODS
-from minimd.textbook.ode.bdf import BDF1 as BDF1, BDF2 as BDF2, BDF3 as BDF3, BDF4 as BDF4, BDF5 as BDF5
+from minimd.textbook.ode.bdf import (
+    BDF1 as BDF1,
+    BDF2 as BDF2,
+    BDF3 as BDF3,
+    BDF4 as BDF4,
+    BDF5 as BDF5,
+)
 from minimd.textbook.ode.drivers import (
     DensityControl as DensityControl,
     Solution as Solution,

@@ -57,7 +57,9 @@ def warn(message: str) -> None:
     while frame.f_back is not None and _root_of(frame) in ("minimd", "importlib"):
         frame = frame.f_back
     module = frame.f_globals.get("__name__", "")
-    warnings.warn_explicit(message, DeprecationWarning, frame.f_code.co_filename, frame.f_lineno, module)
+    warnings.warn_explicit(
+        message, DeprecationWarning, frame.f_code.co_filename, frame.f_lineno, module
+    )
 
 
 def _root_of(frame: Any) -> str:

@@ -6,5 +6,7 @@ from minimd.core.console.lazy import LazyNames
 
 __path__: list[str] = []  # modules of the folder that was here are found elsewhere, see moved.py
 _names = LazyNames(__name__)
-__getattr__, __dir__, __all__ = _names.load, _names.listed, [*_names.places]
+__getattr__ = _names.load
+__dir__ = _names.listed
+__all__ = [*_names.places]
 sys.modules[__name__].__class__ = type(sys.modules["minimd"])  # water stays the function

@@ -28,6 +28,11 @@ from minimd.core.potentials.pair import (
     PairPotential as PairPotential,
     Tabulated as Tabulated,
 )
-from minimd.core.potentials.term import FORCES as FORCES, PER_ATOM as PER_ATOM, TOTALS as TOTALS, Term as Term
+from minimd.core.potentials.term import (
+    FORCES as FORCES,
+    PER_ATOM as PER_ATOM,
+    TOTALS as TOTALS,
+    Term as Term,
+)
 from minimd.openmm.openmm_system import from_openmm as from_openmm
 from minimd.scene.water import water as water

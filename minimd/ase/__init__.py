@@ -11,7 +11,14 @@ from ase.calculators.calculator import external_calculators
 
 from minimd.ase.calculator import Calculator
 from minimd.ase.dynamics import VelocityVerlet
-from minimd.ase.thermostats import Andersen, Bussi, Langevin, LangevinBAOAB, NoseHooverChainNVT, NVTBerendsen
+from minimd.ase.thermostats import (
+    Andersen,
+    Bussi,
+    Langevin,
+    LangevinBAOAB,
+    NoseHooverChainNVT,
+    NVTBerendsen,
+)
 from minimd.core.files.ase_writer import ASEWriter
 from minimd.core.files.structure_file import system_from_file
 from minimd.core.potentials.term import ForcesFromCalculator
@@ -20,8 +27,17 @@ from minimd.core.structure.elements import atomic_mass
 from minimd.core.structure.system import System
 
 system_from_atoms = System.from_ase
-DYNAMICS = (VelocityVerlet, Langevin, LangevinBAOAB, Bussi, NoseHooverChainNVT, Andersen, NVTBerendsen)
-external_calculators.setdefault("minimd", Calculator)  # for ase.calculators.calculator.get_calculator_class("minimd")
+DYNAMICS = (
+    VelocityVerlet,
+    Langevin,
+    LangevinBAOAB,
+    Bussi,
+    NoseHooverChainNVT,
+    Andersen,
+    NVTBerendsen,
+)
+# for ase.calculators.calculator.get_calculator_class("minimd")
+external_calculators.setdefault("minimd", Calculator)
 
 __all__ = [
     "ASEWriter",

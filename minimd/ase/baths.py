@@ -15,7 +15,12 @@ from minimd.core.console.words import shown
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.state import State, Surroundings
 from minimd.core.integrators.substeps import Drift, Kick, Substeps, Thermalize
-from minimd.core.integrators.thermostats import LangevinBAOAB, StochasticVelocityRescaling, Thermostat, bath_of
+from minimd.core.integrators.thermostats import (
+    LangevinBAOAB,
+    StochasticVelocityRescaling,
+    Thermostat,
+    bath_of,
+)
 from minimd.core.structure.checks import checked_number
 from minimd.core.structure.observables import kinetic_energy, momentum
 
@@ -26,8 +31,10 @@ BEFORE = (Thermalize(1.0), Kick(0.5), Drift(1.0), Kick(0.5))
 LEAST_SCALE = 0.9
 MOST_SCALE = 1.1
 _OUTER = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
-WEIGHTS = (_OUTER, 1.0 - 2.0 * _OUTER, _OUTER)  # of order 4: H. Yoshida, Phys. Lett. A 150, 262 (1990); M. Suzuki
-KEPT_STEPS = 1000  # steps whose states a chain keeps: many more than in a block, which is repeated if it fails
+# of order 4: H. Yoshida, Phys. Lett. A 150, 262 (1990); M. Suzuki
+WEIGHTS = (_OUTER, 1.0 - 2.0 * _OUTER, _OUTER)
+# steps whose states a chain keeps: many more than in a block, which is repeated if it fails
+KEPT_STEPS = 1000
 
 
 class LangevinBath(Thermostat):
@@ -43,7 +50,14 @@ class LangevinBath(Thermostat):
     substeps: ClassVar[Substeps] = LangevinBAOAB.substeps
     conserves_momentum = False
 
-    def __init__(self, timestep: float, temperature: Any, friction: Any, seed: int, keeps_center: bool = False) -> None:
+    def __init__(
+        self,
+        timestep: float,
+        temperature: Any,
+        friction: Any,
+        seed: int,
+        keeps_center: bool = False,
+    ) -> None:
         super().__init__(timestep, 0.0, seed)
         self.temperatures = np.asarray(temperature, float)
         self.frictions = np.asarray(friction, float)
@@ -61,8 +75,12 @@ class LangevinBath(Thermostat):
         """The Ornstein-Uhlenbeck process over a duration, see LangevinBAOAB."""
         bath = bath_of(around)
         kept = np.exp(-self.frictions * duration)
-        spread = np.sqrt(bath.k_B * self.temperatures * (1.0 - kept * kept) * state.inverse_masses[:, None])
-        new = kept * state.velocities + spread * self.noise(bath).standard_normal(state.velocities.shape)
+        spread = np.sqrt(
+            bath.k_B * self.temperatures * (1.0 - kept * kept) * state.inverse_masses[:, None]
+        )
+        new = kept * state.velocities + spread * self.noise(bath).standard_normal(
+            state.velocities.shape
+        )
         if self.keeps_center:
             new -= momentum(new - state.velocities, state.masses) / state.masses.sum()
         state.velocities[:] = new
@@ -74,7 +92,9 @@ class BussiBath(StochasticVelocityRescaling):
 
     substeps: ClassVar[Substeps] = BEFORE  # type: ignore[assignment] # mypy takes the row of the base for its type
 
-    def __init__(self, timestep: float, temperature: float, relaxation_time: float, seed: int, n_dof: int) -> None:
+    def __init__(
+        self, timestep: float, temperature: float, relaxation_time: float, seed: int, n_dof: int
+    ) -> None:
         Thermostat.__init__(self, timestep, temperature, seed)
         if not relaxation_time > 0.0:
             raise ValueError(f"taut must be positive; taut = {shown(relaxation_time)}")
@@ -102,12 +122,16 @@ class AndersenBath(Thermostat):
     substeps = (Kick(0.5), Thermalize(1.0), Drift(1.0), Kick(0.5))
     source = "H. C. Andersen, J. Chem. Phys. 72, 2384 (1980)"
 
-    def __init__(self, timestep: float, temperature: float, probability: float, seed: int, keeps_center: bool) -> None:
+    def __init__(
+        self, timestep: float, temperature: float, probability: float, seed: int, keeps_center: bool
+    ) -> None:
         super().__init__(timestep, temperature, seed)
         self.probability = checked_number("andersen_prob", probability, "finite and not negative")
         self.keeps_center = keeps_center
         if self.probability > 1.0:
-            raise ValueError(f"andersen_prob must be a probability from 0 to 1; andersen_prob = {probability!r}")
+            raise ValueError(
+                f"andersen_prob must be a probability from 0 to 1; andersen_prob = {probability!r}"
+            )
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The collisions of one step."""
@@ -119,7 +143,8 @@ class AndersenBath(Thermostat):
             velocities += sqrt(thermal / state.masses.sum()) * noise.standard_normal(3)
         np.copyto(
             velocities,
-            np.sqrt(thermal * state.inverse_masses[:, None]) * noise.standard_normal(velocities.shape),
+            np.sqrt(thermal * state.inverse_masses[:, None])
+            * noise.standard_normal(velocities.shape),
             where=noise.random(velocities.shape) < self.probability,
         )
         if self.keeps_center:
@@ -145,7 +170,12 @@ class BerendsenBath(Splitting):
     is_thermostat = True
 
     def __init__(
-        self, timestep: float, temperature: float, relaxation_time: float, n_dof: int, keeps_center: bool
+        self,
+        timestep: float,
+        temperature: float,
+        relaxation_time: float,
+        n_dof: int,
+        keeps_center: bool,
     ) -> None:
         super().__init__(timestep)
         self.temperature = checked_number("temperature", temperature, "finite and not negative")
@@ -163,7 +193,9 @@ class BerendsenBath(Splitting):
         scale = sqrt(max(1.0 + (ratio - 1.0) * duration / self.relaxation_time, 0.0))
         velocities *= min(max(scale, LEAST_SCALE), MOST_SCALE)
         if self.keeps_center:
-            velocities -= momentum(velocities, state.masses) / len(velocities) * state.inverse_masses[:, None]
+            velocities -= (
+                momentum(velocities, state.masses) / len(velocities) * state.inverse_masses[:, None]
+            )
 
 
 class Chain:
@@ -179,14 +211,19 @@ class Chain:
     integrator: G. J. Martyna et al., Mol. Phys. 87, 1117 (1996).
     """
 
-    def __init__(self, thermal: float, n_dof: int, relaxation_time: float, length: int, loops: int) -> None:
+    def __init__(
+        self, thermal: float, n_dof: int, relaxation_time: float, length: int, loops: int
+    ) -> None:
         self.thermal = thermal
         self.n_dof = n_dof
         self.loops = loops
-        self.inertia = [thermal * relaxation_time**2 * (n_dof if j == 0 else 1) for j in range(length)]
+        self.inertia = [
+            thermal * relaxation_time**2 * (n_dof if j == 0 else 1) for j in range(length)
+        ]
         self.eta = [0.0] * length
         self.p = [0.0] * length
-        self._starts: dict[int, tuple[list[float], list[float]]] = {}  # η and p at the start of steps, in their order
+        # η and p at the start of steps, in their order
+        self._starts: dict[int, tuple[list[float], list[float]]] = {}
 
     @property
     def energy(self) -> float:
@@ -211,7 +248,9 @@ class Chain:
             h = weight * duration / self.loops
             for j in reversed(range(len(self.p))):
                 self._push(j, twice_kinetic * factor * factor, 0.5 * h)
-            self.eta = [eta + h * p / q for eta, p, q in zip(self.eta, self.p, self.inertia, strict=True)]
+            self.eta = [
+                eta + h * p / q for eta, p, q in zip(self.eta, self.p, self.inertia, strict=True)
+            ]
             factor *= exp(-h * self.p[0] / self.inertia[0])
             for j in range(len(self.p)):
                 self._push(j, twice_kinetic * factor * factor, 0.5 * h)
@@ -222,7 +261,11 @@ class Chain:
         p = self.p
         q = self.inertia
         damped = exp(-0.5 * h * p[j + 1] / q[j + 1]) if j + 1 < len(p) else 1.0
-        force = twice_kinetic - self.n_dof * self.thermal if j == 0 else p[j - 1] ** 2 / q[j - 1] - self.thermal
+        force = (
+            twice_kinetic - self.n_dof * self.thermal
+            if j == 0
+            else p[j - 1] ** 2 / q[j - 1] - self.thermal
+        )
         p[j] = (p[j] * damped + h * force) * damped
 
 
@@ -248,4 +291,6 @@ class NoseHooverBath(Splitting):
         if bath.contact == 0:
             self.chain.begin(bath.step)
         bath.contact += 1
-        state.velocities *= self.chain.advance(2.0 * kinetic_energy(state.velocities, state.masses), duration)
+        state.velocities *= self.chain.advance(
+            2.0 * kinetic_energy(state.velocities, state.masses), duration
+        )

@@ -13,7 +13,13 @@ from minimd.core.forces.contacts import why_not_finite
 from minimd.core.forces.forces import Forces, Potential
 from minimd.core.forces.options import Options, Precision
 from minimd.core.potentials.term import PER_ATOM, TOTALS
-from minimd.core.structure.ase_atoms import cell_of, same_labels, same_scene, system_arguments, volume_of
+from minimd.core.structure.ase_atoms import (
+    cell_of,
+    same_labels,
+    same_scene,
+    system_arguments,
+    volume_of,
+)
 from minimd.core.structure.errors import NonFiniteError
 from minimd.core.structure.system import System
 
@@ -101,12 +107,18 @@ class Calculator(ASECalculator):
         self.results = _results(self.atoms, forces)
         if per_atom:
             volume = volume_of(self.atoms)
-            self.results |= {"energies": forces.energies} | ({"stresses": -forces.virials / volume} if volume else {})
+            self.results |= {"energies": forces.energies} | (
+                {"stresses": -forces.virials / volume} if volume else {}
+            )
 
     def check_state(self, atoms: Atoms, tol: float = 1e-15) -> list[str]:
         """ASE's list of changes; a changed label counts as a changed atomic number."""
         changes = super().check_state(atoms, tol)
-        return changes if self.atoms is None or same_labels(self.atoms, atoms) else [*changes, "numbers"]
+        return (
+            changes
+            if self.atoms is None or same_labels(self.atoms, atoms)
+            else [*changes, "numbers"]
+        )
 
     def adopt(self, atoms: Atoms, forces: Forces) -> None:
         """Take over energy, forces and stress of these atoms from Forces with the same potentials, just computed."""
@@ -120,7 +132,11 @@ class Calculator(ASECalculator):
             forces.system.positions[:] = atoms.positions
             forces.system.cell = cell_of(atoms)
             return forces
-        forces = Forces(System(**system_arguments(atoms, self.bonds, constraints=False)), self.potentials, self.options)
+        forces = Forces(
+            System(**system_arguments(atoms, self.bonds, constraints=False)),
+            self.potentials,
+            self.options,
+        )
         self._plan = atoms, forces
         return forces
 
@@ -136,4 +152,8 @@ def _results(atoms: Atoms, forces: Forces) -> dict[str, Any]:
     energy = forces.potential_energy
     volume = volume_of(atoms)
     results = {"energy": energy, "free_energy": energy, "forces": forces.forces.copy()}
-    return results | {"stress": -full_3x3_to_voigt_6_stress(forces.virial) / volume} if volume else results
+    return (
+        results | {"stress": -full_3x3_to_voigt_6_stress(forces.virial) / volume}
+        if volume
+        else results
+    )

@@ -68,7 +68,10 @@ class MinimdSteps(MolecularDynamics):
         while self.nsteps < self.max_steps:
             # An interval n > 0 of an observer means every n-th step, −n the n-th step only.
             looks = [n * (self.nsteps // n + 1) if n > 0 else -n for _, n, _, _ in self.observers]
-            self._advance(int(min([self.max_steps, *(look for look in looks if look > self.nsteps)])) - self.nsteps)
+            self._advance(
+                int(min([self.max_steps, *(look for look in looks if look > self.nsteps)]))
+                - self.nsteps
+            )
             self._refresh_properties()
             self.log()
             self.call_observers()
@@ -119,32 +122,43 @@ class MinimdSteps(MolecularDynamics):
         made_for = self._made_for
         is_new_run = self._is_new_run
         self._is_new_run = False
-        if not (made_for and same_scene(made_for, atoms) and np.array_equal(made_for.cell.array, atoms.cell.array)):
+        if not (
+            made_for
+            and same_scene(made_for, atoms)
+            and np.array_equal(made_for.cell.array, atoms.cell.array)
+        ):
             return self._new_guard(atoms), False
         engine = self._guard.engine
         potentials, constraints = _essence(atoms)
         is_known = potentials is self._made_with[0] and constraints == self._made_with[1]
         # rigid bonds are measured again where atoms have moved
-        if not is_known or (atoms.constraints and not np.array_equal(atoms.positions, engine.positions)):
+        if not is_known or (
+            atoms.constraints and not np.array_equal(atoms.positions, engine.positions)
+        ):
             return self._new_guard(atoms), False
         engine.positions[:] = atoms.positions
         if not np.array_equal(atoms.get_momenta(), _momenta(engine)):
             engine.velocities[:] = atoms.get_velocities()
         is_same_run = engine.is_as_left and not is_new_run
         if not isinstance(atoms.calc, Calculator):
-            engine.moved()  # its parameters may have changed: it is called again, and answers at once if they have not
+            # its parameters may have changed: it is called again, and answers at once if they have not
+            engine.moved()
         return self._guard, is_same_run
 
     def _new_guard(self, atoms: Atoms) -> RunGuard:
         calculator = atoms.calc
         if calculator is None:
-            raise RuntimeError("the atoms have no calculator; set atoms.calc, for example to a minimd.ase.Calculator")
+            raise RuntimeError(
+                "the atoms have no calculator; set atoms.calc, for example to a minimd.ase.Calculator"
+            )
         is_own = isinstance(calculator, Calculator)
         system = System.from_ase(atoms, calculator.bonds if is_own else None)
         if not (is_own or self._is_told):
             warn(calculators_said(calculator))
             self._is_told = True
-        potentials, options = (calculator.potentials, calculator.options) if is_own else (ForcesOnAtoms(atoms), None)
+        potentials, options = (
+            (calculator.potentials, calculator.options) if is_own else (ForcesOnAtoms(atoms), None)
+        )
         engine = Engine(system, potentials, self.method(), options=options)
         engine.step = self.nsteps
         engine.counts_center = True
@@ -204,7 +218,9 @@ class WithoutVirial(CalculatorTerm):
     """Forces and energy only. If the atoms have FixCom, the force on their center of mass is removed, in proportion to
     the masses."""
 
-    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+    def add(
+        self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray
+    ) -> None:
         """See CalculatorTerm."""
         super().add(system, detail, forces, energies, virials)
         if fixes_center(self._atoms):

@@ -13,7 +13,14 @@ from ase.constraints import FixAtoms, FixCom
 from ase.md import andersen, bussi, langevin, langevinbaoab, nose_hoover_chain, nvtberendsen
 from ase.md.md import MolecularDynamics
 
-from minimd.ase.baths import AndersenBath, BerendsenBath, BussiBath, Chain, LangevinBath, NoseHooverBath
+from minimd.ase.baths import (
+    AndersenBath,
+    BerendsenBath,
+    BussiBath,
+    Chain,
+    LangevinBath,
+    NoseHooverBath,
+)
 from minimd.ase.dynamics import MinimdSteps, named_as_in_ase
 from minimd.core.console.words import shown
 from minimd.core.integrators.rows import VelocityVerlet
@@ -59,7 +66,8 @@ class Noisy(MolecularDynamics):
             drawn = np.asarray(self._rng.standard_normal(size=4), dtype=float)
             self.comm.broadcast(drawn, 0)
             self._seed = int.from_bytes(
-                np.random.SeedSequence(drawn.view(np.uint32).tolist()).generate_state(4).tobytes(), "little"
+                np.random.SeedSequence(drawn.view(np.uint32).tolist()).generate_state(4).tobytes(),
+                "little",
             )
         return self._seed
 
@@ -111,7 +119,9 @@ class LangevinBAOABDynamics(MinimdSteps, Noisy, langevinbaoab.LangevinBAOAB):
         """BAOAB, or velocity Verlet."""
         if self.temperature_K is None:
             return VelocityVerlet(self.dt)
-        return LangevinBath(self.dt, self.temperature_K, self.gamma, self.noise_seed(), fixes_center(self.atoms))
+        return LangevinBath(
+            self.dt, self.temperature_K, self.gamma, self.noise_seed(), fixes_center(self.atoms)
+        )
 
 
 LangevinBAOAB = LangevinBAOABDynamics
@@ -161,7 +171,11 @@ class NoseHooverChainNVT(MinimdSteps, nose_hoover_chain.NoseHooverChainNVT):  # 
     ) -> None:
         super().__init__(atoms, timestep, temperature_K, tdamp, tchain, tloop, **kwargs)
         self._chain = Chain(
-            units.kB * temperature_K, int(atoms.get_number_of_degrees_of_freedom()), tdamp, tchain, tloop
+            units.kB * temperature_K,
+            int(atoms.get_number_of_degrees_of_freedom()),
+            tdamp,
+            tchain,
+            tloop,
         )
 
     def method(self) -> Splitting:

@@ -30,7 +30,12 @@ def benchmark(name: str, text: str, *arguments: Argument, description: str = "")
         name,
         text,
         description or f"{text[0].upper()}{text[1:]}.",
-        (QUICK, Argument("--repeats", rounds, at_least_one, "R"), written_to("FOLDER", files), *arguments),
+        (
+            QUICK,
+            Argument("--repeats", rounds, at_least_one, "R"),
+            written_to("FOLDER", files),
+            *arguments,
+        ),
         partial(bench, name),
         epilog="Let no other program run meanwhile.",
     )
@@ -42,7 +47,9 @@ def bench(name: str, arguments: argparse.Namespace) -> None:
 
     if arguments.out:
         arguments.out.mkdir(parents=True, exist_ok=True)
-    outcome = _outcome(name, arguments, arguments.repeats or (REPEATS_QUICK if arguments.quick else REPEATS))
+    outcome = _outcome(
+        name, arguments, arguments.repeats or (REPEATS_QUICK if arguments.quick else REPEATS)
+    )
     print(markdown(outcome))
     if arguments.out:
         write(outcome, arguments.out)
@@ -59,8 +66,12 @@ def _outcome(name: str, given: argparse.Namespace, repeats: int) -> "Outcome":
         if given.scenes is not None:
             scenes = tuple(dict.fromkeys(given.scenes or SCENES))
             cells = given.cells or (10,)
-            peers = given.peers or tuple(name for name in BESIDE_SCENES if {*scenes} & {*PEERS[name].scenes})
-            options = options._replace(scenes=scenes, cells=cells, threads=given.threads or (1,), peers=peers)
+            peers = given.peers or tuple(
+                name for name in BESIDE_SCENES if {*scenes} & {*PEERS[name].scenes}
+            )
+            options = options._replace(
+                scenes=scenes, cells=cells, threads=given.threads or (1,), peers=peers
+            )
         return run_peers(options)
     if name == "work-precision":
         from minimd.bench.work_precision import run_work_precision
@@ -91,7 +102,9 @@ PRECISE = "argon, argon-smooth, chains, dumbbells, kepler (default: all)"
 SEVERAL = """several scenes (default: all) beside LAMMPS with its list checked, water beside OpenMM too, in one table
 (default of --cells: 10, of --threads: 1)"""
 THREADS = "numbers of threads, for engines that can use several (default: 1 and all cores)"
-INGREDIENTS = "the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing"
+INGREDIENTS = (
+    "the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing"
+)
 ABOUT = "measure the speed of minimd: compared with other engines, and run time against error"
 COMMAND = Command("bench", ABOUT, f"{ABOUT[0].upper()}{ABOUT[1:]}.", below=(
     benchmark("peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3",

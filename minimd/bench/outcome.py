@@ -59,7 +59,14 @@ def markdown(outcome: Outcome) -> str:
     """The tables, below a description of machine and versions."""
     words = ", ".join(f"{name} {number}" for name, number in versions(outcome.packages).items())
     return "\n".join(
-        [f"# minimd bench {outcome.name}", "", f"{machine()['text']}.  ", f"{words}.", "", *outcome.lines()]
+        [
+            f"# minimd bench {outcome.name}",
+            "",
+            f"{machine()['text']}.  ",
+            f"{words}.",
+            "",
+            *outcome.lines(),
+        ]
     )
 
 
@@ -88,7 +95,9 @@ def versions(packages: Sequence[str]) -> dict[str, str]:
     for name in ("numba", "numpy", *packages):
         found[name] = version(name)
         if found[name] == MISSING and shutil.which(name) is not None:
-            told = subprocess.run([name, "--version"], capture_output=True, text=True, check=False).stdout
+            told = subprocess.run(
+                [name, "--version"], capture_output=True, text=True, check=False
+            ).stdout
             said = re.search(r"version:?[ \t]+(\d\S*)", told, re.IGNORECASE)
             found[name] = said[1] if said else "of unknown version"
     return found
@@ -129,7 +138,9 @@ def spread(values: Ratios) -> str:
 
 def summary(values: Ratios) -> dict[str, Any] | None:
     """Median and the values of all rounds, for programs."""
-    return None if values is None else {"median": float(np.median(values)), "turns": values.tolist()}
+    return (
+        None if values is None else {"median": float(np.median(values)), "turns": values.tolist()}
+    )
 
 
 def new_figure(height: float) -> "Figure":
@@ -159,7 +170,9 @@ def draw(panel: "Axes", curves: Mapping[str, tuple[Sequence[float], Array, bool]
     for k, (name, (x, y, is_own)) in enumerate(curves.items()):
         style, width = ("-", 2.5) if is_own else ("--", 1.5)
         marker = MARKERS[k % MOST_CURVES]
-        panel.plot(x, np.median(y, axis=1), style, marker=marker, lw=width, color=f"C{k}", label=name)
+        panel.plot(
+            x, np.median(y, axis=1), style, marker=marker, lw=width, color=f"C{k}", label=name
+        )
         panel.fill_between(x, y.min(axis=1), y.max(axis=1), alpha=0.15, color=f"C{k}")
 
 

@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NO_PEERS = ("none",)
-BESIDE_SCENES = ("lammps-checked", "lammps-tuned", "lammps-shake", "openmm-pme")  # whose lists miss no pair
-LADDER = 2.0 ** np.arange(5.0, -4.5, -0.5)  # accuracies that are tried, of the error that is allowed
+# whose lists miss no pair
+BESIDE_SCENES = ("lammps-checked", "lammps-tuned", "lammps-shake", "openmm-pme")
+# accuracies that are tried, of the error that is allowed
+LADDER = 2.0 ** np.arange(5.0, -4.5, -0.5)
 # in smaller scenes the memory of atoms is not measured: that of Python and of the kernels hides it
 FROM_ATOMS = 256_000
 
@@ -79,11 +81,18 @@ class Peers:
 
     def lines(self) -> list[str]:
         """See Outcome."""
-        lines = ["Speeds in 10⁶ atom-steps per second of whole runs, with lists and without compilation: median of "
-                 f"{self.repeats} rounds (least to most).",
-                 "In each round all engines run once, in one process; ratios are computed within a round."]  # fmt: skip
+        lines = [
+            "Speeds in 10⁶ atom-steps per second of whole runs, with lists and without compilation: median of "
+            f"{self.repeats} rounds (least to most).",
+            "In each round all engines run once, in one process; ratios are computed within a round.",
+        ]
         if len(self.texts) > 1:
-            titles = {"scene": str, "atoms": float, "minimd": float, "fastest peer, one thread": str}
+            titles = {
+                "scene": str,
+                "atoms": float,
+                "minimd": float,
+                "fastest peer, one thread": str,
+            }
             cells = []
             for own, peer in self.fastest():
                 cells.append(
@@ -96,23 +105,39 @@ class Peers:
                         spread(own.speeds / peer.speeds),
                     ]
                 )
-            lines += ["", *table(titles | {"its speed": float, "minimd is faster by": float}, cells)]
+            lines += [
+                "",
+                *table(titles | {"its speed": float, "minimd is faster by": float}, cells),
+            ]
         for rows in self.sizes:
-            lines += ["", f"## {rows[0].scene}, {rows[0].n_atoms} atoms", "", f"{self.texts[rows[0].scene]}.", ""]
+            lines += [
+                "",
+                f"## {rows[0].scene}, {rows[0].n_atoms} atoms",
+                "",
+                f"{self.texts[rows[0].scene]}.",
+                "",
+            ]
             lines += _table(rows)
         return lines
 
     def fastest(self) -> list[tuple[EngineSpeed, EngineSpeed]]:
         """For each scene and size, on one thread: the row of minimd, double, and that of the fastest peer,
         or minimd's again without peers."""
-        peers = [[row for row in rows if not row.is_minimd and row.threads == 1] or [rows[0]] for rows in self.sizes]
+        peers = [
+            [row for row in rows if not row.is_minimd and row.threads == 1] or [rows[0]]
+            for rows in self.sizes
+        ]
         best = [max(rows, key=lambda row: float(np.median(row.speeds))) for rows in peers]
         return list(zip([rows[0] for rows in self.sizes], best, strict=True))
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
         sizes = [
-            {"scene": rows[0].scene, "n_atoms": rows[0].n_atoms, "rows": [_content(rows, row) for row in rows]}
+            {
+                "scene": rows[0].scene,
+                "n_atoms": rows[0].n_atoms,
+                "rows": [_content(rows, row) for row in rows],
+            }
             for rows in self.sizes
         ]
         return {"texts": dict(self.texts), "repeats": self.repeats, "sizes": sizes}
@@ -122,7 +147,10 @@ class Peers:
         are drawn. For several scenes, how much faster minimd is than the fastest peer."""
         if len(self.texts) > 1:
             return outcome.bars(
-                {f"{own.scene}, {own.n_atoms}": own.speeds / peer.speeds for own, peer in self.fastest()},
+                {
+                    f"{own.scene}, {own.n_atoms}": own.speeds / peer.speeds
+                    for own, peer in self.fastest()
+                },
                 "speed of minimd, double, one thread, divided by that of the fastest peer",
             )
         rows = [row for rows in self.sizes for row in rows]
@@ -130,8 +158,14 @@ class Peers:
         figure = outcome.new_figure(3.8 * len(all_threads))
         panels = figure.subplots(len(all_threads), sharex=True, sharey=True, squeeze=False)[:, 0]
         for panel, threads in zip(panels, all_threads, strict=True):
-            curves = {one.engine: [row for row in rows if row[:2] == one[:2]] for one in rows if one.threads == threads}
-            fastest = sorted(curves.items(), key=lambda curve: -np.median(curve[1][-1].speeds))[: outcome.MOST_CURVES]
+            curves = {
+                one.engine: [row for row in rows if row[:2] == one[:2]]
+                for one in rows
+                if one.threads == threads
+            }
+            fastest = sorted(curves.items(), key=lambda curve: -np.median(curve[1][-1].speeds))[
+                : outcome.MOST_CURVES
+            ]
             drawn = {}
             for name, points in fastest:
                 speeds = np.array([point.speeds for point in points]) / 1e6
@@ -181,17 +215,28 @@ def run_peers(options: PeersOptions) -> Peers:
     able = [] if options.peers == NO_PEERS else able
     missing = {peer.package: peer for name in able if not (peer := PEERS[name]).is_installed}
     for package, peer in {} if options.peers else missing.items():
-        tell(f"no comparison with {package}: not installed; {peer.installer.format(package)} installs it")
-    peers = [name for name in (options.peers or able) if able and PEERS[name].package not in missing]
-    sizes = [_beside(scene, n, options, threads, peers) for scene in options.scenes for n in options.cells]
-    return Peers(texts, options.repeats, tuple(dict.fromkeys(PEERS[name].package for name in peers)), sizes)
+        tell(
+            f"no comparison with {package}: not installed; {peer.installer.format(package)} installs it"
+        )
+    peers = [
+        name for name in (options.peers or able) if able and PEERS[name].package not in missing
+    ]
+    sizes = [
+        _beside(scene, n, options, threads, peers)
+        for scene in options.scenes
+        for n in options.cells
+    ]
+    return Peers(
+        texts, options.repeats, tuple(dict.fromkeys(PEERS[name].package for name in peers)), sizes
+    )
 
 
 def _checked(options: PeersOptions) -> tuple[int, ...]:
     """The numbers of threads.  Raises ValueError unless the options fit together, and fit this machine."""
     for name, value, allowed in (
-            ("scene", options.scenes, SCENES),
-            ("peers", options.peers, (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS)):  # fmt: skip
+        ("scene", options.scenes, SCENES),
+        ("peers", options.peers, (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS),
+    ):
         if unknown := [word for word in value if word not in allowed]:
             raise ValueError(f"--{name} must be one of {', '.join(allowed)}; it is {unknown[0]!r}")
     threads = thread_numbers(options.threads)
@@ -210,12 +255,15 @@ def _checked(options: PeersOptions) -> tuple[int, ...]:
                 f"--peers {name} cannot run the scene {options.scenes[0]!r}; it runs {', '.join(peer.scenes)}"
             )
         if not peer.is_installed:
-            raise ValueError(f"{peer.package} is not installed; {peer.installer.format(peer.package)} installs it")
+            raise ValueError(
+                f"{peer.package} is not installed; {peer.installer.format(peer.package)} installs it"
+            )
     return threads
 
 
-def _beside(name: str, n: int, options: PeersOptions, threads: Sequence[int],
-            peers: Sequence[str]) -> list[EngineSpeed]:  # fmt: skip
+def _beside(
+    name: str, n: int, options: PeersOptions, threads: Sequence[int], peers: Sequence[str]
+) -> list[EngineSpeed]:
     scene = SCENES[name](n)
     if name != MELT:  # the melt is equilibrated while the engines warm up
         scene = equilibrated(scene)
@@ -223,9 +271,15 @@ def _beside(name: str, n: int, options: PeersOptions, threads: Sequence[int],
     counts = {"one": (1,), "each": threads, "most": (max(threads),)}
     asked: list[tuple[Load, int]] = [(Minimd, count) for count in dict.fromkeys((1, *threads))]
     for peer in peers:
-        if name in PEERS[peer].scenes and (peer in options.peers or n_atoms <= PEERS[peer].most_atoms):
+        if name in PEERS[peer].scenes and (
+            peer in options.peers or n_atoms <= PEERS[peer].most_atoms
+        ):
             asked += [(partial(_load, peer), count) for count in counts[PEERS[peer].threads]]
-    groups = _accurate(asked, scene) if scene.error else [dict(enumerate(load(scene, count) for load, count in asked))]
+    groups = (
+        _accurate(asked, scene)
+        if scene.error
+        else [dict(enumerate(load(scene, count) for load, count in asked))]
+    )
     for group in groups:
         check_agreement([*group.values()], scene)
     tell(f"{name}: the energies agree")
@@ -234,7 +288,9 @@ def _beside(name: str, n: int, options: PeersOptions, threads: Sequence[int],
     speeds = n_atoms * in_turns([engine for _, engine in tried], options.repeats, n_atoms)
     for (k, engine), speed in zip(tried, speeds, strict=True):
         if k not in best or np.median(speed) > np.median(best[k].speeds):
-            best[k] = EngineSpeed(engine.name, engine.threads, engine.precision, scene.name, n_atoms, speed)
+            best[k] = EngineSpeed(
+                engine.name, engine.threads, engine.precision, scene.name, n_atoms, speed
+            )
     for k, row in best.items():
         if row.is_minimd and 4 * n**3 >= FROM_ATOMS:
             tell(f"{n_atoms} atoms: memory of minimd, {threads_text(row.threads)}")
@@ -242,13 +298,19 @@ def _beside(name: str, n: int, options: PeersOptions, threads: Sequence[int],
     return [best[k] for k in sorted(best)]
 
 
-def _accurate(asked: Sequence[tuple[Load, int]], scene: BenchScene) -> list[dict[int, LoadedEngine]]:
+def _accurate(
+    asked: Sequence[tuple[Load, int]], scene: BenchScene
+) -> list[dict[int, LoadedEngine]]:
     """For each cutoff that the cell has room for, the engines that are asked for, by their places: each with the least
     accuracy whose measured error is allowed, without those that do not reach it."""
     groups = []
-    for cutoff in [one for one in WATER_CUTOFFS if 2.0 * one <= scene.edges.min()] or [scene.law.cutoff]:
+    for cutoff in [one for one in WATER_CUTOFFS if 2.0 * one <= scene.edges.min()] or [
+        scene.law.cutoff
+    ]:
         exact = scene.cut(cutoff, EXACT)
-        forces, of_charges = (Minimd(exact._replace(potentials=exact.potentials[k:])).forces for k in (0, 1))
+        forces, of_charges = (
+            Minimd(exact._replace(potentials=exact.potentials[k:])).forces for k in (0, 1)
+        )
         groups.append(dict[int, LoadedEngine]())
         for k, (load, count) in enumerate(asked):
             for accuracy in scene.error * LADDER:
@@ -258,7 +320,9 @@ def _accurate(asked: Sequence[tuple[Load, int]], scene: BenchScene) -> list[dict
                 if error <= scene.error:
                     groups[-1][k] = engine
                     break
-            tell(f"{scene.name}: {engine.name}{'' if k in groups[-1] else ': left out, as no accuracy is high enough'}")
+            tell(
+                f"{scene.name}: {engine.name}{'' if k in groups[-1] else ': left out, as no accuracy is high enough'}"
+            )
     return groups
 
 
@@ -268,5 +332,7 @@ def _load(name: str, scene: BenchScene, threads: int) -> LoadedEngine:
         return PEERS[name].load(scene, threads)
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(f"{name} is installed but does not start: {reason}; to leave it out, name the others with "
-                         "--peers") from error  # fmt: skip
+        raise ValueError(
+            f"{name} is installed but does not start: {reason}; to leave it out, name the others with "
+            "--peers"
+        ) from error

@@ -25,7 +25,8 @@ CELLS_QUICK = (3, 5, 10, 20)  # 108 to 32 000
 # cells
 MEMORY_OF = 63
 MEMORY_OF_QUICK = 40
-SMALL = 20  # cells: with a first scene of 32 000 atoms, the memory of Python and of the kernels does not count
+# cells: with a first scene of 32 000 atoms, the memory of Python and of the kernels does not count
+SMALL = 20
 MEMORY_STEPS = 120  # enough for the snapshots to which a failed run goes back
 
 
@@ -55,7 +56,9 @@ class Scaling:
         cells = []
         for n_atoms, seconds in self.sizes:
             times = [spread(1e9 * seconds[t] / n_atoms) for t in threads]
-            cells.append([n_atoms, *times, *(spread(seconds[1] / seconds[t]) for t in threads if t > 1)])
+            cells.append(
+                [n_atoms, *times, *(spread(seconds[1] / seconds[t]) for t in threads if t > 1)]
+            )
         head = f"The melt, double precision; median of {self.repeats} rounds (least to most)."
         lines = [head, "", *table(dict.fromkeys(titles, float), cells), ""]
         if self.memory is not None:
@@ -66,8 +69,13 @@ class Scaling:
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
-        sizes = [{"n_atoms": n_atoms, "seconds_per_step": {str(t): summary(x) for t, x in seconds.items()}}
-                 for n_atoms, seconds in self.sizes]  # fmt: skip
+        sizes = [
+            {
+                "n_atoms": n_atoms,
+                "seconds_per_step": {str(t): summary(x) for t, x in seconds.items()},
+            }
+            for n_atoms, seconds in self.sizes
+        ]
         return {
             "repeats": self.repeats,
             "sizes": sizes,
@@ -122,7 +130,9 @@ def bytes_per_atom(scene: str, n: int, threads: int) -> float | None:
         check=False,
     )
     if answer.returncode:
-        tell(f"memory could not be measured: {(answer.stderr.splitlines() or ['no reason given'])[-1]}")
+        tell(
+            f"memory could not be measured: {(answer.stderr.splitlines() or ['no reason given'])[-1]}"
+        )
         return None
     return float(answer.stdout.splitlines()[-1])
 

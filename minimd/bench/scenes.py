@@ -25,10 +25,12 @@ MELT = "melt"
 SEED = 87287
 TIMESTEP = 0.005  # τ
 CUTOFF = 2.5  # σ of the pair
-SHIFT = 4.0 * (CUTOFF**-12 - CUTOFF**-6)  # u(r_c) [ε] of Lennard-Jones, which a shifted potential subtracts
+# u(r_c) [ε] of Lennard-Jones, which a shifted potential subtracts
+SHIFT = 4.0 * (CUTOFF**-12 - CUTOFF**-6)
 WCA_CUTOFF = 2.0 ** (1.0 / 6.0)  # σ, the minimum of Lennard-Jones
 SKIN_LAMMPS = 0.3  # σ, as in LAMMPS' benchmark
-SCATTER = 5.0  # k_B T per √atom: twice the standard deviation between total energies of two independent liquids
+# k_B T per √atom: twice the standard deviation between total energies of two independent liquids
+SCATTER = 5.0
 EQUILIBRATION = 500  # steps: 2.5 τ, in which a crystal at these temperatures melts
 
 # of LAMMPS' benchmark
@@ -149,7 +151,9 @@ def _mixture(n: int) -> md.System:
     """4 n³ atoms on the fcc lattice, of two species distributed at random, a fifth of them B."""
     positions, edges = _lattice(n, 1.2)
     species = np.full(len(positions), "A")
-    species[np.random.default_rng(SEED).permutation(len(positions))[: round(0.2 * len(positions))]] = "B"
+    species[
+        np.random.default_rng(SEED).permutation(len(positions))[: round(0.2 * len(positions))]
+    ] = "B"
     return _atoms(positions, edges, species=species)
 
 
@@ -158,8 +162,10 @@ def _beads(density: float, n: int) -> md.System:
     width = round(cbrt(4 * n**3))  # lattice sites along an edge
     n_beads = width**3 // BEADS * BEADS
     if n_beads == 0:
-        raise ValueError(f"a scene of chains needs at least {BEADS} sites, for one chain of {BEADS} beads; it has "
-                         f"{width**3}")  # fmt: skip
+        raise ValueError(
+            f"a scene of chains needs at least {BEADS} sites, for one chain of {BEADS} beads; it has "
+            f"{width**3}"
+        )
     edge = cbrt(n_beads / density)
     first = np.arange(n_beads - 1)
     first = first[(first + 1) % BEADS != 0]
@@ -179,17 +185,24 @@ def _decane(n: int) -> md.System:
     layers = max(2, round(cbrt(4 * n**3 / CARBONS / DECANE_DENSITY) / height))
     rows = round(sqrt(4 * n**3 / CARBONS / layers))
     apart = 1.0 / sqrt(DECANE_DENSITY * height)
-    corners = np.stack(np.meshgrid(*map(np.arange, (rows, rows, layers)), indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    corners = np.stack(
+        np.meshgrid(*map(np.arange, (rows, rows, layers)), indexing="ij"), axis=-1
+    ).reshape(-1, 1, 3)
     carbon = np.arange(CARBONS)
     molecule = np.column_stack([amplitude * (carbon % 2), 0.0 * carbon, rise * carbon])
     positions = (corners * (apart, apart, height) + molecule).reshape(-1, 3)
     atoms = np.arange(len(positions)).reshape(-1, CARBONS)
     groups = {
-        name: np.stack([atoms[:, k : CARBONS - size + 1 + k] for k in range(size)], axis=-1).reshape(-1, size)
+        name: np.stack(
+            [atoms[:, k : CARBONS - size + 1 + k] for k in range(size)], axis=-1
+        ).reshape(-1, size)
         for name, size in {"bonds": 2, "angles": 3, "dihedrals": 4}.items()
     }
     is_end = np.tile(np.isin(carbon, (0, CARBONS - 1)), len(atoms))
-    groups |= {"masses": np.where(is_end, METHYL_MASS, 1.0), "species": np.where(is_end, "CH3", "CH2")}
+    groups |= {
+        "masses": np.where(is_end, METHYL_MASS, 1.0),
+        "species": np.where(is_end, "CH3", "CH2"),
+    }
     return _atoms(positions, np.array([rows * apart, rows * apart, layers * height]), **groups)
 
 
@@ -207,7 +220,9 @@ def _triangles(n: int) -> md.System:
     centers, edges = _lattice(round(cbrt(n**3 / 3)), 0.3187)  # molecules per σ³: 1.08 g/cm³
     side = np.sin(0.5 * TRIANGLE_ANGLE) * np.eye(3)[1]
     along = np.cos(0.5 * TRIANGLE_ANGLE) * np.sqrt([0.5, 0.0, 0.5])
-    positions = (centers[:, None] + np.stack([np.zeros(3), along + side, along - side])).reshape(-1, 3)
+    positions = (centers[:, None] + np.stack([np.zeros(3), along + side, along - side])).reshape(
+        -1, 3
+    )
     tips = np.arange(0, len(positions), 3)[:, None, None]
     return _atoms(positions, edges, bonds=(tips + np.array([[0, 1], [0, 2]])).reshape(-1, 2))
 
@@ -227,10 +242,17 @@ def _lj(cutoff: float = CUTOFF, truncation: TruncationName = "shifted", scale=(1
 
 AT_MELT = "fcc at ρ* 0.8442, T* 1.44, r_c {} σ, {}, Δt* 0.005, NVE"
 UNBONDED = (0.0, 1.0, 1.0)
-KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, pairs={("A", "B"): (1.5, 0.8)}, cutoff={
-    ("A", "A"): CUTOFF, ("A", "B"): CUTOFF * 0.8, ("B", "B"): CUTOFF * 0.88})  # fmt: skip
+KOB_ANDERSEN = md.LennardJones(
+    {"A": (1.0, 1.0), "B": (0.5, 0.88)},
+    pairs={("A", "B"): (1.5, 0.8)},
+    cutoff={("A", "A"): CUTOFF, ("A", "B"): CUTOFF * 0.8, ("B", "B"): CUTOFF * 0.88},
+)
 DECANE = (
-    md.LennardJones({"CH3": (98 / 46, 3.75 / 3.95), "CH2": (1.0, 1.0)}, cutoff=CUTOFF, bonded_scale=(0.0, 0.0, 0.0)),
+    md.LennardJones(
+        {"CH3": (98 / 46, 3.75 / 3.95), "CH2": (1.0, 1.0)},
+        cutoff=CUTOFF,
+        bonded_scale=(0.0, 0.0, 0.0),
+    ),
     md.HarmonicBond(9e4, DECANE_BOND),  # TraPPE itself holds its bonds fixed
     md.HarmonicAngle(62500 / 46, DECANE_ANGLE),
     md.OPLSDihedral(2 * 355.03 / 46, -2 * 68.19 / 46, 2 * 791.32 / 46),
@@ -292,20 +314,40 @@ def _planned(name: str, n: int) -> BenchScene:
     """The scene of a plan, with velocities drawn at its temperature."""
     plan = PLANS[name]
     system = plan.build(n)
-    system.velocities[:] = maxwell_boltzmann(system.masses, plan.temperature, system.units.k_B, SEED)
+    system.velocities[:] = maxwell_boltzmann(
+        system.masses, plan.temperature, system.units.k_B, SEED
+    )
     rigid = () if plan.rigid is None else (plan.rigid(system),)
-    return BenchScene(name, plan.text, system, plan.potentials, plan.temperature, rigid, plan.method, plan.barostat)
+    return BenchScene(
+        name,
+        plan.text,
+        system,
+        plan.potentials,
+        plan.temperature,
+        rigid,
+        plan.method,
+        plan.barostat,
+    )
 
 
 def _water(name: str, n: int) -> BenchScene:
     """n³ molecules on the simple cubic lattice, turned at random."""
     with quiet():  # a shorter cutoff in a small box is meant
         system, potentials, rigid = md.water("SPC/E", n**3)
-    text = (f"Rigid SPC/E water: 298 K, measured errors of the forces of charges of at most {WATER[name]:g} of "
-            "their rms, both laws cut at the one of 8, 9, 10 and 12 Å with which an engine is fastest, Δt 2 fs, "
-            "NVE")  # fmt: skip
+    text = (
+        f"Rigid SPC/E water: 298 K, measured errors of the forces of charges of at most {WATER[name]:g} of "
+        "their rms, both laws cut at the one of 8, 9, 10 and 12 Å with which an engine is fastest, Δt 2 fs, "
+        "NVE"
+    )
     scene = BenchScene(
-        name, text, system, tuple(potentials), 298.0, (rigid,), md.VelocityVerlet(2.0 * md.units.fs), error=WATER[name]
+        name,
+        text,
+        system,
+        tuple(potentials),
+        298.0,
+        (rigid,),
+        md.VelocityVerlet(2.0 * md.units.fs),
+        error=WATER[name],
     )
     return scene.cut(scene.law.cutoff, scene.error)
 
@@ -319,7 +361,8 @@ def equilibrated(scene: BenchScene) -> BenchScene:
     """The scene after a short run at its temperature and volume."""
     method = md.VelocityVerlet(scene.method.timestep)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # on a lattice no pair may be in range, and rigid bonds have random velocities
+        # on a lattice no pair may be in range, and rigid bonds have random velocities
+        warnings.simplefilter("ignore")
         simulation = md.Simulation(scene.system, scene.potentials, method, scene.constraints)
         simulation.equilibrate(EQUILIBRATION, scene.temperature, progress=False)
     return scene._replace(system=simulation.system)

@@ -44,13 +44,28 @@ def check_agreement(engines: Sequence[LoadedEngine], scene: BenchScene) -> None:
                     f"{quantity}: {label(engines[0])} has {energies[0]:.8g}, {label(engine)} has {energy:.8g}"
                 )
 
-    compare("potential energy at step 0", [engine.potential_energy() for engine in engines], SAME_START, 0.0)
+    compare(
+        "potential energy at step 0",
+        [engine.potential_energy() for engine in engines],
+        SAME_START,
+        0.0,
+    )
     for engine in engines:
         engine.run(STEPS_COMPARED)
     when = f"per atom after {STEPS_COMPARED} steps"
     allowed = (SAME_COURSE + scene.scatter) * heat
-    compare(f"potential energy {when}", [engine.potential_energy() / n_atoms for engine in engines], 0.0, allowed)
-    compare(f"total energy {when}", [engine.total_energy() / n_atoms for engine in engines], 0.0, allowed)
+    compare(
+        f"potential energy {when}",
+        [engine.potential_energy() / n_atoms for engine in engines],
+        0.0,
+        allowed,
+    )
+    compare(
+        f"total energy {when}",
+        [engine.total_energy() / n_atoms for engine in engines],
+        0.0,
+        allowed,
+    )
 
 
 def in_turns(engines: Sequence[LoadedEngine], repeats: int, n_atoms: int) -> Array:
@@ -74,13 +89,17 @@ def warm_up(engines: Sequence[LoadedEngine], n_atoms: int) -> list[int]:
     return n_steps
 
 
-def take_turns(engines: Sequence[LoadedEngine], n_steps: Sequence[int], repeats: int, n_atoms: int) -> Array:
+def take_turns(
+    engines: Sequence[LoadedEngine], n_steps: Sequence[int], repeats: int, n_atoms: int
+) -> Array:
     """Steps per second of each engine in each turn, (E, repeats).
     The engines take turns because the speed of a machine drifts: so the drift affects all of them.  n_steps : (E,),
     of a turn."""
     speeds = np.empty((len(engines), repeats))
     for turn in range(repeats):
-        speeds[:, turn] = [n / timed(engine.run, n)[1] for engine, n in zip(engines, n_steps, strict=True)]
+        speeds[:, turn] = [
+            n / timed(engine.run, n)[1] for engine, n in zip(engines, n_steps, strict=True)
+        ]
         tell(f"{n_atoms} atoms: turn {turn + 1} of {repeats}")
     return speeds
 
@@ -100,7 +119,9 @@ def thread_numbers(threads: Sequence[int]) -> tuple[int, ...]:
     """Numbers of threads, without repetition; if none are given, one and all cores.  Raises ValueError for more threads
     than cores."""
     if max(threads, default=1) > (cores := available_cores()):
-        raise ValueError(f"--threads {max(threads)} is more than the {cores} cores that this process may use")
+        raise ValueError(
+            f"--threads {max(threads)} is more than the {cores} cores that this process may use"
+        )
     return tuple(dict.fromkeys(threads or (1, cores)))
 
 

@@ -39,7 +39,14 @@ COSTS = (100, 141, 200, 283, 400, 566, 800, 1600, 3200)
 COSTS_QUICK = (100, 200, 400, 800)
 REFERENCE = "kahan-li-8"
 REFERENCE_COST = 34_000
-QUICK_METHODS = ("velocity-verlet", "symplectic-euler-1", "candy-rozmus-4", "pefrl", "blanes-moan-rkn-4", "kahan-li-8")
+QUICK_METHODS = (
+    "velocity-verlet",
+    "symplectic-euler-1",
+    "candy-rozmus-4",
+    "pefrl",
+    "blanes-moan-rkn-4",
+    "kahan-li-8",
+)
 PEER_NAMES = ("lammps", "lammps-checked", "openmm")
 CELLS = 10  # 4000 atoms
 CELLS_QUICK = 6  # 864
@@ -79,8 +86,14 @@ class Case(NamedTuple):
     def front(self, error: str) -> list[Point]:
         """Runs for which no other run is better both in time and in the error, the fastest first."""
         points = sorted(self.points, key=lambda p: p.seconds)
-        best = np.minimum.accumulate([np.inf, *(np.nan_to_num(getattr(p, error), nan=np.inf) for p in points)])
-        return [point for point, least in zip(points, best, strict=False) if getattr(point, error) < least]
+        best = np.minimum.accumulate(
+            [np.inf, *(np.nan_to_num(getattr(p, error), nan=np.inf) for p in points)]
+        )
+        return [
+            point
+            for point, least in zip(points, best, strict=False)
+            if getattr(point, error) < least
+        ]
 
     def advice(self, error: str) -> list[str]:
         """For each power of ten, the fastest run whose error is at most that."""
@@ -117,7 +130,9 @@ class Case(NamedTuple):
                 curves.setdefault((point.who, point.method), []).append(point)
         on_front = [(p.who, p.method) for p in self.front("oscillation")]
         others = [one for one in curves if one[1] != md.VelocityVerlet.name]
-        best = sorted(others, key=lambda one: (-on_front.count(one), min(p.oscillation for p in curves[one])))
+        best = sorted(
+            others, key=lambda one: (-on_front.count(one), min(p.oscillation for p in curves[one]))
+        )
         shown = {}
         for who, method in [*(one for one in curves if one not in others), *best][:MOST_CURVES]:
             points = curves[who, method]
@@ -150,7 +165,14 @@ class WorkPrecision:
             for said in (*map(case.advice, ERRORS), case.beside()):
                 lines += [*(f"- {line}" for line in said), ""]
             cells = [
-                [p.who, p.method, f"{p.timestep:.3g}", f"{p.forces:.0f}", f"{p.seconds:.3g}", *map(_number, p[-3:])]
+                [
+                    p.who,
+                    p.method,
+                    f"{p.timestep:.3g}",
+                    f"{p.forces:.0f}",
+                    f"{p.seconds:.3g}",
+                    *map(_number, p[-3:]),
+                ]
                 for p in case.points
             ]
             lines += [*table(titles, cells), ""]
@@ -158,12 +180,19 @@ class WorkPrecision:
 
     def content(self) -> dict[str, Any]:
         """See Outcome.  JSON has no numbers that are not finite: they are None."""
-        return {"cases": [{"name": c.name, "text": c.text, "points": list(map(_finite, c.points))} for c in self.cases]}
+        return {
+            "cases": [
+                {"name": c.name, "text": c.text, "points": list(map(_finite, c.points))}
+                for c in self.cases
+            ]
+        }
 
     def figure(self) -> "Figure":
         """For each case, the oscillation of the energy against seconds."""
         figure = new_figure(4.0 * len(self.cases))
-        for panel, case in zip(figure.subplots(len(self.cases), squeeze=False)[:, 0], self.cases, strict=True):
+        for panel, case in zip(
+            figure.subplots(len(self.cases), squeeze=False)[:, 0], self.cases, strict=True
+        ):
             case.draw(panel)
         return figure
 
@@ -174,8 +203,10 @@ def _number(value: float) -> str:
 
 def _finite(point: Point) -> dict[str, Any]:
     """The fields of a point, with None for numbers that JSON does not have."""
-    return {key: None if isinstance(value, float) and not np.isfinite(value) else value
-            for key, value in point._asdict().items()}  # fmt: skip
+    return {
+        key: None if isinstance(value, float) and not np.isfinite(value) else value
+        for key, value in point._asdict().items()
+    }
 
 
 def run_work_precision(names: Sequence[str], quick: bool, repeats: int) -> WorkPrecision:
@@ -199,7 +230,9 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
     costs, methods = (COSTS_QUICK, QUICK_METHODS) if quick else (COSTS, tuple(SPLITTINGS))
     names = () if name == "argon-smooth" else PEER_NAMES  # no peer has this potential
     peers = [engines.PEERS[one] for one in names if engines.PEERS[one].is_installed]
-    runs = [(SPLITTINGS[one], None) for one in methods] + [(md.VelocityVerlet, peer) for peer in peers]
+    runs = [(SPLITTINGS[one], None) for one in methods] + [
+        (md.VelocityVerlet, peer) for peer in peers
+    ]
     reference = _path(scene, SPLITTINGS[REFERENCE], REFERENCE_COST)
     points = []
     for method, peer in runs:
@@ -235,7 +268,11 @@ def _path(scene: BenchScene, method: type[Splitting], cost: float) -> Array:
 
 
 def measured(
-    scene: BenchScene, steps: int, make: Callable[[], engines.LoadedEngine], repeats: int, distance: float
+    scene: BenchScene,
+    steps: int,
+    make: Callable[[], engines.LoadedEngine],
+    repeats: int,
+    distance: float,
 ) -> Point:
     """Measure one run of a new engine; if it fails, its errors are infinite.  The observations count in the time of
     minimd, which makes them in its run, and not in that of a peer."""
@@ -261,7 +298,9 @@ def measured(
             return point
         seconds = min(seconds, taken)
     n_dof = 3 * len(scene.system) - 3 - sum(len(rigid.pairs) for rigid in scene.constraints)
-    errors = about_line(np.linspace(0.0, 1.0, OBSERVATIONS + 1), energies / (scene.temperature * np.sqrt(n_dof)))
+    errors = about_line(
+        np.linspace(0.0, 1.0, OBSERVATIONS + 1), energies / (scene.temperature * np.sqrt(n_dof))
+    )
     return point._replace(seconds=seconds, **errors, distance=distance)
 
 
@@ -271,7 +310,10 @@ def about_line(time: Array, energies: Array) -> dict[str, Any]:
     if not np.isfinite(energies).all():
         return {"oscillation": np.inf, "drift": np.inf}
     slope, start = np.polyfit(time, energies, 1)
-    return {"oscillation": float((energies - start - slope * time).std()), "drift": float(abs(slope))}
+    return {
+        "oscillation": float((energies - start - slope * time).std()),
+        "drift": float(abs(slope)),
+    }
 
 
 def attraction(q):
@@ -285,7 +327,10 @@ def _kepler(_name: str, quick: bool, repeats: int) -> Case:
 
     problem = md.integrators.SecondOrder(njit(attraction))
     points = []
-    for method in (*SPLITTINGS.values(), *(method for method in IMPLICIT.values() if method.is_symmetric)):
+    for method in (
+        *SPLITTINGS.values(),
+        *(method for method in IMPLICIT.values() if method.is_symmetric),
+    ):
         for cost in COSTS_QUICK if quick else COSTS:
             # a tenth of the forces: orbits are slow
             n = PERIODS * max(1, round(cost / method.stages * END / PERIODS / 10))
@@ -300,7 +345,9 @@ def _kepler(_name: str, quick: bool, repeats: int) -> Case:
             path = runs[-1][0]
             seconds = min(taken for _, taken in runs)
             energy = 0.5 * (path.v**2).sum(axis=1) - 1.0 / np.linalg.norm(path.q, axis=1)
-            errors = about_line(path.t / END, energy) | {"distance": float(np.linalg.norm(path.q[-1] - Q0))}
+            errors = about_line(path.t / END, energy) | {
+                "distance": float(np.linalg.norm(path.q[-1] - Q0))
+            }
             points.append(point._replace(forces=path.nfev / END, seconds=seconds, **errors))
     text = f"Kepler's ellipse, eccentricity {ECCENTRICITY}, {PERIODS} periods; "
     text += "units a (half axis) and v (velocity in a circle)"
@@ -310,6 +357,7 @@ def _kepler(_name: str, quick: bool, repeats: int) -> Case:
 # how argon is cut
 ARGONS: dict[str, tuple[Any, str]] = {
     "argon": ("shifted", "cut at 2.5 σ and shifted, as in the peers"),
-    "argon-smooth": ("smooth", "cut at 2.5 σ by a switch with seven derivatives")}  # fmt: skip
+    "argon-smooth": ("smooth", "cut at 2.5 σ by a switch with seven derivatives"),
+}
 QUICK_CASES = ("argon", "chains", "kepler")
 CASES = dict.fromkeys((*ARGONS, "chains", "dumbbells"), _dynamics) | {"kepler": _kepler}

@@ -14,7 +14,13 @@ from minimd.core.compiled.terminal import tell
 from minimd.core.console import __version__
 from minimd.core.console.signals import Terminated, endings_are_told
 from minimd.core.console.words import printable
-from minimd.core.structure.errors import ConstraintError, EnsembleError, HandOverError, NonFiniteError, sentence
+from minimd.core.structure.errors import (
+    ConstraintError,
+    EnsembleError,
+    HandOverError,
+    NonFiniteError,
+    sentence,
+)
 
 OK, FAILED, WRONG_INPUT, BLOWN_UP, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
 CODES: dict[type[BaseException], int] = {
@@ -34,7 +40,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     nothing else is printed.
     """
     parser = argparse.ArgumentParser(
-        prog="minimd", description="Molecular dynamics from scene files.", epilog="Begin with: minimd doctor"
+        prog="minimd",
+        description="Molecular dynamics from scene files.",
+        epilog="Begin with: minimd doctor",
     )
     parser.add_argument("--version", action="version", version=f"minimd {__version__}")
     commands = parser.add_subparsers(metavar="command", title="commands")
@@ -46,11 +54,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     if "command" not in arguments:
         parser.print_help()
         return OK
-    out, err = (StringIO(), StringIO()) if getattr(arguments, "quiet", False) else (sys.stdout, sys.stderr)
+    out, err = (
+        (StringIO(), StringIO()) if getattr(arguments, "quiet", False) else (sys.stdout, sys.stderr)
+    )
     printed: Any = out and Printable(out)  # None if the shell has closed it
     try:
         # catch_warnings acts on the whole process, which is this command
-        with endings_are_told(), redirect_stdout(printed), redirect_stderr(err), warnings.catch_warnings():
+        with (
+            endings_are_told(),
+            redirect_stdout(printed),
+            redirect_stderr(err),
+            warnings.catch_warnings(),
+        ):
             warnings.showwarning = _tell
             passed = arguments.command(arguments)  # None for a command without a judgement
         return OK if passed is None or passed else FAILED

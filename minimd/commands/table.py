@@ -57,7 +57,9 @@ def add(parsers: Any, command: Command) -> None:
         given: dict[str, Any] = {name: value for name, value in kind.items() if value is not None}
         parser.add_argument(one.name, help=one.help, **given, **one.more)
     if command.below:
-        more = parser.add_subparsers(metavar=f"{command.name}mark", title=f"{command.name}marks", required=True)
+        more = parser.add_subparsers(
+            metavar=f"{command.name}mark", title=f"{command.name}marks", required=True
+        )
         for below in command.below:
             add(more, below)
 
@@ -66,7 +68,9 @@ def whole_number(text: str, least: int = 0) -> int:
     """A whole number, for argparse.  Raises ArgumentTypeError for any other text, or a number that is too small."""
     digits = text.replace("_", "")
     if not digits.isdecimal() or int(digits) < least:
-        raise argparse.ArgumentTypeError(f"must be a whole number, at least {least}; it is {text!r}")
+        raise argparse.ArgumentTypeError(
+            f"must be a whole number, at least {least}; it is {text!r}"
+        )
     return int(digits)
 
 
@@ -119,7 +123,9 @@ def run(arguments: argparse.Namespace) -> None:
     """Run a scene.  Raises as run_scene."""
     from minimd.scene import run_scene
 
-    scene, out, overwrite = scene_of(arguments), arguments.out, arguments.overwrite
+    scene = scene_of(arguments)
+    out = arguments.out
+    overwrite = arguments.overwrite
     for file in () if overwrite else scene.named_outputs(out):
         if file.exists():
             refuse("output", file, file, "FILE")
@@ -144,11 +150,17 @@ def scan(arguments: argparse.Namespace) -> bool:
     if arguments.status is not None:
         table, lines = status(arguments.status)
     elif arguments.scene is None:
-        raise ValueError("minimd scan needs a scene file, or --status FOLDER to show the state of a scan")
+        raise ValueError(
+            "minimd scan needs a scene file, or --status FOLDER to show the state of a scan"
+        )
     else:
         names = ("replicas", "steps", "seed", "members", "retries")
         options: dict[str, Any] = {name: getattr(arguments, name) for name in names}
-        options |= {"folder": arguments.out, "resume": not arguments.overwrite, "progress": not arguments.quiet}
+        options |= {
+            "folder": arguments.out,
+            "resume": not arguments.overwrite,
+            "progress": not arguments.quiet,
+        }
         with named_executor(arguments.executor, arguments.workers) as workers:
             if workers is None:
                 return True
@@ -158,7 +170,11 @@ def scan(arguments: argparse.Namespace) -> bool:
     print("\n".join(lines))
     if table.done.any() and arguments.members is None:
         picture = save_picture(table, arguments.plot)
-        tables = [] if arguments.status is not None else [table.folder / "table.csv", table.folder / "table.json"]
+        tables = (
+            []
+            if arguments.status is not None
+            else [table.folder / "table.csv", table.folder / "table.json"]
+        )
         print(f"written        {', '.join(map(str, [*tables, picture]))}")
     made = arguments.members or range(len(table))
     return not any(table["status"][made.start : made.stop] == "failed")
@@ -190,12 +206,17 @@ def replay(arguments: argparse.Namespace) -> None:
     from minimd.core.files.h5md_reader import verify_frames
 
     verify_frames(arguments.file)
-    potentials, out = potentials_of(arguments), arguments.out
-    names: dict[str, Any] = {} if out is None else {"trajectory": out, "picture": out.with_suffix(".png")}
+    potentials = potentials_of(arguments)
+    out = arguments.out
+    names: dict[str, Any] = (
+        {} if out is None else {"trajectory": out, "picture": out.with_suffix(".png")}
+    )
     print(read_crash_report(arguments.file).findings, flush=True)
     seen = md.replay(arguments.file, potentials, overwrite=arguments.overwrite, **names)
     print(seen)
-    print(f"written        {', '.join(str(file) for file in (seen.trajectory, seen.picture) if file)}")
+    print(
+        f"written        {', '.join(str(file) for file in (seen.trajectory, seen.picture) if file)}"
+    )
 
 
 def lammps(arguments: argparse.Namespace) -> None:
@@ -236,7 +257,8 @@ def view(arguments: argparse.Namespace) -> None:
     from minimd.core.files.h5md_reader import verify_frames
 
     verify_frames(arguments.file)
-    potentials, page = potentials_of(arguments), arguments.out or arguments.file.with_suffix(".html")
+    potentials = potentials_of(arguments)
+    page = arguments.out or arguments.file.with_suffix(".html")
     word = drawing(page)
     seen = md.view(arguments.file, frames=arguments.frames, potentials=potentials)
     seen.save(page)
@@ -249,21 +271,25 @@ def view(arguments: argparse.Namespace) -> None:
 
 def frames(arguments: argparse.Namespace) -> None:
     """Write a file for each step.  Raises as minimd.Past."""
-    file, progress = arguments.file, False if arguments.quiet else None
+    file = arguments.file
+    progress = False if arguments.quiet else None
     past = md.Past(file, potentials_of(arguments))
     for step in arguments.at:
         out = arguments.out or file.with_name(f"{file.stem}-{step}.h5md")
         if arguments.out and len(arguments.at) > 1:
             out = out.with_name(f"{out.stem}-{step}{out.suffix}")
         simulation = past.at(step, progress=progress)
-        record, units = simulation.run(0, trajectory=out, overwrite=arguments.overwrite), simulation.system.units
+        record = simulation.run(0, trajectory=out, overwrite=arguments.overwrite)
+        units = simulation.system.units
         energy = f"total energy {float(record.total_energy[0])!r} {units.energy}"
         print(f"step {step:<9} t = {units.shown(simulation.time)}, {energy}: written to {out}")
 
 
 def archive(arguments: argparse.Namespace) -> None:
     """Write the archive and print its size.  Raises as minimd.archive."""
-    file, every, overwrite = arguments.file, arguments.every, arguments.overwrite
+    file = arguments.file
+    every = arguments.every
+    overwrite = arguments.overwrite
     out = arguments.out or file.with_name(f"{file.stem}.archive.h5md")
     print(md.archive(file, out, every, potentials_of(arguments), overwrite))
 
@@ -297,11 +323,15 @@ def option(text: str) -> tuple[str, Any]:
 at_least_one = partial(whole_number, least=1)
 OVERWRITE = flag("--overwrite", "replace files that exist")
 STEPS = Argument("--steps", "number of steps, in place of that in the scene", whole_number, "N")
-MAX_SECONDS = Argument("--max-seconds", "wall time after which the run ends; it can be resumed", float, "S")
+MAX_SECONDS = Argument(
+    "--max-seconds", "wall time after which the run ends; it can be resumed", float, "S"
+)
 SCENE_FILE = Argument("scene", "scene file (TOML)", Path)
 RUN_FILE = Argument("file", "trajectory (.h5md)", Path)
 SCENE = Argument(
-    "--scene", "take the potentials from this scene file, not from the scene stored in the run", metavar="TOML"
+    "--scene",
+    "take the potentials from this scene file, not from the scene stored in the run",
+    metavar="TOML",
 )
 COMMANDS = (
     Command("run", "run a scene file", "Build a scene, run it, and write its files.", (

@@ -4,4 +4,6 @@ a table holds their averages."""
 from minimd.core.console.lazy import LazyNames
 
 _names = LazyNames(__name__)
-__getattr__, __dir__, __all__ = _names.load, _names.listed, [*_names.places]
+__getattr__ = _names.load
+__dir__ = _names.listed
+__all__ = [*_names.places]

@@ -35,9 +35,19 @@ from minimd.core.console.whole_file import is_locked, locked, regular, write_who
 from minimd.core.console.words import shown
 from minimd.core.files.crash_file import crash_file_place
 from minimd.core.structure.checks import COUNTS, checked_count
-from minimd.ensemble.member import DONE, FAILED, NOTE, STOPPED, Row, Value, checked_parameters, file_of
+from minimd.ensemble.member import (
+    DONE,
+    FAILED,
+    NOTE,
+    STOPPED,
+    Row,
+    Value,
+    checked_parameters,
+    file_of,
+)
 
-DESCRIPTION, SHARED = "ensemble.json", "ensemble.lock"
+DESCRIPTION = "ensemble.json"
+SHARED = "ensemble.lock"
 JOURNAL = re.compile(r"members(?:\.(\d{1,9})-(\d{1,9}))?\.jsonl")
 EVERYTHING = range(10**9)  # the members of a journal without numbers
 CODE = ", code "  # between the name of a function and the hash of its code
@@ -60,7 +70,9 @@ def _are_numbers(value: Any) -> bool:
 
 # of the values of a row that are not texts; parameters and seconds are not read
 KINDS: dict[str, Callable[[Any], bool]] = dict.fromkeys(("index", "n_steps", "n_atoms"), _is_count)
-KINDS |= dict.fromkeys(("means", "errors"), _are_numbers) | dict.fromkeys(("parameters", "seconds"), lambda _: True)
+KINDS |= dict.fromkeys(("means", "errors"), _are_numbers) | dict.fromkeys(
+    ("parameters", "seconds"), lambda _: True
+)
 KINDS["is_blown_up"] = lambda value: type(value) is bool
 KINDS["ended"] = lambda value: type(value) is float
 
@@ -79,7 +91,11 @@ class Asked(NamedTuple):
 
     def is_done(self, row: Row | None) -> bool:
         """Whether a member is done: it has made all steps, or with a function run, that function has returned."""
-        return row is not None and row["status"] == DONE and (self.run != "" or row["n_steps"] >= self.steps)
+        return (
+            row is not None
+            and row["status"] == DONE
+            and (self.run != "" or row["n_steps"] >= self.steps)
+        )
 
 
 @contextmanager
@@ -105,8 +121,12 @@ class EnsembleFolder:
     """
 
     def __init__(self, path: Path, *, writes: bool, members: range | None = None) -> None:
-        self.path, self.members, self._lock = path, members, -1
-        self._journal = path / ("members.jsonl" if members is None else f"members.{members.start}-{members.stop}.jsonl")
+        self.path = path
+        self.members = members
+        self._lock = -1
+        self._journal = path / (
+            "members.jsonl" if members is None else f"members.{members.start}-{members.stop}.jsonl"
+        )
         try:
             if writes:
                 self._claim()
@@ -138,8 +158,14 @@ class EnsembleFolder:
         """Read the description, and all journals."""
         self.asked = self._read_description()
         files = [file for file, _ in self._journals()] if self.asked is not None else []
-        last = [row for file in files for row in {row["index"]: row for row in self._lines(file)}.values()]
-        self.rows: dict[int, Row] = {row["index"]: row for row in sorted(last, key=lambda row: row.get("ended", 0.0))}
+        last = [
+            row
+            for file in files
+            for row in {row["index"]: row for row in self._lines(file)}.values()
+        ]
+        self.rows: dict[int, Row] = {
+            row["index"]: row for row in sorted(last, key=lambda row: row.get("ended", 0.0))
+        }
 
     def begin(self, asked: Asked, resume: bool, any_seed: bool = False) -> Asked:
         """Write the description of what is asked for now, and return it; the parameters of further members from earlier
@@ -159,18 +185,29 @@ class EnsembleFolder:
                         f"folder {str(self.path)!r} holds another ensemble: {difference}; choose another folder, or "
                         "replace what is there with resume=False"
                     )
-                asked = asked._replace(parameters=asked.parameters + before[len(asked.parameters) :])
+                asked = asked._replace(
+                    parameters=asked.parameters + before[len(asked.parameters) :]
+                )
             else:
-                for file in map(self.file, range(len(before))):  # no member may go on from a run of another ensemble
-                    for one in (file, crash_file_place(True, file), file.with_suffix(STOPPED), file.with_suffix(NOTE)):
+                # no member may go on from a run of another ensemble
+                for file in map(self.file, range(len(before))):
+                    for one in (
+                        file,
+                        crash_file_place(True, file),
+                        file.with_suffix(STOPPED),
+                        file.with_suffix(NOTE),
+                    ):
                         if one is not None:
                             one.unlink(missing_ok=True)
-                for file, _ in () if resume else self._journals():  # a new folder may have those of other slices
+                # a new folder may have those of other slices
+                for file, _ in () if resume else self._journals():
                     if file != self._journal:
                         file.unlink()
                 self.rows = {}
                 os.ftruncate(self._lock, 0)
-            columns = {name: [one[name] for one in asked.parameters] for name in asked.parameters[0]}
+            columns = {
+                name: [one[name] for one in asked.parameters] for name in asked.parameters[0]
+            }
             told = {"parameters": columns, "members": len(asked.parameters), "minimd": __version__}
             write_whole(self.path / DESCRIPTION, json.dumps(asked._asdict() | told, indent=1))
         self.asked = asked
@@ -212,7 +249,9 @@ class EnsembleFolder:
 
     def _journals(self) -> list[tuple[Path, range]]:
         """The journals, and the members that each may hold."""
-        found = [match for place in os.scandir(self.path) if (match := JOURNAL.fullmatch(place.name))]
+        found = [
+            match for place in os.scandir(self.path) if (match := JOURNAL.fullmatch(place.name))
+        ]
         ranges = [range(int(one[1]), int(one[2])) if one[1] else EVERYTHING for one in found]
         return sorted(zip([self.path / one[0] for one in found], ranges, strict=True), key=str)
 
@@ -232,12 +271,21 @@ class EnsembleFolder:
                 told = json.load(description)
             rows = checked_parameters(told["parameters"] or told["members"])
             if told["members"] != len(rows):
-                raise ValueError(f"members = {shown(told['members'])}, but each parameter has {len(rows)} values")
+                raise ValueError(
+                    f"members = {shown(told['members'])}, but each parameter has {len(rows)} values"
+                )
             for name in FUNCTIONS:
                 if not isinstance(told[name], str):
                     raise ValueError(f"{name} must be a text; {name} = {shown(told[name])}")
-            seed, steps = checked_count("seed", told["seed"], 0, ENTROPIES), checked_count("steps", told["steps"], 0)
-            return Asked(seed, steps, checked_count("every", told["every"]), rows, *(told[name] for name in FUNCTIONS))
+            seed = checked_count("seed", told["seed"], 0, ENTROPIES)
+            steps = checked_count("steps", told["steps"], 0)
+            return Asked(
+                seed,
+                steps,
+                checked_count("every", told["every"]),
+                rows,
+                *(told[name] for name in FUNCTIONS),
+            )
         except FileNotFoundError:
             return None
         except (ValueError, KeyError, TypeError, RecursionError) as error:
@@ -267,10 +315,13 @@ def _difference(before: Asked, asked: Asked) -> str | None:
     """In what an ensemble differs from the one before, in words; None if it is the same. It may have more members and,
     without a function run, more steps."""
     for name in ("seed", "every", *FUNCTIONS, "steps"):
-        there, here = getattr(before, name), getattr(asked, name)
+        there = getattr(before, name)
+        here = getattr(asked, name)
         may_grow = name == "steps" and not asked.run and here > there
-        if name in FUNCTIONS and not (CODE in there and CODE in here):  # the code of one of them is not known
-            there, here = there.partition(CODE)[0], here.partition(CODE)[0]
+        # the code of one of them is not known
+        if name in FUNCTIONS and not (CODE in there and CODE in here):
+            there = there.partition(CODE)[0]
+            here = here.partition(CODE)[0]
         if there != here and not may_grow:
             return f"{name} = {None if there == '' else there} there, {None if here == '' else here} here"
     for index, (one, other) in enumerate(zip(before.parameters, asked.parameters, strict=False)):
@@ -298,9 +349,15 @@ def _rows_in(lines: list[bytes]) -> list[Any]:
 
 def _is_sound(row: Any) -> bool:
     """Whether a line of the journal is a row: all that is read of it later is there, and of the right type."""
-    if not isinstance(row, dict) or row.get("status") not in list(NEEDED) or not row.keys() >= NEEDED[row["status"]]:
+    if (
+        not isinstance(row, dict)
+        or row.get("status") not in list(NEEDED)
+        or not row.keys() >= NEEDED[row["status"]]
+    ):
         return False
-    are_right = all(KINDS[name](value) if name in KINDS else type(value) is str for name, value in row.items())
+    are_right = all(
+        KINDS[name](value) if name in KINDS else type(value) is str for name, value in row.items()
+    )
     return are_right and list(row.get("means", ())) == list(row.get("errors", ()))
 
 
@@ -323,8 +380,10 @@ def name_of(function: Callable | None) -> str:
     module = Path(script).stem if named.__module__ == "__main__" and script else named.__module__
     name = f"{module}.{named.__qualname__}"
     try:
-        if name.endswith("<lambda>"):  # inspect.getsource would give its whole statement, or a part of one
-            nodes, line = ast.walk(ast.parse("".join(inspect.findsource(named)[0]))), named.__code__.co_firstlineno
+        # inspect.getsource would give its whole statement, or a part of one
+        if name.endswith("<lambda>"):
+            nodes = ast.walk(ast.parse("".join(inspect.findsource(named)[0])))
+            line = named.__code__.co_firstlineno
             lambdas = [one for one in nodes if isinstance(one, ast.Lambda) and one.lineno == line]
             code = "\n".join(map(ast.unparse, lambdas))
         else:

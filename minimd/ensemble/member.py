@@ -35,12 +35,15 @@ from minimd.core.structure.statistics import mean_and_error
 Value = bool | int | float | str
 Row = dict[str, Any]
 Job = tuple["Member", bool]  # what work needs beside the plan
-DONE, FAILED, BEGUN, MISSING = STATES = "done", "failed", "begun", "missing"  # the status of a member
+# the status of a member
+DONE, FAILED, BEGUN, MISSING = STATES = "done", "failed", "begun", "missing"
 OWN_COLUMNS = ("index", "status", "n_steps", "n_atoms", "n_members", "file", "message")  # of tables
 OWN_ENDINGS = ("_mean", "_error")
 PER_FOLDER = 1000  # files of members
 MOST_MEMBERS = 10**6  # their table takes some gigabytes
-NOTE, STOPPED = ".running", ".stopped.h5md"  # endings of the note, and of the file of a stopped member that is kept
+# endings of the note, and of the file of a stopped member that is kept
+NOTE = ".running"
+STOPPED = ".stopped.h5md"
 SECONDS_BETWEEN_NOTES = 2.0
 LENGTH = 60  # characters of a note, so that each writing replaces the whole note
 
@@ -63,7 +66,9 @@ class Member:
         try:
             return self.parameters[name]
         except KeyError:
-            raise KeyError(f"a member has no parameter {name!r}; it has {listed(self.parameters) or 'none'}") from None
+            raise KeyError(
+                f"a member has no parameter {name!r}; it has {listed(self.parameters) or 'none'}"
+            ) from None
 
     @cached_property
     def seed_sequence(self) -> np.random.SeedSequence:
@@ -87,8 +92,11 @@ class Member:
         """
         from minimd.core.files.h5md_reader import read_file, verify_frames
 
-        every, stopped, contents = checked_count("every", every), self.file.with_suffix(STOPPED), None
-        with suppress(OSError, ValueError):  # there is none, or it is damaged: the member begins anew, to the same bits
+        every = checked_count("every", every)
+        stopped = self.file.with_suffix(STOPPED)
+        contents = None
+        # there is none, or it is damaged: the member begins anew, to the same bits
+        with suppress(OSError, ValueError):
             verify_frames(stopped)
             contents = read_file(stopped)
         if contents is None or len(contents.system) != len(simulation.system):
@@ -110,7 +118,9 @@ def steps_in_file(simulation: Simulation, member: Member, first: int | None, eve
     if first is None:
         return simulation.run(member.steps, every=every, trajectory=member.file, progress=False)
     if simulation.step < (end := first + member.steps):
-        simulation.run(until_step=end, every=every, trajectory=member.file, append=True, progress=False)
+        simulation.run(
+            until_step=end, every=every, trajectory=member.file, append=True, progress=False
+        )
     return read_file(member.file).record
 
 
@@ -137,11 +147,19 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
             f"list of dicts, one for each member; parameters = {shown(parameters)}"
         )
     else:
-        rows = [{} for _ in range(checked_count("the number of members", parameters, 1, MOST_MEMBERS + 1))]
+        rows = [
+            {}
+            for _ in range(checked_count("the number of members", parameters, 1, MOST_MEMBERS + 1))
+        ]
     if not rows:
         raise ValueError("an ensemble must have at least one member; parameters is empty")
     for name in rows[0]:
-        if not isinstance(name, str) or not name or name in OWN_COLUMNS or name.endswith(OWN_ENDINGS):
+        if (
+            not isinstance(name, str)
+            or not name
+            or name in OWN_COLUMNS
+            or name.endswith(OWN_ENDINGS)
+        ):
             taken = f"{listed(OWN_COLUMNS)}, nor end in {' or '.join(OWN_ENDINGS)}"
             raise ValueError(
                 f"the name of a parameter must be a text, not one of {taken}: these are columns of the table; it is "
@@ -155,14 +173,18 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
             row[name] = plain = value.item() if isinstance(value, np.generic) else value
             if not isinstance(plain, bool | int | float | str):
                 where = f"for member {index} it is {shown(value)}"
-                raise TypeError(f"parameter {name!r} must be a number, a text, True or False; {where}")
+                raise TypeError(
+                    f"parameter {name!r} must be a number, a text, True or False; {where}"
+                )
     return [{name: row[name] for name in rows[0]} for row in rows]
 
 
 def _from_columns(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
     for name, values in columns.items():
         if isinstance(values, str) or not hasattr(values, "__len__"):
-            raise TypeError(f"parameter {name!r} must be a list of values, one for each member; it is {shown(values)}")
+            raise TypeError(
+                f"parameter {name!r} must be a list of values, one for each member; it is {shown(values)}"
+            )
     if len({len(values) for values in columns.values()}) > 1:
         told = ", ".join(f"{name!r} has {len(values)}" for name, values in columns.items())
         raise ValueError(
@@ -233,14 +255,16 @@ def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
     A transient error may be gone in another attempt: one of files, connections or memory, but none of physics.
     Raises KeyboardInterrupt, Terminated if it is stopped.
     """
-    started, row = perf_counter(), {"index": member.index, "parameters": dict(member.parameters)}
+    started = perf_counter()
+    row = {"index": member.index, "parameters": dict(member.parameters)}
     try:
         with threads_by_default(1), noting(member) as now:
             row |= _made(plan, member, begins_anew, now)
     except Terminated:
         raise
     except (Exception, SystemExit) as error:  # of build, prepare or run, which are the user's
-        file, message = getattr(error, "file", None), f"{type(error).__name__}: {sentence(error)}"
+        file = getattr(error, "file", None)
+        message = f"{type(error).__name__}: {sentence(error)}"
         row |= {"status": FAILED, "message": message, "traceback": traceback.format_exc()}
         row["crash_file"] = "" if file is None else str(file)
         row["is_blown_up"] = isinstance(error, NonFiniteError | ConstraintError)
@@ -257,16 +281,25 @@ def work_through(plan: Plan, jobs: list[Job], _number: int) -> list[Row]:
 def _made(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> Row:
     from minimd.core.files.h5md_reader import read_file
 
-    simulation, first, n_steps = plan.build(member), None, member.steps
+    simulation = plan.build(member)
+    first = None
+    n_steps = member.steps
     if not isinstance(simulation, Simulation):
-        raise TypeError(f"build must return a Simulation; for {member} it returned {shown(simulation)}")
-    file, stopped = member.file, member.file.with_suffix(STOPPED)
+        raise TypeError(
+            f"build must return a Simulation; for {member} it returned {shown(simulation)}"
+        )
+    file = member.file
+    stopped = member.file.with_suffix(STOPPED)
     crash = crash_file_place(True, file) or file
     begins_anew |= crash.exists()
     if not begins_anew and plan.run is None:
-        with suppress(OSError, ValueError):  # there is none, or it is damaged: the member begins anew, to the same bits
-            resumed = Simulation.resume(file, simulation.potentials, threads=simulation.options.threads)
-            simulation, first = resumed, int(read_file(file).record.step[0])
+        # there is none, or it is damaged: the member begins anew, to the same bits
+        with suppress(OSError, ValueError):
+            resumed = Simulation.resume(
+                file, simulation.potentials, threads=simulation.options.threads
+            )
+            simulation = resumed
+            first = int(read_file(file).record.step[0])
     if first is None:
         if begins_anew or plan.run is None:
             stopped.unlink(missing_ok=True)
@@ -285,9 +318,17 @@ def _made(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> Row:
         result = plan.run(simulation, member)
         stopped.unlink(missing_ok=True)
         n_steps = simulation.step - begun
-    row = {"status": DONE, "n_steps": n_steps, "n_atoms": len(simulation.system), "units": simulation.system.units.name}
+    row = {
+        "status": DONE,
+        "n_steps": n_steps,
+        "n_atoms": len(simulation.system),
+        "units": simulation.system.units.name,
+    }
     averages = averages_of(result)
-    return row | {key: {name: pair[k] for name, pair in averages.items()} for k, key in enumerate(("means", "errors"))}
+    return row | {
+        key: {name: pair[k] for name, pair in averages.items()}
+        for k, key in enumerate(("means", "errors"))
+    }
 
 
 def averages_of(result: Any) -> dict[str, tuple[float, float]]:
@@ -298,15 +339,22 @@ def averages_of(result: Any) -> dict[str, tuple[float, float]]:
     """
     if isinstance(result, Record):
         columns = result.columns().items()
-        return {name: mean_and_error(column) for name, column in columns if name not in ("step", "time")}
-    demand, averages = "run must return a Record, a dict of numbers, of tuples (mean, error) or of series, or None", {}
+        return {
+            name: mean_and_error(column) for name, column in columns if name not in ("step", "time")
+        }
+    demand = (
+        "run must return a Record, a dict of numbers, of tuples (mean, error) or of series, or None"
+    )
+    averages = {}
     if result is None:
         return {}
     if not isinstance(result, Mapping):
         raise TypeError(f"{demand}; it returned {shown(result)}")
     for name, value in result.items():
         if not isinstance(name, str) or not name:
-            raise TypeError(f"{demand}, with texts as names; a name in the dict that it returned is {shown(name)}")
+            raise TypeError(
+                f"{demand}, with texts as names; a name in the dict that it returned is {shown(name)}"
+            )
         array = np.asarray(value)
         if array.dtype.kind not in "biuf" or array.ndim > 1:
             raise TypeError(f"{demand}; in the dict that it returned {name} = {shown(value)}")
@@ -314,5 +362,7 @@ def averages_of(result: Any) -> dict[str, tuple[float, float]]:
             averages[name] = float(array), np.nan
         else:
             is_pair = isinstance(value, tuple) and len(value) == 2
-            averages[name] = (float(array[0]), float(array[1])) if is_pair else mean_and_error(array)
+            averages[name] = (
+                (float(array[0]), float(array[1])) if is_pair else mean_and_error(array)
+            )
     return averages

@@ -6,7 +6,14 @@ import pickle
 import sys
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from contextlib import contextmanager
 from itertools import count, islice
 from pathlib import Path
@@ -31,14 +38,25 @@ from minimd.core.simulation.simulation import Simulation
 from minimd.core.structure.checks import checked_count, checked_flag, checked_kind, checked_path
 from minimd.core.structure.errors import EnsembleError, Interrupted, sentence
 from minimd.ensemble.folder import ENTROPIES, Asked, EnsembleFolder, name_of
-from minimd.ensemble.member import DONE, FAILED, Job, Member, Plan, Row, checked_parameters, work_through
+from minimd.ensemble.member import (
+    DONE,
+    FAILED,
+    Job,
+    Member,
+    Plan,
+    Row,
+    checked_parameters,
+    work_through,
+)
 from minimd.ensemble.table import EnsembleTable, written_table
 from minimd.ensemble.workers import SpawnedProcesses, ThisProcess, WorkerNeverBegan, WorkerStopped
 
 MOST_WAITING = 4096  # batches submitted at a time to an executor that the caller brings
 # members are submitted in batches that take about so long, with at most so many members; their times are those of the
 # last members that have ended
-SECONDS_OF_A_BATCH, MOST_IN_A_BATCH, RECENT = 1.0, 100, 64
+SECONDS_OF_A_BATCH = 1.0
+MOST_IN_A_BATCH = 100
+RECENT = 64
 TOLD = 3  # failures that a warning names
 BELOW = "put the call below: if __name__ == '__main__':"
 OUTSIDE = f"If the script calls md.ensemble outside of functions, {BELOW}"
@@ -110,17 +128,28 @@ def ensemble(
     KeyboardInterrupt : after Ctrl-C; finished members are kept, and the next call goes on.
     OSError : if the folder cannot be written.
     """
-    rows, place = checked_parameters(parameters), checked_path("folder", folder)
-    steps, every = checked_count("steps", steps, 0), checked_count("every", every)
-    resume, seed = checked_flag("resume", resume), None if seed is None else checked_count("seed", seed, 0, ENTROPIES)
-    plan, retries = Plan(build, prepare, run, every, uuid4().hex), checked_count("retries", retries, 0)
-    n_workers, chosen_members = _check_executor(executor, workers, plan), checked_members(members, len(rows), resume)
+    rows = checked_parameters(parameters)
+    place = checked_path("folder", folder)
+    steps = checked_count("steps", steps, 0)
+    every = checked_count("every", every)
+    resume = checked_flag("resume", resume)
+    seed = None if seed is None else checked_count("seed", seed, 0, ENTROPIES)
+    plan = Plan(build, prepare, run, every, uuid4().hex)
+    retries = checked_count("retries", retries, 0)
+    n_workers = _check_executor(executor, workers, plan)
+    chosen_members = checked_members(members, len(rows), resume)
     with EnsembleFolder(place, writes=True, members=members and chosen_members) as opened:
-        names, drawn = (name_of(build), name_of(prepare), name_of(run)), randbits(128) if seed is None else seed
-        asked = opened.begin(Asked(drawn, steps, every, rows, *names), resume, any_seed=seed is None)
+        names = (name_of(build), name_of(prepare), name_of(run))
+        drawn = randbits(128) if seed is None else seed
+        asked = opened.begin(
+            Asked(drawn, steps, every, rows, *names), resume, any_seed=seed is None
+        )
         todo = [index for index in chosen_members if not asked.is_done(opened.rows.get(index))]
         jobs = (
-            (Member(k, rows[k], asked.seed, steps, opened.file(k)), opened.rows.get(k, {}).get("is_blown_up", False))
+            (
+                Member(k, rows[k], asked.seed, steps, opened.file(k)),
+                opened.rows.get(k, {}).get("is_blown_up", False),
+            )
             for k in todo
         )
         try:
@@ -131,7 +160,9 @@ def ensemble(
                 progress_of(len(chosen_members), "ensemble", progress, "member") as tell,
             ):
                 tell(n_done := len(chosen_members) - len(todo))
-                for n_made, row in enumerate(_rows(chosen, plan, _Jobs(jobs, retries, seconds), most_waiting), n_done):
+                for n_made, row in enumerate(
+                    _rows(chosen, plan, _Jobs(jobs, retries, seconds), most_waiting), n_done
+                ):
                     opened.take(row)
                     tell(n_made + 1)
         except (KeyboardInterrupt, Terminated) as stopped:
@@ -139,7 +170,8 @@ def ensemble(
             done = f"{int(table.done.sum())} of {len(table)} members are done and kept in {place}"
             told = f"{done}; make the same call again to go on"
             if isinstance(stopped, Terminated):
-                stopped.words, stopped.kept = f"{stopped.words}; {told}", ()
+                stopped.words = f"{stopped.words}; {told}"
+                stopped.kept = ()
                 tell_ending(stopped)
                 raise
             raise Interrupted(f"interrupted: {told}", table) from None
@@ -158,8 +190,15 @@ class _Jobs:
     """
 
     def __init__(self, jobs: Iterator[Job], retries: int, seconds: float) -> None:
-        self._jobs, self._retries, self._seconds, self._size = jobs, retries, seconds, 1
-        self._again, self._tries, self._recent = deque[Job](), Counter[int](), deque[float](maxlen=RECENT)
+        self._jobs = jobs
+        self._retries = retries
+        self._seconds = seconds
+        self._size = 1
+        self._again, self._tries, self._recent = (
+            deque[Job](),
+            Counter[int](),
+            deque[float](maxlen=RECENT),
+        )
 
     def batch(self) -> list[Job]:
         """The next jobs; what is done again is done alone."""
@@ -171,7 +210,8 @@ class _Jobs:
         for job, row in zip(batch, _rows_of(batch, future), strict=True):
             if row["status"] == DONE:
                 self._recent.append(row["seconds"])
-            died, is_transient = row.pop("died", False), row.pop("is_transient", False)
+            died = row.pop("died", False)
+            is_transient = row.pop("is_transient", False)
             if died and len(batch) > 1:  # one of them may have killed the worker
                 self._again.append(job)
             elif (died or is_transient) and self._tries[row["index"]] < self._retries:
@@ -192,13 +232,19 @@ def _rows(executor: Executor, plan: Plan, jobs: _Jobs, most_waiting: int) -> Ite
     try:
         while True:
             # what has ended is looked at first: it says how large the next batch should be
-            while len(waiting) < most_waiting and (not waiting or ended.empty()) and (batch := jobs.batch()):
+            while (
+                len(waiting) < most_waiting
+                and (not waiting or ended.empty())
+                and (batch := jobs.batch())
+            ):
                 try:
                     future = executor.submit(work_through, plan, batch, next(numbers))
                 except Exception as error:  # such as that of an executor which has lost a process
                     while not ended.empty():
                         yield from jobs.take(waiting.pop(future := ended.get()), future)
-                    words = f"{batch[0][0]} could not be given to the executor: {type(error).__name__}"
+                    words = (
+                        f"{batch[0][0]} could not be given to the executor: {type(error).__name__}"
+                    )
                     raise EnsembleError(f"{words}: {sentence(error)}. {ANOTHER}") from error
                 waiting[future] = batch
                 future.add_done_callback(ended.put)
@@ -208,7 +254,9 @@ def _rows(executor: Executor, plan: Plan, jobs: _Jobs, most_waiting: int) -> Ite
     finally:
         for future in waiting:
             future.cancel()
-        while isinstance(executor, ThreadPoolExecutor) and not all(future.done() for future in waiting):
+        while isinstance(executor, ThreadPoolExecutor) and not all(
+            future.done() for future in waiting
+        ):
             stop_runs_of_threads()
             sleep(BETWEEN_REQUESTS)
 
@@ -227,9 +275,15 @@ def _rows_of(batch: list[Job], future: Future) -> list[Row]:
     except (WorkerStopped, SystemExit):
         raise KeyboardInterrupt from None
     except Exception as error:  # of a worker that died, or any error of an executor
-        failed = {"status": FAILED, "message": f"{type(error).__name__}: {sentence(error)}", "died": True}
+        failed = {
+            "status": FAILED,
+            "message": f"{type(error).__name__}: {sentence(error)}",
+            "died": True,
+        }
         failed |= {"traceback": "", "crash_file": "", "seconds": 0.0}
-        return [{"index": one.index, "parameters": dict(one.parameters), **failed} for one, _ in batch]
+        return [
+            {"index": one.index, "parameters": dict(one.parameters), **failed} for one, _ in batch
+        ]
 
 
 @contextmanager
@@ -240,7 +294,11 @@ def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Execu
     """
     if executor is not None:
         seconds = 0.0 if isinstance(executor, ThreadPoolExecutor) else SECONDS_OF_A_BATCH
-        yield executor.get_executor() if hasattr(executor, "get_executor") else executor, MOST_WAITING, seconds
+        yield (
+            executor.get_executor() if hasattr(executor, "get_executor") else executor,
+            MOST_WAITING,
+            seconds,
+        )
     elif n_workers == 0:
         yield ThisProcess(), 1, 0.0
     else:
@@ -259,7 +317,12 @@ def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) 
     are wrong, or cannot work together."""
     functions = {"build": plan.build, "prepare": plan.prepare, "run": plan.run}
     for name, function in functions.items():
-        checked_kind(name, function, Callable if name == "build" else Callable | None, "a function of a member")
+        checked_kind(
+            name,
+            function,
+            Callable if name == "build" else Callable | None,
+            "a function of a member",
+        )
     if executor is not None and workers is not None:
         words = "workers is the number of minimd's own processes; with an executor leave it out"
         raise ValueError(f"{words}; workers = {shown(workers)}")
@@ -272,8 +335,13 @@ def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) 
             _check_can_be_sent(name, function)
         frame = sys._getframe()
         while frame.f_back is not None:
-            if frame.f_code.co_name == "<module>" and frame.f_globals.get("__name__") == "__mp_main__":
-                raise RuntimeError(f"a worker process imports the script, which calls md.ensemble again; {BELOW}")
+            if (
+                frame.f_code.co_name == "<module>"
+                and frame.f_globals.get("__name__") == "__mp_main__"
+            ):
+                raise RuntimeError(
+                    f"a worker process imports the script, which calls md.ensemble again; {BELOW}"
+                )
             frame = frame.f_back
     return n_workers
 
@@ -282,7 +350,11 @@ def checked_members(members: range | None, n_members: int, resume: bool) -> rang
     """The indices of members that this call makes.  Raises ValueError."""
     if members is None:
         return range(n_members)
-    if not isinstance(members, range) or members.step != 1 or not 0 <= members.start < min(members.stop, n_members):
+    if (
+        not isinstance(members, range)
+        or members.step != 1
+        or not 0 <= members.start < min(members.stop, n_members)
+    ):
         words = f"members must be some of the {n_members} members, such as range(0, 50)"
         raise ValueError(f"{words}; members = {shown(members)}")
     if not resume:
@@ -312,12 +384,16 @@ def _check_can_be_sent(name: str, function: Callable | None) -> None:
 
 def _tell_failures(table: EnsembleTable, rows: dict[int, Row], made: range) -> None:
     """Warn of members that have failed, of those that were to be made.  Raises EnsembleError if all have failed."""
-    sentences, of = list(table.failures(made)), f"{len(made)} members have failed"
+    sentences = list(table.failures(made))
+    of = f"{len(made)} members have failed"
     if sentences and len(sentences) == len(made):
         failure = EnsembleError(f"all {of}; the first failure was:\n{sentences[0]}")
-        failure.add_note(next(rows[index]["traceback"] for index in made if rows[index]["status"] == FAILED))
+        failure.add_note(
+            next(rows[index]["traceback"] for index in made if rows[index]["status"] == FAILED)
+        )
         raise failure
     if sentences:
-        told, n_more = [f"{len(sentences)} of {of}:", *sentences[:TOLD]], len(sentences) - TOLD
+        told = [f"{len(sentences)} of {of}:", *sentences[:TOLD]]
+        n_more = len(sentences) - TOLD
         told += [f"and {n_more} more, see the messages in the table"] if n_more > 0 else []
         warn("\n".join([*told, "The next call tries them again."]))

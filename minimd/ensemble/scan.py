@@ -24,7 +24,8 @@ from minimd.scene.running import equilibrate, minimize
 from minimd.scene.scene import Scene, load_scene, parse_scene
 
 SEED = "dynamics.seed"
-OF_THE_SCAN = {  # keys that must be the same for all members, and what to do instead of setting them
+# keys that must be the same for all members, and what to do instead of setting them
+OF_THE_SCAN = {
     "dynamics.steps": "give --steps N",
     "dynamics.max_seconds": "no member ends before its last step",
     "output.every": "write it into the scene",
@@ -72,7 +73,10 @@ def parsed_setting(text: str) -> Setting:
             f"--set needs a STEP that leads from FROM to TO with at most {MOST_VALUES} values; it is {text!r}"
         )
     is_whole = all(one.strip().lstrip("+-").isdecimal() for one in numbers)
-    return Setting(key.strip(), [int(start + k * step) if is_whole else float(start + k * step) for k in range(n)])
+    return Setting(
+        key.strip(),
+        [int(start + k * step) if is_whole else float(start + k * step) for k in range(n)],
+    )
 
 
 def _value(text: str) -> Value:
@@ -95,7 +99,9 @@ def changed_text(path: Path, text: str, values: Iterable[tuple[str, Value]]) -> 
         *way, last = [part for part in re.split(r"[.\[\]]", key) if part]
         for part in way:
             try:
-                node = node[int(part)] if part.isdecimal() and isinstance(node, list) else node[part]
+                node = (
+                    node[int(part)] if part.isdecimal() and isinstance(node, list) else node[part]
+                )
             except (KeyError, IndexError, TypeError):
                 raise ValueError(f"{path} has no {key!r}, because it has no {part!r}") from None
         if not isinstance(node, dict):
@@ -117,7 +123,9 @@ class SceneMembers:
     def scene(self, member: Member) -> Scene:
         """The scene of a member; its dynamics.seed is the seed of the member, unless the scan sets dynamics.seed."""
         seed = [] if SEED in member.parameters else [(SEED, member.seed)]
-        return parse_scene(changed_text(self.path, self.text, [*member.parameters.items(), *seed]), self.path)
+        return parse_scene(
+            changed_text(self.path, self.text, [*member.parameters.items(), *seed]), self.path
+        )
 
     def __call__(self, member: Member) -> Simulation:
         """The simulation of a member at its start."""
@@ -159,11 +167,14 @@ def scan_scene(
     ------
     ValueError, OSError : for scenes that cannot be built, before the first run begins, and as ensemble.
     """
-    scene, place = load_scene(path), Path(folder)
+    scene = load_scene(path)
+    place = Path(folder)
     build = SceneMembers(Path(path).absolute(), scene.text)
     for setting in settings:
         if setting.key in OF_THE_SCAN:
-            raise ValueError(f"{setting.key} is the same for all members of a scan; {OF_THE_SCAN[setting.key]}")
+            raise ValueError(
+                f"{setting.key} is the same for all members of a scan; {OF_THE_SCAN[setting.key]}"
+            )
     grid = [
         dict(zip([one.key for one in settings], values, strict=True))
         for values in product(*(one.values for one in settings))
@@ -172,12 +183,14 @@ def scan_scene(
     for row in grid[:MOST_TRIED]:
         parse_scene(changed_text(Path(path), scene.text, row.items()), Path(path))
     build(Member(0, grid[0], seed, n_steps, place))  # checks the structure and the potentials, too
-    replicas, kept = checked_count("replicas", replicas), place / SCENE
+    replicas = checked_count("replicas", replicas)
+    kept = place / SCENE
     checked_members(members, len(grid) * replicas, resume)
     place.mkdir(parents=True, exist_ok=True)
     with alone(place):
         if not (resume and kept.exists()):
-            EnsembleFolder(place, writes=True, members=members).close()  # refuses one that is in use, before the change
+            # refuses one that is in use, before the change
+            EnsembleFolder(place, writes=True, members=members).close()
             write_whole(kept, scene.text)
         elif _text(kept) != scene.text:
             raise ValueError(
@@ -186,7 +199,9 @@ def scan_scene(
             )
     tell(f"scene          {path}" + (f": {scene.sections.title}" if scene.sections.title else ""))
     if scene.sections.observer:
-        tell("NOTE           the observers of the scene are not used: they need a single run, and a scan has many")
+        tell(
+            "NOTE           the observers of the scene are not used: they need a single run, and a scan has many"
+        )
     for setting in settings:
         tell(f"set            {setting}")
     tell(

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 SHOWN_FAILURES = 3
 # observables listed as text; if none of them exists, all are listed
 TOLD = "temperature", "potential_energy", "pressure"
-LEFT_OUT = "kinetic_energy", "total_energy", "conserved_energy"  # of the lines for each set of parameters
+# of the lines for each set of parameters
+LEFT_OUT = "kinetic_energy", "total_energy", "conserved_energy"
 MOST_LINES = 100
 MOST_TOLD = 10  # members that are listed as running, and as begun
 DRAWN = ("pressure", "potential_energy")
@@ -51,15 +52,22 @@ class EnsembleTable(Displayed):
     table["pressure_mean"] is a column of the array.
     """
 
-    def __init__(self, folder: Path, names: Sequence[str], array: NDArray[Any], units: UnitSystem | None) -> None:
-        self.folder, self.parameters, self.array, self.units = folder, tuple(names), array, units
+    def __init__(
+        self, folder: Path, names: Sequence[str], array: NDArray[Any], units: UnitSystem | None
+    ) -> None:
+        self.folder = folder
+        self.parameters = tuple(names)
+        self.array = array
+        self.units = units
         means = [name for name in array.dtype.names or () if name.endswith("_mean")]
         self.observables = tuple(name.removesuffix("_mean") for name in means)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         names = self.array.dtype.names or ()
         if name not in names:
-            raise KeyError(f"a table has no column {name!r}; it has {', '.join(names)}{near(name, names)}")
+            raise KeyError(
+                f"a table has no column {name!r}; it has {', '.join(names)}{near(name, names)}"
+            )
         return self.array[name]
 
     def __len__(self) -> int:
@@ -77,20 +85,30 @@ class EnsembleTable(Displayed):
         The error of a mean over M ≥ 2 members is the larger of √(Σ σ²) / M, with the error σ of each member, and the
         standard error that follows from the scatter of their means. Sets without a member that is done are left out.
         """
-        rows, sets = self.array[self.done], dict[tuple, int]()  # the number of each set, in the order of their members
-        kinds_of = [np.unique(rows[name], return_inverse=True)[1].tolist() for name in self.parameters]
+        # the number of each set, in the order of their members
+        rows = self.array[self.done]
+        sets = dict[tuple, int]()
+        kinds_of = [
+            np.unique(rows[name], return_inverse=True)[1].tolist() for name in self.parameters
+        ]
         keys = zip(*kinds_of, strict=True) if kinds_of else [()] * len(rows)
         groups = np.array([sets.setdefault(key, len(sets)) for key in keys], dtype=np.int64)
         first = np.unique(groups, return_index=True)[1]
         kinds: list[tuple[str, Any]] = [(name, rows.dtype[name]) for name in self.parameters]
         kinds += [("n_members", np.int64)]
-        kinds += [(name + ending, np.float64) for name in self.observables for ending in ("_mean", "_error")]
+        kinds += [
+            (name + ending, np.float64)
+            for name in self.observables
+            for ending in ("_mean", "_error")
+        ]
         made = np.zeros(len(sets), dtype=kinds)
         for name in self.parameters:
             made[name] = rows[name][first]
         n = made["n_members"] = np.bincount(groups, minlength=len(sets))
         for name in self.observables:
-            means, errors, scatter = rows[f"{name}_mean"], rows[f"{name}_error"], np.full(len(sets), np.nan)
+            means = rows[f"{name}_mean"]
+            errors = rows[f"{name}_error"]
+            scatter = np.full(len(sets), np.nan)
             mean = made[f"{name}_mean"] = np.bincount(groups, means, len(sets)) / n
             squares = np.bincount(groups, (means - mean[groups]) ** 2, len(sets))
             np.divide(squares, n * (n - 1.0), out=scatter, where=n > 1)
@@ -113,7 +131,9 @@ class EnsembleTable(Displayed):
             raise ModuleNotFoundError(
                 "to_pandas needs pandas, which is not installed: install it, or use table.array or table.csv"
             ) from error
-        return DataFrame({name: self.array[name] for name in self.array.dtype.names or ()}).set_index("index")
+        return DataFrame(
+            {name: self.array[name] for name in self.array.dtype.names or ()}
+        ).set_index("index")
 
     def write(self) -> None:
         """Write table.csv and table.json into the folder; numbers have all their digits, paths are relative to the
@@ -127,7 +147,10 @@ class EnsembleTable(Displayed):
         lines.writerows(zip(*columns.values(), strict=True))
         write_whole(self.folder / "table.csv", stream.getvalue())
         units = {name: unit for name in self.observables if (unit := self.unit(name))}
-        whole = {name: [None if number != number else number for number in values] for name, values in columns.items()}
+        whole = {
+            name: [None if number != number else number for number in values]
+            for name, values in columns.items()
+        }
         told = {"parameters": self.parameters, "units": units, "columns": whole}
         write_whole(self.folder / "table.json", json.dumps(told))
 
@@ -152,7 +175,11 @@ class EnsembleTable(Displayed):
             rows += [("" if k else "means", line) for k, line in enumerate(told_averages(self))]
         several = list(self.failures())
         rows += [("FAILED", told) for told in several[:SHOWN_FAILURES]]
-        return rows + ([("", f"and {len(several) - SHOWN_FAILURES} more")] if len(several) > SHOWN_FAILURES else [])
+        return rows + (
+            [("", f"and {len(several) - SHOWN_FAILURES} more")]
+            if len(several) > SHOWN_FAILURES
+            else []
+        )
 
     def __repr__(self) -> str:
         return f"EnsembleTable({len(self)} members, {', '.join([*self.parameters, *self.observables])})"
@@ -165,22 +192,40 @@ def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTa
     """
     found = [folder.rows.get(index) for index in range(n_members)]
     rows = [row if row and (row["status"] == FAILED or asked.is_done(row)) else {} for row in found]
-    there, places = folder.files(), [file_of(index).as_posix() for index in range(n_members)]
+    there = folder.files()
+    places = [file_of(index).as_posix() for index in range(n_members)]
     is_there = [place in there for place in places]
     columns: dict[str, Any] = {"index": np.arange(n_members)}
-    columns |= {name: np.array([one[name] for one in asked.parameters[:n_members]]) for name in asked.parameters[0]}
-    states = [row.get("status", BEGUN if file else MISSING) for row, file in zip(rows, is_there, strict=True)]
+    columns |= {
+        name: np.array([one[name] for one in asked.parameters[:n_members]])
+        for name in asked.parameters[0]
+    }
+    states = [
+        row.get("status", BEGUN if file else MISSING)
+        for row, file in zip(rows, is_there, strict=True)
+    ]
     columns["status"] = np.array(states)
-    columns |= {name: np.array([row.get(name, 0) for row in rows], dtype=np.int64) for name in ("n_steps", "n_atoms")}
+    columns |= {
+        name: np.array([row.get(name, 0) for row in rows], dtype=np.int64)
+        for name in ("n_steps", "n_atoms")
+    }
     names = list(dict.fromkeys(name for row in rows for name in row.get("means", ())))
     nothing = dict.fromkeys(names, np.nan)
     for ending, key in (("_mean", "means"), ("_error", "errors")):
         several = [row.get(key, nothing) for row in rows]
         alike = [one if list(one) == names else nothing | one for one in several]
-        numbers = np.array([list(one.values()) for one in alike], dtype=np.float64).reshape(n_members, len(names))
+        numbers = np.array([list(one.values()) for one in alike], dtype=np.float64).reshape(
+            n_members, len(names)
+        )
         columns |= {f"{name}{ending}": numbers[:, k] for k, name in enumerate(names)}
-    files = [str(folder.path / place) if file else "" for place, file in zip(places, is_there, strict=True)]
-    columns |= {"file": np.array(files, object), "message": np.array([row.get("message", "") for row in rows], object)}
+    files = [
+        str(folder.path / place) if file else ""
+        for place, file in zip(places, is_there, strict=True)
+    ]
+    columns |= {
+        "file": np.array(files, object),
+        "message": np.array([row.get("message", "") for row in rows], object),
+    }
     array = np.empty(n_members, dtype=[(name, column.dtype) for name, column in columns.items()])
     for name, column in columns.items():
         array[name] = column
@@ -206,15 +251,22 @@ def status(folder: Path) -> tuple[EnsembleTable, list[str]]:
     ensemble."""
     with EnsembleFolder(folder, writes=False) as opened:
         if opened.asked is None:
-            raise FileNotFoundError(f"folder {str(folder)!r} holds no ensemble: there is no {DESCRIPTION} in it")
-        table, steps = table_of(opened, opened.asked, len(opened.asked.parameters)), opened.asked.steps
+            raise FileNotFoundError(
+                f"folder {str(folder)!r} holds no ensemble: there is no {DESCRIPTION} in it"
+            )
+        table = table_of(opened, opened.asked, len(opened.asked.parameters))
+        steps = opened.asked.steps
         noted = sorted(int(Path(name).stem) for name in opened.files() if name.endswith(NOTE))
     lines = str(table).splitlines()
     running = {index: told for index in noted if (told := read_note(opened.file(index)))}
-    begun = [index for index in np.flatnonzero(table["status"] == BEGUN).tolist() if index not in running]
+    begun = [
+        index for index in np.flatnonzero(table["status"] == BEGUN).tolist() if index not in running
+    ]
     for word, members in (("running", list(running)), ("begun", begun)):
         for index in islice(members, MOST_TOLD):
-            lines.append(f"{word:<14} member {index}: {running.get(index) or _progress(table['file'][index], steps)}")
+            lines.append(
+                f"{word:<14} member {index}: {running.get(index) or _progress(table['file'][index], steps)}"
+            )
         lines += [f"{'':<14} and {len(members) - MOST_TOLD} more"] * (len(members) > MOST_TOLD)
     return table, lines
 
@@ -234,13 +286,25 @@ def told_averages(table: EnsembleTable) -> Iterator[str]:
     """A line of names, then the averages over members with the same parameters, a line for each of the first hundred
     sets."""
     rows = table.averaged()
-    own = [name for name in table.observables if name not in (*TOLD, *LEFT_OUT) and "momentum" not in name]
+    own = [
+        name
+        for name in table.observables
+        if name not in (*TOLD, *LEFT_OUT) and "momentum" not in name
+    ]
     names = [name for name in TOLD if name in table.observables] + own or list(table.observables)
     units = {name: f" [{table.unit(name)}]" if table.unit(name) else "" for name in names}
-    lines = [[*table.parameters, "members", *(f"{name.replace('_', ' ')}{units[name]}" for name in names)]]
+    lines = [
+        [
+            *table.parameters,
+            "members",
+            *(f"{name.replace('_', ' ')}{units[name]}" for name in names),
+        ]
+    ]
     for row in rows[:MOST_LINES]:
         means = [with_error(row[f"{name}_mean"], row[f"{name}_error"]) for name in names]
-        lines.append([*(str(row[name]) for name in table.parameters), str(row["n_members"]), *means])
+        lines.append(
+            [*(str(row[name]) for name in table.parameters), str(row["n_members"]), *means]
+        )
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
         yield "  ".join(f"{word:>{width}}" for word, width in zip(line, widths, strict=True))
@@ -269,19 +333,31 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
     """
     from minimd.core.engine.record_picture import Picture
 
-    name, rows = drawn_quantity(table, quantity), table.averaged()
+    name = drawn_quantity(table, quantity)
+    rows = table.averaged()
     several = [one for one in table.parameters if len(set(rows[one].tolist())) > 1]
     x_name = next((one for one in several if rows.dtype[one].kind in "if"), None)
     others = [one for one in several if one != x_name]
     figure = Picture(figsize=(7.0, 4.5), dpi=150, layout="constrained")
-    axes, curves = figure.subplots(), dict[tuple, list[int]]()
+    axes = figure.subplots()
+    curves = dict[tuple, list[int]]()
     for k, row in enumerate(rows):
         curves.setdefault(tuple(row[one] for one in others), []).append(k)
     for key, members in curves.items():
-        curve = rows[members] if x_name is None else rows[members][np.argsort(rows[members][x_name])]
+        curve = (
+            rows[members] if x_name is None else rows[members][np.argsort(rows[members][x_name])]
+        )
         x = np.arange(len(curve)) if x_name is None else curve[x_name]
-        label = ", ".join(f"{one.rpartition('.')[2]} = {value}" for one, value in zip(others, key, strict=True))
-        bars: dict[str, Any] = {"marker": "o", "ms": 3.5, "lw": 1.0, "capsize": 2.5, "label": label.replace("$", r"\$")}
+        label = ", ".join(
+            f"{one.rpartition('.')[2]} = {value}" for one, value in zip(others, key, strict=True)
+        )
+        bars: dict[str, Any] = {
+            "marker": "o",
+            "ms": 3.5,
+            "lw": 1.0,
+            "capsize": 2.5,
+            "label": label.replace("$", r"\$"),
+        }
         axes.errorbar(x, curve[f"{name}_mean"], curve[f"{name}_error"], **bars)
     unit = table.unit(name).replace("k_B", "$k_B$")
     quantity = name.replace("_", " ").replace("$", r"\$")
@@ -295,7 +371,9 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
     return figure
 
 
-def save_picture(table: EnsembleTable, quantity: str | None = None, out: Path | None = None) -> Path:
+def save_picture(
+    table: EnsembleTable, quantity: str | None = None, out: Path | None = None
+) -> Path:
     """Save the figure to out, or to a file in the folder named after the quantity.  Raises ValueError as
     picture_of_scan, OSError."""
 

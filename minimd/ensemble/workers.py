@@ -87,7 +87,8 @@ class SpawnedProcesses(Executor):
             self._workers.remove(worker)
             if self._is_stopped:
                 raise WorkerStopped
-            if (worker.process.exitcode or 0) >= 0:  # an error, which another process would meet, too
+            # an error, which another process would meet, too
+            if (worker.process.exitcode or 0) >= 0:
                 break
         raise WorkerNeverBegan(worker.ending())
 
@@ -162,7 +163,9 @@ def _answer(job: bytes) -> bytes:
     try:
         return pickle.dumps(answer)
     except Exception as error:  # pickling objects of the user may raise any error
-        return pickle.dumps((None, RuntimeError(f"the result of a worker cannot be sent back: {error}")))
+        return pickle.dumps(
+            (None, RuntimeError(f"the result of a worker cannot be sent back: {error}"))
+        )
 
 
 class ThisProcess(Executor):
@@ -188,7 +191,9 @@ def named_executor(name: str, workers: int | None) -> Iterator[dict[str, Any] | 
     where others choose it.
     """
     if name not in EXECUTORS:
-        raise ValueError(f"--executor must be {', '.join(EXECUTORS[:-1])} or {EXECUTORS[-1]}; --executor {shown(name)}")
+        raise ValueError(
+            f"--executor must be {', '.join(EXECUTORS[:-1])} or {EXECUTORS[-1]}; --executor {shown(name)}"
+        )
     try:
         if name == "dask":
             from dask import config
@@ -198,23 +203,34 @@ def named_executor(name: str, workers: int | None) -> Iterator[dict[str, Any] | 
             from mpi4py.MPI import COMM_WORLD
     except ModuleNotFoundError as error:
         advice = "pip install 'minimd-engine[cluster]'"
-        raise ValueError(f"--executor {name} needs {error.name}, which is missing: {advice}") from error
+        raise ValueError(
+            f"--executor {name} needs {error.name}, which is missing: {advice}"
+        ) from error
     # the address may come from the environment
     is_there = name == "mpi" or (name == "dask" and config.get("scheduler-address", None))
     if is_there and workers is not None:
         whose = "mpiexec" if name == "mpi" else "the scheduler"
-        raise ValueError(f"--executor {name} uses all processes of {whose}: leave out --workers, which is {workers}")
-    n_workers, executor = max(1, available_cores() if workers is None else workers), cast(Any, None)
+        raise ValueError(
+            f"--executor {name} uses all processes of {whose}: leave out --workers, which is {workers}"
+        )
+    n_workers = max(1, available_cores() if workers is None else workers)
+    executor = cast(Any, None)
     with ExitStack() as closing:
         if name == "threads":
             executor = closing.enter_context(ThreadPoolExecutor(n_workers))
         elif name == "dask":
-            here = {} if is_there else {"n_workers": n_workers, "threads_per_worker": 1, "dashboard_address": None}
+            here = (
+                {}
+                if is_there
+                else {"n_workers": n_workers, "threads_per_worker": 1, "dashboard_address": None}
+            )
             executor = closing.enter_context(Client(**here))
         elif name == "mpi":
             if (size := COMM_WORLD.size) == 1:
                 words = "begin the command by mpiexec -n P: the first process gives out the work"
-                raise ValueError(f"--executor mpi needs at least 2 processes of MPI; there is {size}: {words}")
+                raise ValueError(
+                    f"--executor mpi needs at least 2 processes of MPI; there is {size}: {words}"
+                )
             executor = closing.enter_context(MPICommExecutor())
         options = {"workers": workers} if name == "processes" else {"executor": executor}
         yield None if name != "processes" and executor is None else options

@@ -23,16 +23,26 @@ from minimd.judge import ensembles
 from minimd.judge.findings import Finding, Grade, Law, Measurement, causes, judged
 from minimd.judge.scenes import SCENES, SOFT, Array, Frames, Make, ends_of, run, started
 
-ENSEMBLES = {"NVE": "constant energy", "NVT": "constant temperature", "NPT": "constant temperature and pressure"}
+ENSEMBLES = {
+    "NVE": "constant energy",
+    "NVT": "constant temperature",
+    "NPT": "constant temperature and pressure",
+}
 RATE = 1e-3  # of false alarms, of all laws together
-PRESSURES = "pressure_au", "pressure", "externalstress"  # options that give it; some take a stress, of the other sign
+# options that give it; some take a stress, of the other sign
+PRESSURES = "pressure_au", "pressure", "externalstress"
 STEPS = {"NVE": 1000, "NVT": 4000, "NPT": 10000}  # of a run
 RUNS = {"NVE": 8, "NVT": 24, "NPT": 40}
 AGAIN, NEARLY = 3, 0.65  # times the runs if a law nearly fails; of its limit
 EVERY, OF_PATHS = 5, 20  # steps between two frames; in a comparison of paths
-LEAST_ORDER, SAME, KEPT = 1.7, 1e-7, 1e-6  # of the error of the energy; of paths, of momentum, relative
+# of the error of the energy; of paths, of momentum, relative
+LEAST_ORDER = 1.7
+SAME = 1e-7
+KEPT = 1e-6
 USED = {"NVE": ("ring",), "NVT": ("ring", "coarse ring"), "NPT": ("gas",)}
-COLLAPSE = "; check that the pressure is positive, contains 2K/3V, and has the virial with the right sign"
+COLLAPSE = (
+    "; check that the pressure is positive, contains 2K/3V, and has the virial with the right sign"
+)
 
 
 class Claims(NamedTuple):
@@ -53,15 +63,20 @@ class Claims(NamedTuple):
 
     def has(self, dynamics: Any) -> set[str]:
         """What laws of paths may need."""
-        offers = hasattr(dynamics, "get_conserved_energy") and self.ensemble != "NVE"  # there all energy is
+        # there all energy is
+        offers = hasattr(dynamics, "get_conserved_energy") and self.ensemble != "NVE"
         is_rigid = self.scenes[0] == "chain"
         return {self.ensemble, *["conserved"] * offers, *["rigid"] * is_rigid}
 
     def laws(self) -> list[tuple[str, list[str]]]:
         """The names of the laws of each scene."""
-        have = {name: {*self.scene(name, True).has.split()} for name in self.scenes * (self.ensemble != "NVE")}
+        have = {
+            name: {*self.scene(name, True).has.split()}
+            for name in self.scenes * (self.ensemble != "NVE")
+        }
         return [
-            (name, [law.name for law in ensembles.LAWS if {*law.needs.split()} <= has]) for name, has in have.items()
+            (name, [law.name for law in ensembles.LAWS if {*law.needs.split()} <= has])
+            for name, has in have.items()
         ]
 
 
@@ -72,15 +87,20 @@ class Motion:
     """
 
     def __init__(self, make: Make, halved: Make, claims: Claims) -> None:
-        self.make, self.halved, self.claims = make, halved, claims
+        self.make = make
+        self.halved = halved
+        self.claims = claims
         self.scene = claims.scene(claims.scenes[0], True)
         atoms, dynamics = started(make, self.scene, 0)
         n = len(atoms)
         self.heat = np.sqrt(claims.kt * atoms.get_masses().sum())  # a momentum
-        for _ in range(1 if claims.ensemble == "NVE" else claims.steps // OF_PATHS):  # rare draws of momenta are seen
+        # rare draws of momenta are seen
+        for _ in range(1 if claims.ensemble == "NVE" else claims.steps // OF_PATHS):
             dynamics.run(OF_PATHS)
             if len(atoms) != n:
-                raise ValueError(f"the dynamics changed the number of atoms from {n} to {len(atoms)}")
+                raise ValueError(
+                    f"the dynamics changed the number of atoms from {n} to {len(atoms)}"
+                )
             self.change = float(np.abs(atoms.get_momenta().sum(axis=0)).max() / self.heat)
             self.is_still = self.change < KEPT  # whether a scene at rest stays at rest
             if not self.is_still:
@@ -90,7 +110,8 @@ class Motion:
 
     def path(self, *parts: int) -> Array:
         """Positions after some steps, of which each part is made by a new object."""
-        (atoms, _), state = started(self.make, self.scene, 1), np.random.RandomState(2)
+        atoms, _ = started(self.make, self.scene, 1)
+        state = np.random.RandomState(2)
         for n in parts:
             self.make(atoms, state).run(n)
         return atoms.positions
@@ -106,7 +127,8 @@ class Motion:
 
     def restart(self) -> Measurement:
         """Whether all that a step needs is in the atoms."""
-        once, parted = self.path(OF_PATHS), self.path(OF_PATHS // 2, OF_PATHS // 2)
+        once = self.path(OF_PATHS)
+        parted = self.path(OF_PATHS // 2, OF_PATHS // 2)
         off = float(np.abs(once - parted).max() / np.ptp(once))
         kept = ": a step needs more than the atoms hold, or random numbers differ" * (off >= SAME)
         return Measurement(off, 0.0 if off < SAME else np.nan, kept)
@@ -114,7 +136,8 @@ class Motion:
     def center(self) -> tuple[float, float]:
         """The way of the center of mass over P t/M; open if the momentum is taken away."""
         atoms, dynamics = started(self.make, self.scene, 0)
-        start, p = atoms.get_center_of_mass(), atoms.get_momenta().sum(axis=0)
+        start = atoms.get_center_of_mass()
+        p = atoms.get_momenta().sum(axis=0)
         dynamics.run(OF_PATHS)
         right = p * OF_PATHS * self.claims.timestep / atoms.get_masses().sum()
         way = float((atoms.get_center_of_mass() - start) @ right / (right @ right))
@@ -134,9 +157,12 @@ class Motion:
                 found[k] = energy()
             return found
 
-        n, runs, seed = self.claims.steps, self.claims.runs, self.claims.seed
+        n = self.claims.steps
+        runs = self.claims.runs
+        seed = self.claims.seed
         if self.claims.ensemble != "NVE":
-            n, runs = min(n, STEPS["NVE"]), min(runs, RUNS["NVE"])
+            n = min(n, STEPS["NVE"])
+            runs = min(runs, RUNS["NVE"])
         bar = tqdm(range(seed, seed + runs), desc="energy", leave=False, disable=None)
         pairs = [(one(self.make, k, n), one(self.halved, k, 2 * n)) for k in bar]
         return [np.array(energies) for energies in zip(*pairs, strict=True)]
@@ -147,7 +173,12 @@ class Motion:
         slopes = np.polyfit(np.linspace(0.0, 1.0, whole.shape[1]), whole.T, 1)[0] / whole.std()
         error = slopes.std(ddof=1) / np.sqrt(len(slopes))
         off = slopes.mean() / (stats.t.isf(0.5 * RATE, len(slopes) - 1) * error)
-        return float(slopes.mean()), float(off) if np.isfinite(off) else np.inf, float(error), whole.shape[1]
+        return (
+            float(slopes.mean()),
+            float(off) if np.isfinite(off) else np.inf,
+            float(error),
+            whole.shape[1],
+        )
 
     def order(self) -> Measurement:
         """The order of the error of the energy."""
@@ -202,16 +233,22 @@ LAWS = (  # of paths
 def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
     """See grade."""
     claims = claimed(options)
-    name, ensemble = getattr(dynamics, "__name__", "dynamics"), claims.ensemble
+    name = getattr(dynamics, "__name__", "dynamics")
+    ensemble = claims.ensemble
     make, halved = (maker(dynamics, part * claims.timestep, options) for part in (1.0, 0.5))
     try:
         motion = Motion(make, halved, claims)
         with np.errstate(all="ignore"):
             findings = judged(LAWS, motion)
     except Exception as error:  # whatever a class raises
-        hint = f"; the atoms have rigid bonds: does {name} support constraints?" * ("chain" in claims.scenes)
-        raise ValueError(f"{name} failed with {options}: {type(error).__name__}: {error}{hint}") from error
-    is_still, laws = motion.is_still, claims.laws()
+        hint = f"; the atoms have rigid bonds: does {name} support constraints?" * (
+            "chain" in claims.scenes
+        )
+        raise ValueError(
+            f"{name} failed with {options}: {type(error).__name__}: {error}{hint}"
+        ) from error
+    is_still = motion.is_still
+    laws = claims.laws()
     rate = RATE / max(1, sum(len(names) for _, names in laws))
     findings += [one for scene, _ in laws for one in of_scene(make, claims, scene, is_still, rate)]
     failed = {one.name: one.value for one in findings if one.passed is False}
@@ -219,7 +256,9 @@ def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
     if "ring: temperature" in failed:
         faults += of_half_a_step(halved, claims, is_still, failed["ring: temperature"])
     momentum = "kept at zero" if is_still else "not conserved"
-    remarks = [f"the total momentum is {momentum}: {'3N − 3' if is_still else '3N'} degrees of freedom move"]
+    remarks = [
+        f"the total momentum is {momentum}: {'3N − 3' if is_still else '3N'} degrees of freedom move"
+    ]
     means = [one for one in findings if one.name.endswith((": temperature", ": mean volume"))]
     if means:
         what = "temperature or mean volume" if claims.pressure else "temperature"
@@ -227,7 +266,9 @@ def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
         seen = f"{coarsest.name.partition(':')[0]!r}, finds a {what} that is wrong by {100.0 * coarsest.limit:.0f} %"
         remarks += [f"the least precise scene, {seen}; more runs= or steps= find smaller errors"]
     if "temperature_K" not in options and "temperature_K" in inspect.signature(dynamics).parameters:
-        remarks += [f"judged as {ensemble}{' at 300 K' * (ensemble != 'NVE')}, since no temperature_K is given"]
+        remarks += [
+            f"judged as {ensemble}{' at 300 K' * (ensemble != 'NVE')}, since no temperature_K is given"
+        ]
     told = f"{name}({', '.join(options)}): {ensemble}, {ENSEMBLES[ensemble]}"
     return Grade(told, tuple(findings), tuple(faults), remarks=tuple(remarks))
 
@@ -242,16 +283,26 @@ def follows(name: str, failed: dict[str, float]) -> bool:
 
 def of_half_a_step(halved: Make, claims: Claims, is_still: bool, heat: float) -> list[str]:
     """A wrong temperature that depends on the time step."""
-    answers = of_scene(halved, claims._replace(runs=max(2, claims.runs // 3)), "ring", is_still, RATE)
+    answers = of_scene(
+        halved, claims._replace(runs=max(2, claims.runs // 3)), "ring", is_still, RATE
+    )
     found = next((one.value for one in answers if one.name == "ring: temperature"), heat)
     said = f"with half the time step the temperature is {found:.3f}, not {heat:.3f} times what was asked for"
-    return [] if 0.7 < found / heat < 1.4 else [f"{said}: the noise of a step must be proportional to √Δt"]
+    return (
+        []
+        if 0.7 < found / heat < 1.4
+        else [f"{said}: the noise of a step must be proportional to √Δt"]
+    )
 
 
 def claimed(options: dict[str, Any]) -> Claims:
     """What the options claim; those that are not for the dynamics are taken out."""
-    taken = {name: options.pop(name, None) for name in ("ensemble", "timestep", "runs", "steps", "seed")}
-    has_bonds, has_liquids = (checked_flag(name, options.pop(name, False)) for name in ("constraints", "liquids"))
+    taken = {
+        name: options.pop(name, None) for name in ("ensemble", "timestep", "runs", "steps", "seed")
+    }
+    has_bonds, has_liquids = (
+        checked_flag(name, options.pop(name, False)) for name in ("constraints", "liquids")
+    )
     named = [(name, options[name]) for name in PRESSURES if options.get(name) is not None]
     stated = [checked_number(name, [*np.ravel(value).tolist(), value][0]) for name, value in named]
     asked = abs(stated[0]) if stated else None
@@ -259,18 +310,31 @@ def claimed(options: dict[str, Any]) -> Claims:
     found = "NVE" if options.get("temperature_K") is None else "NVT" if asked is None else "NPT"
     ensemble = checked_choice("ensemble", taken["ensemble"] or found, ENSEMBLES)
     if ensemble == "NPT" and asked is None:
-        raise ValueError("pressure must be given for NPT [eV/Å³], as pressure= or as an option of the class; got none")
+        raise ValueError(
+            "pressure must be given for NPT [eV/Å³], as pressure= or as an option of the class; got none"
+        )
     if (has_bonds and ensemble == "NPT") or (has_liquids and ensemble == "NVE"):
-        raise ValueError(f"constraints are judged for NVE and NVT, liquids for NVT and NPT; got {ensemble}")
-    scenes = ("chain",) * has_bonds if ensemble == "NVE" else USED[ensemble] + ("chain",) * has_bonds
+        raise ValueError(
+            f"constraints are judged for NVE and NVT, liquids for NVT and NPT; got {ensemble}"
+        )
+    scenes = (
+        ("chain",) * has_bonds if ensemble == "NVE" else USED[ensemble] + ("chain",) * has_bonds
+    )
     return Claims(
         ensemble,
         units.kB * checked_number("temperature_K", temperature, "positive and finite"),
         0.0 if ensemble != "NPT" else checked_number("pressure", asked, "positive and finite"),
-        checked_number("timestep", units.fs if taken["timestep"] is None else taken["timestep"], "positive and finite"),
+        checked_number(
+            "timestep",
+            units.fs if taken["timestep"] is None else taken["timestep"],
+            "positive and finite",
+        ),
         checked_count("runs", RUNS[ensemble] if taken["runs"] is None else taken["runs"], 6),
-        checked_count("steps", STEPS[ensemble] if taken["steps"] is None else taken["steps"], 8 * EVERY),
-        checked_count("seed", taken["seed"] or 0, 0, 2**31),  # runs count from it, and NumPy takes 32 bits
+        checked_count(
+            "steps", STEPS[ensemble] if taken["steps"] is None else taken["steps"], 8 * EVERY
+        ),
+        # runs count from it, and NumPy takes 32 bits
+        checked_count("seed", taken["seed"] or 0, 0, 2**31),
         (scenes or USED[ensemble]) + ("liquid 1", "liquid 2") * has_liquids,
     )
 
@@ -286,7 +350,9 @@ def maker(dynamics: Any, timestep: float, options: dict[str, Any]) -> Make:
     """Makes the dynamics of atoms; options that a function does not take are claims only, a generator goes where one
     is taken."""
     parameters = inspect.signature(dynamics).parameters
-    takes_all = any(one.kind is one.VAR_KEYWORD for one in parameters.values()) and inspect.isclass(dynamics)
+    takes_all = any(one.kind is one.VAR_KEYWORD for one in parameters.values()) and inspect.isclass(
+        dynamics
+    )
     taken = {name: value for name, value in options.items() if takes_all or name in parameters}
     claims = {"temperature_K", "pressure"}
     if left := [name for name in options if name not in taken and name not in claims]:
@@ -301,7 +367,8 @@ def maker(dynamics: Any, timestep: float, options: dict[str, Any]) -> Make:
 def of_scene(make: Make, claims: Claims, name: str, is_still: bool, rate: float) -> list[Finding]:
     """The findings of a scene: those without a number to judge, then the largest deviations; positions follow momenta,
     and noise that repeats explains the rest.  rate : of false alarms, of each law."""
-    scene, frames = claims.scene(name, is_still), list[Frames]()
+    scene = claims.scene(name, is_still)
+    frames = list[Frames]()
     steps = claims.steps // scene.slowness
     for n in (claims.runs, AGAIN * claims.runs):
         for k in tqdm(range(len(frames), n), desc=name, leave=False, disable=None):
@@ -309,9 +376,14 @@ def of_scene(make: Make, claims: Claims, name: str, is_still: bool, rate: float)
                 with np.errstate(all="ignore"):
                     frames.append(run(make, scene, claims.seed + k, steps, EVERY, claims.kt))
             except Exception as error:  # whatever a class raises
-                fault = f"run {k} of {name} fails: {type(error).__name__}: {error}" + COLLAPSE * bool(claims.pressure)
+                fault = (
+                    f"run {k} of {name} fails: {type(error).__name__}: {error}"
+                    + COLLAPSE * bool(claims.pressure)
+                )
                 return [Finding(f"{name} runs", False, fault, cause=fault)]
-        found = judged(ensembles.LAWS, ensembles.Seen(scene, frames, is_still, claims.pressure, 0.5 * rate))
+        found = judged(
+            ensembles.LAWS, ensembles.Seen(scene, frames, is_still, claims.pressure, 0.5 * rate)
+        )
         if not any(NEARLY < abs(one.value - 1.0) / one.limit < 1.0 for one in found):
             break
     ranks = {"new noise": 1, "independent directions": 1, "temperature of positions": 3}
@@ -320,4 +392,7 @@ def of_scene(make: Make, claims: Claims, name: str, is_still: bool, rate: float)
         off = 0.0 if np.isnan(one.limit) else abs(one.value - 1.0) / one.limit
         return ranks.get(one.name, 2) * bool(off), -off
 
-    return [replace(one, name=f"{name}: {one.name}", cause=f"{name}: {one.cause}") for one in sorted(found, key=rank)]
+    return [
+        replace(one, name=f"{name}: {one.name}", cause=f"{name}: {one.cause}")
+        for one in sorted(found, key=rank)
+    ]

@@ -19,7 +19,9 @@ class Seen:
     """What was seen of a scene.  has : features of the scene.  rate : of false alarms, of each law.  is_still : whether
     the total momentum is kept at zero.  all : frames of all runs.  pressure : [eV/Å³]."""
 
-    def __init__(self, scene: Scene, runs: list[Frames], is_still: bool, pressure: float, rate: float) -> None:
+    def __init__(
+        self, scene: Scene, runs: list[Frames], is_still: bool, pressure: float, rate: float
+    ) -> None:
         self.scene = scene
         self.runs = runs
         self.is_still = is_still
@@ -30,7 +32,8 @@ class Seen:
         self.kt = runs[0].kt
         self.masses = self.all.masses
         self.n = 3 * len(self.masses)
-        self.shares = 1.0 - is_still * self.masses / self.masses.sum() - scene.rigid  # <p²/m>/kT of a component
+        # <p²/m>/kT of a component
+        self.shares = 1.0 - is_still * self.masses / self.masses.sum() - scene.rigid
         self.n_free = round(3.0 * self.shares.sum())
         # a body at rest whose momenta change with the volume; other than by moves of a Monte Carlo method, some of
         # which are rejected: those of a barostat that acts every few steps are at regular distances
@@ -65,7 +68,9 @@ class Seen:
         if found >= ACTED:
             return Measurement(min(found, 1.0), 0.0)
         off = 1.0 if found < NEVER else np.nan
-        return Measurement(found, off, ": too little to judge; take a shorter relaxation time, or more steps=")
+        return Measurement(
+            found, off, ": too little to judge; take a shorter relaxation time, or more steps="
+        )
 
 
 Measure: TypeAlias = Callable[[Frames, Seen], Any]
@@ -81,7 +86,8 @@ def temperature_said(means: Array, seen: Seen) -> str:
         0.5: "the noise is too weak by a factor √2, or the friction acts twice per step",
         2.0: "the noise is too strong by a factor √2, or the friction acts for half a step only",
         4.0: "the noise is twice as strong as the friction demands",
-        (free - 3.0) / free: f"{free - 3} degrees of freedom are counted where {free} move: three are subtracted twice",
+        (free - 3.0)
+        / free: f"{free - 3} degrees of freedom are counted where {free} move: three are subtracted twice",
     }
     n_rigid = round(3.0 * seen.scene.rigid.sum())
     if n_rigid:
@@ -101,7 +107,9 @@ def masses_said(means: Array, seen: Seen) -> str:
     each = ", ".join(f"{mean:.2f} ({mass:g} amu)" for mean, mass in zip(means, masses, strict=True))
     words = f"atoms of different masses have different temperatures, relative to the mean: {each}"
     if abs(power) > 0.3:
-        words += f"; the temperature goes as m^{power:.1f}: momenta need noise as √m, velocities as 1/√m"
+        words += (
+            f"; the temperature goes as m^{power:.1f}: momenta need noise as √m, velocities as 1/√m"
+        )
     return words
 
 
@@ -110,9 +118,14 @@ def volume_said(means: Array, seen: Seen) -> str:
     n = seen.scene.n_bodies
     found = means[0] * seen.n_volume
     table = {float(k): f"p(V) goes as V^{k - 1} exp(−PV/kT)" for k in (n - 1, n, n + 1)}
-    table |= {2.0 * k: "this is the value of free atoms: is the virial in the pressure?" for k in (n, n + 0.5)}
+    table |= {
+        2.0 * k: "this is the value of free atoms: is the virial in the pressure?"
+        for k in (n, n + 0.5)
+    }
     table |= {3.0 * k: "the kinetic energy counts twice in the pressure" for k in (n, n + 1 / 3)}
-    return f"P<V>/kT of {n} molecules is {found:.2f}, not {seen.n_volume}" + nearest(found, table, 0.07)
+    return f"P<V>/kT of {n} molecules is {found:.2f}, not {seen.n_volume}" + nearest(
+        found, table, 0.07
+    )
 
 
 def pressure_said(means: Array, seen: Seen) -> str:
@@ -196,7 +209,11 @@ def of_pressure(run: Frames, seen: Seen) -> float:
     d, e, _ = zip(*(seen.scene.calculator.bonds(x) for x in run.x), strict=True)
     virial = -np.einsum("fbd,fbd,b->f", d, e, seen.scene.calculator.k)
     inner = (run.kinetic.sum(axis=1) + virial / seen.kt) / 3.0
-    return 1.0 + float((run.volumes * seen.pressure / seen.kt - inner).mean() - seen.excess) / seen.n_volume
+    return (
+        1.0
+        + float((run.volumes * seen.pressure / seen.kt - inner).mean() - seen.excess)
+        / seen.n_volume
+    )
 
 
 def row(name: str, words: str, measure: Measure, said: Said, needs: str, spare: float = 0.0) -> Law:

@@ -117,7 +117,11 @@ class Grade(Displayed):
         """The result in one sentence."""
         failed = [finding.name for finding in self.findings if finding.passed is False]
         n = len(self.faults)
-        kept = f"laws that do not hold: {', '.join(failed)}" if failed else "all laws that were tested hold"
+        kept = (
+            f"laws that do not hold: {', '.join(failed)}"
+            if failed
+            else "all laws that were tested hold"
+        )
         found = f"{n} fault{'s' * (n != 1)} found; {kept}" if n else kept
         return "nothing wrong was found" if self.passed else found
 
@@ -126,7 +130,9 @@ class Grade(Displayed):
         rows = [("called as", self.function)]
         if self.method:
             rows.append(("recognized", self.method))
-        rows += [(finding.name, f"{TICKS[finding.passed]} {finding.words}") for finding in self.findings]
+        rows += [
+            (finding.name, f"{TICKS[finding.passed]} {finding.words}") for finding in self.findings
+        ]
         rows += [("fault" if k == 0 else "", sentence) for k, sentence in enumerate(self.faults)]
         rows += [("remark" if k == 0 else "", sentence) for k, sentence in enumerate(self.remarks)]
         return [*rows, ("verdict", self.verdict)]

@@ -49,7 +49,9 @@ class Probe:
     has : what laws may need: atoms (many), pairs, field or nofield, cell or free, energy or noenergy, known, cutoff.
     """
 
-    def __init__(self, call: StudentForce, cell: Array | None, cutoff: Any, given: Any, potential: Any) -> None:
+    def __init__(
+        self, call: StudentForce, cell: Array | None, cutoff: Any, given: Any, potential: Any
+    ) -> None:
         self.call = call
         self.d = call.dimensions
         self.cell = cell
@@ -58,20 +60,34 @@ class Probe:
         self.lengths: Any = None if cell is None else cell[: self.d]
         self.along = ALONG[self.d]
         self.units = np.eye(self.d)
-        self.start = WHERE[: self.d] * (1.0 if self.lengths is None else 0.3 * self.lengths / self.lengths.max())
-        self.f, self.u = (np.vectorize(lambda r, k=k: self.both(float(r))[k], [float]) for k in range(2))
+        self.start = WHERE[: self.d] * (
+            1.0 if self.lengths is None else 0.3 * self.lengths / self.lengths.max()
+        )
+        self.f, self.u = (
+            np.vectorize(lambda r, k=k: self.both(float(r))[k], [float]) for k in range(2)
+        )
         self.values = np.zeros(0)
         self.is_over_r = False
         self.remarks = list[str]()
         self.name = ""
         self.farthest = FARTHEST if cell is None else min(FARTHEST, 0.4995 * cell.min())
-        self.has = {call.kind, "free" if cell is None else "cell", "energy" if call.has_energy else "noenergy"}
+        self.has = {
+            call.kind,
+            "free" if cell is None else "cell",
+            "energy" if call.has_energy else "noenergy",
+        }
         if potential is not None:
             self.has.add("known")
         if cutoff and cutoff < self.farthest:
             self.has.add("cutoff")
         self.skew = call(SKEW)[0] if call.kind == "pair" else SKEW
-        self.x = self.place(PROBE) if call.kind != "forces" else self.cluster() if given is None else given
+        self.x = (
+            self.place(PROBE)
+            if call.kind != "forces"
+            else self.cluster()
+            if given is None
+            else given
+        )
         self.forces = call(self.x)[0]
         self.scale = np.abs(self.forces).max() or 1.0
         is_many = call.kind == "forces"
@@ -79,8 +95,16 @@ class Probe:
         self.has.add("field" if is_field else "nofield")
         self.order = np.random.default_rng(2).permutation(len(self.x)) if is_many else 0
         self.turn = np.linalg.qr(np.random.default_rng(4).normal(size=(self.d, self.d)))[0]
-        is_turned = not self.has >= {"forces", "free"} or self.off(self.x @ self.turn, self.forces @ self.turn) < SAME
-        if "nofield" in self.has and (not is_many or self.takes(2)) and is_turned and np.isfinite(self.forces).all():
+        is_turned = (
+            not self.has >= {"forces", "free"}
+            or self.off(self.x @ self.turn, self.forces @ self.turn) < SAME
+        )
+        if (
+            "nofield" in self.has
+            and (not is_many or self.takes(2))
+            and is_turned
+            and np.isfinite(self.forces).all()
+        ):
             self.has.add("pairs")
             self.find_profile()
 
@@ -107,17 +131,25 @@ class Probe:
             if lengths is not None:
                 half = np.abs(apart - 0.5 * lengths).min()
                 apart = np.minimum(apart, lengths - apart)
-            return min(half, float(np.abs(np.linalg.norm(apart, axis=1) - (self.cutoff or CUTOFF)).min()))
+            return min(
+                half, float(np.abs(np.linalg.norm(apart, axis=1) - (self.cutoff or CUTOFF)).min())
+            )
 
         randoms = [np.random.default_rng(seed) for seed in range(TRIALS)]
-        x = max((lattice + one.uniform(-JITTER, JITTER, lattice.shape) for one in randoms), key=margin)
+        x = max(
+            (lattice + one.uniform(-JITTER, JITTER, lattice.shape) for one in randoms), key=margin
+        )
         return x + 0.5 if lengths is None else np.mod(x - SPACING + 0.3, lengths)
 
     def place(self, r: float, along: Array | None = None) -> Any:
         """The argument of the function for two atoms at a distance."""
         apart = r * (self.along if along is None else along)
         distance = r * r if self.call.is_squared else r
-        return {"law": distance, "pair": apart, "forces": np.array([self.start, self.start + apart])}[self.call.kind]
+        return {
+            "law": distance,
+            "pair": apart,
+            "forces": np.array([self.start, self.start + apart]),
+        }[self.call.kind]
 
     def both(self, r: float) -> tuple[float, float]:
         """f and u of a pair."""
@@ -135,12 +167,24 @@ class Probe:
         end = min(self.farthest, 0.9 * (self.cutoff or CUTOFF), 2.2)
         ended = [x for x in np.linspace(1.0, end, 60) if self.f(x) == 0.0]
         self.r = np.linspace(NEAREST, 0.98 * ended[0] if ended else end, POINTS)
-        pairs = [np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]]) for r in self.r] if "known" in self.has else []
-        self.known = np.array([evaluated(pair, self.potential, None).forces[1, 0] for pair in pairs])
+        pairs = (
+            [np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]]) for r in self.r]
+            if "known" in self.has
+            else []
+        )
+        self.known = np.array(
+            [evaluated(pair, self.potential, None).forces[1, 0] for pair in pairs]
+        )
         right = self.slopes(self.r) if "energy" in self.has else self.known
-        if self.call.kind == "law" and len(right) and compared(self.f(self.r), right, self.r, "")[1] == -1.0:
+        if (
+            self.call.kind == "law"
+            and len(right)
+            and compared(self.f(self.r), right, self.r, "")[1] == -1.0
+        ):
             self.is_over_r = True
-            self.remarks.append("the law returns f = −u′(r)/r, as minimd's laws do: multiply it by the vector r_ij")
+            self.remarks.append(
+                "the law returns f = −u′(r)/r, as minimd's laws do: multiply it by the vector r_ij"
+            )
         self.values = self.f(self.r)
         self.powers = powers_of(self.values, self.r)
 
@@ -154,7 +198,11 @@ class Probe:
             return 0.0
         large = [d for d in np.arange(3.0, LONGEST, 0.25) if abs(at(d)) > 0.5 * abs(first)]
         guesses = np.arange(large[0] - 2.0, large[0] + 3.0, 0.005) if large else np.zeros(1)
-        edge = float(np.round(min(guesses, key=lambda d: abs(at(d + 1.5) - first) + abs(at(d - 1.5) + first)), 3))
+        edge = float(
+            np.round(
+                min(guesses, key=lambda d: abs(at(d + 1.5) - first) + abs(at(d - 1.5) + first)), 3
+            )
+        )
         return edge if abs(at(edge + 1.5) - first) < 0.05 * abs(first) else 0.0
 
     def off(self, x: Array, right: Array) -> float:
@@ -176,7 +224,11 @@ class Probe:
                 continue
             finally:
                 call.values = given
-        hint = "; with a rest length F = −k (r − r0) r_ij/r" if re.search(REST, plain(" ".join(still))) else ""
+        hint = (
+            "; with a rest length F = −k (r − r0) r_ij/r"
+            if re.search(REST, plain(" ".join(still)))
+            else ""
+        )
         told = f"forces do not change when {' or '.join(still)} is increased{hint}"
         return len(still), len(still), told
 
@@ -197,17 +249,23 @@ class Probe:
         c = [*own.terms.values()]
         is_alone = is_given or not {"known", "energy"} & self.has
         if n == [1] and is_alone and self.call.kind != "law":
-            self.remarks.append("the force of a pair decreases as r^−1. If q²/r² is meant, a factor 1/r is missing: "
-                                "q² r_ij/r³, not q² r_ij/r²")  # fmt: skip
+            self.remarks.append(
+                "the force of a pair decreases as r^−1. If q²/r² is meant, a factor 1/r is missing: "
+                "q² r_ij/r³, not q² r_ij/r²"
+            )
             return np.nan, np.nan, "", self.powers
         if len(n) == 2 and abs(n[0] - 13) <= 2 and abs(n[1] - 7) <= 2:
             right = {13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6}
             s6 = abs(c[0] / c[1]) / 2.0
             told = f"48 ε σ¹² r^−13 − 24 ε σ⁶ r^−7 with ε = {epsilon:g}, σ = {sigma:g}"
-            self.name = f"Lennard-Jones with ε = {abs(c[1]) / 24.0 / s6:.6g}, σ = {s6 ** (1 / 6):.6g}"
+            self.name = (
+                f"Lennard-Jones with ε = {abs(c[1]) / 24.0 / s6:.6g}, σ = {s6 ** (1 / 6):.6g}"
+            )
             is_odd = n != [13, 7] or c[0] < 0.0 or c[1] > 0.0 or is_near(s6, 1.0) or is_given
             if is_odd or is_near(c[0], 48.0) or is_near(c[1], -24.0):  # else it has its own ε and σ
-                fault = compared(self.values, Powers(right, own.constant).at(self.r), self.r, told)[2]
+                fault = compared(self.values, Powers(right, own.constant).at(self.r), self.r, told)[
+                    2
+                ]
         return np.nan, bool(fault) if is_alone or not fault else np.nan, fault, self.powers
 
     def cap(self) -> Answer:
@@ -233,14 +291,23 @@ class Probe:
         end = next((r for r, _, above in found if above == 0.0), np.inf)
         cutoff = self.cutoff or np.inf
         is_odd = self.cutoff is None and end < np.inf and is_near(2.0 * end**2, round(2.0 * end**2))
-        is_early = end < 0.999 * cutoff < np.inf or (is_odd and not is_near(100.0 * end, round(100.0 * end)))
-        words = "; ".join(f"jumps by {b - a:+.4g} at r = {r:.6g}" for r, a, b in found[:3]) or "continuous"
+        is_early = end < 0.999 * cutoff < np.inf or (
+            is_odd and not is_near(100.0 * end, round(100.0 * end))
+        )
+        words = (
+            "; ".join(f"jumps by {b - a:+.4g} at r = {r:.6g}" for r, a, b in found[:3])
+            or "continuous"
+        )
         return end, float(is_early) or (np.nan if found else 0.0), words
 
     def jump(self) -> Answer:
         """The first jump of the energy."""
-        r, below, above = (*jumps(self.u, np.linspace(NEAREST, self.farthest, GRID)), (0.0, 0.0, 0.0))[0]
-        is_meant = getattr(self.potential, "truncation", "") == "truncated"  # minimd's energy jumps, too
+        r, below, above = (
+            *jumps(self.u, np.linspace(NEAREST, self.farthest, GRID)),
+            (0.0, 0.0, 0.0),
+        )[0]
+        # minimd's energy jumps, too
+        is_meant = getattr(self.potential, "truncation", "") == "truncated"
         return above - below, np.nan if is_meant else above - below, r, below
 
     def all_beside(self) -> Answer:
@@ -262,24 +329,44 @@ class Probe:
         if self.takes(2):
             one, two = self.call(self.place(PROBE))[0]
         sizes = np.linalg.norm([one, two], axis=1)
-        return off, off, first_of(
-            (sizes.min() < ROUNDING * sizes.max(), f": only one of the two atoms of a pair gets the force, atom "
-             f"{sizes.argmax()}; subtract from one what is added to the other (or use round, not floor)"),
-            (sizes.any() and np.allclose(one, two), ": both atoms of a pair get the same force; the second needs the "
-                                                    "other sign"), (True, ""))[0]  # fmt: skip
+        return (
+            off,
+            off,
+            first_of(
+                (
+                    sizes.min() < ROUNDING * sizes.max(),
+                    f": only one of the two atoms of a pair gets the force, atom "
+                    f"{sizes.argmax()}; subtract from one what is added to the other (or use round, not floor)",
+                ),
+                (
+                    sizes.any() and np.allclose(one, two),
+                    ": both atoms of a pair get the same force; the second needs the other sign",
+                ),
+                (True, ""),
+            )[0],
+        )
 
     def all_slopes(self) -> Answer:
         """The forces of all atoms beside −∇U."""
         steps = np.eye(self.x.size).reshape(-1, *self.x.shape) * DELTA
-        slopes = -np.array([difference(lambda x: float(self.call(x)[1]), self.x, e) for e in steps]) / DELTA
+        slopes = (
+            -np.array([difference(lambda x: float(self.call(x)[1]), self.x, e) for e in steps])
+            / DELTA
+        )
         off = np.abs(self.forces.ravel() - slopes).max()
         c = multiple_of(self.forces.ravel(), slopes, EQUAL)
-        return off, off / (np.abs(slopes).max() or 1.0), f": they are {c:.6g} (−∇U)" if np.isfinite(c) else ""
+        return (
+            off,
+            off / (np.abs(slopes).max() or 1.0),
+            f": they are {c:.6g} (−∇U)" if np.isfinite(c) else "",
+        )
 
     def curl(self) -> float:
         """Whether forces without an energy can be a gradient: ∂F_i/∂x_j = ∂F_j/∂x_i."""
         some = (np.eye(self.x.size).reshape(-1, *self.x.shape) * DELTA)[:24]
-        matrix = np.array([np.ravel(difference(lambda x: self.call(x)[0], self.x, e))[: len(some)] for e in some])
+        matrix = np.array(
+            [np.ravel(difference(lambda x: self.call(x)[0], self.x, e))[: len(some)] for e in some]
+        )
         return float(np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300))
 
     def images(self) -> Answer:
@@ -295,17 +382,36 @@ class Probe:
             inside, across = (self.call(np.array(pair))[0] for pair in ends)
             if np.abs(across - inside).max() > SAME * np.abs(inside).max():
                 bad.append((axis, np.abs(across).max() / np.abs(inside).max()))
-        pair = np.array([-0.5, 0.5])[:, None] * PROBE * self.units[0]  # wrapped positions interact across the origin
-        origin, center = (np.abs(self.call(place + pair)[0]).max() for place in (0.0 * middle + 0.1, middle))
+        # wrapped positions interact across the origin
+        pair = np.array([-0.5, 0.5])[:, None] * PROBE * self.units[0]
+        origin, center = (
+            np.abs(self.call(place + pair)[0]).max() for place in (0.0 * middle + 0.1, middle)
+        )
         axes = sorted({axis for axis, _ in bad})
         verb = "missing" if any(part < 0.2 for _, part in bad) else "wrong"
         where = "along " + ", ".join("xyz"[axis] for axis in axes)
-        return len(bad), len(bad) + float(center < 0.2 * origin), first_of(
-            (center < 0.2 * origin, f"positions are wrapped into the cell, but differences are not: {CURE}"),
-            (len(bad) == 2 * self.d, f"minimum image is {verb}: atoms across a face are no neighbors; {CURE}"),
-            (len(bad) == 2 * len(axes), f"minimum image is {verb} {where}, but right for the other axes"),
-            (True, f"minimum image is {verb} in one direction {where}: only one of dx > L/2 and dx < −L/2 is treated"),
-        )[0]  # fmt: skip
+        return (
+            len(bad),
+            len(bad) + float(center < 0.2 * origin),
+            first_of(
+                (
+                    center < 0.2 * origin,
+                    f"positions are wrapped into the cell, but differences are not: {CURE}",
+                ),
+                (
+                    len(bad) == 2 * self.d,
+                    f"minimum image is {verb}: atoms across a face are no neighbors; {CURE}",
+                ),
+                (
+                    len(bad) == 2 * len(axes),
+                    f"minimum image is {verb} {where}, but right for the other axes",
+                ),
+                (
+                    True,
+                    f"minimum image is {verb} in one direction {where}: only one of dx > L/2 and dx < −L/2 is treated",
+                ),
+            )[0],
+        )
 
     def sum_of_pairs(self) -> Answer:
         """The forces beside the sum, over pairs, of the forces on two atoms alone: other forces are a multiple of it,
@@ -319,14 +425,28 @@ class Probe:
         small = SAME * self.scale
         off = np.abs(pairs - forces).max() / self.scale
         c = multiple_of(forces, pairs, SAME)
-        single = (np.abs(forces[:, None] - parts).max(axis=2) + np.diag(np.full(n, np.inf))).min(axis=1).max()
+        single = (
+            (np.abs(forces[:, None] - parts).max(axis=2) + np.diag(np.full(n, np.inf)))
+            .min(axis=1)
+            .max()
+        )
         fault = first_of(
             (off < SAME, ""),
-            (single < small, "each atom feels only one other atom: forces are overwritten (=), not added (+=)"),
-            (np.abs(forces[-1]).max() < 1e-4 * small, f"atom {n - 1}, the last, feels no force: check the bounds"),
-            (np.isfinite(c), f"the forces of {n} atoms are {c:.6g} times the sum of pair forces: they are divided "
-                             "or multiplied by a number of atoms"),
-            (True, ""))[0]  # fmt: skip
+            (
+                single < small,
+                "each atom feels only one other atom: forces are overwritten (=), not added (+=)",
+            ),
+            (
+                np.abs(forces[-1]).max() < 1e-4 * small,
+                f"atom {n - 1}, the last, feels no force: check the bounds",
+            ),
+            (
+                np.isfinite(c),
+                f"the forces of {n} atoms are {c:.6g} times the sum of pair forces: they are divided "
+                "or multiplied by a number of atoms",
+            ),
+            (True, ""),
+        )[0]
         return off, off if fault or off < SAME else np.nan, fault
 
 
@@ -341,8 +461,10 @@ def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
 
     is_bond = isinstance(potential, Bond) and potential.arguments()["pairs"] is None
     if is_bond and len(x) != 2:
-        raise ValueError(f"{potential!r} does not say which of the {len(x)} atoms are bonded: give it pairs, such as "
-                         "pairs=[[0, 1]], or positions= of two atoms")  # fmt: skip
+        raise ValueError(
+            f"{potential!r} does not say which of the {len(x)} atoms are bonded: give it pairs, such as "
+            "pairs=[[0, 1]], or positions= of two atoms"
+        )
     return evaluate(System(x, cell=lengths, bonds=[[0, 1]] if is_bond else None), potential)
 
 
@@ -388,20 +510,36 @@ GENERAL = (  # told if no other law says why; of two translations, one may take 
 
 
 def grade_forces(
-    function: Function, potential: Any = None, cell: float | Sequence[float] | None = None,
-    cutoff: float | None = None, positions: Any = None, kind: str | None = None,
-) -> Grade:  # fmt: skip
+    function: Function,
+    potential: Any = None,
+    cell: float | Sequence[float] | None = None,
+    cutoff: float | None = None,
+    positions: Any = None,
+    kind: str | None = None,
+) -> Grade:
     """See grade."""
     lengths = None if cell is None else checked_sizes("cell", cell, 3, "edge")
     given = None if positions is None else np.array(positions, dtype=float)
-    if given is not None and (given.ndim != 2 or given.shape[1] != 3 or not np.isfinite(given).all()):
+    if given is not None and (
+        given.ndim != 2 or given.shape[1] != 3 or not np.isfinite(given).all()
+    ):
         raise ValueError(f"positions must be (N, 3) finite numbers; got shape {given.shape}")
-    if cutoff is None and potential is not None and np.isfinite(getattr(potential, "cutoff", np.inf) or np.inf):
+    if (
+        cutoff is None
+        and potential is not None
+        and np.isfinite(getattr(potential, "cutoff", np.inf) or np.inf)
+    ):
         cutoff = float(potential.cutoff)
     parameters = getattr(potential, "parameters", None)
     units = parameters if isinstance(parameters, tuple) and len(parameters) == 2 else (1.0, 1.0)
     edge = BOX if lengths is None else float(lengths[0]) if np.ptp(lengths) == 0.0 else lengths
-    options = {"box": edge, "cutoff": cutoff or CUTOFF, "epsilon": units[0], "sigma": units[1], "n": 0}
+    options = {
+        "box": edge,
+        "cutoff": cutoff or CUTOFF,
+        "epsilon": units[0],
+        "sigma": units[1],
+        "n": 0,
+    }
     options |= {"box given": lengths is not None, "cutoff given": cutoff is not None}
     with np.errstate(all="ignore"):
         call = StudentForce(function, options, kind, given)
@@ -418,9 +556,14 @@ def grade_forces(
         if one.cell is not None and cutoff is None and one.has >= {"forces", "pairs"}:
             rest = abs(one.f(0.4999 * one.cell.min()))
             one.remarks += first_of(
-                (rest, f"the force jumps by {rest:.2g} where the nearest image changes: use a cutoff")
+                (
+                    rest,
+                    f"the force jumps by {rest:.2g} where the nearest image changes: use a cutoff",
+                )
             )
     faults = causes(telling) or causes(general)
-    faults += ["the function changes the positions that it is given: work on a copy"] * call.changes_input
+    faults += [
+        "the function changes the positions that it is given: work on a copy"
+    ] * call.changes_input
     told = f"{call.name}({', '.join(call.names)}): {KINDS[call.kind]}{' and the energy' * call.has_energy}"
     return Grade(told, (*telling, *general), tuple(faults), one.name, tuple(one.remarks))

@@ -66,7 +66,12 @@ def grade(
     """
     if kind is not None:
         checked_choice("kind", kind, ("step", "dynamics", *KINDS))
-    checked_kind("function", function, Callable, "a function, as step(x, v, force, m, dt) or forces(positions)")
+    checked_kind(
+        "function",
+        function,
+        Callable,
+        "a function, as step(x, v, force, m, dt) or forces(positions)",
+    )
     names = list[str]()
     with suppress(TypeError, ValueError):  # of what has no parameters
         names = [*signature(function).parameters]
@@ -74,10 +79,14 @@ def grade(
         from minimd.judge.dynamics import grade_dynamics
 
         if any(one is not None for one in (potential, cell, cutoff, positions)):
-            raise TypeError("dynamics are judged in scenes of minimd: leave out potential, cell, cutoff and positions")
+            raise TypeError(
+                "dynamics are judged in scenes of minimd: leave out potential, cell, cutoff and positions"
+            )
         return grade_dynamics(function, options)
     if options:
-        raise TypeError(f"options such as {', '.join(options)} are for dynamics; {shown(function)} takes no atoms")
+        raise TypeError(
+            f"options such as {', '.join(options)} are for dynamics; {shown(function)} takes no atoms"
+        )
     checked_count("order", order)
     if cutoff is not None:
         checked_number("cutoff", cutoff, "positive and finite")

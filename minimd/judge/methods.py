@@ -20,18 +20,29 @@ from minimd.judge.calling import StudentStep
 from minimd.judge.findings import coefficient
 from minimd.judge.problems import Array, TrialProblem
 
-SAME, CLOSE, MANY = 1e-7, 1e-3, 6  # of weights: equal, meant to be; substeps of a method that may be nearly another
+# of weights: equal, meant to be; substeps of a method that may be nearly another
+SAME = 1e-7
+CLOSE = 1e-3
+MANY = 6
 ROUNDING, MOST, STEP = 1e-9, 60, 0.1  # of v; evaluations of the force in one step; time step
-RUNGE_KUTTA: dict[str, tuple[list[float], ...]] = {  # rows of the matrix from the second one on, and the weights
+# rows of the matrix from the second one on, and the weights
+RUNGE_KUTTA: dict[str, tuple[list[float], ...]] = {
     "RK2, midpoint": ([1 / 2], [0, 1]),
     "RK2, Heun": ([1], [1 / 2, 1 / 2]),
     "RK2, Ralston": ([2 / 3], [1 / 4, 3 / 4]),
     "RK3, Kutta": ([1 / 2], [-1, 2], [1 / 6, 2 / 3, 1 / 6]),
-    "RK4, the classical Runge-Kutta method": ([1 / 2], [0, 1 / 2], [0, 0, 1], [1 / 6, 1 / 3, 1 / 3, 1 / 6]),
+    "RK4, the classical Runge-Kutta method": (
+        [1 / 2],
+        [0, 1 / 2],
+        [0, 0, 1],
+        [1 / 6, 1 / 3, 1 / 3, 1 / 6],
+    ),
     "RK4, the 3/8 rule": ([1 / 3], [-1 / 3, 1], [1, -1, 1], [1 / 8, 3 / 8, 3 / 8, 1 / 8]),
 }
-IN_TURN = ("atoms are moved one after another: the force on each is computed when those before it have moved already. "
-           "Compute all forces first, then move all atoms")  # fmt: skip
+IN_TURN = (
+    "atoms are moved one after another: the force on each is computed when those before it have moved already. "
+    "Compute all forces first, then move all atoms"
+)
 
 
 class Numbers(NamedTuple):
@@ -75,11 +86,13 @@ class Recorded(TrialProblem):
 
 def numbers_of(step: StudentStep, where: TrialProblem) -> Numbers | str | None:
     """The numbers of a step; None if it is not made of such, or the fault of one that moves atoms one after another."""
-    a, drift = where.force(where.x) / where.mass, STEP * where.v
+    a = where.force(where.x) / where.mass
+    drift = STEP * where.v
 
     def end_with(only: int) -> tuple[Array, Array]:
         one = Recorded(*where)
-        one.places, one.only = [], only
+        one.places = []
+        one.only = only
         x, v = step(one, where.x, where.v, STEP)
         return np.array([*one.places, x]), v - where.v
 
@@ -89,10 +102,16 @@ def numbers_of(step: StudentStep, where: TrialProblem) -> Numbers | str | None:
     free, change = end_with(-1)
     if len(free) == 1:
         return None
-    n, moved = len(free) - 1, np.round((free - where.x) / drift, 6)
-    if where.x.ndim and np.isin(moved, (0.0, 1.0)).all() and np.ptp(moved[:-1].reshape(n, -1), axis=1).any():
+    n = len(free) - 1
+    moved = np.round((free - where.x) / drift, 6)
+    if (
+        where.x.ndim
+        and np.isin(moved, (0.0, 1.0)).all()
+        and np.ptp(moved[:-1].reshape(n, -1), axis=1).any()
+    ):
         return IN_TURN
-    pushes, weights = np.zeros((n + 1, n)), np.zeros(n)
+    pushes = np.zeros((n + 1, n))
+    weights = np.zeros(n)
     for k in range(n):
         places, v = end_with(k)
         if len(places) != n + 1 or np.abs(change).max() > ROUNDING or n > MOST:
@@ -104,32 +123,43 @@ def numbers_of(step: StudentStep, where: TrialProblem) -> Numbers | str | None:
 
 def named(own: Numbers) -> tuple[str, str]:
     """The name of a method, or what it consists of; the fault of a step that is nearly a known method."""
-    parts, near = own.substeps, list[tuple[int, str]]()
-    kinds, mine = [type(one).__name__.lower() for one in parts], np.array([one.coefficient for one in parts])
+    parts = own.substeps
+    near = list[tuple[int, str]]()
+    kinds = [type(one).__name__.lower() for one in parts]
+    mine = np.array([one.coefficient for one in parts])
     for name, method in methods_of(splittings).items():
         if [type(one) for one in method.substeps] == [type(one) for one in parts]:
             right = np.array([one.coefficient for one in method.substeps])
             wrong = np.flatnonzero(np.abs(mine - right) > SAME)
             if not len(wrong):
                 return name, ""
-            told = [f"substep {k + 1}, a {kinds[k]}, is {mine[k]:.10g} where {right[k]:.10g} is needed" for k in wrong]
-            if len(parts) >= MANY and (len(wrong) <= len(parts) // 2 or np.abs(mine - right).max() < CLOSE):
+            told = [
+                f"substep {k + 1}, a {kinds[k]}, is {mine[k]:.10g} where {right[k]:.10g} is needed"
+                for k in wrong
+            ]
+            if len(parts) >= MANY and (
+                len(wrong) <= len(parts) // 2 or np.abs(mine - right).max() < CLOSE
+            ):
                 near.append((len(wrong), f"the step is nearly {name}, but {', '.join(told)}"))
     if parts:
         weights = [f"{kind} {coefficient(one)}" for kind, one in zip(kinds, mine, strict=True)]
         return ", ".join(weights), min(near, default=(0, ""))[1]
     for name, (*rows, last) in RUNGE_KUTTA.items():
-        n, b, words = len(last), np.array(last), f"the step is nearly {name}, but its"
+        n = len(last)
+        b = np.array(last)
+        words = f"the step is nearly {name}, but its"
         matrix = np.array([[*row, *[0.0] * (n - len(row))] for row in ([], *rows)])
         if own.is_same(matrix, b):
             return name, ""
         if n > 2 and own.is_same(matrix, own.weights):
             return "", f"{words} weights are {told_row(own.weights)} where {told_row(b)} are needed"
-        for j in range(1, n if 2 < n == len(own.weights) else 0):  # the stage that makes β = b A right
+        # the stage that makes β = b A right
+        for j in range(1, n if 2 < n == len(own.weights) else 0):
             other = matrix.copy()
             other[j] += (own.pushes[-1] - b @ matrix) / b[j]
             if own.is_same(other, b):
-                own_row, row = told_row(other[j, :j]), told_row(matrix[j, :j])
+                own_row = told_row(other[j, :j])
+                row = told_row(matrix[j, :j])
                 return "", f"{words} stage {j + 1} has the weights {own_row} where {row} are needed"
     return "", ""
 

@@ -36,28 +36,47 @@ def powers_of(values: Array, r: Array) -> Powers | None:
     """One or two inverse powers of r, with a constant if needed; None if no such sum fits."""
     scale = np.abs(values)
     weights = 1.0 / np.maximum(scale, max(1e-3 * scale.max(initial=0.0), 1e-300))
-    for constant, count in product((0, 1), (1, 2)) if scale.any() and np.isfinite(values).all() else ():
+    for constant, count in (
+        product((0, 1), (1, 2)) if scale.any() and np.isfinite(values).all() else ()
+    ):
         for n in combinations(EXPONENTS, count):
-            matrix = np.array([r ** float(-k) for k in n] + [np.ones_like(r)] * constant).T * weights[:, None]
+            matrix = (
+                np.array([r ** float(-k) for k in n] + [np.ones_like(r)] * constant).T
+                * weights[:, None]
+            )
             sizes = np.linalg.norm(matrix, axis=0)
             found = np.linalg.lstsq(matrix / sizes, values * weights, rcond=None)[0] / sizes
             if np.abs(values * weights - matrix @ found).max() < FITTED:
                 return Powers(
-                    dict(zip(n[::-1], map(float, found[:count][::-1]), strict=True)), float(found[-1]) * constant
+                    dict(zip(n[::-1], map(float, found[:count][::-1]), strict=True)),
+                    float(found[-1]) * constant,
                 )
     return None
 
 
 def compared(f: Array, g: Array, r: Array, other: str) -> tuple[float, float, str]:
     """c and k if f = c rᵏ g, or NaN; and what is wrong if f should be g.  other : what g is."""
-    large = (np.abs(g) > 1e-3 * np.median(np.abs(g))) & (np.abs(f) > 0.0) & np.isfinite(f) & np.isfinite(g)
+    large = (
+        (np.abs(g) > 1e-3 * np.median(np.abs(g)))
+        & (np.abs(f) > 0.0)
+        & np.isfinite(f)
+        & np.isfinite(g)
+    )
     ratio = f[large] / g[large]
     logs = np.log(r[large])
     k, log_c = np.polyfit(logs, np.log(np.abs(ratio)), 1) if large.sum() > 4 else (0.0, np.nan)
-    if np.isnan(log_c) or np.ptp(np.sign(ratio)) or np.abs(np.log(np.abs(ratio)) - k * logs - log_c).max() > SAME:
+    if (
+        np.isnan(log_c)
+        or np.ptp(np.sign(ratio))
+        or np.abs(np.log(np.abs(ratio)) - k * logs - log_c).max() > SAME
+    ):
         own = powers_of(f, r)
         right = powers_of(g, r)
-        told = f": wrong exponent, coefficient or sign in F = {own} where {right} is needed" if own and right else ""
+        told = (
+            f": wrong exponent, coefficient or sign in F = {own} where {right} is needed"
+            if own and right
+            else ""
+        )
         return np.nan, np.nan, f"the force is not {other}{told or ', nor a multiple of it'}"
     c = np.sign(ratio[0]) * np.exp(log_c)
     k = round(k, 4)

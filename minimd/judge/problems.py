@@ -18,10 +18,14 @@ SHAPES: tuple[tuple[int, ...], ...] = ((5, 3), (5, 2), (5,), ())
 
 def difference(f: Callable[[Any], Any], x: Any, step: Any) -> Any:
     """step · f′(x) along a step, by a difference of order 6."""
-    return sum(c * (f(x + k * step) - f(x - k * step)) for k, c in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60)))
+    return sum(
+        c * (f(x + k * step) - f(x - k * step)) for k, c in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
+    )
 
 
-def bisected(is_low: Callable[[float, float, float], bool], low: float, high: float, n: int) -> tuple[float, float]:
+def bisected(
+    is_low: Callable[[float, float, float], bool], low: float, high: float, n: int
+) -> tuple[float, float]:
     """An interval after n bisections.  is_low(low, middle, high) : whether the middle is the new lower end."""
     for _ in range(n):
         middle = 0.5 * (low + high)
@@ -48,12 +52,16 @@ class TrialProblem(NamedTuple):
         """−∇U, in the shape of x, and U."""
         if self.stiffness or self.x.ndim == 0:
             k, g = (self.stiffness, 0.0) if self.stiffness else (1.0, 0.3)
-            return np.asarray(-x * (k + g * x * x)), float(np.sum(0.5 * k * x * x + 0.25 * g * x**4))
+            return np.asarray(-x * (k + g * x * x)), float(
+                np.sum(0.5 * k * x * x + 0.25 * g * x**4)
+            )
         points = x.reshape(len(x), -1)
         apart = points[:, None] - points
         r2 = (apart * apart).sum(axis=2, keepdims=True)
         energy = float((0.5 * STIFFNESS * r2 + 0.25 * QUARTIC * r2 * r2).sum() / 2.0)
-        return np.asarray(-((STIFFNESS + QUARTIC * r2) * apart).sum(axis=1)).reshape(x.shape), energy
+        return np.asarray(-((STIFFNESS + QUARTIC * r2) * apart).sum(axis=1)).reshape(
+            x.shape
+        ), energy
 
     def force(self, x: Array) -> Array:
         """−∇U, in the shape of x."""
@@ -79,7 +87,9 @@ class TrialProblem(NamedTuple):
             x, v = y.reshape(start.shape)
             return np.ravel([v, self.force(x) / self.mass])
 
-        end = solve_ivp(slope, (0.0, time), np.ravel(start), method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+        end = solve_ivp(
+            slope, (0.0, time), np.ravel(start), method="DOP853", rtol=1e-13, atol=1e-14
+        ).y[:, -1]
         x, v = end.reshape(start.shape)
         return np.asarray(x), np.asarray(v)
 

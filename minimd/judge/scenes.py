@@ -34,7 +34,8 @@ MOLECULES = 6
 OF_MOLECULES = 0.12
 RIGID = 4
 COARSE = 4.0  # times the frequencies of the ring: for the error of a long time step
-STATES = (0.85, 0.82, -5.7947, 0.55355), (0.9, 0.776, -5.4689, 0.24056)  # T, ρ, U/N, P of liquids, of NIST [ε, σ]
+# T, ρ, U/N, P of liquids, of NIST [ε, σ]
+STATES = (0.85, 0.82, -5.7947, 0.55355), (0.9, 0.776, -5.4689, 0.24056)
 # of the liquids [σ], their time step [σ √(m/ε)], cells of their crystal
 CUTOFF = 2.5
 PACE = 0.004
@@ -102,7 +103,9 @@ class Rigid(AnharmonicSprings):
         """How far lengths are off, or velocities along bonds beside thermal ones."""
         d, v = (one[:, 1::2] - one[:, ::2] for one in (seen.x, seen.p / seen.masses[:, None]))
         along = (d * v).sum(axis=2) / self.length * np.sqrt(seen.masses[:2].mean() / seen.kt)
-        return float(max(np.abs(np.linalg.norm(d, axis=2) / self.length - 1.0).max(), np.abs(along).max()))
+        return float(
+            max(np.abs(np.linalg.norm(d, axis=2) / self.length - 1.0).max(), np.abs(along).max())
+        )
 
 
 class Scene(NamedTuple):
@@ -137,10 +140,15 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
     n = len(MASSES)
     first = np.arange(n)
     second = (first + 1) % n
-    k = np.minimum(MASSES[first], MASSES[second]) * (scale * STIFF * np.tile([1.0, 1.5], n // 2) / timestep) ** 2
+    k = (
+        np.minimum(MASSES[first], MASSES[second])
+        * (scale * STIFF * np.tile([1.0, 1.5], n // 2) / timestep) ** 2
+    )
     angles = 2.0 * np.pi * first / n
     places = 50.0 + 10.0 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
-    springs = AnharmonicSprings(first, second, k, QUARTIC * k**2 / kt, places[second] - places[first])
+    springs = AnharmonicSprings(
+        first, second, k, QUARTIC * k**2 / kt, places[second] - places[first]
+    )
     bonds = np.eye(n)[second] - np.eye(n)
     hessian = bonds.T @ (k[:, None] * bonds)
     values, modes = np.linalg.eigh(hessian)
@@ -149,7 +157,9 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
     def draw(rng: np.random.RandomState) -> Atoms:
         while True:  # of the quadratic part alone, and accepted by the energy of the rest
             x = places + spread @ rng.standard_normal((n - 1, 3))
-            if rng.random_sample() < np.exp(-(springs.q * springs.bonds(x)[2] ** 2).sum() / (4.0 * kt)):
+            if rng.random_sample() < np.exp(
+                -(springs.q * springs.bonds(x)[2] ** 2).sum() / (4.0 * kt)
+            ):
                 break
         atoms = Atoms("H8", x, masses=MASSES, cell=[100.0] * 3, pbc=True, calculator=springs)
         atoms.set_momenta(momenta(rng, MASSES, kt, is_still))
@@ -169,16 +179,23 @@ def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
     first = np.arange(1, 2 * n - 1, 2)
     length = np.sqrt(kt / k)
     apart = np.array([[5.0, 0.0, 0.0]])
-    springs = Rigid(first, first + 1, np.full(n - 1, k), np.zeros(n - 1), np.repeat(apart, n - 1, axis=0))
+    springs = Rigid(
+        first, first + 1, np.full(n - 1, k), np.zeros(n - 1), np.repeat(apart, n - 1, axis=0)
+    )
     springs.length = length
 
     def draw(rng: np.random.RandomState) -> Atoms:
         ways = rng.standard_normal((n, 3))
         ways /= np.linalg.norm(ways, axis=1)[:, None]
         x = np.zeros((2 * n, 3))
-        x[0::2] = np.cumsum(np.vstack([apart, apart + length * (rng.standard_normal((n - 1, 3)) + ways[:-1])]), axis=0)
+        x[0::2] = np.cumsum(
+            np.vstack([apart, apart + length * (rng.standard_normal((n - 1, 3)) + ways[:-1])]),
+            axis=0,
+        )
         x[1::2] = x[0::2] + length * ways
-        atoms = Atoms("H" * 2 * n, x + 30.0, masses=masses, cell=[100.0] * 3, pbc=True, calculator=springs)
+        atoms = Atoms(
+            "H" * 2 * n, x + 30.0, masses=masses, cell=[100.0] * 3, pbc=True, calculator=springs
+        )
         p = momenta(rng, masses, kt, is_still)
         along = REDUCED * ((p[1::2] / HEAVY - p[0::2] / LIGHT) * ways).sum(axis=1)[:, None] * ways
         p[0::2] += along
@@ -188,15 +205,26 @@ def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
         return atoms
 
     springs.draw = draw
-    return Scene("chain", draw, springs, "masses spread rigid fixed", 0.5 * OF_MOLECULES**2,
-                 rigid=np.tile([0.75, 0.25], n) / 3.0, slowness=4)  # fmt: skip
+    return Scene(
+        "chain",
+        draw,
+        springs,
+        "masses spread rigid fixed",
+        0.5 * OF_MOLECULES**2,
+        rigid=np.tile([0.75, 0.25], n) / 3.0,
+        slowness=4,
+    )
 
 
 def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: int = 0) -> Scene:
     """A Lennard-Jones liquid of 108 atoms, which starts from a crystal: its energy, or, under pressure, its density."""
     heat, density, energy, p = STATES[state]
     tail = (
-        8.0 / 3.0 * np.pi * density * np.array([CUTOFF**-9.0 / 3.0 - CUTOFF**-3.0, CUTOFF**-9.0 / 1.5 - CUTOFF**-3.0])
+        8.0
+        / 3.0
+        * np.pi
+        * density
+        * np.array([CUTOFF**-9.0 / 3.0 - CUTOFF**-3.0, CUTOFF**-9.0 / 1.5 - CUTOFF**-3.0])
     )
     at_cutoff = 4.0 * (CUTOFF**-12.0 - CUTOFF**-6.0)  # by which ASE's energies of pairs are shifted
     n = 4 * SIDE**3
@@ -207,11 +235,16 @@ def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: i
     masses = np.full(n, epsilon * (timestep / PACE / sigma) ** 2)
 
     def draw(rng: np.random.RandomState) -> Atoms:
-        atoms = bulk("Ar", "fcc", a=sigma * (4.0 / density) ** (1.0 / 3.0), cubic=True) * (SIDE, SIDE, SIDE)
+        atoms = bulk("Ar", "fcc", a=sigma * (4.0 / density) ** (1.0 / 3.0), cubic=True) * (
+            SIDE,
+            SIDE,
+            SIDE,
+        )
         atoms.set_masses(masses)
         atoms.calc = calculator
         atoms.set_momenta(momenta(rng, masses, 2.0 * kt))
-        VelocityVerlet(atoms, timestep).run(MELTING)  # at this volume; under pressure it would stay a crystal
+        # at this volume; under pressure it would stay a crystal
+        VelocityVerlet(atoms, timestep).run(MELTING)
         atoms.set_momenta(momenta(rng, masses, kt, is_still))
         return atoms
 
@@ -228,7 +261,11 @@ def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
     k = REDUCED * (OF_MOLECULES / timestep) ** 2
     length = STRETCH * np.sqrt(kt / k)
     springs = AnharmonicSprings(
-        np.arange(0, 2 * n, 2), np.arange(1, 2 * n, 2), np.full(n, k), np.zeros(n), np.full(n, length)
+        np.arange(0, 2 * n, 2),
+        np.arange(1, 2 * n, 2),
+        np.full(n, k),
+        np.zeros(n),
+        np.full(n, length),
     )
     r = np.linspace(0.05, 2.5, 4000) * length
     weights = np.cumsum(r**2 * np.exp(-0.5 * k * (r - length) ** 2 / kt))
@@ -297,17 +334,30 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
     for k in range(steps // every):
         dynamics.run(every)
         if not SMALLEST < (volume := atoms.get_volume()) / start < 1.0 / SMALLEST:
-            raise FloatingPointError(f"the volume went from {start:.3g} to {volume:.3g} Å³ in {(k + 1) * every} steps")
+            raise FloatingPointError(
+                f"the volume went from {start:.3g} to {volume:.3g} Å³ in {(k + 1) * every} steps"
+            )
         if 2 * k >= steps // every:
             forces = atoms.get_forces(apply_constraint=False)
             u = atoms.get_potential_energy() if scene.wanted else 0.0
-            seen.append((atoms.positions.copy(), atoms.get_momenta(), forces, atoms.get_volume(), u))
+            seen.append(
+                (atoms.positions.copy(), atoms.get_momenta(), forces, atoms.get_volume(), u)
+            )
     ends.append(ends_of(atoms))
-    if np.ptp(edges := atoms.cell.lengths()) > 1e-6 * edges[0] or np.ptp(atoms.cell.angles()) > 1e-4:
-        raise FloatingPointError("the shape of the cell changes; a gas resists no shear: let only its volume change")
+    if (
+        np.ptp(edges := atoms.cell.lengths()) > 1e-6 * edges[0]
+        or np.ptp(atoms.cell.angles()) > 1e-4
+    ):
+        raise FloatingPointError(
+            "the shape of the cell changes; a gas resists no shear: let only its volume change"
+        )
     if not np.isfinite(ends).all():
-        raise FloatingPointError(f"not finite: energy {ends[1][0]:.3g} eV or volume {atoms.get_volume():.3g} Å³")
-    return Frames._make([atoms.get_masses(), kt, *map(np.array, zip(*seen, strict=True)), np.array(ends)])
+        raise FloatingPointError(
+            f"not finite: energy {ends[1][0]:.3g} eV or volume {atoms.get_volume():.3g} Å³"
+        )
+    return Frames._make(
+        [atoms.get_masses(), kt, *map(np.array, zip(*seen, strict=True)), np.array(ends)]
+    )
 
 
 def started(make: Make, scene: Scene, seed: int) -> tuple[Atoms, Any]:

@@ -13,7 +13,8 @@ from minimd.judge.findings import Answer, Finding, Grade, Law, causes, judged
 from minimd.judge.methods import Numbers, named, numbers_of
 from minimd.judge.problems import Array, Function, TrialProblem, difference
 
-STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}  # needed to distinguish all terms, by the shape of x
+# needed to distinguish all terms, by the shape of x
+STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}
 # errors are compared after this time, made in these numbers of steps
 DURATION = 0.8
 COUNTS = (8, 16, 32, 64)
@@ -39,10 +40,13 @@ class Measured:
         self.step = step
         self.where = where
         self.expected = expected
-        line = [np.ravel(step(where, where.x * (1.0 + 1e-6 * k), where.v, 0.1)[0]) for k in range(12)]
+        line = [
+            np.ravel(step(where, where.x * (1.0 + 1e-6 * k), where.v, 0.1)[0]) for k in range(12)
+        ]
         self.noise = np.abs(np.diff(line, n=3, axis=0)).max() / 8.0 / np.abs(where.x).max()
         self.fuzz = max(1.0, self.noise / NOISE)
-        n_dimensions = 0 if where.stiffness else where.x.ndim  # springs to the origin conserve no momenta
+        # springs to the origin conserve no momenta
+        n_dimensions = 0 if where.stiffness else where.x.ndim
         self.has = {*("atoms", "vectors")[:n_dimensions]}
         if step.takes(*FORCES):
             self.has.add("force")
@@ -58,13 +62,16 @@ class Measured:
         """The slope, in a logarithmic plot, of the error after a fixed time against the time step."""
         right = np.array(self.where.flow(DURATION))
         counts = np.array(COUNTS)
-        errors = np.array([np.linalg.norm(np.array(self.run(DURATION / n, n)) - right) for n in COUNTS])
+        errors = np.array(
+            [np.linalg.norm(np.array(self.run(DURATION / n, n)) - right) for n in COUNTS]
+        )
         kept = np.flatnonzero(errors > 1e-11)[-3:]
         kept = kept if len(kept) == 3 else np.arange(2)
         is_finite = np.isfinite(errors).all()
         logs = np.log(np.maximum(errors[kept], 1e-300))
         slope = -np.polyfit(np.log(counts[kept]), logs, 1)[0] if is_finite else 0.0
-        off = np.inf if slope < ORDER_OFF else max(self.expected - slope, 0.0)  # the error does not decrease with dt
+        # the error does not decrease with dt
+        off = np.inf if slope < ORDER_OFF else max(self.expected - slope, 0.0)
         told = f"{self.expected} expected; error {errors[-1]:.1e} at t = {DURATION:g}, dt = {DURATION / counts[-1]:g}"
         return slope, off, f"{max(slope, 0.0):.2f} measured, {told}"
 
@@ -79,7 +86,9 @@ class Measured:
             x, v = self.step(where, x, p / where.mass, 0.1)
             return np.ravel([x, where.mass * v])
 
-        return np.array([difference(end, start.ravel(), DELTA * unit) / DELTA for unit in np.eye(start.size)]).T
+        return np.array(
+            [difference(end, start.ravel(), DELTA * unit) / DELTA for unit in np.eye(start.size)]
+        ).T
 
     @cached_property
     def form(self) -> float:
@@ -97,7 +106,9 @@ class Measured:
 
     def momentum(self, of: Callable[[Array, Array], Array]) -> float:
         """The relative change of Σ of(x, mv) in some steps."""
-        before, after = (of(x, self.where.mass * v) for x, v in (self.where[:2], self.run(PACE, SOME)))
+        before, after = (
+            of(x, self.where.mass * v) for x, v in (self.where[:2], self.run(PACE, SOME))
+        )
         return float(np.abs((after - before).sum(axis=0)).max() / np.abs(before).sum()) / self.fuzz
 
     def energy(self) -> Answer:
@@ -109,7 +120,11 @@ class Measured:
             x, v = self.step(self.where, x, v, PACE)
             energies.append((0.5 * np.sum(self.where.mass * v * v), self.where.at(x)[1]))
             if not abs(sum(energies[-1])) < TOO_LARGE:
-                return np.inf, np.inf, f"grows beyond {TOO_LARGE:g} in {len(energies)} steps of {PACE:g}"
+                return (
+                    np.inf,
+                    np.inf,
+                    f"grows beyond {TOO_LARGE:g} in {len(energies)} steps of {PACE:g}",
+                )
         series = np.sum(energies, axis=1)
         k = np.mean(energies, axis=0)[0]
         slope, start = np.polyfit(times, series / k, 1)
@@ -117,7 +132,11 @@ class Measured:
         if oscillation < EXACTLY:
             return 0.0, np.inf, "constant to rounding: no explicit step has this property by itself"
         off = abs(slope) * LONG / max(1e-9, oscillation) if self.form > SYMPLECTIC else 0.0
-        words = f"changes by {slope:.1e} of the kinetic energy per step" if off > 1.0 else "does not drift"
+        words = (
+            f"changes by {slope:.1e} of the kinetic energy per step"
+            if off > 1.0
+            else "does not drift"
+        )
         return slope, off, f"{words}; it oscillates by {oscillation:.1e} (dt = {PACE:g})"
 
     def oscillator(self) -> Answer:
@@ -129,16 +148,25 @@ class Measured:
         where = where._replace(m=np.ones_like(where.m))
 
         def matrix(h: float) -> Array:
-            ends = [self.step(where, x * one, v * one, h / omega) for x, v in ((1.0, 0.0), (0.0, omega))]
+            ends = [
+                self.step(where, x * one, v * one, h / omega) for x, v in ((1.0, 0.0), (0.0, omega))
+            ]
             return np.array([(np.ravel(x)[0], np.ravel(v)[0] / omega) for x, v in ends]).T
 
         m = matrix(0.5)
         off = np.linalg.det(m) - 1.0
         if not abs(off) <= 1e-7:
-            return off, np.inf, f"at ω dt = 0.5 the energy changes by the factor {1.0 + off:.4g} in each step"
+            return (
+                off,
+                np.inf,
+                f"at ω dt = 0.5 the energy changes by the factor {1.0 + off:.4g} in each step",
+            )
         skew = (m[1, 1] - m[0, 0]) / m[0, 1]
         stiffness = -m[1, 0] / m[0, 1]
-        stable = next((k for k, h in enumerate(LENGTHS) if abs(np.trace(matrix(h))) > 2.0 + 1e-9), len(LENGTHS))
+        stable = next(
+            (k for k, h in enumerate(LENGTHS) if abs(np.trace(matrix(h))) > 2.0 + 1e-9),
+            len(LENGTHS),
+        )
         mixed = f" {skew:+.4g} ω x v" if abs(skew) > 1e-9 else ""
         words = f"at ω dt = 0.5 it conserves v² {stiffness:+.6g} ω² x²{mixed}; stable up to ω dt = {0.01 * stable:.2f}"
         return 0.01 * stable, 0.0 if stable else np.inf, words
@@ -148,12 +176,18 @@ class Measured:
         self.step.n_evaluations = 0
         self.run(PACE, 1)
         n = self.step.n_evaluations
-        more = "; one is enough if the force at the end of a step is kept for the next step" if n == 2 else ""
+        more = (
+            "; one is enough if the force at the end of a step is kept for the next step"
+            if n == 2
+            else ""
+        )
         return n, 0.0 if n == 1 else np.nan, more
 
 
-PHASE_SPACE = ("the step, like Runge-Kutta methods and thermostats, shrinks or stretches phase space, or is not a "
-               "product of kicks and drifts (see the laws symplectic and volume): the energy drifts")  # fmt: skip
+PHASE_SPACE = (
+    "the step, like Runge-Kutta methods and thermostats, shrinks or stretches phase space, or is not a "
+    "product of kicks and drifts (see the laws symplectic and volume): the energy drifts"
+)
 LAWS = (
     Law("order", Measured.order, ORDER_OFF, "{2}", "the terms up to dt² are right, but the measured order is {0:.2f}"),
     Law("symplectic", lambda s: s.form, SYMPLECTIC, "at dt = 0.1 JᵀΩJ − Ω is {0:.1e}", PHASE_SPACE),
@@ -177,7 +211,8 @@ REMARKS = (
     (lambda step: step.takes("before"), "a step that takes the force of the previous step is not a map of x and v, and "
                                         "is not judged as one"),
 )  # fmt: skip
-NO_MAP = {"reversible", "symplectic", "volume", "angular momentum", "energy", "oscillator"}  # open if it is none
+# open if it is none
+NO_MAP = {"reversible", "symplectic", "volume", "angular momentum", "energy", "oscillator"}
 RUNGE_KUTTA = "a Runge-Kutta method: it is not symplectic, and its energy drifts at any order"
 
 
@@ -189,7 +224,13 @@ def grade_step(function: Function, order: int = 2) -> Grade:
     remarks = [words for is_so, words in REMARKS if is_so(step)]
     with np.errstate(all="ignore"):
         if faults := hidden(step, where):
-            return Grade(step.told, (Finding("a map of x and v", False, faults[0]),), tuple(faults), "", tuple(remarks))
+            return Grade(
+                step.told,
+                (Finding("a map of x and v", False, faults[0]),),
+                tuple(faults),
+                "",
+                tuple(remarks),
+            )
         one = Measured(step, where, order)
         laws = {finding.name: finding for finding in judged(LAWS, one)}
         reached = laws["order"].value
@@ -199,15 +240,33 @@ def grade_step(function: Function, order: int = 2) -> Grade:
         method, near = named(numbers) if isinstance(numbers, Numbers) else ("", numbers or "")
         is_low = is_symplectic and order == 1  # and asked for
         n_powers = 2 if reached > HIGH or is_low else 3
-        faults = [near] if near else faults_of(step, problems, one.noise, n_powers, laws["energy"].value == 0.0)
+        faults = (
+            [near]
+            if near
+            else faults_of(step, problems, one.noise, n_powers, laws["energy"].value == 0.0)
+        )
         is_open = NO_MAP if step.takes("before") else set[str]()
-        if is_symplectic and is_right and (reached > HIGH or is_low):  # as Ruth's method of order 3, which is right
+        # as Ruth's method of order 3, which is right
+        if is_symplectic and is_right and (reached > HIGH or is_low):
             is_open = {"reversible"}
-        elif isinstance(numbers, Numbers) and not numbers.substeps and not is_symplectic and not faults:
+        elif (
+            isinstance(numbers, Numbers)
+            and not numbers.substeps
+            and not is_symplectic
+            and not faults
+        ):
             if is_right and abs(reached - order) < 0.5 and (order > 2 or method):
                 is_open = {name for name, law in laws.items() if law.passed is False}
                 remarks = [*remarks, RUNGE_KUTTA]
             else:
-                faults = [f"{RUNGE_KUTTA}. If it is meant, ask for its order: md.grade(step, order={round(reached)})"]
+                faults = [
+                    f"{RUNGE_KUTTA}. If it is meant, ask for its order: md.grade(step, order={round(reached)})"
+                ]
     laws |= {name: replace(laws[name], passed=None) for name in is_open if name in laws}
-    return Grade(step.told, (*laws.values(),), tuple(faults or causes(laws.values())[:1]), method, tuple(remarks))
+    return Grade(
+        step.told,
+        (*laws.values(),),
+        tuple(faults or causes(laws.values())[:1]),
+        method,
+        tuple(remarks),
+    )

@@ -20,7 +20,9 @@ def as_dict(one: Grade) -> dict[str, Any]:
     """A grade for json.dumps: its fields, passed and verdict; numbers that are not finite are None."""
     found = asdict(one) | {"passed": one.passed, "verdict": one.verdict}
     for row in found["findings"]:
-        row.update({name: row[name] if np.isfinite(row[name]) else None for name in ("value", "limit")})
+        row.update(
+            {name: row[name] if np.isfinite(row[name]) else None for name in ("value", "limit")}
+        )
     return found
 
 
@@ -29,7 +31,9 @@ def draw(one: Grade, file: Path) -> None:
     from matplotlib.figure import Figure
 
     if not (rows := [row for row in one.findings if np.isfinite(row.limit)][::-1]):
-        raise ValueError(f"a picture shows laws with a limit, as NVT and NPT have them; {one.function} has none")
+        raise ValueError(
+            f"a picture shows laws with a limit, as NVT and NPT have them; {one.function} has none"
+        )
     figure = Figure(figsize=(7.0, 1.2 + 0.32 * len(rows)), layout="constrained")
     axes = figure.subplots()
     for k, row in enumerate(rows):
@@ -39,7 +43,9 @@ def draw(one: Grade, file: Path) -> None:
     axes.set_yticks(range(len(rows)), [row.name for row in rows])
     axes.set_xlabel("measured / right; gray: passes")
     axes.set_title(
-        f"{one.function}\n{one.verdict if len(one.verdict) < 60 else 'faults were found'}", fontsize=9, parse_math=False
+        f"{one.function}\n{one.verdict if len(one.verdict) < 60 else 'faults were found'}",
+        fontsize=9,
+        parse_math=False,
     )
     figure.savefig(file, dpi=120)
 
@@ -84,6 +90,9 @@ class LawOf:
     def __call__(self) -> Finding:
         """Its finding.  Raises AssertionError if the law does not hold, or was not reached."""
         answer = self._graded()
-        finding = next((one for one in answer if one.name == self.name), Finding(self.name, False, "was not reached"))
+        finding = next(
+            (one for one in answer if one.name == self.name),
+            Finding(self.name, False, "was not reached"),
+        )
         assert finding.passed is not False, f"{finding.words}; {'; '.join(answer.faults)}"
         return finding

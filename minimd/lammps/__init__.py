@@ -5,4 +5,11 @@ from minimd.core.structure.errors import HandOverError
 from minimd.lammps.handing_over import HandOver, check_hand_over, hand_over, not_carried_over
 from minimd.lammps.program import find_program
 
-__all__ = ["HandOver", "HandOverError", "check_hand_over", "find_program", "hand_over", "not_carried_over"]
+__all__ = [
+    "HandOver",
+    "HandOverError",
+    "check_hand_over",
+    "find_program",
+    "hand_over",
+    "not_carried_over",
+]

@@ -22,11 +22,19 @@ from minimd.core.compiled.snapshot import globals_read, unread
 from minimd.core.potentials.law import evaluate_law, reads_table
 
 MOST_DECISIONS = 8  # conditions that a call of a law may evaluate one after the other
-SAME = "sqrt exp log sin cos tan asin acos atan sinh cosh tanh erf erfc floor ceil abs"  # names in both
+# names in both
+SAME = "sqrt exp log sin cos tan asin acos atan sinh cosh tanh erf erfc floor ceil abs"
 FUNCTIONS = {name: name for name in SAME.split()}  # names in math and numpy: in Lepton
-FUNCTIONS |= {"arcsin": "asin", "arccos": "acos", "arctan": "atan", "fabs": "abs", "absolute": "abs"}
+FUNCTIONS |= {
+    "arcsin": "asin",
+    "arccos": "acos",
+    "arctan": "atan",
+    "fabs": "abs",
+    "absolute": "abs",
+}
 FUNCTIONS |= {"maximum": "max", "minimum": "min", "where": "select"}
-COMPUTED: dict[str, Callable[..., Any]] = {  # names in math and numpy: by operators and other functions
+# names in math and numpy: by operators and other functions
+COMPUTED: dict[str, Callable[..., Any]] = {
     "add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "negative": operator.neg,
     "divide": operator.truediv, "true_divide": operator.truediv,
     "power": operator.pow, "float_power": operator.pow, "pow": operator.pow,
@@ -50,7 +58,9 @@ class Symbol:
     """An unknown number: an operation, and its arguments, which are symbols and numbers.
     decisions : truth values for the conditions in this call of a law, in their order."""
 
-    def __init__(self, operation: str, arguments: tuple[Any, ...], decisions: Iterator[bool]) -> None:
+    def __init__(
+        self, operation: str, arguments: tuple[Any, ...], decisions: Iterator[bool]
+    ) -> None:
         self.operation = operation
         self.arguments = arguments
         self.decisions = decisions
@@ -80,13 +90,17 @@ class Symbol:
         raise UnwritableError("it needs whole numbers")
 
     def __getattr__(self, name: str) -> Any:
-        raise UnwritableError("it makes arrays" if name.startswith("__array") else f"it uses {name} of its arguments")
+        raise UnwritableError(
+            "it makes arrays" if name.startswith("__array") else f"it uses {name} of its arguments"
+        )
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **_options: Any) -> Any:
         """Apply a function of numpy to symbols."""
         return applied(ufunc.__name__, *inputs)
 
-    def __array_function__(self, function: Callable, _types: Any, inputs: Any, _options: Any) -> Any:
+    def __array_function__(
+        self, function: Callable, _types: Any, inputs: Any, _options: Any
+    ) -> Any:
         """Apply functions such as numpy.where to symbols."""
         return applied(function.__name__, *inputs)
 
@@ -132,7 +146,9 @@ def energy_expression(law: tuple, parameters: tuple[float, ...]) -> str:
 def _followed(law: tuple, parameters: tuple[float, ...], decisions: tuple[bool, ...]) -> Any:
     """u for given outcomes of the first conditions; for each further condition, a choice between its two outcomes."""
     if len(decisions) > MOST_DECISIONS:
-        raise UnwritableError(f"it evaluates more than {MOST_DECISIONS} conditions one after the other")
+        raise UnwritableError(
+            f"it evaluates more than {MOST_DECISIONS} conditions one after the other"
+        )
     try:
         u, _f = Rewritten().law(law, Symbol("r2", (), iter(decisions)), parameters)
         return u
@@ -166,7 +182,10 @@ class Rewritten:
             return SimpleNamespace(**{name: self._value(one) for name, one in vars(math).items()})
         if getattr(value, "__module__", None) == "math" or value in (max, min, abs):
             return _taking_symbols(value)
-        is_own = isinstance(value, FunctionType) and value.__module__.split(".")[0] not in ("numpy", "numba")
+        is_own = isinstance(value, FunctionType) and value.__module__.split(".")[0] not in (
+            "numpy",
+            "numba",
+        )
         return self._function(value) if is_own else value
 
     def _function(self, function: FunctionType) -> Callable:
@@ -177,7 +196,9 @@ class Rewritten:
                 if name in function.__globals__ or hasattr(builtins, name):
                     value = function.__globals__.get(name, getattr(builtins, name, None))
                     copied.__globals__[name] = self._value(value)
-            for ours, theirs in zip(copied.__closure__ or (), function.__closure__ or (), strict=True):
+            for ours, theirs in zip(
+                copied.__closure__ or (), function.__closure__ or (), strict=True
+            ):
                 ours.cell_contents = self._value(theirs.cell_contents)
         return self._copies[id(function)]
 
@@ -218,7 +239,11 @@ def written(expression: Any) -> str:
         if id(one) not in texts:
             arguments = [text(argument) for argument in one.arguments]
             operation = one.operation
-            whole = f"({operation.join(arguments)})" if operation in "+-*/^" else f"{operation}({','.join(arguments)})"
+            whole = (
+                f"({operation.join(arguments)})"
+                if operation in "+-*/^"
+                else f"{operation}({','.join(arguments)})"
+            )
             if uses[id(one)] > 1 and arguments:
                 named.append(f"t{len(named) + 1}={whole}")
                 whole = f"t{len(named)}"

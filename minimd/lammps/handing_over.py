@@ -59,7 +59,9 @@ def _frame(file: BinaryIO, expected: int) -> tuple[int, Array]:
 
     length, magic, order = read(f"q{len(MAGIC)}si")
     if (length, magic, order) != (-len(MAGIC), MAGIC, 1):
-        raise ValueError("LAMMPS has written a dump in a format that minimd does not know; use LAMMPS of 2021 or later")
+        raise ValueError(
+            "LAMMPS has written a dump in a format that minimd does not know; use LAMMPS of 2021 or later"
+        )
     _revision, step, n_atoms, tilted = read("iqqi")
     if n_atoms != expected:
         raise EOFError
@@ -82,7 +84,8 @@ def _frame(file: BinaryIO, expected: int) -> tuple[int, Array]:
 TRAJECTORY = "run.h5md"
 BYTES_PER_ATOM = 490  # of the input and of step 0
 BYTES_PER_FRAME = 130  # of a frame in the files of LAMMPS and minimd
-DISAGREEMENT = 1e-8  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
+# of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
+DISAGREEMENT = 1e-8
 MOST_STEPS = 2**31  # one run of LAMMPS makes fewer
 
 
@@ -106,11 +109,20 @@ class HandOver(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        return [("LAMMPS", f"{self.version}, on {_named(self.processes)}"), ("verified", f"{self.verification}"),
-                ("frames", f"{len(self.record)}; energies of both programs differ by at most "
-                           f"{self.energy_difference:.1e} of Σ|e_i| or N k_B T"),
-                ("time", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in self.seconds.items())),
-                ("written", str(self.trajectory))]  # fmt: skip
+        return [
+            ("LAMMPS", f"{self.version}, on {_named(self.processes)}"),
+            ("verified", f"{self.verification}"),
+            (
+                "frames",
+                f"{len(self.record)}; energies of both programs differ by at most "
+                f"{self.energy_difference:.1e} of Σ|e_i| or N k_B T",
+            ),
+            (
+                "time",
+                ", ".join(f"{name} {seconds:.3g} s" for name, seconds in self.seconds.items()),
+            ),
+            ("written", str(self.trajectory)),
+        ]
 
 
 def not_carried_over(simulation: Simulation) -> list[str]:
@@ -139,9 +151,18 @@ def not_carried_over(simulation: Simulation) -> list[str]:
     return [sentence for sentence, applies in rows.items() if applies]
 
 
-def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, processes: int = 1, every: int = 100,
-              store_forces: bool = False, overwrite: bool = False, progress: bool | None = None,
-              tell: Callable[[str], object] | None = print) -> HandOver:  # fmt: skip
+def hand_over(
+    simulation: Simulation,
+    folder: str | Path,
+    steps: int,
+    *,
+    processes: int = 1,
+    every: int = 100,
+    store_forces: bool = False,
+    overwrite: bool = False,
+    progress: bool | None = None,
+    tell: Callable[[str], object] | None = print,
+) -> HandOver:
     """Let LAMMPS make the next steps of a simulation, which is then in the state in which LAMMPS ended, and can go on.
 
     The scene is written for LAMMPS from the same laws. LAMMPS evaluates it at step 0; energy, force and virial of each
@@ -187,13 +208,21 @@ def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, process
         first = job.first_step
         with phase(job, "running"), progress_of(job.steps, "LAMMPS", progress) as show:
             try:
-                run(job.command(script.RUN), job.folder, script.LOG, job, lambda step: show(step - first))
+                run(
+                    job.command(script.RUN),
+                    job.folder,
+                    script.LOG,
+                    job,
+                    lambda step: show(step - first),
+                )
             except HandOverError as error:
                 failure = str(error)
         log.read_on()
         with phase(job, "reading back"):
             is_whole = not (failure or job.stop_requested)
-            record, difference, n_missing = _brought_back(job, model, log, verification.scale, with_forces, is_whole)
+            record, difference, n_missing = _brought_back(
+                job, model, log, verification.scale, with_forces, is_whole
+            )
         _judge(job, failure, log, max(DISAGREEMENT, model.tolerance), record, difference, n_missing)
         done = HandOver(
             job.folder,
@@ -210,8 +239,15 @@ def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, process
         return done
 
 
-def check_hand_over(simulation: Simulation, folder: str | Path, steps: int, *, processes: int = 1, every: int = 100,
-                    overwrite: bool = False) -> None:  # fmt: skip
+def check_hand_over(
+    simulation: Simulation,
+    folder: str | Path,
+    steps: int,
+    *,
+    processes: int = 1,
+    every: int = 100,
+    overwrite: bool = False,
+) -> None:
     """Raise the errors that hand_over raises before it starts: a scene LAMMPS cannot run, no LAMMPS, the folder."""
     Model(_checked(simulation, folder, steps, processes, every, overwrite).engine)
 
@@ -254,15 +290,23 @@ def _named(processes: int) -> str:
 
 
 def _checked(
-    simulation: Simulation, folder: str | Path, steps: int, processes: int, every: int, overwrite: bool
+    simulation: Simulation,
+    folder: str | Path,
+    steps: int,
+    processes: int,
+    every: int,
+    overwrite: bool,
 ) -> Job:
     """The hand-over.  Raises ValueError for a scene or numbers that LAMMPS cannot run; FileNotFoundError,
     FileExistsError or OSError if LAMMPS is not found, or the files cannot be written there."""
     checked_kind("simulation", simulation, Simulation, "a Simulation")
-    folder, overwrite = checked_path("folder", folder), checked_flag("overwrite", overwrite)
+    folder = checked_path("folder", folder)
+    overwrite = checked_flag("overwrite", overwrite)
     if simulation.barostat is not None:
-        raise ValueError("a run with a barostat cannot be handed over to LAMMPS, which has other barostats than "
-                         "minimd; run it with minimd")  # fmt: skip
+        raise ValueError(
+            "a run with a barostat cannot be handed over to LAMMPS, which has other barostats than "
+            "minimd; run it with minimd"
+        )
     steps = checked_count("steps", steps, limit=MOST_STEPS)
     every = checked_count("every", every)
     processes = checked_count("processes", processes)
@@ -272,11 +316,19 @@ def _checked(
     job.command(script.RUN)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         if not overwrite:
-            raise FileExistsError(f"folder {str(folder)!r} exists and is not empty; choose another name, or pass "
-                                  "overwrite=True")  # fmt: skip
+            raise FileExistsError(
+                f"folder {str(folder)!r} exists and is not empty; choose another name, or pass "
+                "overwrite=True"
+            )
         own = {TRAJECTORY, OUTPUT, *script.FILES}
-        if not folder.is_dir() or (others := sorted({file.name for file in folder.iterdir()} - own)):
-            held = f"holds more than a hand-over, such as {others[0]!r}" if folder.is_dir() else "is a file"
+        if not folder.is_dir() or (
+            others := sorted({file.name for file in folder.iterdir()} - own)
+        ):
+            held = (
+                f"holds more than a hand-over, such as {others[0]!r}"
+                if folder.is_dir()
+                else "is a file"
+            )
             raise FileExistsError(f"{str(folder)!r} {held}; choose another name")
     parent = folder.absolute().parent
     if not parent.is_dir():
@@ -285,9 +337,11 @@ def _checked(
     n_frames = 2 + steps // every
     needed = n_atoms * (BYTES_PER_ATOM + BYTES_PER_FRAME * n_frames)
     if needed > (free := shutil.disk_usage(parent).free):
-        raise OSError(f"the hand-over needs {needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the "
-                      f"disk has {free / 1e9:.2g} GB left; free some space, or write frames less often (every = "
-                      f"{every})")  # fmt: skip
+        raise OSError(
+            f"the hand-over needs {needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the "
+            f"disk has {free / 1e9:.2g} GB left; free some space, or write frames less often (every = "
+            f"{every})"
+        )
     return job
 
 
@@ -332,18 +386,25 @@ def _verified(job: Job, model: Model) -> Verification:
     if job.stop_requested:
         raise KeyboardInterrupt("stopped before the run of LAMMPS")
     if log.processes != job.processes:
-        raise HandOverError(f"LAMMPS runs on {log.processes} process instead of {job.processes}; {job.program.lmp} was "
-                            f"probably built without MPI, or for another mpiexec than {job.program.mpiexec}: "
-                            f"{INSTALL}")  # fmt: skip
+        raise HandOverError(
+            f"LAMMPS runs on {log.processes} process instead of {job.processes}; {job.program.lmp} was "
+            f"probably built without MPI, or for another mpiexec than {job.program.mpiexec}: "
+            f"{INSTALL}"
+        )
     places = zip(script.STEP_0, (model.box, box), strict=True)
-    written = ((columns, box) for name, box in places for _, columns in frames(job.folder / name, len(copy)))
+    written = (
+        (columns, box)
+        for name, box in places
+        for _, columns in frames(job.folder / name, len(copy))
+    )
     verification = compare(ours, (script.per_atom(*one) for one in written))
     verification.check(job.engine, model.tolerance)
     return verification
 
 
-def _brought_back(job: Job, model: Model, log: Log, scale: float, store_forces: bool,
-                  is_whole: bool) -> tuple[Record, float, int]:  # fmt: skip
+def _brought_back(
+    job: Job, model: Model, log: Log, scale: float, store_forces: bool, is_whole: bool
+) -> tuple[Record, float, int]:
     """Write the frames, observed by minimd, into the H5MD file; the simulation is then in the last state.
     Returns the record of the frames, the energy difference (see HandOver), and the number of frames that are missing.
     is_whole : whether LAMMPS has reached its end. If not, the frames that exist are kept if there is one after the
@@ -362,11 +423,14 @@ def _brought_back(job: Job, model: Model, log: Log, scale: float, store_forces: 
     title = notes["title"]
     differences = list[float]()
     # [energy], of tail corrections, which LAMMPS does not compute
-    tail = sum(bound(one, engine.system).tail(engine.system)[0] for one in engine.interactions.potentials)
+    tail = sum(
+        bound(one, engine.system).tail(engine.system)[0] for one in engine.interactions.potentials
+    )
 
     def stand(step: int, columns: Array) -> None:
         _stand(job, model.box, step, columns)
-        engine.reservoir_energy = start - sum(log.rows.get(step, ())[1:])  # a second number if there is a bath
+        # a second number if there is a bath
+        engine.reservoir_energy = start - sum(log.rows.get(step, ())[1:])
 
     notes["title"] = f"{title or f'{n_atoms} atoms'}, run by LAMMPS {job.program.version}"
     n_missing = 0
@@ -393,7 +457,13 @@ def _brought_back(job: Job, model: Model, log: Log, scale: float, store_forces: 
                 final = next(frames(job.folder / script.LAST, n_atoms), None)
                 if final is not None:
                     stand(end, final[1])
-                n_missing = 1 + end // job.every - job.first_step // job.every - len(record) + (final is None)
+                n_missing = (
+                    1
+                    + end // job.every
+                    - job.first_step // job.every
+                    - len(record)
+                    + (final is None)
+                )
     finally:
         notes["title"] = title
     job.simulation.record = record
@@ -406,16 +476,22 @@ def _stand(job: Job, box: Box, step: int, columns: Array) -> None:
     timestep = engine.method.timestep
     velocities = box.back(columns[:, 3:])
     if not np.isfinite(columns).all():
-        raise HandOverError(f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step "
-                            f"({timestep:g})")  # fmt: skip
+        raise HandOverError(
+            f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step "
+            f"({timestep:g})"
+        )
     half = 0.5 * (step - engine.step) * timestep
     limit = box.most_images // 2
     most = np.abs(box.crossed(half * (velocities - engine.velocities))).max()
     if most > limit:
-        raise HandOverError(f"it is unknown how many cells the atoms have crossed at step {step}: their places are "
-                            f"uncertain by {most:.3g} cells since step {engine.step}, and LAMMPS counts {limit} "
-                            f"at most; bring frames back more often (every = {job.every})")  # fmt: skip
-    engine.positions[:] = box.positions_back(columns[:, :3], engine.positions + half * (velocities + engine.velocities))
+        raise HandOverError(
+            f"it is unknown how many cells the atoms have crossed at step {step}: their places are "
+            f"uncertain by {most:.3g} cells since step {engine.step}, and LAMMPS counts {limit} "
+            f"at most; bring frames back more often (every = {job.every})"
+        )
+    engine.positions[:] = box.positions_back(
+        columns[:, :3], engine.positions + half * (velocities + engine.velocities)
+    )
     engine.velocities[:] = velocities
     engine.count(step - engine.step)
     engine.moved()
@@ -424,17 +500,28 @@ def _stand(job: Job, box: Box, step: int, columns: Array) -> None:
     engine.constraint_set.project(engine.velocities, engine.positions)
 
 
-def _judge(job: Job, failure: str, log: Log, allowed: float, record: Record, difference: float, n_missing: int) -> None:
+def _judge(
+    job: Job,
+    failure: str,
+    log: Log,
+    allowed: float,
+    record: Record,
+    difference: float,
+    n_missing: int,
+) -> None:
     """Raise HandOverError if LAMMPS failed, or frames are missing or wrong; KeyboardInterrupt if it was stopped."""
     words = failure or ("the run of LAMMPS was stopped" if job.stop_requested else "")
     if n_missing and not words:
         words = f"LAMMPS has made all steps, but {n_missing} frames are not on the disk; is the disk full?"
     elif not (words or difference <= allowed):
-        words = (f"potential energies of LAMMPS and minimd differ by {difference:.1e} of Σ|e_i| or N k_B T in a frame, "
-                 f"allowed is {allowed:g}; lists of LAMMPS may have missed pairs ({log.dangerous_builds} dangerous "
-                 "builds): reduce the time step")  # fmt: skip
+        words = (
+            f"potential energies of LAMMPS and minimd differ by {difference:.1e} of Σ|e_i| or N k_B T in a frame, "
+            f"allowed is {allowed:g}; lists of LAMMPS may have missed pairs ({log.dangerous_builds} dangerous "
+            "builds): reduce the time step"
+        )
     if words and job.keeps_frames:
         kept = f"{len(record)} frames up to step {job.engine.step} are kept in {job.folder / TRAJECTORY}"
-        words = f"{kept}; {words}" if job.stop_requested else f"{words}; {kept}"  # the name of the signal follows
+        # the name of the signal follows
+        words = f"{kept}; {words}" if job.stop_requested else f"{words}; {kept}"
     if words:
         raise KeyboardInterrupt(words) if job.stop_requested else HandOverError(words)

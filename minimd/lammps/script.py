@@ -49,8 +49,12 @@ clear
 next atoms
 jump SELF
 """
-BATHS: dict[type, str] = {LangevinBAOAB: "fix langevin", StochasticVelocityRescaling: "fix temp/csvr"}
-METHODS: tuple[type[Splitting], ...] = (VelocityVerlet, Leapfrog, *BATHS)  # Leapfrog: same observed states
+BATHS: dict[type, str] = {
+    LangevinBAOAB: "fix langevin",
+    StochasticVelocityRescaling: "fix temp/csvr",
+}
+# Leapfrog: same observed states
+METHODS: tuple[type[Splitting], ...] = (VelocityVerlet, Leapfrog, *BATHS)
 
 
 def check_method(engine: Engine) -> None:
@@ -58,10 +62,14 @@ def check_method(engine: Engine) -> None:
     method = engine.method
     if type(method) not in METHODS:
         known = ", ".join(one.name for one in METHODS)
-        raise ValueError(f"LAMMPS can make the steps of {known}; the method is {method.name}: choose another one, or "
-                         "run this scene with minimd")  # fmt: skip
+        raise ValueError(
+            f"LAMMPS can make the steps of {known}; the method is {method.name}: choose another one, or "
+            "run this scene with minimd"
+        )
     if method.timestep < 0.0:
-        raise ValueError(f"the time step must be positive for LAMMPS; timestep = {method.timestep!r}")
+        raise ValueError(
+            f"the time step must be positive for LAMMPS; timestep = {method.timestep!r}"
+        )
 
 
 def write(folder: Path, engine: Engine, model: Model, n_steps: int, every: int) -> None:
@@ -116,7 +124,11 @@ def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
     # steps between two lines of the log: the largest divisor of every that gives LOOKS lines or more
     look_every = max(k for k in range(1, every + 1) if every % k == 0 and k <= most)
     lines = [f"group fixed type {fixed}", "group mobile subtract all fixed"] if fixed else []
-    lines += [f"reset_timestep {engine.step}", f"timestep {engine.method.timestep:.17g}", f"fix motion {moving} nve"]
+    lines += [
+        f"reset_timestep {engine.step}",
+        f"timestep {engine.method.timestep:.17g}",
+        f"fix motion {moving} nve",
+    ]
     fixes = "\n".join([*lines, *bath, *held(model)])
     return f"""variable atoms index {ATOMS}
 include {FORCES}
@@ -130,8 +142,12 @@ write_dump all custom {LAST} id xu yu zu vx vy vz
 """
 
 
-def held(model: Model, fix: str = "shake", tolerance: float = SHAKE_TOLERANCE,
-         most: int = SHAKE_ITERATIONS) -> list[str]:  # fmt: skip
+def held(
+    model: Model,
+    fix: str = "shake",
+    tolerance: float = SHAKE_TOLERANCE,
+    most: int = SHAKE_ITERATIONS,
+) -> list[str]:
     """Rigid bonds, after all other fixes. Fix rattle is not the default: that of LAMMPS 22 Jul 2025 moves molecules of
     three atoms on the border of two processes wrongly, and dumps velocities with a component along the bonds. The
     positions of SHAKE are those of RATTLE, and so are its velocities after a projection, see handing_over."""
@@ -147,10 +163,16 @@ def _bath(engine: Engine, moving: str) -> list[str]:
     method: Any = engine.method
     if type(method) not in BATHS or (isinstance(method, LangevinBAOAB) and method.friction == 0.0):
         return []
-    seed = 1 + int(np.random.SeedSequence(method.seed, spawn_key=(engine.step,)).generate_state(1)[0]) % LARGEST_SEED
+    seed = (
+        1
+        + int(np.random.SeedSequence(method.seed, spawn_key=(engine.step,)).generate_state(1)[0])
+        % LARGEST_SEED
+    )
     heat = f"{engine.system.units.k_B * method.temperature:.17g}"
     if isinstance(method, LangevinBAOAB):
-        return [f"fix bath {moving} langevin {heat} {heat} {1.0 / method.friction:.17g} {seed} tally yes"]
+        return [
+            f"fix bath {moving} langevin {heat} {heat} {1.0 / method.friction:.17g} {seed} tally yes"
+        ]
     style, extra = ("temp/com", 3) if engine.conserves_momentum else ("temp", 0)
     return [
         f"compute heat {moving} {style}",

@@ -22,8 +22,10 @@ TOLERANCE = 1e-10  # of the largest; a scene that differs by more is not handed 
 LEAST = 1e-30  # [energy], of a scene without energies
 SMALLER = 0.95  # the size of a copy, relative to the one before
 SHAKEN = 0.05  # of the skin: displacements of atoms in the copies, in each direction at most
-NEAREST = 0.3  # of the smallest cutoff: after the first copy, none is made whose closest pair is nearer
-PART = 0.01  # of the energies, forces and virials of the copy: the scale of those that vanish or cancel in the scene
+# of the smallest cutoff: after the first copy, none is made whose closest pair is nearer
+NEAREST = 0.3
+# of the energies, forces and virials of the copy: the scale of those that vanish or cancel in the scene
+PART = 0.01
 
 
 class Verification(NamedTuple):
@@ -49,8 +51,10 @@ class Verification(NamedTuple):
     def __str__(self) -> str:
         if self.scale == 0.0:
             return "nothing was compared: no term has an energy at step 0, nor when all distances are made smaller"
-        return (f"step 0 agrees within {self.energy:.1e} in the energy, {self.energies:.1e} in those of atoms, "
-                f"{self.forces:.1e} in forces, {self.virials:.1e} in virials")  # fmt: skip
+        return (
+            f"step 0 agrees within {self.energy:.1e} in the energy, {self.energies:.1e} in those of atoms, "
+            f"{self.forces:.1e} in forces, {self.virials:.1e} in virials"
+        )
 
     def check(self, engine: Engine, tolerance: float) -> None:
         """Raise HandOverError if LAMMPS and minimd differ by more than a tolerance."""
@@ -66,17 +70,25 @@ def on_a_cutoff(engine: Engine) -> str:
     """A clause about a pair that interacts, on a cutoff at which energy or force jumps; empty if there is none."""
     system = engine.system
     for one in engine.interactions.potentials:
-        if isinstance(one, Nonbonded) and one.truncation in ("truncated", "shifted") and one.cutoff < np.inf:
+        if (
+            isinstance(one, Nonbonded)
+            and one.truncation in ("truncated", "shifted")
+            and one.cutoff < np.inf
+        ):
             cutoffs = np.sqrt(one.table(system.species_names)[:, :, 0])
             species = system.species_index * one.depends_on_species
-            first, second, distances = neighbor_list("ijd", system, cutoffs.max() * (1.0 + TOLERANCE))
+            first, second, distances = neighbor_list(
+                "ijd", system, cutoffs.max() * (1.0 + TOLERANCE)
+            )
             at = cutoffs[species[first], species[second]]
             scales = bonded_scales(one, system)
             for k in np.flatnonzero(np.abs(distances - at) <= TOLERANCE * at).tolist():
                 if scales.get(frozenset((int(first[k]), int(second[k]))), 1.0) != 0.0:
-                    return (f"; atoms {first[k]} and {second[k]} are {distances[k]:.10g} apart, on the cutoff of "
-                            f"{type(one).__name__}, where rounding decides whether they interact: change the cutoff, "
-                            "or take truncation='force-shifted'")  # fmt: skip
+                    return (
+                        f"; atoms {first[k]} and {second[k]} are {distances[k]:.10g} apart, on the cutoff of "
+                        f"{type(one).__name__}, where rounding decides whether they interact: change the cutoff, "
+                        "or take truncation='force-shifted'"
+                    )
     return ""
 
 
@@ -112,10 +124,18 @@ def evaluated(engine: Engine, system: System) -> Evaluated:
         virials += alone.virials - np.repeat([tail[1] / (3.0 * n), 0.0], 3)
         lengths.append(alone.largest_cutoff)
         n_idle += not (own != tail[0] / n).any()
-    return Evaluated(energies, each, virials, max((one for one in lengths if np.isfinite(one)), default=1.0), n_idle)
+    return Evaluated(
+        energies,
+        each,
+        virials,
+        max((one for one in lengths if np.isfinite(one)), default=1.0),
+        n_idle,
+    )
 
 
-def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple[Evaluated, Evaluated]]:
+def in_both(
+    engine: Engine, shortest: float, skin: float
+) -> tuple[System, tuple[Evaluated, Evaluated]]:
     """A copy of the scene, and what minimd computes in the scene and in the copy.
 
     In the copy atoms are slightly displaced, which also bends angles. It is made smaller, size by size, until each term
@@ -127,8 +147,10 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
     system = engine.system
     before = evaluated(engine, system)
     if not (np.isfinite(before.energies).all() and np.isfinite(before.forces).all()):
-        raise NonFiniteError("forces or energies are not finite: "
-                             f"{why_not_finite(system, engine.interactions.potentials)}")  # fmt: skip
+        raise NonFiniteError(
+            "forces or energies are not finite: "
+            f"{why_not_finite(system, engine.interactions.potentials)}"
+        )
     shaken = np.random.default_rng(0).uniform(-SHAKEN * skin, SHAKEN * skin, system.positions.shape)
     positions = system.cell.wrapped(system.positions) + shaken
     here = before
@@ -142,7 +164,10 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
         copy.positions[:] = size * positions
         copy.cell = Cell.of(size * system.cell.vectors, system.cell.pbc)
         found = evaluated(engine, copy)
-        if np.isfinite(found.energies).all() and (n_idle := max(before.n_idle, found.n_idle)) < fewest:
+        if (
+            np.isfinite(found.energies).all()
+            and (n_idle := max(before.n_idle, found.n_idle)) < fewest
+        ):
             fewest = n_idle
             chosen = (copy, found)
         before = found
@@ -161,8 +186,15 @@ def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> V
             raise HandOverError("LAMMPS has not written step 0; is the disk full?")
         least = [part * _largest(numbers) for numbers in ours[1][:3]]
         energy = max(_largest(here.energies), least[0], LEAST)
-        virial = max(_largest(here.virials), least[2], energy, max(_largest(here.forces), least[1]) * here.length)
-        whole = abs(there.energies.sum() - here.energies.sum()) / max(np.abs(here.energies).sum(), energy)
+        virial = max(
+            _largest(here.virials),
+            least[2],
+            energy,
+            max(_largest(here.forces), least[1]) * here.length,
+        )
+        whole = abs(there.energies.sum() - here.energies.sum()) / max(
+            np.abs(here.energies).sum(), energy
+        )
         kinds = zip(here[:3], there[:3], (energy, virial / here.length, virial), strict=True)
         rows.append([whole, *(_largest(found - known) / most for known, found, most in kinds)])
         atoms.append(longest(there.forces - here.forces)[0])

@@ -37,15 +37,27 @@ from minimd.observers.arguments import interval
 from minimd.observers.motion import DisplacementResult
 from minimd.observers.viscosity import ViscosityResult
 
-__all__ = ["Diffusion", "Frames", "RadialDistribution", "RunUniverse", "Turn", "diffusion_coefficient",
-           "mean_square_displacement", "radial_distribution", "universe"]  # fmt: skip
+__all__ = [
+    "Diffusion",
+    "Frames",
+    "RadialDistribution",
+    "RunUniverse",
+    "Turn",
+    "diffusion_coefficient",
+    "mean_square_displacement",
+    "radial_distribution",
+    "universe",
+]
 
 VERSION = MDAnalysis.__version__
 MOLECULE = "MOL"  # resname of a molecule without a formula
 MOST_COUNTS = 10**7  # of molecules times species
-RDF_FRAMES, RDF_ATOMS = 50, 10**6  # at most, the atoms of all frames together, so that g(r) takes a second
+# at most, the atoms of all frames together, so that g(r) takes a second
+RDF_FRAMES = 50
+RDF_ATOMS = 10**6
 MSD_FRAMES, MSD_ATOMS, MSD_LEVELS = 500, 1000, 8  # at most
-UNEVEN = 1e-6  # largest relative difference between equal spacings of frames, whose times are rounded
+# largest relative difference between equal spacings of frames, whose times are rounded
+UNEVEN = 1e-6
 CM2_PER_S = 1e-4  # per Å²/ps
 
 
@@ -83,7 +95,9 @@ class Frames:
 
     def __call__(self, simulation: Simulation) -> None:
         """Keep the present state.  Raises ValueError for another number of atoms than before."""
-        system, units, frame = simulation.system, simulation.system.units, simulation.frame()
+        system = simulation.system
+        units = simulation.system.units
+        frame = simulation.frame()
         if self.system is None:
             self.system, self.turn = system.copy(), turn_of(system.cell, units.to_angstrom)
             self.conserves_momentum = simulation.conserves_momentum
@@ -99,7 +113,8 @@ class Frames:
         box = cell_dimensions(system.cell, units.to_angstrom)
         if self.turn is not None:
             row[ROTATION], box = self.turn.of(system.cell.vectors)
-            positions, velocities = positions @ row[ROTATION], velocities @ row[ROTATION]
+            positions = positions @ row[ROTATION]
+            velocities = velocities @ row[ROTATION]
         self._rows.append(row)
         moving = positions, velocities, np.zeros(6) if box is None else box
         self._moving.append(tuple(np.asarray(one, dtype=np.float32) for one in moving))
@@ -119,7 +134,9 @@ class RecordedReader(MemoryReader):
     """MDAnalysis' reader of arrays, with the recorded times and observables.  rows : for each frame the entries of
     ts.data, with its time."""
 
-    def __init__(self, coordinate_array: NDArray, rows: list[dict[str, Any]] | None = None, **options: Any) -> None:
+    def __init__(
+        self, coordinate_array: NDArray, rows: list[dict[str, Any]] | None = None, **options: Any
+    ) -> None:
         self._recorded = rows
         super().__init__(coordinate_array, order="fac", **options)
 
@@ -163,7 +180,9 @@ class RunUniverse(MDAnalysis.Universe):
 Run = str | Path | Simulation | Frames | RunUniverse
 
 
-def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | None = None) -> RunUniverse:
+def universe(
+    run: str | Path | Simulation | Frames, contents: H5MDContents | None = None
+) -> RunUniverse:
     """A minimd file as an MDAnalysis universe: masses, charges, types, names, elements if labels are symbols, bonds,
     angles, dihedrals, residues.
 
@@ -186,17 +205,22 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
     """
     if isinstance(run, str | Path):
         told: Any = contents or read_file(run)
-        name, times, spacing = f"of {str(run)!r}", told.record.time * told.system.units.to_picosecond, {}
+        name = f"of {str(run)!r}"
+        times = told.record.time * told.system.units.to_picosecond
+        spacing = {}
         reader: Any = partial(RunReader, str(run), n_atoms=len(told.system))
         steps = told.record.step
     else:
-        told, spacing = run if isinstance(run, Frames) else Frames(), {"dt": 1.0}
+        told = run if isinstance(run, Frames) else Frames()
+        spacing = {"dt": 1.0}
         if isinstance(run, Simulation):
             told(run)
             spacing = {"dt": run.method.timestep * run.system.units.to_picosecond}
         if told.system is None:
             raise ValueError("these Frames are empty; pass them to a run as observers=[frames]")
-        name, steps, times = "in memory", told.series("step"), told.series("time")
+        name = "in memory"
+        steps = told.series("step")
+        times = told.series("time")
         reader = lambda turn, dt: RecordedReader(**told.reader_arguments(dt))  # noqa: E731 - the frames are turned
     turn = turn_of(told.system.cell, told.system.units.to_angstrom)
     if turn is not None:
@@ -242,8 +266,10 @@ def _with_topology(system: System) -> RunUniverse:
     residues are molecules, numbered from 1 in the order of their first atoms; bonds and lengths held fixed connect the
     atoms of a molecule."""
     parts = np.unique(molecules_of(system), return_index=True, return_inverse=True)
-    of_atoms, n_molecules = parts[1].argsort().argsort()[parts[2]], len(parts[0])
-    labels, segments = [str(label) for label in system.species], np.zeros(n_molecules, int)
+    of_atoms = parts[1].argsort().argsort()[parts[2]]
+    n_molecules = len(parts[0])
+    labels = [str(label) for label in system.species]
+    segments = np.zeros(n_molecules, int)
     topology: dict[str, Any] = {
         "masses": system.masses,
         "types": labels,
@@ -251,19 +277,33 @@ def _with_topology(system: System) -> RunUniverse:
         "resids": np.arange(1, n_molecules + 1),
     }
     topology |= {"resnames": _formulas(system, of_atoms, n_molecules), "segids": ["SYSTEM"]}
-    known = {"elements": [label if label in SYMB2Z else "" for label in labels], "charges": system.charges.tolist()}
+    known = {
+        "elements": [label if label in SYMB2Z else "" for label in labels],
+        "charges": system.charges.tolist(),
+    }
     topology |= {name: values for name, values in known.items() if any(values)}
-    topology |= {name: [tuple(row) for row in rows.tolist()] for name, rows in system.groups().items() if len(rows)}
+    topology |= {
+        name: [tuple(row) for row in rows.tolist()]
+        for name, rows in system.groups().items()
+        if len(rows)
+    }
     texts = system.topology
     if len(texts):
         is_first = np.append(True, (texts[1:, 2:] != texts[:-1, 2:]).any(axis=1))
         of_atoms = is_first.cumsum() - 1
         residues = texts[is_first]
         segids, segments = np.unique(residues[:, 4], return_inverse=True)
-        topology |= {"names": texts[:, 0], "elements": texts[:, 1], "chainIDs": texts[:, 4], "segids": segids}
+        topology |= {
+            "names": texts[:, 0],
+            "elements": texts[:, 1],
+            "chainIDs": texts[:, 4],
+            "segids": segids,
+        }
         topology |= {"resnames": residues[:, 2], "resids": residues[:, 3].astype(int)}
     n_segments = len(topology["segids"])
-    made = RunUniverse.empty(len(system), len(segments), n_segments, atom_resindex=of_atoms, residue_segindex=segments)
+    made = RunUniverse.empty(
+        len(system), len(segments), n_segments, atom_resindex=of_atoms, residue_segindex=segments
+    )
     for name, values in topology.items():
         made.add_TopologyAttr(name, values)
     return made
@@ -276,7 +316,9 @@ def _formulas(system: System, of_atoms: NDArray[np.int64], n_molecules: int) -> 
     if n_molecules * len(names) > MOST_COUNTS:
         return [MOLECULE] * n_molecules
     ones = np.ones(len(system), np.int64)
-    counts = coo_array((ones, (of_atoms, system.species_index)), shape=(n_molecules, len(names))).toarray()
+    counts = coo_array(
+        (ones, (of_atoms, system.species_index)), shape=(n_molecules, len(names))
+    ).toarray()
     kinds, which = np.unique(counts, axis=0, return_inverse=True)
     formulas = []
     for row in kinds.tolist():
@@ -284,7 +326,9 @@ def _formulas(system: System, of_atoms: NDArray[np.int64], n_molecules: int) -> 
         first = ("C", "H") if "C" in present else ()
         ordered = sorted(present, key=lambda name: (name not in first, name))
         has_formula = sum(row) == 1 or present.keys() <= SYMB2Z.keys()
-        formula = "".join(name if present[name] == 1 else f"{name}{present[name]}" for name in ordered)
+        formula = "".join(
+            name if present[name] == 1 else f"{name}{present[name]}" for name in ordered
+        )
         formulas.append(formula if has_formula else MOLECULE)
     return [formulas[kind] for kind in which.ravel().tolist()]
 
@@ -314,7 +358,9 @@ class RadialDistribution(NamedTuple):
         return f"RadialDistribution({found}; highest at {self.r[k]:.4g}, {self.g[k]:.4g})"
 
 
-def radial_distribution(run: Run, n_bins: int = 200, r_max: float | None = None) -> RadialDistribution:
+def radial_distribution(
+    run: Run, n_bins: int = 200, r_max: float | None = None
+) -> RadialDistribution:
     """g(r) by the observer RadialDistribution, in the cell of each frame, without the first bin, from evenly chosen
     frames. Bonded pairs count like all others.
 
@@ -343,9 +389,12 @@ class _Recorded(Engine):
 
     def show(self, ts: Any) -> None:
         """Take the state of a frame of the universe."""
-        system, units = self.system, self.system.units
+        system = self.system
+        units = self.system.units
         system.positions[:] = as_in_run(ts, ts.positions) / units.to_angstrom
-        system.velocities[:] = as_in_run(ts, ts.velocities) * (units.to_picosecond / units.to_angstrom)
+        system.velocities[:] = as_in_run(ts, ts.velocities) * (
+            units.to_picosecond / units.to_angstrom
+        )
         if "cell" in ts.data:
             cell = system.cell.strained(ts.data["cell"])
             self.constraint_set.follow(system.cell, cell)
@@ -428,9 +477,11 @@ def mean_square_displacement(run: Run, of: str = "atoms") -> tuple[Array, Array]
 
 
 def diffusion_coefficient(
-    run: Run, window: tuple[float, float] | None = None, viscosity: float | ViscosityResult | None = None,
+    run: Run,
+    window: tuple[float, float] | None = None,
+    viscosity: float | ViscosityResult | None = None,
     of: str = "atoms",
-) -> Diffusion:  # fmt: skip
+) -> Diffusion:
     """D from the mean-square displacement, with its standard error, if its slope has stopped to change with the lag.
 
     run, of : as for mean_square_displacement.
@@ -446,8 +497,12 @@ def diffusion_coefficient(
     with universe_of(run) as made, quiet():
         n_frames = len(made.trajectory)
         if n_frames < 2:
-            raise ValueError(f"a displacement needs at least 2 frames; {_name(made)} holds {n_frames}")
-        looking = observers.MeanSquareDisplacement(every=1, n_levels=MSD_LEVELS, most_atoms=MSD_ATOMS, of=of, name="")
+            raise ValueError(
+                f"a displacement needs at least 2 frames; {_name(made)} holds {n_frames}"
+            )
+        looking = observers.MeanSquareDisplacement(
+            every=1, n_levels=MSD_LEVELS, most_atoms=MSD_ATOMS, of=of, name=""
+        )
         _observed(looking, made, MSD_FRAMES)
         if window is not None:
             start, end = interval("window", window)

@@ -3,7 +3,11 @@ of frames to other programs."""
 
 from minimd.observers.accumulator import Accumulator, Result
 from minimd.observers.fluctuations import Fluctuations
-from minimd.observers.motion import MeanSquareDisplacement, VelocityAutocorrelation, finite_size_correction
+from minimd.observers.motion import (
+    MeanSquareDisplacement,
+    VelocityAutocorrelation,
+    finite_size_correction,
+)
 from minimd.observers.profile import Profile
 from minimd.observers.radial_distribution import RadialDistribution
 from minimd.observers.scattering import SelfScattering, StructureFactor

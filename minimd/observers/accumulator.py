@@ -8,7 +8,16 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from inspect import cleandoc
 from math import isfinite
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, dataclass_transform, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    NamedTuple,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +51,11 @@ def _is_of_type(value: Any, kind: Any) -> bool:
 def _contents(state: State) -> dict[str, tuple[Any, ...]]:
     """Types, shapes and bytes of the arrays of a state, but for its words, which an older version may have put
     otherwise."""
-    return {name: (one.dtype, one.shape, one.tobytes()) for name, one in state.items() if name != "words"}
+    return {
+        name: (one.dtype, one.shape, one.tobytes())
+        for name, one in state.items()
+        if name != "words"
+    }
 
 
 class BlockedSums:
@@ -56,7 +69,9 @@ class BlockedSums:
 
     def __init__(self, n: int) -> None:
         self.total = np.zeros(n)
-        self.n_entries, self._length, self._n_marks = 0, 1, 0
+        self.n_entries = 0
+        self._length = 1
+        self._n_marks = 0
         self._marks = np.zeros((MOST_BLOCKS, n))
 
     def close_entry(self) -> None:
@@ -68,7 +83,8 @@ class BlockedSums:
         self._n_marks += 1
         if self._n_marks == MOST_BLOCKS:
             self._marks[: MOST_BLOCKS // 2] = self._marks[1::2]
-            self._n_marks, self._length = MOST_BLOCKS // 2, 2 * self._length
+            self._n_marks = MOST_BLOCKS // 2
+            self._length = 2 * self._length
 
     def parts(self) -> Array:
         """(K, n) sums over each block; a last block that is not full is left out."""
@@ -95,7 +111,9 @@ class BlockedSums:
         """Restore a state."""
         self.n_entries, self._length, self._n_marks = map(int, state["entries"])
         if not 0 <= self._n_marks == self.n_entries // self._length < MOST_BLOCKS:
-            raise ValueError(f"{self._n_marks} blocks of {self._length} do not make {self.n_entries} looks")
+            raise ValueError(
+                f"{self._n_marks} blocks of {self._length} do not make {self.n_entries} looks"
+            )
         self.total[:] = state["total"]
         self._marks[: self._n_marks] = state["marks"]
 
@@ -120,14 +138,18 @@ class ObservedRun:
     @classmethod
     def of(cls, engine: Engine, every: int) -> ObservedRun:
         """The properties of the run of an engine."""
-        system, barostat = engine.system, engine.barostat
+        system = engine.system
+        barostat = engine.barostat
         temperature = engine.method.parameters.get("temperature")
         if barostat is not None and temperature is None:
             temperature = barostat.temperature
         numbers = np.bincount(system.species_index, minlength=len(system.species_names)).tolist()
-        species, spacing = [str(one) for one in system.species_names], every * engine.method.timestep
+        species = [str(one) for one in system.species_names]
+        spacing = every * engine.method.timestep
         pressure = None if barostat is None else barostat.pressure
-        return cls(system.units.name, species, numbers, spacing, engine.n_dof, temperature, pressure)
+        return cls(
+            system.units.name, species, numbers, spacing, engine.n_dof, temperature, pressure
+        )
 
     @property
     def unit_system(self) -> UnitSystem:
@@ -158,7 +180,8 @@ class Result(Displayed):
 
     scene: ObservedRun
     title: ClassVar[str] = ""
-    coefficients: ClassVar[tuple[str, ...]] = ()  # names of the attributes that are its single numbers
+    # names of the attributes that are its single numbers
+    coefficients: ClassVar[tuple[str, ...]] = ()
 
     @property
     def units(self) -> UnitSystem:
@@ -190,18 +213,34 @@ class Result(Displayed):
 
     def abscissa(self) -> tuple[Array, str]:
         """The abscissa of pictures, and its unit: a time is in ps, or τ."""
-        x, units = self.series()[0], self.units
-        return (x.values * units.to_picosecond, units.shown_time) if x.unit == units.time else (x.values, x.unit)
+        x = self.series()[0]
+        units = self.units
+        return (
+            (x.values * units.to_picosecond, units.shown_time)
+            if x.unit == units.time
+            else (x.values, x.unit)
+        )
 
     def draw(self, panel: Axes) -> None:
         """Draw the result into axes of matplotlib: the first series, and those with its unit; or the rows as text."""
         if found := self.series():
             x, first, *_ = found
             curves = {one.name: one.values for one in found[1:] if one.unit == first.unit}
-            return self.draw_curves(panel, curves, x.name, first.name + (first.unit and f"  [{first.unit}]"))
+            return self.draw_curves(
+                panel, curves, x.name, first.name + (first.unit and f"  [{first.unit}]")
+            )
         panel.axis("off")
         words = "\n".join(words for _, words in self.display_rows())
-        panel.text(0.0, 1.0, words, va="top", transform=panel.transAxes, fontsize=8, wrap=True, parse_math=False)
+        panel.text(
+            0.0,
+            1.0,
+            words,
+            va="top",
+            transform=panel.transAxes,
+            fontsize=8,
+            wrap=True,
+            parse_math=False,
+        )
         panel.set_title(self.title)
 
     def draw_curves(self, panel: Axes, curves: dict[str, Array], symbol: str, label: str) -> None:
@@ -266,8 +305,13 @@ class Accumulator(StoredObserver, Displayed):
         cls.declared = {one.name: one.metadata["argument"] for one in made if one.init}
         cls.arguments = tuple(name for name in cls.declared if name != "name")
         cls.settled = tuple(one.name for one in made if not one.init)
-        told = (f"{name} : {words}{unit and f' [{unit}]'}." for name, (_, words, unit) in cls.declared.items())
-        cls.__doc__ = "\n".join([cleandoc(cls.__doc__ or ""), "", "Parameters", "----------", *told])
+        told = (
+            f"{name} : {words}{unit and f' [{unit}]'}."
+            for name, (_, words, unit) in cls.declared.items()
+        )
+        cls.__doc__ = "\n".join(
+            [cleandoc(cls.__doc__ or ""), "", "Parameters", "----------", *told]
+        )
 
     def __post_init__(self) -> None:
         for name, one in self.declared.items():
@@ -280,11 +324,17 @@ class Accumulator(StoredObserver, Displayed):
 
     def __repr__(self) -> str:
         made = self.made_with()
-        return call_of(self, made if self.name != self._own_name() else {**made, "name": ""}, always=("every",))
+        return call_of(
+            self, made if self.name != self._own_name() else {**made, "name": ""}, always=("every",)
+        )
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        return self.result().display_rows() if self.n_looks else [("observer", f"{self!r}, has observed nothing yet")]
+        return (
+            self.result().display_rows()
+            if self.n_looks
+            else [("observer", f"{self!r}, has observed nothing yet")]
+        )
 
     @classmethod
     def _own_name(cls) -> str:
@@ -340,7 +390,9 @@ class Accumulator(StoredObserver, Displayed):
     def answered(self) -> ObservedRun:
         """The scene, which a result needs.  Raises ValueError before the first look."""
         if self.scene is None or not self.n_looks:
-            advice = f"pass it to a run of {self.every} steps or more: sim.run(n_steps, observers=[...])"
+            advice = (
+                f"pass it to a run of {self.every} steps or more: sim.run(n_steps, observers=[...])"
+            )
             raise ValueError(f"{self!r} has not observed any state yet; {advice}")
         return self.scene
 
@@ -375,7 +427,9 @@ class Accumulator(StoredObserver, Displayed):
 
     def can_restore(self, state: State) -> bool:
         """Whether a state has the convention of this observer."""
-        return not state or bool(json.loads(bytes(state["words"])).get("convention", 1) == self.convention)
+        return not state or bool(
+            json.loads(bytes(state["words"])).get("convention", 1) == self.convention
+        )
 
     def restore(self, state: State) -> None:
         """Go on from the state of another observer, which must have been made with the same arguments.
@@ -388,7 +442,9 @@ class Accumulator(StoredObserver, Displayed):
         if not self.can_restore(state):
             other = f"another version of minimd (convention {words.get('convention', 1)}, not {self.convention})"
             advice = "leave this observer out, or give it another name, under which it begins anew"
-            raise ValueError(f"observer {self.name} cannot be continued: its sums are of {other}; {advice}")
+            raise ValueError(
+                f"observer {self.name} cannot be continued: its sums are of {other}; {advice}"
+            )
         for name in self.settled:  # no other attribute, whatever a file says
             setattr(self, name, words["settled"][name])
         self.scene = ObservedRun(**words["scene"])
@@ -397,9 +453,13 @@ class Accumulator(StoredObserver, Displayed):
             kinds = get_type_hints(type(part))
             for name in names:
                 if not _is_of_type(getattr(part, name), kinds[name]):
-                    raise ValueError(f"{name} of the observer {self.name} is not of type {kinds[name]}")
+                    raise ValueError(
+                        f"{name} of the observer {self.name} is not of type {kinds[name]}"
+                    )
         self._laid_out(self.scene)
         for part in self._parts():
             part.restore(state)
         if _contents(self.state()) != _contents(state):
-            raise ValueError(f"the arrays of the observer {self.name} are not of the kinds that it keeps")
+            raise ValueError(
+                f"the arrays of the observer {self.name} are not of the kinds that it keeps"
+            )

@@ -25,7 +25,9 @@ class Argument(NamedTuple):
     dimension: str
 
 
-def argument(check: Callable[[str, Any], Any], words: str, default: Any, dimension: str = "") -> Any:
+def argument(
+    check: Callable[[str, Any], Any], words: str, default: Any, dimension: str = ""
+) -> Any:
     """A field of an Accumulator.  A default of None is not checked.  See Argument."""
     return field(default=default, metadata={"argument": Argument(check, words, dimension)})
 
@@ -51,7 +53,9 @@ def interval(name: str, value: Any) -> list[float]:
     is_pair = isinstance(value, list | tuple) and len(value) == 2
     numbers = [checked_number(name, one) for one in value] if is_pair else []
     if not is_pair or numbers[1] <= numbers[0]:
-        raise ValueError(f"{name} must be two numbers, the lower one first; {name} = {shown(value)}")
+        raise ValueError(
+            f"{name} must be two numbers, the lower one first; {name} = {shown(value)}"
+        )
     return numbers
 
 

@@ -54,7 +54,8 @@ def _of_both_compiled(law, a, b):
     return lambda law, a, b: formula(a, b)
 
 
-@partial(kernel, fastmath={"reassoc", "nsz", "contract"})  # sums over atoms in any order: 5 times as fast
+# sums over atoms in any order: 5 times as fast
+@partial(kernel, fastmath={"reassoc", "nsz", "contract"})
 def add_correlations(law, ring, slot, first, n_kept, starts, sums):
     """sums[j, g, c] += Σ law(a(t), a(t − j)), over the particles of group g, for lags j from first to n_kept − 1.
 
@@ -66,7 +67,8 @@ def add_correlations(law, ring, slot, first, n_kept, starts, sums):
         past = (slot + p - j) % p
         for g in range(starts.size - 1):
             for c in range(ring.shape[1]):
-                a, b = ring[slot, c, starts[g] : starts[g + 1]], ring[past, c, starts[g] : starts[g + 1]]
+                a = ring[slot, c, starts[g] : starts[g + 1]]
+                b = ring[past, c, starts[g] : starts[g + 1]]
                 total = 0.0
                 for i in range(a.size):
                     total += of_both(law, a[i], b[i])
@@ -85,14 +87,26 @@ class MultipleTau:
     """
 
     def __init__(
-        self, law: tuple, starts: NDArray[np.int64], n_components: int, points: int, n_levels: int, averages: bool
+        self,
+        law: tuple,
+        starts: NDArray[np.int64],
+        n_components: int,
+        points: int,
+        n_levels: int,
+        averages: bool,
     ) -> None:
-        self._law, self._starts, self._averages = law, starts, averages
-        self._points, self._n_levels, self._shape = points, n_levels, (points, n_components, int(starts[-1]))
-        self._n_counts, n_groups = n_levels * points, len(starts) - 1
+        self._law = law
+        self._starts = starts
+        self._averages = averages
+        self._points = points
+        self._n_levels = n_levels
+        self._shape = (points, n_components, int(starts[-1]))
+        self._n_counts = n_levels * points
+        n_groups = len(starts) - 1
         self._sums_shape = (n_levels, points, n_groups, n_components)
         self.size = self._n_counts * (1 + n_groups * n_components)
-        entries, level = np.arange(points), np.arange(n_levels)[:, None]
+        entries = np.arange(points)
+        level = np.arange(n_levels)[:, None]
         self._places = np.flatnonzero(entries >= np.where(level > 0, points // RATIO, 0))
         self.lags = (entries * RATIO**level).ravel()[self._places]
         self.interrupt()
@@ -105,17 +119,23 @@ class MultipleTau:
 
     def add(self, entry: Array, sums: Array) -> None:
         """Take the next entry, (C, n), and add its correlations to the sums, (size,)."""
-        counts, level = sums[: self._n_counts].reshape(self._n_levels, self._points), 0
+        counts = sums[: self._n_counts].reshape(self._n_levels, self._points)
+        level = 0
         products = sums[self._n_counts :].reshape(self._sums_shape)
         while True:
             if level == len(self._rings):
                 self._add_level()
-            n, ring = int(self._n_taken[level]), self._rings[level]
-            slot, first, n_kept = n % self._points, self._points // RATIO if level else 0, min(n + 1, self._points)
+            n = int(self._n_taken[level])
+            ring = self._rings[level]
+            slot = n % self._points
+            first = self._points // RATIO if level else 0
+            n_kept = min(n + 1, self._points)
             ring[slot] = entry
             self._n_taken[level] = n + 1
             if n_kept > first:
-                add_correlations(self._law, ring, slot, first, n_kept, self._starts, products[level])
+                add_correlations(
+                    self._law, ring, slot, first, n_kept, self._starts, products[level]
+                )
                 counts[level, first:n_kept] += 1.0
             if self._averages:
                 self._means[level] += entry / RATIO
@@ -137,7 +157,9 @@ class MultipleTau:
         """Numbers of origins, (T,), and mean products of each group, summed over its particles, (T, G, C); NaN for lags
         without origins."""
         counts = sums[: self._n_counts][self._places]
-        products = sums[self._n_counts :].reshape(self._n_counts, *self._sums_shape[2:])[self._places]
+        products = sums[self._n_counts :].reshape(self._n_counts, *self._sums_shape[2:])[
+            self._places
+        ]
         with np.errstate(all="ignore"):
             return counts, products / counts[:, None, None]
 

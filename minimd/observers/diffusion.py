@@ -33,7 +33,10 @@ KNOWN = 0.3  # of D: with a larger error only a limit is known
 SPAN = 2  # octaves of D
 WITHIN = 0.999  # of a lag: nearer is rounding
 USUAL = 10.0  # 10⁻⁵ cm²/s per Å²/ps
-DIFFUSIVE, NOT_YET, UNKNOWN, SHORT = "diffusive", "not diffusive yet", "unknown", "short"
+DIFFUSIVE = "diffusive"
+NOT_YET = "not diffusive yet"
+UNKNOWN = "unknown"
+SHORT = "short"
 ADVICE = 'run longer; of molecules, measure the centers: of="molecules"'
 
 
@@ -72,7 +75,9 @@ class Diffusivity(NamedTuple):
             return f"unknown: the run has fewer than four lags that double, up to a quarter of it; {ADVICE}"
         start, end = self.window
         lags = f"lags of {units.shown(start)} to {units.shown(end)}"
-        change = f"{with_error(100.0 * self.trend, 100.0 * self.trend_error)} % when the lag doubles"
+        change = (
+            f"{with_error(100.0 * self.trend, 100.0 * self.trend_error)} % when the lag doubles"
+        )
         if self.state == DIFFUSIVE:
             return f"D = {diffusion_words(self.value, self.error, units)}, from {lags} (slope: {change}), in this cell"
         limit = ""
@@ -123,7 +128,11 @@ class _Octaves:
 
 
 def diffusivity(
-    times: Array, mean: Array, without: Array, longest: float, window: tuple[float, float] | None = None
+    times: Array,
+    mean: Array,
+    without: Array,
+    longest: float,
+    window: tuple[float, float] | None = None,
 ) -> Diffusivity:
     """D by the rule of this module, or why there is none.
 
@@ -134,12 +143,17 @@ def diffusivity(
     Raises ValueError for a window without an octave of lags.
     """
     octaves = _Octaves(times, mean, without, *(window or (0.0, longest)))
-    lags, n = octaves.lags, octaves.n
+    lags = octaves.lags
+    n = octaves.n
     if window is not None:
         if n == 0:
             wanted = "the window must hold a lag and its double"
-            raise ValueError(f"{wanted}; window = {window}, lags = {times[0]:.4g} to {times[-1]:.4g}")
-        return Diffusivity(DIFFUSIVE, *octaves.level(0, n), (lags[0], lags[n]), *octaves.trend(0, n))
+            raise ValueError(
+                f"{wanted}; window = {window}, lags = {times[0]:.4g} to {times[-1]:.4g}"
+            )
+        return Diffusivity(
+            DIFFUSIVE, *octaves.level(0, n), (lags[0], lags[n]), *octaves.trend(0, n)
+        )
     if n < OCTAVES:
         return Diffusivity(SHORT)
     end = n
@@ -153,7 +167,9 @@ def diffusivity(
         if not (abs(change) < SURE * its_error and its_error < SHARP):
             break
         if abs(change) < SEEN * its_error:
-            begin, trend, trend_error = first, change, its_error
+            begin = first
+            trend = change
+            trend_error = its_error
     start = 1 + min(begin, late)
     stop = min(start + SPAN, end)
     value, scatter = octaves.level(start, stop)

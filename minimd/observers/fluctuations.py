@@ -20,7 +20,8 @@ from minimd.observers.arguments import label, steps
 Array = NDArray[np.float64]
 N_SERIES = 3  # K, U, V
 KINETIC, ENERGY, VOLUME = range(N_SERIES)
-OF_INTEREST = ((1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # K, E and V, as weights of K, U, V
+# K, E and V, as weights of K, U, V
+OF_INTEREST = ((1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 FEWEST = 30.0  # correlation times; a run with fewer cannot tell how many it has
 # of the error of the jackknife: the least error; not all of it, because it scatters more than the other estimate
 JACKKNIFE = 0.7
@@ -55,13 +56,15 @@ class Fluctuations(Accumulator):
     reference: list[float] = field(init=False, default_factory=list)  # the first K, U, V
 
     def _laid_out(self, scene: ObservedRun) -> None:
-        self.sums = BlockedSums(1 + N_SERIES + N_SERIES**2)  # number of looks, sums, sums of products
+        # number of looks, sums, sums of products
+        self.sums = BlockedSums(1 + N_SERIES + N_SERIES**2)
 
     def _look(self, engine: Engine) -> None:
         engine.evaluate()
         look = Look(engine)
         now = [look.thermal_energy, look.potential_energy, engine.system.volume or 0.0]
-        self.reference = self.reference or now  # sums are over differences from the reference, which are small
+        # sums are over differences from the reference, which are small
+        self.reference = self.reference or now
         change = np.array(now) - self.reference
         self.sums.total += np.concatenate([[1.0], change, np.outer(change, change).ravel()])
 
@@ -72,11 +75,18 @@ class Fluctuations(Accumulator):
         times = correlation_times(self.sums)
         fluctuating = [KINETIC] if scene.bath_temperature is None else [ENERGY, VOLUME]
         missing = 2.0 / np.fmax(FEWEST, np.nan_to_num(times, nan=np.inf))
-        values, errors = self.sums.estimate(lambda sums: _coefficients(sums, reference, scene, 1.0 + missing))
-        wider = _coefficients(self.sums.total, reference, scene, (1.0 + missing) * np.exp(missing**0.5))
-        errors = np.where(wider == values, errors, np.maximum(JACKKNIFE * errors, np.abs(wider - values)))
+        values, errors = self.sums.estimate(
+            lambda sums: _coefficients(sums, reference, scene, 1.0 + missing)
+        )
+        wider = _coefficients(
+            self.sums.total, reference, scene, (1.0 + missing) * np.exp(missing**0.5)
+        )
+        errors = np.where(
+            wider == values, errors, np.maximum(JACKKNIFE * errors, np.abs(wider - values))
+        )
         ensemble = "constant energy" if scene.bath_temperature is None else "constant temperature"
-        if self.sums.total[1 + VOLUME] != 0.0 or self.sums.total[-1] != 0.0:  # the volume is not constant
+        # the volume is not constant
+        if self.sums.total[1 + VOLUME] != 0.0 or self.sums.total[-1] != 0.0:
             ensemble = "constant pressure"
         length = float(np.fmin.reduce(times[fluctuating]))
         return FluctuationResult(scene, ensemble, values, errors, self.n_looks, length)
@@ -85,27 +95,36 @@ class Fluctuations(Accumulator):
 def moments(sums: Array) -> tuple[Array, Array]:
     """Means, (3,), and covariances, (3, 3), of K, U and V, relative to the reference."""
     means = sums[1 : 1 + N_SERIES] / sums[0]
-    return means, sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(means, means)
+    return means, sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(
+        means, means
+    )
 
 
 def correlation_times(sums: BlockedSums) -> Array:
     """The length of a run in correlation times of K, E and V, (3,): n_c = 2 s²/error², with the variance s² and the
     standard error of the mean; NaN if there are too few blocks, or if the series is constant."""
-    parts, weights = sums.parts(), np.array(OF_INTEREST)
+    parts = sums.parts()
+    weights = np.array(OF_INTEREST)
     _, covariance = moments(sums.total)
     errors = standard_error(parts[:, 1 : 1 + N_SERIES] @ weights.T / parts[:, :1])
     with np.errstate(all="ignore"):
-        return np.where(errors > 0.0, 2.0 * np.diag(weights @ covariance @ weights.T) / errors**2, np.nan)
+        return np.where(
+            errors > 0.0, 2.0 * np.diag(weights @ covariance @ weights.T) / errors**2, np.nan
+        )
 
 
 def _coefficients(sums: Array, reference: Array, scene: ObservedRun, grown: Array) -> Array:
     """T, C_V, C_P, κ_T, α_P; NaN for those that do not follow from the ensemble.
     grown : (3,) factors for the variances of K, E and V."""
-    (means, covariance), weights = moments(sums), np.array(OF_INTEREST) * np.sqrt(grown)[:, None]
+    means, covariance = moments(sums)
+    weights = np.array(OF_INTEREST) * np.sqrt(grown)[:, None]
     covariance = weights @ covariance @ weights.T
-    means, k_B, f = means + reference, scene.unit_system.k_B, scene.n_dof
+    means = means + reference
+    k_B = scene.unit_system.k_B
+    f = scene.n_dof
     mean_temperature = temperature(means[KINETIC], f, k_B)
-    bath, pressure = scene.bath_temperature, scene.bath_pressure
+    bath = scene.bath_temperature
+    pressure = scene.bath_pressure
     T = mean_temperature if bath is None else bath  # noqa: N806
     c_v = c_p = compressibility = expansion = np.nan
     if covariance[VOLUME, VOLUME] > 0.0:
@@ -136,24 +155,45 @@ class FluctuationResult(Result):
     n_looks: int
     correlation_times: float = np.nan
     title = "fluctuations"
-    names: ClassVar = ("temperature", "heat_capacity_v", "heat_capacity_p", "compressibility", "expansion")
+    names: ClassVar = (
+        "temperature",
+        "heat_capacity_v",
+        "heat_capacity_p",
+        "compressibility",
+        "expansion",
+    )
     coefficients = tuple(chain.from_iterable((name, f"{name}_error") for name in names))
 
     def __getattr__(self, name: str) -> float:
         names = type(self).names
         if (coefficient := name.removesuffix("_error")) not in names:
-            raise AttributeError(f"fluctuations have no {name!r}; they have {', '.join(names)}, each also with _error")
-        return float((self.values if name == coefficient else self.errors)[names.index(coefficient)])
+            raise AttributeError(
+                f"fluctuations have no {name!r}; they have {', '.join(names)}, each also with _error"
+            )
+        return float(
+            (self.values if name == coefficient else self.errors)[names.index(coefficient)]
+        )
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        units, unit = self.units, self.scene.n_atoms * self.units.k_B
+        units = self.units
+        unit = self.scene.n_atoms * self.units.k_B
         temperature = with_error(self.temperature, self.temperature_error)
-        rows = [("fluctuations", f"at {self.ensemble}, {self.n_looks} frames, T = {temperature} {units.temperature}")]
+        rows = [
+            (
+                "fluctuations",
+                f"at {self.ensemble}, {self.n_looks} frames, T = {temperature} {units.temperature}",
+            )
+        ]
         told = [("C_V", 1, unit, "k_B per atom"), ("C_P", 2, unit, "k_B per atom")]
         for symbol, k, size, words in [*told, ("κ_T", 3, 1.0, f"{units.length}³/{units.energy}")]:
             if np.isfinite(self.values[k]):
-                rows.append(("", f"{symbol} = {with_error(self.values[k] / size, self.errors[k] / size)} {words}"))
+                rows.append(
+                    (
+                        "",
+                        f"{symbol} = {with_error(self.values[k] / size, self.errors[k] / size)} {words}",
+                    )
+                )
         if self.correlation_times < ENOUGH:
             slowest = "volume or energy" if np.isfinite(self.compressibility) else "energy"
             long = f"the run is only {max(1.0, self.correlation_times):.0f} correlation times of the {slowest} long"

@@ -21,7 +21,16 @@ from minimd.core.structure.checks import checked_count, checked_number
 from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.observables import center
 from minimd.observers.accumulator import ObservedRun, Result, Series, State
-from minimd.observers.arguments import ATOMS, MOLECULES, argument, interval, label, levels, particles, steps
+from minimd.observers.arguments import (
+    ATOMS,
+    MOLECULES,
+    argument,
+    interval,
+    label,
+    levels,
+    particles,
+    steps,
+)
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
 from minimd.observers.diffusion import Diffusivity, diffusion_words, diffusivity
 from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, TimeCorrelation, running_integral
@@ -34,7 +43,8 @@ Array = NDArray[np.float64]
 POINTS = 16  # entries on each level of the correlator
 MOST_ATOMS = "largest number of atoms, chosen evenly, with up to one more for each species; it bounds time and memory"
 XI = 2.837297  # ξ of a cubic cell
-CUBIC = 1e-9  # largest relative deviation of the squares and products of lattice vectors from those of a cube
+# largest relative deviation of the squares and products of lattice vectors from those of a cube
+CUBIC = 1e-9
 OF = "atoms, or molecules (atoms that bonds or rigid lengths connect), whose centers count, each by its number of atoms"
 AXES = ("x", "y", "z")
 
@@ -42,7 +52,9 @@ AXES = ("x", "y", "z")
 def is_cubic(cell: Cell) -> bool:
     """Whether a cell is a cube that is periodic in all directions."""
     square = cell.vectors @ cell.vectors.T
-    return bool(cell.pbc.all() and np.abs(square - np.eye(3) * square[0, 0]).max() < CUBIC * square[0, 0])
+    return bool(
+        cell.pbc.all() and np.abs(square - np.eye(3) * square[0, 0]).max() < CUBIC * square[0, 0]
+    )
 
 
 def finite_size_correction(thermal_energy: float, viscosity: float, edge: float) -> float:
@@ -62,7 +74,9 @@ def finite_size_correction(thermal_energy: float, viscosity: float, edge: float)
 def with_its_error(viscosity: float | ViscosityResult) -> tuple[float, float]:
     """A viscosity and its standard error, 0 if it is a number."""
     if isinstance(viscosity, ViscosityResult):
-        return checked_number("viscosity", viscosity.viscosity, "positive and finite"), viscosity.viscosity_error
+        return checked_number(
+            "viscosity", viscosity.viscosity, "positive and finite"
+        ), viscosity.viscosity_error
     return checked_number("viscosity", viscosity, "positive and finite"), 0.0
 
 
@@ -86,9 +100,11 @@ class _OfAtoms(TimeCorrelation):
     name: str = label()
     chosen: list[int] = field(init=False, default_factory=lambda: [0])
     is_cubic: bool = field(init=False, default=False)
-    numbers: list[int] = field(init=False, default_factory=lambda: [1])  # of chosen atoms of each species
+    # of chosen atoms of each species
+    numbers: list[int] = field(init=False, default_factory=lambda: [1])
     is_relative: bool = field(init=False, default=False)  # to the center of mass
-    widening: float = field(init=False, default=1.0)  # of D: n/(n − 1) for n independent particles relative to it
+    # of D: n/(n − 1) for n independent particles relative to it
+    widening: float = field(init=False, default=1.0)
 
     @property
     def n_components(self) -> int:
@@ -96,10 +112,13 @@ class _OfAtoms(TimeCorrelation):
         return 3
 
     def _begin(self, engine: Engine) -> None:
-        system, index = engine.system, engine.system.species_index
-        stride = ceil(len(system) / self.most_atoms)  # not over all atoms: it could keep step with molecules
+        system = engine.system
+        index = engine.system.species_index
+        # not over all atoms: it could keep step with molecules
+        stride = ceil(len(system) / self.most_atoms)
         chosen = [np.flatnonzero(index == k)[::stride] for k in range(len(system.species_names))]
-        self.chosen, self.numbers = np.concatenate(chosen).tolist(), [len(one) for one in chosen]
+        self.chosen = np.concatenate(chosen).tolist()
+        self.numbers = [len(one) for one in chosen]
         self.is_cubic = is_cubic(system.cell)
         n_molecules = int(molecules_of(system).max()) + 1
         n_particles = n_molecules if self.of == MOLECULES else len(system)
@@ -110,12 +129,18 @@ class _OfAtoms(TimeCorrelation):
     def _laid_out(self, scene: ObservedRun) -> None:
         are_atoms = min(self.chosen) >= 0 and max(self.chosen) < scene.n_atoms
         if not are_atoms or sum(self.numbers) != len(self.chosen) or min(self.numbers) < 0:
-            raise ValueError(f"{self.name} cannot have chosen {self.numbers} of {scene.n_atoms} atoms")
+            raise ValueError(
+                f"{self.name} cannot have chosen {self.numbers} of {scene.n_atoms} atoms"
+            )
         starts = np.concatenate([[0], np.cumsum(self.numbers)])
         self._order = np.array(self.chosen)
-        self._takes_all = self.chosen == [*range(len(self.chosen))] and len(self.chosen) == scene.n_atoms
+        self._takes_all = (
+            self.chosen == [*range(len(self.chosen))] and len(self.chosen) == scene.n_atoms
+        )
         self._molecules: NDArray[np.int64] | None = None
-        correlator = MultipleTau(type(self).law, starts, self.n_components, POINTS, self.n_levels, averages=False)
+        correlator = MultipleTau(
+            type(self).law, starts, self.n_components, POINTS, self.n_levels, averages=False
+        )
         self._correlate_by(correlator)
 
     def _look(self, engine: Engine) -> None:
@@ -146,7 +171,9 @@ class _OfAtoms(TimeCorrelation):
         def law(sums: Array) -> Array:
             found = self._correlator.correlations(sums[HEAD:])[1][seen]  # (T, S, C)
             along = found.sum(axis=1).T / sum(self.numbers)
-            return np.concatenate([along.sum(axis=0, keepdims=True), (found.sum(axis=2) / numbers).T, along])
+            return np.concatenate(
+                [along.sum(axis=0, keepdims=True), (found.sum(axis=2) / numbers).T, along]
+            )
 
         return law
 
@@ -166,7 +193,8 @@ class CellMotion:
 
     def taken_off(self, engine: Engine) -> Array:
         """The present positions without it, (N, 3)."""
-        positions, cell = engine.positions, engine.system.cell
+        positions = engine.positions
+        cell = engine.system.cell
         was, old = self._before or (cell, np.empty_like(positions))
         if not cell.same_as(was):
             carried = self._moved(engine, was, old)
@@ -177,7 +205,8 @@ class CellMotion:
 
     def _moved(self, engine: Engine, was: Cell, old: Array) -> Array:
         """Displacements since the last look, (N, 3).  was, old : cell and positions at that look."""
-        cell, bonds = engine.system.cell, engine.constraint_set.bonds
+        cell = engine.system.cell
+        bonds = engine.constraint_set.bonds
         # vectors that span space: those of the cell, and unit vectors in open directions
         spanning = (np.where(one.pbc[:, None], one.vectors, one.lattice) for one in (was, cell))
         strain = np.linalg.solve(*spanning)
@@ -192,7 +221,9 @@ class CellMotion:
         whole = old + images_before
         centers = self._molecules.centers(whole)[self._molecules.bodies.label]
         left, _, right = np.linalg.svd(strain)
-        moved: Array = centers @ (strain - np.eye(3)) + (whole - centers) @ (left @ right - np.eye(3))
+        moved: Array = centers @ (strain - np.eye(3)) + (whole - centers) @ (
+            left @ right - np.eye(3)
+        )
         return moved - (images - images_before)
 
     def state(self) -> State:
@@ -200,7 +231,11 @@ class CellMotion:
         arrays: State = {}
         if self._before is not None:
             cell, positions = self._before
-            arrays = {"cell": cell.vectors, "pbc": cell.pbc.astype(np.int64), "positions": positions}
+            arrays = {
+                "cell": cell.vectors,
+                "pbc": cell.pbc.astype(np.int64),
+                "positions": positions,
+            }
         return arrays if self._carried is None else {**arrays, "carried": self._carried}
 
     def restore(self, state: State) -> None:
@@ -240,7 +275,9 @@ class MeanSquareDisplacement(_OfAtoms):
         return [*super()._parts(), self._of_cell]
 
     def result(
-        self, window: tuple[float, float] | None = None, viscosity: float | ViscosityResult | None = None
+        self,
+        window: tuple[float, float] | None = None,
+        viscosity: float | ViscosityResult | None = None,
     ) -> DisplacementResult:
         """The displacements so far, and D of the atoms, each with its standard error.
 
@@ -261,7 +298,9 @@ class MeanSquareDisplacement(_OfAtoms):
         squares = self.widening * means
         without = self.widening * self.sums.replicas(law)
         rows = range(1 + len(scene.species))
-        whole, *of_species = (diffusivity(times, squares[k], without[:, k], longest, window) for k in rows)
+        whole, *of_species = (
+            diffusivity(times, squares[k], without[:, k], longest, window) for k in rows
+        )
         _, temperature, volume = (self.sums.total[:HEAD] / self.sums.total[COUNT]).tolist()
         mean = scene, times, means, errors, whole, sum(self.numbers)
         found = DisplacementResult(*mean, tuple(of_species), self.is_cubic, temperature, volume)
@@ -294,9 +333,13 @@ class VelocityAutocorrelation(_OfAtoms):
 
         along, its_error = self._estimate(times, longest, integral)
         factor = 6.0 * self.widening  # the integral of this one is a mean square displacement
-        squares, without = (factor * running_integral(times, one) for one in (along, self.sums.replicas(integral)))
+        squares, without = (
+            factor * running_integral(times, one) for one in (along, self.sums.replicas(integral))
+        )
         found = diffusivity(times, squares, without, longest)
-        return VelocityResult(scene, times, values, errors, found, sum(self.numbers), along, its_error)
+        return VelocityResult(
+            scene, times, values, errors, found, sum(self.numbers), along, its_error
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -386,7 +429,8 @@ class DisplacementResult(MotionResult):
         if not self.is_cubic:
             needs = "needs a cubic cell that is periodic in all directions; without one, do not pass viscosity"
             raise ValueError(f"the correction of Yeh and Hummer {needs}")
-        thermal_energy, edge = self.units.k_B * self.temperature, self.volume ** (1.0 / 3.0)
+        thermal_energy = self.units.k_B * self.temperature
+        edge = self.volume ** (1.0 / 3.0)
         eta, eta_error = with_its_error(viscosity)
         added = finite_size_correction(thermal_energy, eta, edge)
         error = float(np.hypot(self.diffusion_error, added * eta_error / eta))
@@ -394,7 +438,10 @@ class DisplacementResult(MotionResult):
 
     def numbers(self) -> dict[str, float]:
         """See Result."""
-        infinite = {"diffusion_infinite": self.infinite, "diffusion_infinite_error": self.infinite_error}
+        infinite = {
+            "diffusion_infinite": self.infinite,
+            "diffusion_infinite_error": self.infinite_error,
+        }
         return {**super().numbers(), **infinite}
 
     def display_rows(self) -> Rows:
@@ -407,19 +454,26 @@ class DisplacementResult(MotionResult):
             words = diffusion_words(self.infinite, self.infinite_error, self.units)
             rows.append(("", f"D = {words} in an infinite cell (Yeh and Hummer)"))
         elif self.is_cubic and np.isfinite(self.diffusion):
-            rows.append(("", "in a larger cell D is larger: result(viscosity=...) corrects for this"))
+            rows.append(
+                ("", "in a larger cell D is larger: result(viscosity=...) corrects for this")
+            )
         return rows
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
-        (times, unit), later = self.abscissa(), self.times > 0.0
+        times, unit = self.abscissa()
+        later = self.times > 0.0
         panel.loglog(times[later], self.msd[later], marker="o", ms=2.5, lw=1.0)
         if np.isfinite(self.diffusion):
             start, end = self.window
             inside = (self.times >= start) & (self.times <= end)
-            panel.loglog(times[inside], self.msd[inside], color="0.4", lw=3.0, alpha=0.5, label="slope 6 D")
+            panel.loglog(
+                times[inside], self.msd[inside], color="0.4", lw=3.0, alpha=0.5, label="slope 6 D"
+            )
             panel.legend(frameon=False, fontsize=8)
-        panel.set(xlabel=f"t  [{unit}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{self.unit}]", title=self.title)
+        panel.set(
+            xlabel=f"t  [{unit}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{self.unit}]", title=self.title
+        )
 
 
 @dataclass(frozen=True, repr=False)

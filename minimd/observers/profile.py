@@ -47,44 +47,57 @@ class Profile(Accumulator):
     name: str = label()
 
     def _begin(self, engine: Engine) -> None:
-        pbc, k = engine.system.cell.pbc, AXES.index(self.axis)
+        pbc = engine.system.cell.pbc
+        k = AXES.index(self.axis)
         if not np.delete(pbc, k).all():
             needed = f"a cell that is periodic along the other two axes; its pbc = {pbc.tolist()}"
             raise ValueError(f"layers across axis {self.axis} need {needed}")
         if pbc[k] != (self.extent is None):
-            needed = "is periodic: leave extent out" if pbc[k] else "is open: give extent=(lower, upper)"
+            needed = (
+                "is periodic: leave extent out" if pbc[k] else "is open: give extent=(lower, upper)"
+            )
             raise ValueError(f"axis {self.axis} of this cell {needed}")
 
     def _laid_out(self, scene: ObservedRun) -> None:
         self.sums = BlockedSums(HEAD + (len(scene.numbers) + 2) * self.n_bins)
 
     def _look(self, engine: Engine) -> None:
-        system, k, n_species = engine.system, AXES.index(self.axis), len(engine.system.species_names)
+        system = engine.system
+        k = AXES.index(self.axis)
+        n_species = len(engine.system.species_names)
         vectors = system.cell.vectors
         normal = np.cross(vectors[k - 2], vectors[k - 1])
         area = float(np.linalg.norm(normal))
         heights = np.einsum("ij,j->i", system.positions, normal) / area
         if self.extent is None:
-            lower, height = 0.0, abs(float(vectors[k] @ normal)) / area
+            lower = 0.0
+            height = abs(float(vectors[k] @ normal)) / area
             places = np.floor(heights * np.sign(vectors[k] @ normal) / height % 1.0 * self.n_bins)
             layers = places.astype(np.int64) % self.n_bins
         else:
-            lower, height = self.extent[0], self.extent[1] - self.extent[0]
+            lower = self.extent[0]
+            height = self.extent[1] - self.extent[0]
             layers = np.floor((heights - lower) / height * self.n_bins).astype(np.int64)
         inside = (layers >= 0) & (layers < self.n_bins)
         places = system.species_index[inside] * self.n_bins + layers[inside]
         velocities = system.velocities - engine.drift
         squares = system.masses * np.einsum("ij,ij->i", velocities, velocities)
-        sums, volume = self.sums.total, area * height / self.n_bins
+        sums = self.sums.total
+        volume = area * height / self.n_bins
         sums[:HEAD] += 1.0, height
         shares = engine.constraint_set.shares(system.positions, engine.conserves_momentum)
-        motion = [np.bincount(layers[inside], each[inside], self.n_bins) for each in (shares, squares)]
-        sums[HEAD : -2 * self.n_bins] += np.bincount(places, minlength=n_species * self.n_bins) / volume
+        motion = [
+            np.bincount(layers[inside], each[inside], self.n_bins) for each in (shares, squares)
+        ]
+        sums[HEAD : -2 * self.n_bins] += (
+            np.bincount(places, minlength=n_species * self.n_bins) / volume
+        )
         sums[-2 * self.n_bins :] += np.concatenate(motion)
 
     def result(self) -> ProfileResult:
         """The profiles so far, with standard errors.  Raises ValueError before the first look."""
-        scene, n = self.answered(), self.n_bins
+        scene = self.answered()
+        n = self.n_bins
 
         def law(sums: Array) -> Array:
             *densities, shares, squares = sums[HEAD:].reshape(-1, n)
@@ -94,7 +107,9 @@ class Profile(Accumulator):
         values, errors = self.sums.estimate(law)
         lower = 0.0 if self.extent is None else self.extent[0]
         z = lower + (np.arange(n) + 0.5) * self.sums.total[EXTENT] / self.sums.total[FRAMES] / n
-        return ProfileResult(scene, self.axis, z, values[:-1], errors[:-1], values[-1], errors[-1], self.n_looks)
+        return ProfileResult(
+            scene, self.axis, z, values[:-1], errors[:-1], values[-1], errors[-1], self.n_looks
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -122,10 +137,17 @@ class ProfileResult(Result):
 
     def series(self) -> list[Series]:
         """See Result."""
-        units, of_species = self.units, zip(self.scene.species, self.densities, self.density_errors, strict=True)
+        units = self.units
+        of_species = zip(self.scene.species, self.densities, self.density_errors, strict=True)
         z = Series("z", units.length, self.z)
-        temperature = Series("temperature", units.temperature, self.temperature, self.temperature_error)
-        return [z, temperature, *(Series(f"density_{one}", f"1/{units.length}³", *both) for one, *both in of_species)]
+        temperature = Series(
+            "temperature", units.temperature, self.temperature, self.temperature_error
+        )
+        return [
+            z,
+            temperature,
+            *(Series(f"density_{one}", f"1/{units.length}³", *both) for one, *both in of_species),
+        ]
 
     def display_rows(self) -> Rows:
         """See Displayed."""
@@ -135,6 +157,7 @@ class ProfileResult(Result):
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
-        curves, label = dict(zip(self.scene.species, self.densities, strict=True)), f"density  [1/{self.units.length}³]"
+        curves = dict(zip(self.scene.species, self.densities, strict=True))
+        label = f"density  [1/{self.units.length}³]"
         self.draw_curves(panel, curves, f"along {self.axis}", label)
         panel.set(ylim=(0.0, None), title=f"{self.title}, {self.n_frames} frames")

@@ -38,7 +38,9 @@ SPACINGS = 4.0  # in r_max if not given: four shells of neighbors
 R_MAX = "largest distance; if not given, the smaller of 4 (V/N)^(1/3) and half the smallest height of the initial cell"
 
 
-class PairCounting(ByAddress, namedtuple("PairCounting", "arrays species kinds per_width beyond counts")):
+class PairCounting(
+    ByAddress, namedtuple("PairCounting", "arrays species kinds per_width beyond counts")
+):
     """arrays : ClusterArrays of a list whose cutoff is r_max.  species : (slots,) int, of the atoms in clusters.
     kinds : (S, S) int, the number of each pair of species.  per_width : 1/Δr [1/length].
     beyond : (n,) columns, one for each lane, of pairs farther away: a single one would wait for itself at each of them.
@@ -50,11 +52,19 @@ def count_pairs(counting, domain):
     """counts[domain, p, k] += number of pairs of kind p, with all images, with k Δr ≤ r < (k + 1) Δr, of the atoms of
     a domain with those of their rows."""
     arrays, species, kinds, per_width, beyond, _ = counting
-    clusters, ghosts, rows, memory = arrays.clusters, arrays.ghosts, arrays.rows, arrays.memory
-    lanes, counts = clusters.lanes, counting.counts[domain]
-    first, n_lanes, columns = arrays.domains.first[domain], count(lanes), load(beyond, 0, lanes)
+    clusters = arrays.clusters
+    ghosts = arrays.ghosts
+    rows = arrays.rows
+    memory = arrays.memory
+    lanes = clusters.lanes
+    counts = counting.counts[domain]
+    first = arrays.domains.first[domain]
+    n_lanes = count(lanes)
+    columns = load(beyond, 0, lanes)
     coordinates = memory.coordinates[first * DIMENSIONS * n_lanes :]
-    for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
+    for slot in range(
+        arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes
+    ):
         place = (ghosts.home[slot // n_lanes] - first) * DIMENSIONS * n_lanes + slot % n_lanes
         at = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
         kinds_of_pairs = kinds[species[slot]]
@@ -64,7 +74,10 @@ def count_pairs(counting, domain):
             places = min(np.sqrt(r2) * per_width, columns)
             other = np.uintp(ghosts.owner[first + np.intp(now & GHOST_BITS)]) * np.uintp(n_lanes)
             for k in range(np.uintp(n_lanes)):
-                counts[np.uintp(kinds_of_pairs[np.uintp(species[other + k])]), np.uintp(lane(places, k))] += 1
+                counts[
+                    np.uintp(kinds_of_pairs[np.uintp(species[other + k])]),
+                    np.uintp(lane(places, k)),
+                ] += 1
     return GO_ON
 
 
@@ -111,15 +124,20 @@ class RadialDistribution(Accumulator):
     def _look(self, engine: Engine) -> None:
         counts = self._counts(engine.system, engine.interactions.pool)
         self.sums.total[FRAMES] += 1.0
-        self.sums.total[HEAD:] += float(engine.system.volume or 0.0) * counts[:, : self.n_bins].ravel()
+        self.sums.total[HEAD:] += (
+            float(engine.system.volume or 0.0) * counts[:, : self.n_bins].ravel()
+        )
 
     def _counts(self, system: System, pool: ThreadPool) -> Array:
         """(P, columns) numbers of pairs, from a list of clusters; a cell too small for one is repeated."""
-        positions, species, cell = system.positions, system.species_index, system.cell
+        positions = system.positions
+        species = system.species_index
+        cell = system.cell
         n = np.ceil(self.reach / cell.heights).astype(np.int64)
         if n.max() > 1:
             steps = np.stack(np.meshgrid(*map(np.arange, n)), axis=-1).reshape(-1, 1, 3)
-            positions, species = (steps @ cell.lattice + positions).reshape(-1, 3), np.tile(species, n.prod())
+            positions = (steps @ cell.lattice + positions).reshape(-1, 3)
+            species = np.tile(species, n.prod())
             cell = Cell.of(n[:, None] * cell.lattice)
         if self._made is None or self._made[0] != len(positions):
             made = ClusterList(len(positions), self.reach, 0.0, NO_PAIRS, False, pool)
@@ -127,10 +145,14 @@ class RadialDistribution(Accumulator):
         _, found, calls = self._made
         found.update(positions, cell)
         lanes = np.arange(found.lanes.size)
-        counts = np.zeros((found.n_domains, len(self._pairs), self.n_bins + lanes.size), dtype=np.int64)
+        counts = np.zeros(
+            (found.n_domains, len(self._pairs), self.n_bins + lanes.size), dtype=np.int64
+        )
         beyond = self.n_bins + lanes.astype(np.float64)
         of_slots = species[found.clusters.atom[: found.n_clusters * lanes.size]]
-        counting = PairCounting(found.arrays, of_slots, self._kinds, self.n_bins / self.reach, beyond, counts)
+        counting = PairCounting(
+            found.arrays, of_slots, self._kinds, self.n_bins / self.reach, beyond, counts
+        )
         count_all = operation(calls, count_pairs, counting, len(counts))
         Program(lambda: [count_all], lambda: 0, pool).run()
         return counts.sum(axis=0) / n.prod()
@@ -146,7 +168,9 @@ class RadialDistribution(Accumulator):
 
         def law(sums: Array) -> Array:
             found = sums[HEAD:].reshape(len(numbers), -1) / (sums[FRAMES] * shells)
-            return np.concatenate([found.sum(axis=0, keepdims=True) / numbers.sum(), found / numbers[:, None]])
+            return np.concatenate(
+                [found.sum(axis=0, keepdims=True) / numbers.sum(), found / numbers[:, None]]
+            )
 
         (total, *g), (total_error, *errors) = self.sums.estimate(law)
         r = 0.5 * (edges[1:] + edges[:-1])
@@ -176,17 +200,29 @@ class RadialDistributionResult(Result):
     def series(self) -> list[Series]:
         """See Result."""
         of_pairs = zip(self.pairs, self.g_of_pairs, self.errors_of_pairs, strict=True)
-        found = [Series(f"g_{pair}", "", g, error) for pair, g, error in of_pairs] if len(self.pairs) > 1 else []
+        found = (
+            [Series(f"g_{pair}", "", g, error) for pair, g, error in of_pairs]
+            if len(self.pairs) > 1
+            else []
+        )
         return [Series("r", self.units.length, self.r), Series("g", "", self.g, self.error), *found]
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        k, length = int(np.argmax(self.g)), self.units.length
+        k = int(np.argmax(self.g))
+        length = self.units.length
         highest = f"highest at {self.r[k]:.4g} {length}, {with_error(self.g[k], self.error[k])}"
-        return [("g(r)", f"{len(self.r)} bins up to {self.r[-1]:.4g} {length}, {self.n_frames} frames; {highest}")]
+        return [
+            (
+                "g(r)",
+                f"{len(self.r)} bins up to {self.r[-1]:.4g} {length}, {self.n_frames} frames; {highest}",
+            )
+        ]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
         panel.axhline(1.0, color="0.7", lw=0.8)
         self.draw_curves(panel, dict(zip(self.pairs, self.g_of_pairs, strict=True)), "r", "g(r)")
-        panel.set(title=f"{self.title}, {self.n_frames} frames", xlim=(0.0, self.r[-1]), ylim=(0.0, None))
+        panel.set(
+            title=f"{self.title}, {self.n_frames} frames", xlim=(0.0, self.r[-1]), ylim=(0.0, None)
+        )

@@ -29,7 +29,10 @@ Array = NDArray[np.float64]
 PEAK = 1.15 * 2.0 * pi  # q (V/N)^(1/3) of the main peak of a simple liquid
 FAR = 3.0  # in q of the peak, the largest q if not given
 GOLDEN = pi * (3.0 - 5.0**0.5)  # angle between two directions that follow each other
-MOST_PERIODS, MOST_WAVES, TABLE = 10_000, 100_000, 2**18  # in the cell; in all shells; cosines of k for atoms
+# in the cell; in all shells; cosines of k for atoms
+MOST_PERIODS = 10_000
+MOST_WAVES = 100_000
+TABLE = 2**18
 N_WAVES, MANY = 3, 60  # wave vectors for F_s, the nearest of those in so many directions
 Q_MAX = "largest q; if not given, three times that of the main peak of a simple liquid"
 Q_SELF = "length of the wave vectors; if not given, the main peak of a simple liquid, 1.15 · 2π (N/V)^(1/3)"
@@ -39,19 +42,28 @@ PER_SHELL = "number of directions for which wave vectors are chosen in each shel
 def peak_of(system: System, what: str) -> float:
     """q of the main peak of a simple liquid of this density [1/length].  Raises ValueError without a volume."""
     if system.volume is None:
-        raise ValueError(f"{what} needs a cell that is periodic in all directions; this run has {system!r}")
+        raise ValueError(
+            f"{what} needs a cell that is periodic in all directions; this run has {system!r}"
+        )
     return float(PEAK * (len(system) / system.volume) ** (1.0 / 3.0))
 
 
 def waves_near(lengths: Array, cell: Cell, n_directions: int) -> NDArray[np.int64]:
     """(M, 3) whole numbers k of the wave vectors of the cell that are nearest to those of given lengths [1/length] in
     directions spread evenly over a hemisphere; not 0, and only one of k and −k.  Raises ValueError for large ones."""
-    z = np.broadcast_to((np.arange(n_directions) + 0.5) / n_directions, (len(lengths), n_directions))
-    flat, turn = np.sqrt(1.0 - z * z), GOLDEN * np.arange(z.size).reshape(z.shape)
-    wanted = lengths[:, None, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=2)
+    z = np.broadcast_to(
+        (np.arange(n_directions) + 0.5) / n_directions, (len(lengths), n_directions)
+    )
+    flat = np.sqrt(1.0 - z * z)
+    turn = GOLDEN * np.arange(z.size).reshape(z.shape)
+    wanted = lengths[:, None, None] * np.stack(
+        [flat * np.cos(turn), flat * np.sin(turn), z], axis=2
+    )
     exact = wanted @ cell.vectors.T / (2.0 * pi)
     if np.abs(exact).max() > MOST_PERIODS:
-        raise ValueError(f"q = {lengths.max():.6g} has more than {MOST_PERIODS} periods in this cell; lower q")
+        raise ValueError(
+            f"q = {lengths.max():.6g} has more than {MOST_PERIODS} periods in this cell; lower q"
+        )
     waves = np.rint(exact).astype(np.int64).reshape(-1, 3)
     leading = np.sign(waves @ [4 * np.abs(waves).max() ** 2 + 4, 2 * np.abs(waves).max() + 1, 1])
     return np.unique((waves * leading[:, None])[leading != 0], axis=0)
@@ -73,7 +85,8 @@ def add_densities(tables, waves, sums):
     for d in range(3):
         once = tables[d, 1]
         for k in range(2, tables.shape[1]):
-            before, to = tables[d, k - 1], tables[d, k]
+            before = tables[d, k - 1]
+            to = tables[d, k]
             for i in range(tables.shape[3]):
                 to[0, i] = before[0, i] * once[0, i] - before[1, i] * once[1, i]
                 to[1, i] = before[1, i] * once[0, i] + before[0, i] * once[1, i]
@@ -81,10 +94,17 @@ def add_densities(tables, waves, sums):
         kx, ky, kz = waves[w, 0], waves[w, 1], waves[w, 2]
         x, y, z = tables[0, abs(kx)], tables[1, abs(ky)], tables[2, abs(kz)]
         sign_x, sign_y, sign_z = np.sign(kx), np.sign(ky), np.sign(kz)
-        real, imaginary = 0.0, 0.0
+        real = 0.0
+        imaginary = 0.0
         for i in range(tables.shape[3]):
-            cx, sx, cy, sy, cz, sz = x[0, i], sign_x * x[1, i], y[0, i], sign_y * y[1, i], z[0, i], sign_z * z[1, i]
-            c, s = cx * cy - sx * sy, cx * sy + sx * cy
+            cx = x[0, i]
+            sx = sign_x * x[1, i]
+            cy = y[0, i]
+            sy = sign_y * y[1, i]
+            cz = z[0, i]
+            sz = sign_z * z[1, i]
+            c = cx * cy - sx * sy
+            s = cx * sy + sx * cy
             real += c * cz - s * sz
             imaginary += c * sz + s * cz
         sums[0, w] += real
@@ -114,36 +134,57 @@ class StructureFactor(Accumulator):
     shells: list[int] = field(init=False, default_factory=list)  # of each wave vector
 
     def _begin(self, engine: Engine) -> None:
-        peak, cell = peak_of(engine.system, "S(q)"), engine.system.cell
+        peak = peak_of(engine.system, "S(q)")
+        cell = engine.system.cell
         q_max = self.q_max or FAR * peak
         if (n := self.n_bins * self.n_waves) > MOST_WAVES:
-            raise ValueError(f"n_bins · n_waves must be at most {MOST_WAVES}; {self.n_bins} · {self.n_waves} = {n}")
+            raise ValueError(
+                f"n_bins · n_waves must be at most {MOST_WAVES}; {self.n_bins} · {self.n_waves} = {n}"
+            )
         waves = waves_near((np.arange(self.n_bins) + 0.5) * q_max / self.n_bins, cell, self.n_waves)
-        shells = (np.linalg.norm(vectors_of(waves, cell), axis=1) / q_max * self.n_bins).astype(np.int64)
+        shells = (np.linalg.norm(vectors_of(waves, cell), axis=1) / q_max * self.n_bins).astype(
+            np.int64
+        )
         if not (inside := shells < self.n_bins).any():
-            raise ValueError(f"no wave vector of this cell is shorter than q_max = {q_max:.6g}; raise q_max")
-        self.waves, self.shells = waves[inside].tolist(), np.unique(shells[inside], return_inverse=True)[1].tolist()
+            raise ValueError(
+                f"no wave vector of this cell is shorter than q_max = {q_max:.6g}; raise q_max"
+            )
+        self.waves, self.shells = (
+            waves[inside].tolist(),
+            np.unique(shells[inside], return_inverse=True)[1].tolist(),
+        )
 
     def _laid_out(self, scene: ObservedRun) -> None:
         self._waves, self._of_shell = np.array(self.waves), np.bincount(self.shells)
-        self.sums = BlockedSums(1 + 2 * len(self._of_shell))  # number of looks, then q and S of each shell
+        # number of looks, then q and S of each shell
+        self.sums = BlockedSums(1 + 2 * len(self._of_shell))
 
     def _look(self, engine: Engine) -> None:
-        cell, n_atoms, highest = engine.system.cell, len(engine.positions), int(np.abs(self._waves).max())
+        cell = engine.system.cell
+        n_atoms = len(engine.positions)
+        highest = int(np.abs(self._waves).max())
         sums = np.zeros((2, len(self._waves)))
         for some in np.array_split(engine.positions, -(-n_atoms * (highest + 1) // TABLE)):
-            tables, turns = np.empty((3, highest + 1, 2, len(some))), vectors_of(np.eye(3, dtype=int), cell) @ some.T
+            tables = np.empty((3, highest + 1, 2, len(some)))
+            turns = vectors_of(np.eye(3, dtype=int), cell) @ some.T
             for k in range(2):
                 tables[:, k, 0], tables[:, k, 1] = np.cos(k * turns), np.sin(k * turns)
             add_densities(tables, self._waves, sums)
-        found = np.linalg.norm(vectors_of(self._waves, cell), axis=1), (sums**2).sum(axis=0) / n_atoms
+        found = (
+            np.linalg.norm(vectors_of(self._waves, cell), axis=1),
+            (sums**2).sum(axis=0) / n_atoms,
+        )
         self.sums.total[0] += 1.0
-        self.sums.total[1:] += np.concatenate([np.bincount(self.shells, one) / self._of_shell for one in found])
+        self.sums.total[1:] += np.concatenate(
+            [np.bincount(self.shells, one) / self._of_shell for one in found]
+        )
 
     def result(self) -> StructureFactorResult:
         """S(q) so far, with standard errors.  Raises ValueError before the first look."""
         scene = self.answered()
-        (q, s), (_, error) = (one.reshape(2, -1) for one in self.sums.estimate(lambda sums: sums[1:] / sums[0]))
+        (q, s), (_, error) = (
+            one.reshape(2, -1) for one in self.sums.estimate(lambda sums: sums[1:] / sums[0])
+        )
         return StructureFactorResult(scene, q, s, error, self.n_looks)
 
 
@@ -169,7 +210,12 @@ class StructureFactorResult(Result):
         """See Displayed."""
         k = int(np.argmax(self.s))
         highest = f"highest at {self.q[k]:.4g} /{self.units.length}, {with_error(self.s[k], self.error[k])}"
-        return [("S(q)", f"{len(self.q)} shells up to {self.q[-1]:.4g}, {self.n_frames} frames; {highest}")]
+        return [
+            (
+                "S(q)",
+                f"{len(self.q)} shells up to {self.q[-1]:.4g}, {self.n_frames} frames; {highest}",
+            )
+        ]
 
 
 class SelfScattering(MeanSquareDisplacement):
@@ -197,7 +243,8 @@ class SelfScattering(MeanSquareDisplacement):
 
     def _begin(self, engine: Engine) -> None:
         super()._begin(engine)
-        peak, cell = peak_of(engine.system, "F_s(q, t)"), engine.system.cell
+        peak = peak_of(engine.system, "F_s(q, t)")
+        cell = engine.system.cell
         waves = waves_near(np.array([q := self.q or peak]), cell, MANY)
         if not len(waves):
             raise ValueError(f"no wave vector of this cell is as short as q = {q:.6g}; raise q")
@@ -214,7 +261,8 @@ class SelfScattering(MeanSquareDisplacement):
         look."""
         scene = self.answered()
         seen, times, longest = self._seen()
-        means, n_rows = self._means(seen), 1 + len(scene.species)
+        means = self._means(seen)
+        n_rows = 1 + len(scene.species)
 
         def law(sums: Array) -> Array:
             return np.asarray(means(sums)[:n_rows] / len(self.q_vectors))
@@ -251,14 +299,25 @@ class SelfScatteringResult(Result):
 
     def series(self) -> list[Series]:
         """See Result: of all atoms, and of each species if there are several."""
-        names = ["", *(f"_{one}" for one in self.scene.species)][: None if len(self.scene.species) > 1 else 1]
+        names = ["", *(f"_{one}" for one in self.scene.species)][
+            : None if len(self.scene.species) > 1 else 1
+        ]
         rows = zip(names, self.means, self.errors, strict=False)
-        return [Series("time", self.units.time, self.times), *(Series(f"f_s{name}", "", *row) for name, *row in rows)]
+        return [
+            Series("time", self.units.time, self.times),
+            *(Series(f"f_s{name}", "", *row) for name, *row in rows),
+        ]
 
     def display_rows(self) -> Rows:
         """See Displayed."""
         units = self.units
-        time, error = (one * units.to_picosecond for one in (self.relaxation_time, self.relaxation_time_error))
-        fell = f"to 1/e in {with_error(time, error)} {units.shown_time}" if np.isfinite(time) else "NOT to 1/e"
+        time, error = (
+            one * units.to_picosecond for one in (self.relaxation_time, self.relaxation_time_error)
+        )
+        fell = (
+            f"to 1/e in {with_error(time, error)} {units.shown_time}"
+            if np.isfinite(time)
+            else "NOT to 1/e"
+        )
         last = f"lags up to {units.shown(self.times[-1])}"
         return [("F_s(q, t)", f"at q = {self.q:.4g} /{units.length}: falls {fell}; {last}")]

@@ -25,8 +25,11 @@ from minimd.core.structure.checks import checked_count, checked_flag
 DISCONNECT, ENERGIES, COORDINATES, GO, HANDSHAKE, KILL, PUSH, PAUSE, RATE = range(9)
 SESSION, RESUME, TIME, BOX, VELOCITIES, FORCES, WAIT = range(10, 17)
 HEADER = struct.Struct("!ii")  # of a message: its type, and a number
-VERSION, PORTS, MOST_STEPS = 3, 2**16, 2**31 - 1
-READ = 4096  # bytes that are taken at once from a reader; how many it says that it sends does not matter
+VERSION = 3
+PORTS = 2**16
+MOST_STEPS = 2**31 - 1
+# bytes that are taken at once from a reader; how many it says that it sends does not matter
+READ = 4096
 NAP = 0.005  # seconds between two attempts, where the run waits for a reader
 SECONDS_TO_GO = 1.0  # after the handshake, as the protocol demands
 PATIENCE = 60.0  # seconds with a reader that takes nothing and has not asked for a pause
@@ -58,10 +61,15 @@ class Stream(PeriodicObserver):
     Raises ValueError for arguments out of range; when a run begins, OSError if the port cannot be opened.
     """
 
-    def __init__(self, port: int = 8888, every: int = 10, host: str = "localhost", wait: bool = False) -> None:
+    def __init__(
+        self, port: int = 8888, every: int = 10, host: str = "localhost", wait: bool = False
+    ) -> None:
         if not isinstance(host, str) or not host:
-            raise ValueError(f"host must be a name or an address, such as 'localhost'; host = {shown(host)}")
-        self.port, self.host = checked_count("port", port, 0, PORTS), host
+            raise ValueError(
+                f"host must be a name or an address, such as 'localhost'; host = {shown(host)}"
+            )
+        self.port = checked_count("port", port, 0, PORTS)
+        self.host = host
         self.wait, self._given = checked_flag("wait", wait), checked_count("every", every)
         self._listener: socket.socket | None = None
         self._engine: Engine | None = None
@@ -70,12 +78,16 @@ class Stream(PeriodicObserver):
         self._part_with_reader()
 
     def __repr__(self) -> str:
-        return call_of(self, {"port": self.port, "every": self._given, "host": self.host, "wait": self.wait})
+        return call_of(
+            self, {"port": self.port, "every": self._given, "host": self.host, "wait": self.wait}
+        )
 
     @property
     def address(self) -> str:
         """What a reader opens, such as imd://localhost:8888."""
-        return f"imd://{self.host}:{self._listener.getsockname()[1] if self._listener else self.port}"
+        return (
+            f"imd://{self.host}:{self._listener.getsockname()[1] if self._listener else self.port}"
+        )
 
     @property
     def needs_energy(self) -> bool:
@@ -85,12 +97,17 @@ class Stream(PeriodicObserver):
     def prepare(self, engine: Engine) -> None:
         """Listen, and wait for a reader if asked to.  Raises OSError without a port, ValueError in a second run."""
         if self._engine is not None:
-            raise ValueError(f"{self!r} is in another run, or twice in this one: give each run a Stream of its own")
+            raise ValueError(
+                f"{self!r} is in another run, or twice in this one: give each run a Stream of its own"
+            )
         try:
             self._listener = socket.create_server((self.host, self.port), backlog=1)
         except (OSError, TypeError) as error:  # a name that is too long is a TypeError
-            where, advice = f"port {self.port} of {shown(self.host)}", "pass host=, or port=, 0 for any that is free"
-            raise OSError(f"{where} cannot be opened: {getattr(error, 'strerror', '') or error}; {advice}") from error
+            where = f"port {self.port} of {shown(self.host)}"
+            advice = "pass host=, or port=, 0 for any that is free"
+            raise OSError(
+                f"{where} cannot be opened: {getattr(error, 'strerror', '') or error}; {advice}"
+            ) from error
         self._engine = engine
         self._listener.setblocking(False)
         cell = engine.system.cell
@@ -99,7 +116,8 @@ class Stream(PeriodicObserver):
         contents = bytes([1, 1, self._has_box, 1, 0, 1, 1])
         self._greeting = struct.pack("!i", HANDSHAKE) + struct.pack("=i", VERSION)
         self._greeting += HEADER.pack(SESSION, len(contents)) + contents
-        self._frame, self._waits = empty_frame(len(engine.positions), self._has_box), self.wait
+        self._frame = empty_frame(len(engine.positions), self._has_box)
+        self._waits = self.wait
         self._attend(engine)
 
     def observe(self, engine: Engine) -> None:
@@ -108,10 +126,12 @@ class Stream(PeriodicObserver):
         if not self._has_gone or engine.step % self._rate:
             return
         self._fill(engine)
-        rest, since = memoryview(self._frame.view(np.uint8).data), monotonic()
+        rest = memoryview(self._frame.view(np.uint8).data)
+        since = monotonic()
         while rest and self._reader is not None:
             try:
-                rest, since = rest[self._reader.send(rest) :], monotonic()
+                rest = rest[self._reader.send(rest) :]
+                since = monotonic()
             except BlockingIOError:
                 self._hear(engine)
                 since = monotonic() if self._is_paused else since
@@ -133,7 +153,8 @@ class Stream(PeriodicObserver):
             self._listener.close()
             self._listener = None
         if self._reader is not None:
-            with suppress(OSError):  # closed at once, with messages that nobody has read, the last frames are lost
+            # closed at once, with messages that nobody has read, the last frames are lost
+            with suppress(OSError):
                 self._reader.shutdown(socket.SHUT_WR)
                 self._reader.settimeout(FAREWELL)
                 until = monotonic() + FAREWELL
@@ -160,10 +181,13 @@ class Stream(PeriodicObserver):
             if self._reader is None and self._listener is not None:
                 self._reader, _ = self._listener.accept()
                 self._reader.setblocking(False)
-                self._reader.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)  # its machine may vanish
+                # its machine may vanish
+                self._reader.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
                 for name in ("TCP_KEEPIDLE", "TCP_KEEPINTVL", "TCP_KEEPCNT"):
                     if hasattr(socket, name):  # not every system can be told
-                        self._reader.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), KEEP_ALIVE)
+                        self._reader.setsockopt(
+                            socket.IPPROTO_TCP, getattr(socket, name), KEEP_ALIVE
+                        )
                 self._reader.sendall(self._greeting)
                 self._go_until = monotonic() + SECONDS_TO_GO
             if self._reader is None or not (heard := self._reader.recv(READ)):
@@ -197,29 +221,44 @@ class Stream(PeriodicObserver):
         elif kind == DISCONNECT:
             self._part_with_reader()
         else:
-            self._part_with_reader("has sent forces, which no run takes" if kind == PUSH else "does not speak IMDv3")
+            self._part_with_reader(
+                "has sent forces, which no run takes" if kind == PUSH else "does not speak IMDv3"
+            )
 
     def _part_with_reader(self, reason: str = "") -> None:
         """Close the connection, if there is one, and be ready for the next.  reason : to be told, if there is one."""
         if self._reader is not None:
             self._reader.close()
             self._reader = None
-        self._heard, self._has_gone, self._is_paused = b"", False, False
-        self._rate = self.every = self._given  # frames are at multiples of rate, looks at those of every
+        self._heard = b""
+        self._has_gone = False
+        self._is_paused = False
+        # frames are at multiples of rate, looks at those of every
+        self._rate = self.every = self._given
         if reason:
-            with suppress(UserWarning):  # even if warnings are errors, no reader ends a run with one
+            # even if warnings are errors, no reader ends a run with one
+            with suppress(UserWarning):
                 told = f"a reader of {self!r} {reason}; it is disconnected"
                 warn(told)
 
     def _fill(self, engine: Engine) -> None:
         """Put the present state into the frame."""
         engine.evaluate()
-        look, units, frame = Look(engine), engine.system.units, self._frame
-        length, time, energy = units.to_angstrom, units.to_picosecond, units.to_kj_per_mol
+        look = Look(engine)
+        units = engine.system.units
+        frame = self._frame
+        length = units.to_angstrom
+        time = units.to_picosecond
+        energy = units.to_kj_per_mol
         frame["clock"][0] = engine.method.timestep * time, engine.time * time
-        frame["step"], frame["step_of_energies"] = engine.step, min(engine.step, MOST_STEPS)
+        frame["step"] = engine.step
+        frame["step_of_energies"] = min(engine.step, MOST_STEPS)
         with np.errstate(over="ignore"):  # infinite where float32 is too small
-            frame["energies"][0, :3] = look.temperature, look.total_energy * energy, look.potential_energy * energy
+            frame["energies"][0, :3] = (
+                look.temperature,
+                look.total_energy * energy,
+                look.potential_energy * energy,
+            )
             for name, array, factor in (
                 ("box", engine.system.cell.vectors, length),
                 ("positions", engine.positions, length),
@@ -240,7 +279,9 @@ def empty_frame(n_atoms: int, has_box: bool) -> NDArray[Any]:
         **{kind: [(name, "f4", (n_atoms, 3))] for kind, name in of_atoms.items()},
     }
     sent = {kind: body for kind, body in bodies.items() if body}
-    frame = np.zeros(1, [one for kind, body in sent.items() for one in ((f"header {kind}", ">i4", 2), *body)])
+    frame = np.zeros(
+        1, [one for kind, body in sent.items() for one in ((f"header {kind}", ">i4", 2), *body)]
+    )
     for kind in sent:
         frame[f"header {kind}"] = kind, n_atoms if kind in of_atoms else 1
     frame["energies"] = np.nan

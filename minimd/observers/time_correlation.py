@@ -21,7 +21,8 @@ from minimd.observers.correlator import MultipleTau
 from minimd.observers.diffusion import LONGEST
 
 Array = NDArray[np.float64]
-SLOWER = 1.5  # S: ratio of the slowest correlation time to the mean time of the integral; Wolff's value
+# S: ratio of the slowest correlation time to the mean time of the integral; Wolff's value
+SLOWER = 1.5
 OCTAVE = 2.0  # a plateau lasts from a time to this multiple of it
 FEWEST_LAGS = 3  # in a plateau
 
@@ -44,7 +45,9 @@ class Plateau(NamedTuple):
 def running_integral(times: Array, correlation: Array) -> Array:
     """∫₀ᵗ C dt' by trapezoids, (..., T), of C (..., T) at times (T,)."""
     steps = 0.5 * (correlation[..., 1:] + correlation[..., :-1]) * np.diff(times)
-    return np.concatenate([np.zeros((*correlation.shape[:-1], 1)), np.cumsum(steps, axis=-1)], axis=-1)
+    return np.concatenate(
+        [np.zeros((*correlation.shape[:-1], 1)), np.cumsum(steps, axis=-1)], axis=-1
+    )
 
 
 def plateau(times: Array, integral: Array, without: Array) -> Plateau:
@@ -63,8 +66,10 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
     U. Wolff, Comput. Phys. Commun. 156, 143 (2004), on the window and S, with τ from the whole integral instead of
     C(0); N. Madras, A. D. Sokal, J. Stat. Phys. 50, 109 (1988), on windows that are multiples of τ.
     """
-    errors, largest = spread(without), np.maximum.accumulate(np.abs(integral))
-    inside, is_reached = times >= times[-1] / OCTAVE, False
+    errors = spread(without)
+    largest = np.maximum.accumulate(np.abs(integral))
+    inside = times >= times[-1] / OCTAVE
+    is_reached = False
     for i in range(1, int((OCTAVE * times <= times[-1]).sum())):
         octave = (times >= times[i]) & (times <= OCTAVE * times[i])
         late = np.trapezoid(np.abs(integral[i] - integral[: i + 1]), times[: i + 1])
@@ -72,15 +77,20 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
         noise = errors[i] * slowest / (2.0 * times[i])
         is_late = not slowest > 0.0 or largest[i] * np.exp(-times[i] / slowest) <= noise
         if octave.sum() >= FEWEST_LAGS and is_late:
-            inside, is_reached = octave, True
+            inside = octave
+            is_reached = True
             break
     t = times[inside]
 
     def mean(values: Array) -> Array:
         chosen = values[..., inside]
-        return np.asarray(np.trapezoid(chosen, t) / (t[-1] - t[0]) if t[-1] > t[0] else chosen.mean(axis=-1))
+        return np.asarray(
+            np.trapezoid(chosen, t) / (t[-1] - t[0]) if t[-1] > t[0] else chosen.mean(axis=-1)
+        )
 
-    return Plateau(float(mean(integral)), float(spread(mean(without))), (float(t[0]), float(t[-1])), is_reached)
+    return Plateau(
+        float(mean(integral)), float(spread(mean(without))), (float(t[0]), float(t[-1])), is_reached
+    )
 
 
 COUNT, TEMPERATURE, VOLUME, HEAD = 0, 1, 2, 3  # places in the sums, before those of the correlator
@@ -106,10 +116,17 @@ class TimeCorrelation(Accumulator):
 
     def _add(self, look: Look, entry: Array) -> None:
         """Add a look to the sums.  entry : (C, n), for the correlator."""
-        sums, system = self.sums.total, look.system
-        if self._volume_of is not system.cell:  # the determinant takes as long as a lag of the correlator
-            self._volume_of, self._volume = system.cell, system.volume or np.nan
-        sums[:HEAD] += 1.0, temperature(look.thermal_energy, look.engine.n_dof, system.units.k_B), self._volume
+        sums = self.sums.total
+        system = look.system
+        # the determinant takes as long as a lag of the correlator
+        if self._volume_of is not system.cell:
+            self._volume_of = system.cell
+            self._volume = system.volume or np.nan
+        sums[:HEAD] += (
+            1.0,
+            temperature(look.thermal_energy, look.engine.n_dof, system.units.k_B),
+            self._volume,
+        )
         self._correlator.add(entry, sums[HEAD:])
 
     def _parts(self) -> list[Any]:
@@ -118,18 +135,23 @@ class TimeCorrelation(Accumulator):
     def _seen(self) -> tuple[NDArray[np.bool_], Array, float]:
         """Whether each lag has origins; the lags that have [time]; the longest lag for fits and integrals [time]."""
         counts, _ = self._correlator.correlations(self.sums.total[HEAD:])
-        seen, spacing = counts > 0.0, self.answered().spacing
+        seen = counts > 0.0
+        spacing = self.answered().spacing
         times: Array = self._correlator.lags[seen] * np.float64(spacing)
         return seen, times, LONGEST * (self.n_looks - 1) * spacing
 
-    def _estimate(self, times: Array, longest: float, law: Callable[[Array], Array]) -> tuple[Array, Array]:
+    def _estimate(
+        self, times: Array, longest: float, law: Callable[[Array], Array]
+    ) -> tuple[Array, Array]:
         """The result of a law for the sums, (..., T), and its standard errors; NaN for lags that only a small part of
         the blocks contains."""
         values, errors = self.sums.estimate(law)
         errors[..., times > 2.0 * longest] = np.nan
         return values, errors
 
-    def _integral(self, times: Array, longest: float, law: Callable[[Array], Array]) -> tuple[Array, Array, Plateau]:
+    def _integral(
+        self, times: Array, longest: float, law: Callable[[Array], Array]
+    ) -> tuple[Array, Array, Plateau]:
         """The running integral of a correlation, (T,), its standard errors, and its plateau.  law : of the sums."""
 
         def integral(sums: Array) -> Array:
@@ -137,4 +159,8 @@ class TimeCorrelation(Accumulator):
 
         values, errors = self._estimate(times, longest, integral)
         good = times <= max(longest, times[min(1, len(times) - 1)])
-        return values, errors, plateau(times[good], values[good], self.sums.replicas(integral)[:, good])
+        return (
+            values,
+            errors,
+            plateau(times[good], values[good], self.sums.replicas(integral)[:, good]),
+        )

@@ -16,14 +16,22 @@ from minimd.core.structure.units import BAR, PICOSECOND
 from minimd.observers.accumulator import ObservedRun, Result, Series
 from minimd.observers.arguments import argument, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product
-from minimd.observers.time_correlation import HEAD, LEVELS, TEMPERATURE, VOLUME, Plateau, TimeCorrelation
+from minimd.observers.time_correlation import (
+    HEAD,
+    LEVELS,
+    TEMPERATURE,
+    VOLUME,
+    Plateau,
+    TimeCorrelation,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 ENOUGH = 100.0  # times the start of the plateau: a shorter run knows its error bar badly
-POINTS = 32  # entries on each level of the correlator: averages are over at most a sixteenth of a lag
+# entries on each level of the correlator: averages are over at most a sixteenth of a lag
+POINTS = 32
 WEIGHT = 10.0  # divisor of the sum over all components of a symmetric tensor without trace
 MPA_S = 1e-4 / (BAR * PICOSECOND)  # per eV/Å³ Å √(u/eV): a bar times a picosecond is 1e-4 mPa s
 
@@ -54,7 +62,9 @@ class Viscosity(TimeCorrelation):
         check_has_volume(engine)
 
     def _laid_out(self, scene: ObservedRun) -> None:
-        self._correlate_by(MultipleTau(Product(), np.array([0, 1]), 6, POINTS, self.n_levels, averages=True))
+        self._correlate_by(
+            MultipleTau(Product(), np.array([0, 1]), 6, POINTS, self.n_levels, averages=True)
+        )
 
     def _look(self, engine: Engine) -> None:
         engine.evaluate()
@@ -68,13 +78,17 @@ class Viscosity(TimeCorrelation):
         k_B = scene.unit_system.k_B
 
         def correlation(sums: Array) -> Array:
-            return np.asarray(self._correlator.correlations(sums[HEAD:])[1][seen, 0].sum(axis=1) / WEIGHT)
+            return np.asarray(
+                self._correlator.correlations(sums[HEAD:])[1][seen, 0].sum(axis=1) / WEIGHT
+            )
 
         def integrand(sums: Array) -> Array:
-            return correlation(sums) * (sums[VOLUME] / (k_B * sums[TEMPERATURE]))  # both are sums over the same looks
+            # both are sums over the same looks
+            return correlation(sums) * (sums[VOLUME] / (k_B * sums[TEMPERATURE]))
 
         values, errors, found = self._integral(times, longest, integrand)
-        correlations, duration = self._estimate(times, longest, correlation), self.n_looks * scene.spacing
+        correlations = self._estimate(times, longest, correlation)
+        duration = self.n_looks * scene.spacing
         return ViscosityResult(scene, times, *correlations, values, errors, found, duration)
 
 
@@ -119,28 +133,44 @@ class ViscosityResult(Result):
         units = self.units
         return [
             Series("time", units.time, self.times),
-            Series("autocorrelation", f"({units.pressure})²", self.autocorrelation, self.autocorrelation_error),
-            Series("integral", f"{units.pressure} {units.time}", self.integral, self.integral_error),
+            Series(
+                "autocorrelation",
+                f"({units.pressure})²",
+                self.autocorrelation,
+                self.autocorrelation_error,
+            ),
+            Series(
+                "integral", f"{units.pressure} {units.time}", self.integral, self.integral_error
+            ),
         ]
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        units, factor, unit = self.units, 1.0, f"{self.units.pressure} {self.units.time}"
+        units = self.units
+        factor = 1.0
+        unit = f"{self.units.pressure} {self.units.time}"
         if units.name == "ASE":
-            factor, unit = MPA_S, "mPa s"
+            factor = MPA_S
+            unit = "mPa s"
         words = with_error(self.viscosity * factor, self.viscosity_error * factor)
         rows = [("viscosity", f"η = {words} {unit}; {self.plateau.said(units)}")]
         if self.duration < (enough := ENOUGH * self.plateau.window[0]):
             short = f"the run is SHORT, {units.shown(self.duration)}"
-            rows.append(("", f"{short}: a reliable error bar takes at least about {units.shown(enough)}"))
+            rows.append(
+                ("", f"{short}: a reliable error bar takes at least about {units.shown(enough)}")
+            )
         return rows
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
-        (times, unit), (start, end) = self.abscissa(), np.array(self.plateau.window) * self.units.to_picosecond
+        times, unit = self.abscissa()
+        start, end = np.array(self.plateau.window) * self.units.to_picosecond
         panel.axvspan(start, end, color="0.93")
         panel.axhline(self.viscosity, color="0.6", lw=0.8, ls="--")
         panel.errorbar(times, self.integral, self.integral_error, lw=1.1, elinewidth=0.6)
         label = f"η  [{self.units.pressure} {self.units.time}]"
         panel.set(xlabel=f"t  [{unit}]", ylabel=label, title=f"{self.title}, running integral")
-        panel.set(xlim=(0.0, 2.0 * end or None), ylim=(0.0, 2.0 * self.viscosity if self.viscosity > 0.0 else None))
+        panel.set(
+            xlim=(0.0, 2.0 * end or None),
+            ylim=(0.0, 2.0 * self.viscosity if self.viscosity > 0.0 else None),
+        )

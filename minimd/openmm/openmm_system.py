@@ -79,23 +79,50 @@ def _in_ase_units(epsilon: Array, sigma: Array) -> tuple[Array, Array]:
 
 # for each force or law: what OpenMM calls one of its terms, how many atoms it has, the potential of their parameters
 BONDED: Mapping[str, tuple[str, int, Any]] = {
-    "HarmonicBondForce": ("Bond", 2, lambda at, length, k: HarmonicBond(KJ / NM**2 * k, NM * length, at)),
+    "HarmonicBondForce": (
+        "Bond",
+        2,
+        lambda at, length, k: HarmonicBond(KJ / NM**2 * k, NM * length, at),
+    ),
     "HarmonicAngleForce": ("Angle", 3, lambda at, angle, k: HarmonicAngle(KJ * k, angle, at)),
-    "PeriodicTorsionForce": ("Torsion", 4, lambda at, n, phase, k: PeriodicDihedral(KJ * k, n, phase, at)),
-    "RBTorsionForce": ("Torsion", 4, lambda at, *c: RyckaertBellemans([KJ * power for power in c], at)),
-    "-α/r^6+β/r^12": ("Bond", 2, lambda at, c, a: BondPotential(LennardJonesLaw(), _in_ase_units(*_well(a, c)), at)),
-    **{k + law: ("Torsion", 4, partial(_improper, k + law)) for k in ("", "0.5*") for law in IMPROPERS},
+    "PeriodicTorsionForce": (
+        "Torsion",
+        4,
+        lambda at, n, phase, k: PeriodicDihedral(KJ * k, n, phase, at),
+    ),
+    "RBTorsionForce": (
+        "Torsion",
+        4,
+        lambda at, *c: RyckaertBellemans([KJ * power for power in c], at),
+    ),
+    "-α/r^6+β/r^12": (
+        "Bond",
+        2,
+        lambda at, c, a: BondPotential(LennardJonesLaw(), _in_ase_units(*_well(a, c)), at),
+    ),
+    **{
+        k + law: ("Torsion", 4, partial(_improper, k + law))
+        for k in ("", "0.5*")
+        for law in IMPROPERS
+    },
 }
 # wells: ε and σ of the parameters of particles; laws of their own mix geometrically
 WELLS: Mapping[str, Any] = {
     "NonbondedForce": lambda charge, sigma, epsilon: (epsilon, sigma),
-    "4*(sqrt(α1*α2))*(((sqrt(β1*β2))/r)^12-((sqrt(β1*β2))/r)^6)": lambda epsilon, sigma: (epsilon, sigma),
+    "4*(sqrt(α1*α2))*(((sqrt(β1*β2))/r)^12-((sqrt(β1*β2))/r)^6)": lambda epsilon, sigma: (
+        epsilon,
+        sigma,
+    ),
     "α1*α2/r^12-β1*β2/r^6": lambda a, c: _well(a * a, c * c),
 }
 KNOWN = (*BONDED, *WELLS, "CMMotionRemover")
 # what OpenMM calls the terms of a force, and those of custom ones that may be taken
 TERMS = ("Particles", "Bonds", "Angles", "Torsions", "Donors", "Multipoles", "TorsionTorsions")
-CUSTOM = {"CustomTorsionForce": "Torsion", "CustomBondForce": "Bond", "CustomNonbondedForce": "Particle"}
+CUSTOM = {
+    "CustomTorsionForce": "Torsion",
+    "CustomBondForce": "Bond",
+    "CustomNonbondedForce": "Particle",
+}
 
 TWICE = (
     "from_openmm takes the wells of one force; the system has a NonbondedForce with wells, or a CustomNonbondedForce, "
@@ -139,7 +166,9 @@ def from_openmm(
         mass and element; for another number of atoms; as System and potentials.
     """
     if not hasattr(openmm_system, "getForces"):
-        raise TypeError(f"openmm_system must be an openmm.System; openmm_system = {shown(openmm_system)}")
+        raise TypeError(
+            f"openmm_system must be an openmm.System; openmm_system = {shown(openmm_system)}"
+        )
     forces = [force for force in openmm_system.getForces() if _has_terms(force)]
     places = np.array(_plain(positions), dtype=np.float64)
     n = openmm_system.getNumParticles()
@@ -174,7 +203,9 @@ def from_openmm(
                 charges = parameters[0]
     names = [*map(_names, atoms)]
     wells_of = [*map(tuple, numbers.tolist())]
-    species = _labels([(symbol or "X", *well) for (_, symbol, *_), well in zip(names, wells_of, strict=True)])
+    species = _labels(
+        [(symbol or "X", *well) for (_, symbol, *_), well in zip(names, wells_of, strict=True)]
+    )
     held = _rows(openmm_system, "Constraint")
     held = held[~np.isin(held[:, :2], fixed).all(axis=1)]
     lengths = [DistanceConstraints(held[:, :2].astype(int), NM * held[:, 2])] if len(held) else []
@@ -210,7 +241,9 @@ def _kind(force: Any) -> tuple[str, Any]:
     β … in the order in which they appear.
     """
     name = f"Per{CUSTOM.get(type(force).__name__)}Parameter"
-    parameters = [getattr(force, f"get{name}Name")(k) for k in range(getattr(force, f"getNum{name}s", int)())]
+    parameters = [
+        getattr(force, f"get{name}Name")(k) for k in range(getattr(force, f"getNum{name}s", int)())
+    ]
     if not parameters or getattr(force, "getNumInteractionGroups", int)():
         return type(force).__name__, slice(None)
     law, _, definitions = re.sub(r"\s|\.0\b", "", force.getEnergyFunction()).partition(";")
@@ -219,7 +252,9 @@ def _kind(force: Any) -> tuple[str, Any]:
     law = re.sub(r"\(3\.14159\d*\)|3\.14159\d*", "pi", law)
     letters: dict[str, str] = {}
     symbols = rf"\b({'|'.join(map(re.escape, parameters))})(?=[12]?\b)"
-    law = re.sub(symbols, lambda symbol: letters.setdefault(symbol[0], chr(ord("α") + len(letters))), law)
+    law = re.sub(
+        symbols, lambda symbol: letters.setdefault(symbol[0], chr(ord("α") + len(letters))), law
+    )
     return law, [parameters.index(symbol) for symbol in letters]
 
 
@@ -238,7 +273,9 @@ def _check(openmm_system: openmm.System, forces: list[Any], atoms: list[Any]) ->
     for k, atom in enumerate(atoms):
         is_massless = not (atom.element or _plain(openmm_system.getParticleMass(k)))
         if is_massless or openmm_system.isVirtualSite(k):
-            strange = [f"virtual sites, or sites of mass 0 that have no element, such as particle {k}"]
+            strange = [
+                f"virtual sites, or sites of mass 0 that have no element, such as particle {k}"
+            ]
     for force in forces:
         kind, _ = _kind(force)
         if kind not in KNOWN:
@@ -264,7 +301,9 @@ def _check(openmm_system: openmm.System, forces: list[Any], atoms: list[Any]) ->
 def _lennard_jones(force: Any, kinds: Mapping[Any, Any]) -> LennardJones:
     """The wells of a NonbondedForce, or of a CustomNonbondedForce.  kinds : (ε, σ) of each species."""
     is_custom = type(force).__name__ == "CustomNonbondedForce"
-    has_tail = force.getUseLongRangeCorrection() if is_custom else force.getUseDispersionCorrection()
+    has_tail = (
+        force.getUseLongRangeCorrection() if is_custom else force.getUseDispersionCorrection()
+    )
     pairs = _rows(force, "Exclusion", "Particles") if is_custom else _rows(force, "Exception")
     cutoff = _cutoff(force)
     is_switched = cutoff is not None and force.getUseSwitchingFunction()
@@ -281,7 +320,11 @@ def _lennard_jones(force: Any, kinds: Mapping[Any, Any]) -> LennardJones:
 
 
 def _cutoff(force: Any) -> float | None:
-    return None if force.getNonbondedMethod() == force.NoCutoff else NM * _plain(force.getCutoffDistance())
+    return (
+        None
+        if force.getNonbondedMethod() == force.NoCutoff
+        else NM * _plain(force.getCutoffDistance())
+    )
 
 
 def _charged(force: openmm.NonbondedForce, charges: Array) -> list[OwnPotential]:
@@ -292,8 +335,14 @@ def _charged(force: openmm.NonbondedForce, charges: Array) -> list[OwnPotential]
     if charges.any():
         is_sum = force.getNonbondedMethod() in (force.NoCutoff, force.Ewald, force.PME)
         accuracy = min(max(force.getEwaldErrorTolerance(), MOST_ACCURATE), LEAST_ACCURATE)
-        options: Any = {} if is_sum else {"method": "reaction-field", "dielectric": force.getReactionFieldDielectric()}
-        potentials.append(Coulomb(_cutoff(force), accuracy, bonded_scale=UNSCALED, exclusions=pairs, **options))
+        options: Any = (
+            {}
+            if is_sum
+            else {"method": "reaction-field", "dielectric": force.getReactionFieldDielectric()}
+        )
+        potentials.append(
+            Coulomb(_cutoff(force), accuracy, bonded_scale=UNSCALED, exclusions=pairs, **options)
+        )
     product = ASE.coulomb * rows[:, 2]
     no_cutoff = np.full(len(rows), LARGEST)
     numbers = np.array([product, no_cutoff, *_in_ase_units(rows[:, 4], rows[:, 3])])
@@ -317,13 +366,18 @@ def _labels(atoms: list[Any]) -> list[str]:
     kinds: dict[str, dict[Any, int]] = {}
     for atom in atoms:
         kinds.setdefault(atom[0], {}).setdefault(atom, len(kinds[atom[0]]) + 1)
-    return [f"{atom[0]}{kinds[atom[0]][atom]}" if len(kinds[atom[0]]) > 1 else atom[0] for atom in atoms]
+    return [
+        f"{atom[0]}{kinds[atom[0]][atom]}" if len(kinds[atom[0]]) > 1 else atom[0] for atom in atoms
+    ]
 
 
 def _rows(owner: Any, name: str, what: str = "Parameters") -> Array:
     """All parameters that a system or a force of OpenMM has of its terms, by their name, (n, …) in nm, kJ/mol, e."""
     parameters = getattr(owner, f"get{name}{what}")
-    rows = [np.hstack([_plain(one) for one in parameters(k)]) for k in range(getattr(owner, f"getNum{name}s")())]
+    rows = [
+        np.hstack([_plain(one) for one in parameters(k)])
+        for k in range(getattr(owner, f"getNum{name}s")())
+    ]
     return np.array(rows, dtype=np.float64) if rows else np.zeros((0, 5))
 
 

@@ -23,14 +23,19 @@ class Archive(Displayed):
     n_bytes: tuple[int, int]
 
     def __str__(self) -> str:
-        (frames, kept), (before, after) = self.n_frames, self.n_bytes
+        frames, kept = self.n_frames
+        before, after = self.n_bytes
         sizes = f"{before / 1e6:.3g} MB -> {after / 1e6:.3g} MB, {before / after:.3g} times smaller"
         what = f"archive        {self.file}: {kept} of {frames} frames, one every {self.every} steps; {sizes}"
         return f"{what}\nany step       minimd frames {self.file} --at STEP"
 
 
 def archive(
-    file: str | Path, out: str | Path, every: int, potentials: Potentials = None, overwrite: bool = False
+    file: str | Path,
+    out: str | Path,
+    every: int,
+    potentials: Potentials = None,
+    overwrite: bool = False,
 ) -> Archive:
     """Write a file with few frames of a run in fixed-point arithmetic, from which all others can be made again,
     to the last bit.
@@ -43,14 +48,20 @@ def archive(
     Raises ValueError as Past, and if energies differ.
     OSError as open_trajectories.
     """
-    every, past = checked_count("every", every), Past(file, potentials)
+    every = checked_count("every", every)
+    past = Past(file, potentials)
     out = checked_path("out", out)
-    contents, steps = past.contents, past.contents.record.step
+    contents = past.contents
+    steps = past.contents.record.step
     kept = [k for k, step in enumerate(steps) if k == 0 or step % every == 0]
     if len(kept) > 1:
         past.observe((), steps[kept[0]], steps[kept[1]], every)
     simulation = past.at(steps[kept[0]])
-    made: dict[str, Any] = {"every": every, "n_steps": int(steps[kept[-1]] - steps[kept[0]]), "overwrite": overwrite}
+    made: dict[str, Any] = {
+        "every": every,
+        "n_steps": int(steps[kept[-1]] - steps[kept[0]]),
+        "overwrite": overwrite,
+    }
     with open_trajectories(out, simulation.engine, store_forces=False, **made) as [writer]:
         for k in kept:
             writer.write(go_to(simulation, file, contents, k))

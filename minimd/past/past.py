@@ -61,17 +61,23 @@ class Past(Displayed):
     FileNotFoundError, OSError : as Simulation.resume, for files that do not exist or are damaged.
     """
 
-    def __init__(self, file: str | Path, potentials: Potentials = None, *, threads: int | None = None) -> None:
+    def __init__(
+        self, file: str | Path, potentials: Potentials = None, *, threads: int | None = None
+    ) -> None:
         from minimd.core.files.h5md_reader import read_file  # h5py is slow to load
 
         self._last = Simulation.resume(file, potentials, threads=threads)
         self.file, self.contents = Path(file), read_file(file)
         check_is_fixed(file, self.contents)
-        record, end = self.contents.record, self.contents.step
-        paces, last = np.diff(record.time) / np.diff(record.step), self.contents.timestep
+        record = self.contents.record
+        end = self.contents.step
+        paces = np.diff(record.time) / np.diff(record.step)
+        last = self.contents.timestep
         if (others := paces[~np.isclose(paces, last, rtol=SAME_PACE, atol=0.0)]).size:
             several = f"the run in {str(file)!r} has several time steps, {others[0]:g} and {last:g}"
-            raise ValueError(f"{several}: the file keeps only the last one; steps of others cannot be made again")
+            raise ValueError(
+                f"{several}: the file keeps only the last one; steps of others cannot be made again"
+            )
         known = np.unique(np.append(record.step, max(end, record.step[-1])))
         self.steps = known[known >= min(self.contents.since, known[-1])]
         self._n_bytes = self.file.stat().st_size
@@ -85,8 +91,11 @@ class Past(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        first, last, n_frames = self.steps[0], self.steps[-1], self.contents.n_frames
-        size, share = self._n_bytes / 1e6, self.worst / max(1, last - first)
+        first = self.steps[0]
+        last = self.steps[-1]
+        n_frames = self.contents.n_frames
+        size = self._n_bytes / 1e6
+        share = self.worst / max(1, last - first)
         ways = f"from the nearest frame, forwards{' or backwards' if self.goes_back else ''}"
         return [
             ("past", f"{self.file}: {n_frames} frames, {size:.3g} MB"),
@@ -100,12 +109,16 @@ class Past(Displayed):
 
         Raises ValueError for a step outside the run.
         """
-        step, first, last = checked_count("step", step, 0), self.steps[0], self.steps[-1]
+        step = checked_count("step", step, 0)
+        first = self.steps[0]
+        last = self.steps[-1]
         if not first <= step <= last:
             can = f"the steps of {str(self.file)!r} that can be made again{BEFORE * (self.contents.since > 0)}"
             raise ValueError(f"step must be from {first} to {last}, {can}; step = {step}")
         ways = step - self.steps
-        return int(ways[np.argmin(np.where((ways >= 0) | self.goes_back, np.abs(ways), COUNTS - 1))])
+        return int(
+            ways[np.argmin(np.where((ways >= 0) | self.goes_back, np.abs(ways), COUNTS - 1))]
+        )
 
     def at(self, step: int, *, progress: bool | None = None) -> Simulation:
         """A simulation in the state of a step; each call makes a new one. Its next steps are those of the run.
@@ -118,7 +131,8 @@ class Past(Displayed):
             potentials than those of the run.
         """
         n = self.cost(step)
-        simulation, frame = copy.copy(self._last), int(np.searchsorted(self.contents.record.step, step - n))
+        simulation = copy.copy(self._last)
+        frame = int(np.searchsorted(self.contents.record.step, step - n))
         if frame < self.contents.n_frames:
             go_to(simulation, self.file, self.contents, frame)
         make = simulation.run_back if n < 0 else simulation.make_steps
@@ -145,7 +159,13 @@ class Past(Displayed):
         return simulation
 
     def observe(
-        self, observers: Sequence[Observer], start: int, stop: int, every: int = 1, *, progress: bool | None = None
+        self,
+        observers: Sequence[Observer],
+        start: int,
+        stop: int,
+        every: int = 1,
+        *,
+        progress: bool | None = None,
     ) -> Record:
         """Let observers look at the steps from start to stop, as if they had been attached then, and return the record.
 
@@ -158,7 +178,8 @@ class Past(Displayed):
             the state: for that, take a branch.
         """
         self.cost(checked_count("stop", stop, checked_count("start", start, 0)))
-        simulation, those = self.at(start, progress=progress), self.contents.record
+        simulation = self.at(start, progress=progress)
+        those = self.contents.record
         record = simulation.run(
             until_step=stop, every=every, observers=observers, progress=progress, crash_report=False
         )
@@ -173,7 +194,9 @@ def check_is_fixed(file: str | Path, contents: H5MDContents) -> None:
     projected."""
     if contents.restart.grid is None:
         only = "only runs with precision='fixed-point' can be made again to the last bit from any of their frames"
-        raise ValueError(f"{only}; the run in {str(file)!r} was made with precision={contents.precision!r}")
+        raise ValueError(
+            f"{only}; the run in {str(file)!r} was made with precision={contents.precision!r}"
+        )
     if contents.restart.images is not None:
         why = "its steps cannot be made again to the last bit from a frame, only from its restart"
         raise ValueError(f"the run in {str(file)!r} has rigid bonds: {why}")
@@ -186,13 +209,20 @@ def go_to(simulation: Simulation, file: str | Path, contents: H5MDContents, fram
     """
     from minimd.core.files.h5md_reader import frames_of
 
-    record, engine, reservoir = contents.record, simulation.engine, 0.0
+    record = contents.record
+    engine = simulation.engine
+    reservoir = 0.0
     if "conserved_energy" in record:
         reservoir = float(record.total_energy[frame] - record.conserved_energy[frame])
     [at] = frames_of(file, [frame], engine.system.units)
-    engine.restore(Snapshot(at.step, at.time, at.positions, at.velocities, reservoir, contents.restart.state.clock))
+    engine.restore(
+        Snapshot(
+            at.step, at.time, at.positions, at.velocities, reservoir, contents.restart.state.clock
+        )
+    )
     if (grid := engine.interactions.grid) is not None:
-        grid.take(engine.system, engine.constraint_set.inverse_masses)  # takes off the rounding of the units of files
+        # takes off the rounding of the units of files
+        grid.take(engine.system, engine.constraint_set.inverse_masses)
     engine.is_whole = True
     engine.leave()
     if (found := observe(engine)).observables["total_energy"] != record.total_energy[frame]:

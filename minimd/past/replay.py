@@ -20,7 +20,8 @@ from minimd.core.structure.errors import ConstraintError, NonFiniteError
 from minimd.core.structure.observables import longest
 from minimd.core.structure.units import LJ, SYSTEMS, UnitSystem
 
-PATIENCE = 20  # steps after the failure, if it does not occur again at its step: rounding differs between processors
+# steps after the failure, if it does not occur again at its step: rounding differs between processors
+PATIENCE = 20
 LAST_ROWS, APART = 12, 10  # rows of the table: all of the last ones, every tenth of the others
 # see ReplayedStep.row
 HEAD = "    step       time  total energy   closest pair  distance largest force      on  fastest      speed"
@@ -47,7 +48,8 @@ class ReplayedStep(NamedTuple):
     @classmethod
     def of(cls, simulation: Simulation) -> ReplayedStep:
         """The present step; forces and energy are those of the last observation."""
-        record, pair = simulation.record, closest_pair(simulation.system) or (-1, -1, np.nan)
+        record = simulation.record
+        pair = closest_pair(simulation.system) or (-1, -1, np.nan)
         energy = float(record.total_energy[-1]) if record is not None and len(record) else np.nan
         largest = *longest(simulation.forces), *longest(simulation.velocities)
         return cls(simulation.step, simulation.time, energy, *pair, *largest)
@@ -55,9 +57,12 @@ class ReplayedStep(NamedTuple):
     def row(self, units: UnitSystem) -> str:
         """A row of the table: time in ps or τ, speed with the same unit of time, and all else in the units of the
         system."""
-        time, speed = self.time * units.to_picosecond, self.speed / units.to_picosecond
+        time = self.time * units.to_picosecond
+        speed = self.speed / units.to_picosecond
         pair = f"{self.first}-{self.second}" if self.first >= 0 else "none"
-        energies = f"{self.step:>8}{time:>11.5g}{self.energy:>14.8g}{pair:>15}{self.distance:>10.4g}"
+        energies = (
+            f"{self.step:>8}{time:>11.5g}{self.energy:>14.8g}{pair:>15}{self.distance:>10.4g}"
+        )
         return energies + f"{self.force:>14.4g}{self.pushed:>8}{self.fastest:>9}{speed:>11.4g}"
 
 
@@ -79,9 +84,15 @@ class Replay:
 
     def __str__(self) -> str:
         units = SYSTEMS.get(self.findings.units, LJ)
-        length, force, speed = units.length, f"{units.energy}/{units.length}", f"{units.length}/{units.shown_time}"
+        length = units.length
+        force = f"{units.energy}/{units.length}"
+        speed = f"{units.length}/{units.shown_time}"
         named = f"{'':>8}{units.shown_time:>11}{units.energy:>14}{'':>15}{length:>10}{force:>14}{'':>17}{speed:>11}"
-        shown = [row.row(units) for k, row in enumerate(self.rows) if k % APART == 0 or k >= len(self.rows) - LAST_ROWS]
+        shown = [
+            row.row(units)
+            for k, row in enumerate(self.rows)
+            if k % APART == 0 or k >= len(self.rows) - LAST_ROWS
+        ]
         return "\n".join([HEAD, named, *shown, self.ending])
 
 
@@ -108,12 +119,18 @@ def replay(
     FileNotFoundError, OSError, ValueError : if the file is not a crash file, if it has no scene and no potentials are
         given, or if outputs exist or cannot be written.
     """
-    run, found = (past := read_crash_report(file)).run, past.findings
+    run = (past := read_crash_report(file)).run
+    found = past.findings
     frames, drawing = (
-        _output(one, Path(file), end, overwrite) for one, end in ((trajectory, "h5md"), (picture, "png"))
+        _output(one, Path(file), end, overwrite)
+        for one, end in ((trajectory, "h5md"), (picture, "png"))
     )
     acting = stored_potentials(run, file) if potentials is None else potentials
-    options: dict[str, Any] = {"precision": run.precision, "skin": run.skin, "grid": run.restart.grid}
+    options: dict[str, Any] = {
+        "precision": run.precision,
+        "skin": run.skin,
+        "grid": run.restart.grid,
+    }
     simulation = Simulation(run.system, acting, run.integrator(), barostat=run.barostat, **options)
     simulation.restore(past.start)
     simulation.engine.noise_shift = past.noise_shift
@@ -135,7 +152,14 @@ def replay(
     rows = rows or [ReplayedStep.of(simulation)]
     if drawing is not None:
         _draw(rows, found, simulation.system.units, drawing)
-    return Replay(rows, ending, failed_at, found, frames if frames is not None and frames.exists() else None, drawing)
+    return Replay(
+        rows,
+        ending,
+        failed_at,
+        found,
+        frames if frames is not None and frames.exists() else None,
+        drawing,
+    )
 
 
 def _output(wanted: str | Path | bool, file: Path, end: str, overwrite: bool) -> Path | None:
@@ -144,22 +168,33 @@ def _output(wanted: str | Path | bool, file: Path, end: str, overwrite: bool) ->
     own = file.name.removesuffix(SUFFIX).removesuffix(file.suffix)
     path = file.with_name(f"{own}.replay.{end}") if wanted is True else Path(wanted)
     if path.exists() and not overwrite and wanted is not True:
-        advice = "choose another name, or replace it with overwrite=True, or --overwrite of the command"
+        advice = (
+            "choose another name, or replace it with overwrite=True, or --overwrite of the command"
+        )
         raise FileExistsError(f"output {str(path)!r} exists; {advice}")
     return path
 
 
-def _draw(rows: list[ReplayedStep], findings: CrashReport, units: UnitSystem, picture: Path) -> None:
+def _draw(
+    rows: list[ReplayedStep], findings: CrashReport, units: UnitSystem, picture: Path
+) -> None:
     """Draw energy, distance of the closest pair, largest force and largest speed against the step."""
     from minimd.core.engine.record_picture import four_panels
 
     figure, panels = four_panels()
-    steps, energies, _, _, distances, _, forces, _, speeds = np.array([(row[0], *row[2:]) for row in rows]).T
+    steps, energies, _, _, distances, _, forces, _, speeds = np.array(
+        [(row[0], *row[2:]) for row in rows]
+    ).T
     series = (
         ("total energy", units.energy, energies, "#1f5fa8"),
         ("closest pair", units.length, distances, "#1b7f5c"),
         ("largest force", f"{units.energy}/{units.length}", forces, "#c8501e"),
-        ("largest speed", f"{units.length}/{units.shown_time}", speeds / units.to_picosecond, "#5b3f99"),
+        (
+            "largest speed",
+            f"{units.length}/{units.shown_time}",
+            speeds / units.to_picosecond,
+            "#5b3f99",
+        ),
     )
     for panel, (label, unit, numbers, color) in zip(panels, series, strict=True):
         finite = numbers[np.isfinite(numbers)]
@@ -169,6 +204,9 @@ def _draw(rows: list[ReplayedStep], findings: CrashReport, units: UnitSystem, pi
         panel.axvline(findings.step, color="0.5", lw=1.0, ls="--")
         panel.set(xlabel="step", ylabel=f"{label}  [{unit}]")
     figure.suptitle(
-        f"{findings.cause}\n(dashed: step {findings.step}, which failed)", fontsize=10, wrap=True, parse_math=False
+        f"{findings.cause}\n(dashed: step {findings.step}, which failed)",
+        fontsize=10,
+        wrap=True,
+        parse_math=False,
     )
     write_picture(figure, picture)

@@ -18,7 +18,14 @@ from minimd.core.structure.system import System, changed
 from minimd.observers import Accumulator
 from minimd.scene.problems import problems
 from minimd.scene.section import Reading
-from minimd.scene.sections import OF_FILES, Numbers, SceneSections, TabulatedSection, as_sections, read_table
+from minimd.scene.sections import (
+    OF_FILES,
+    Numbers,
+    SceneSections,
+    TabulatedSection,
+    as_sections,
+    read_table,
+)
 
 D = TypeVar("D", bound="Document")
 Made = TypeVar("Made")
@@ -46,7 +53,8 @@ class Document:
         """The atoms at the start, with their constraints.
         Raises ValueError, OSError, with the name of the file, for a structure that cannot be read or is impossible,
         or for impossible constraints."""
-        structure, water = self.sections.structure, self.sections.water
+        structure = self.sections.structure
+        water = self.sections.water
         is_built = water is not None and structure.file is None
         with blamed_on(f"{self.path}: {'water' if is_built else 'structure'}"):
             made = self._from_lattice if structure.file is None else self._from_file
@@ -59,12 +67,21 @@ class Document:
         """The potentials, those of water first, in the order of the file.
         Raises ValueError with the name of the file and the entry."""
         with blamed_on(f"{self.path}: water"):
-            first: list[Any] = [] if self.sections.water is None else self.sections.water.potentials()
-        return [*first, *self._each(lambda one: one.potential(*[self._table] * isinstance(one, TabulatedSection)))]
+            first: list[Any] = (
+                [] if self.sections.water is None else self.sections.water.potentials()
+            )
+        return [
+            *first,
+            *self._each(
+                lambda one: one.potential(*[self._table] * isinstance(one, TabulatedSection))
+            ),
+        ]
 
     def tables(self) -> dict[str, Numbers]:
         """The numbers of all tables of tabulated laws, by name.  Raises ValueError as potentials."""
-        each = self._each(lambda one: [(name, self._table(name)) for name in getattr(one, "files", ())])
+        each = self._each(
+            lambda one: [(name, self._table(name)) for name in getattr(one, "files", ())]
+        )
         return dict(table for tables in each for table in tables)
 
     def _each(self, made: Callable[[Any], Made]) -> Iterator[Made]:
@@ -75,7 +92,11 @@ class Document:
 
     def whole_text(self) -> str:
         """The text of the scene with all tables added to it: no other files are needed to make the potentials again."""
-        elsewhere = {name: numbers for name, numbers in self.tables().items() if name not in self.sections.tables}
+        elsewhere = {
+            name: numbers
+            for name, numbers in self.tables().items()
+            if name not in self.sections.tables
+        }
         return self.text + as_sections(elsewhere, self.sections.units)
 
     def method(self) -> Splitting:
@@ -85,44 +106,60 @@ class Document:
 
     def barostat(self) -> StochasticCellRescaling | None:
         """The barostat of the scene, or None."""
-        section, temperature = self.sections.barostat, self.sections.dynamics.temperature
+        section = self.sections.barostat
+        temperature = self.sections.dynamics.temperature
         return None if section is None or temperature is None else section.barostat(temperature)
 
     def observers(self) -> list[Accumulator]:
         """New observers as described in the scene.  Raises ValueError, with the file, if two have the same name."""
         made = [section.observer() for section in self.sections.observer]  # type: ignore[attr-defined]
         if len({one.name for one in made}) < len(made):
-            raise ValueError(f"{self.path}: two observers have the same name; give one of them another name")
+            raise ValueError(
+                f"{self.path}: two observers have the same name; give one of them another name"
+            )
         return made
 
     def trajectories(self, instead: Path | None = None) -> list[Path]:
         """The trajectory files, relative to the current folder.  instead : one file in place of those of the scene."""
         named = self.sections.output.trajectory if instead is None else instead
-        several = [self.path.stem + ".h5md"] if named is None else named if isinstance(named, list) else [named]
+        several = (
+            [self.path.stem + ".h5md"]
+            if named is None
+            else named
+            if isinstance(named, list)
+            else [named]
+        )
         return [Path(name) for name in several]
 
     def named_outputs(self, instead: Path | None = None) -> list[Path]:
         """Files that must not exist unless they may be replaced: trajectories, and a picture whose name is given."""
         plot = self.sections.output.plot
-        return self.trajectories(instead) + ([Path(plot)] if isinstance(plot, str) and instead is None else [])
+        return self.trajectories(instead) + (
+            [Path(plot)] if isinstance(plot, str) and instead is None else []
+        )
 
     def plot_name(self, trajectories: list[Path], *, beside: bool = False) -> Path | None:
         """The picture that the scene asks for; None if it asks for none.
         beside : the trajectories replace those of the scene; then it is named after the first .h5md, None without one.
         Raises ValueError if no trajectory ends in .h5md, from which a picture is drawn, unless beside."""
-        plot, drawn = self.sections.output.plot, h5md_files(trajectories)
+        plot = self.sections.output.plot
+        drawn = h5md_files(trajectories)
         if plot is False or (beside and not drawn):
             return None
         if not drawn:
-            raise ValueError(f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = "
-                             f"{list(map(str, trajectories))}")  # fmt: skip
+            raise ValueError(
+                f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = "
+                f"{list(map(str, trajectories))}"
+            )
         picture = Path(plot) if isinstance(plot, str) else drawn[0].with_suffix(".png")
         return drawn[0].with_suffix(picture.suffix) if beside else picture
 
     def _table(self, name: str) -> Numbers:
         """The numbers of a table.  Raises ValueError as read_table."""
         inside = self.sections.tables.get(name)
-        return read_table(self.path.parent / name) if inside is None else Numbers(inside.r, inside.u)
+        return (
+            read_table(self.path.parent / name) if inside is None else Numbers(inside.r, inside.u)
+        )
 
     def constrained(self, system: System) -> System:
         """Set the constraints of the scene, if it has a section for them, in place; return the same system.
@@ -135,15 +172,24 @@ class Document:
 
     def _from_lattice(self) -> System:
         structure = self.sections.structure
-        lattice, element, mass = structure.lattice or "", structure.element, 1.0
+        lattice = structure.lattice or ""
+        element = structure.element
+        mass = 1.0
         if self.units is units.ASE:
             from minimd.core.structure.elements import atomic_mass
 
             mass = atomic_mass(element or "")
-        edge = structure.lattice_constant or constant_from_density(lattice, structure.density or 0.0, mass)
+        edge = structure.lattice_constant or constant_from_density(
+            lattice, structure.density or 0.0, mass
+        )
         positions, edges = crystal(lattice, structure.repeat or [], edge)
-        given: dict[str, Any] = {"species": element and [element] * len(positions), "bonds": structure.bonds}
-        return System(positions, masses=mass, cell=edges, pbc=structure.pbc, **given, units=self.units)
+        given: dict[str, Any] = {
+            "species": element and [element] * len(positions),
+            "bonds": structure.bonds,
+        }
+        return System(
+            positions, masses=mass, cell=edges, pbc=structure.pbc, **given, units=self.units
+        )
 
     def _from_file(self) -> System:
         from minimd.core.files.structure_file import system_from_file
@@ -151,7 +197,9 @@ class Document:
         structure = self.sections.structure
         named: dict[str, Any] = {"units": self.units} | structure.model_dump(include=set(OF_FILES))
         named["bonds"] = [] if self.sections.water else structure.bonds  # water has its own
-        return system_from_file(self.path.parent / (structure.file or ""), structure.cell, structure.pbc, **named)
+        return system_from_file(
+            self.path.parent / (structure.file or ""), structure.cell, structure.pbc, **named
+        )
 
 
 def h5md_files(files: Iterable[Path]) -> list[Path]:
@@ -166,8 +214,10 @@ def stored(kind: type[D], text: str, file: Path) -> D:
     for index, section in enumerate(document.sections.potential):
         for name in section.files if isinstance(section, TabulatedSection) else ():
             if name not in document.sections.tables:
-                raise ValueError(f"{file}: potential[{index}] of the stored scene needs the table {name!r}, which the "
-                                 "scene does not hold")  # fmt: skip
+                raise ValueError(
+                    f"{file}: potential[{index}] of the stored scene needs the table {name!r}, which the "
+                    "scene does not hold"
+                )
     return document
 
 
@@ -177,8 +227,10 @@ def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[An
     if scene:
         return stored(Document, scene, file).potentials()
     remedy = "pass the potentials of the script, as in md.Simulation.resume(file, [...]); or give a --scene"
-    raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; "
-                     f"{remedy}")  # fmt: skip
+    raise ValueError(
+        f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; "
+        f"{remedy}"
+    )
 
 
 def parsed(kind: type[D], text: str, path: Path) -> D:
@@ -191,13 +243,16 @@ def parsed(kind: type[D], text: str, path: Path) -> D:
         reading = Reading(tomllib.loads(text))
         return kind(path, text, SceneSections.model_validate(reading.document, context=reading))
     except tomllib.TOMLDecodeError as error:
-        place = re.search(r"at line (\d+)", str(error))  # without it the message says "at end of document"
+        # without it the message says "at end of document"
+        place = re.search(r"at line (\d+)", str(error))
         line = text.split("\n")[int(place[1]) - 1] if place else text.rstrip().rpartition("\n")[2]
         raise ValueError(f"{path}: this is not valid TOML: {error}, in {line[:120]!r}") from None
     except RecursionError:
         raise ValueError(f"{path}: its tables are nested too deeply for a scene file") from None
     except ValidationError as error:
-        raise ValueError("\n".join(f"{path}: {sentence}" for sentence in problems(reading, error))) from None
+        raise ValueError(
+            "\n".join(f"{path}: {sentence}" for sentence in problems(reading, error))
+        ) from None
     except ValueError as error:  # a number of more digits than Python reads
         raise ValueError(f"{path}: {error}") from None
 

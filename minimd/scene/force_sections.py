@@ -19,13 +19,32 @@ from minimd import potentials
 from minimd.core.console.lazy import places_of
 from minimd.core.potentials import declared as law
 from minimd.core.potentials.bonded import Bonded
-from minimd.scene.section import Atoms, Dimension, NotNegative, PairOfAtoms, Positive, Section, Vector
+from minimd.scene.section import (
+    Atoms,
+    Dimension,
+    NotNegative,
+    PairOfAtoms,
+    Positive,
+    Section,
+    Vector,
+)
 
-NUMBERS = {law.NOT_NEGATIVE: NotNegative, law.POSITIVE: Positive, law.WHOLE: NonNegativeInt, law.ANGLE: NotNegative}
-GROUPS: dict[int, Any] = {n: list[Annotated[list[int], Field(min_length=n, max_length=n)]] for n in (2, 3, 4)}
-KINDS: dict[Any, Any] = dict.fromkeys((law.vector, law.vectors, law.weight, law.direction, law.factors), Vector) | {
+NUMBERS = {
+    law.NOT_NEGATIVE: NotNegative,
+    law.POSITIVE: Positive,
+    law.WHOLE: NonNegativeInt,
+    law.ANGLE: NotNegative,
+}
+GROUPS: dict[int, Any] = {
+    n: list[Annotated[list[int], Field(min_length=n, max_length=n)]] for n in (2, 3, 4)
+}
+KINDS: dict[Any, Any] = dict.fromkeys(
+    (law.vector, law.vectors, law.weight, law.direction, law.factors), Vector
+) | {
     law.points: Annotated[list[Vector], Field(min_length=1)],
-    law.coefficients: Annotated[list[FiniteFloat], Field(min_length=1, max_length=law.MOST_COEFFICIENTS)],
+    law.coefficients: Annotated[
+        list[FiniteFloat], Field(min_length=1, max_length=law.MOST_COEFFICIENTS)
+    ],
     law.atoms: Atoms,
     law.pairs: list[PairOfAtoms],
 }
@@ -33,22 +52,27 @@ KINDS: dict[Any, Any] = dict.fromkeys((law.vector, law.vectors, law.weight, law.
 
 def key(one: Any, made: type[law.Declared]) -> tuple[Any, Any]:
     """Type and default of a field of a section, from one of a class; the default is ... if the key must be given."""
-    asked, default = one.metadata["parameter"], one.default
+    asked = one.metadata["parameter"]
+    default = one.default
     kind: Any = KINDS.get(asked.kind) or NUMBERS.get(asked.demand, FiniteFloat)
     words = asked.words
     if issubclass(made, Bonded) and asked.kind is law.groups:
         words = f"{one.name} of atoms{words and ', '}{words}; the {made.acts_on} of the structure"
-        kind, words = GROUPS[asked.of], words + (" if not given" if made.acts_on == "bonds" else " file if not given")
+        kind = GROUPS[asked.of]
+        words = words + (" if not given" if made.acts_on == "bonds" else " file if not given")
     elif asked.kind is law.atoms:
         words = "atoms on which the potential acts; all if not given"
     elif asked.kind is law.choice:
         kind = Literal[tuple(asked.of)]
     if default in (None, inf):
-        kind, default = kind | None, None
+        kind = kind | None
+        default = None
     elif default is MISSING or (asked.dimension and default != 0.0):
         default = ...
     told = Field(description=words)
-    return Annotated[kind, told, Dimension(asked.dimension)] if asked.dimension else Annotated[kind, told], default
+    return Annotated[kind, told, Dimension(asked.dimension)] if asked.dimension else Annotated[
+        kind, told
+    ], default
 
 
 class OfForces(Section):
@@ -65,15 +89,28 @@ class OfForces(Section):
 def declared_laws() -> Iterator[tuple[str, type[law.Declared]]]:
     """The public potentials whose arguments are all numbers, texts and atoms, with their types."""
     for name, place in places_of(potentials.__name__).items():
-        potential: Any = getattr(import_module(place), name) if place.startswith("minimd.core.") else None
+        potential: Any = (
+            getattr(import_module(place), name) if place.startswith("minimd.core.") else None
+        )
         is_declared = isinstance(potential, type) and issubclass(potential, law.Declared)
         if is_declared and not {law.own_law, law.given} & potential.kinds():
-            yield re.sub("(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", name).lower(), potential
+            yield (
+                re.sub("(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", name).lower(),
+                potential,
+            )
 
 
 MADE = dict(declared_laws())
-ForceSection = functools.reduce(operator.or_, (
-    create_model(  # type: ignore[call-overload]
-        f"{made.__name__}Section", __base__=OfForces, __module__=__name__, type=(Literal[kind], ...),
-        **{one.name: key(one, made) for one in fields(made)})  # type: ignore[arg-type]
-    for kind, made in MADE.items()))  # fmt: skip
+ForceSection = functools.reduce(
+    operator.or_,
+    (
+        create_model(  # type: ignore[call-overload]
+            f"{made.__name__}Section",
+            __base__=OfForces,
+            __module__=__name__,
+            type=(Literal[kind], ...),
+            **{one.name: key(one, made) for one in fields(made)},  # type: ignore[arg-type]
+        )
+        for kind, made in MADE.items()
+    ),
+)

@@ -16,11 +16,16 @@ PLAIN = {  # words of pydantic: words of minimd
 }  # fmt: skip
 EDGES = "give all three edges, 0 along a direction that does not repeat, as of a slab"
 MOST = 20  # problems that are told
-OF_MASSES = "masses are those of the element or of the structure file, 1 in LJ units, and always positive; "
+OF_MASSES = (
+    "masses are those of the element or of the structure file, 1 in LJ units, and always positive; "
+)
 THREE = {  # lists of the wrong length: what to write
     ("structure", "cell"): f": {EDGES}: [20, 20, 0] with pbc = [true, true, false]",
     ("structure", "repeat"): ": give three numbers of unit cells, such as [5, 5, 5]",
-    ("structure", "pbc"): ": give one for all directions, or three, as of a slab: [true, true, false]",
+    (
+        "structure",
+        "pbc",
+    ): ": give one for all directions, or three, as of a slab: [true, true, false]",
 }
 
 
@@ -37,14 +42,21 @@ def problems(reading: Reading, error: ValidationError) -> list[str]:
             wrong.setdefault(place, []).append(sentence)
     if "units" in wrong:  # then all other keys seem wrong, too
         wrong = {"units": wrong["units"]}
-    inside = [place for place in wrong if any(other.startswith((f"{place}[", f"{place}.")) for other in wrong)]
+    inside = [
+        place
+        for place in wrong
+        if any(other.startswith((f"{place}[", f"{place}.")) for other in wrong)
+    ]
     others = [f"there are {len(every) - MOST} other problems"] * (len(every) > MOST)
-    return [_joined(sentences) for place, sentences in wrong.items() if place not in inside] + others
+    return [
+        _joined(sentences) for place, sentences in wrong.items() if place not in inside
+    ] + others
 
 
 def _told(details: Any, reading: Reading) -> tuple[str, str]:
     """The path of a problem, and the sentence about it."""
-    loc, kind = details["loc"], details["type"]
+    loc = details["loc"]
+    kind = details["type"]
     place, value, known = _written(loc, reading)
     if kind == "extra_forbidden":
         return f"{place}.{loc[-1]}", _about_key(loc, reading)
@@ -53,23 +65,36 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
         path = f"{place}.{keys[0]}".removeprefix(".")
         return path, " or ".join([f"{path} is missing; give it", *keys[1:]])
     if kind == "union_tag_not_found":
-        types = (one.model_fields["type"] for one in sections_below(Section) if "type" in one.model_fields)
+        types = (
+            one.model_fields["type"]
+            for one in sections_below(Section)
+            if "type" in one.model_fields
+        )
         *kinds, last = (repr(get_args(one.annotation)[0]) for one in types)
-        return place, f"{place}.type is missing; give the kind of the potential: {', '.join(kinds)} or {last}"
+        return (
+            place,
+            f"{place}.type is missing; give the kind of the potential: {', '.join(kinds)} or {last}",
+        )
     if kind == "union_tag_invalid":
         allowed = f"must be one of {details['ctx']['expected_tags']}"
         return place, f"{place}.type {allowed}; {place}.type = {_shown(value['type'])}"
     if kind == "model_type" and not isinstance(value, dict):
-        section = next(one for one in sections_below(Section) if one.__name__ == details["ctx"]["class_name"])
+        section = next(
+            one for one in sections_below(Section) if one.__name__ == details["ctx"]["class_name"]
+        )
         wanted = ", ".join(section.keys(reading.units))
         return place, f"{place} must be a table with the keys {wanted}; {place} = {_shown(value)}"
     if place == "potential" and isinstance(value, dict):
-        return place, "potential must be written [[potential]], because a scene can have several; it is [potential]"
+        return (
+            place,
+            "potential must be written [[potential]], because a scene can have several; it is [potential]",
+        )
     words = details["msg"]
     for theirs, ours in PLAIN.items():
         words = words.replace(theirs, ours)
     words = words.partition(" after validation")[0]
-    is_whole = place.endswith("]") or (isinstance(value, list) and len(value) == 3)  # or the fault is in an entry
+    # or the fault is in an entry
+    is_whole = place.endswith("]") or (isinstance(value, list) and len(value) == 3)
     hint = "" if is_whole else THREE.get(loc[:2], "")
     given = "" if isinstance(value, dict) else f"; {place} = {_shown(value)}"
     return place, f"{place} {words}".strip() + given + hint
@@ -91,22 +116,28 @@ def _about_key(loc: tuple, reading: Reading) -> str:
 
 def _near(loc: tuple, reading: Reading) -> tuple[str | None, str | None]:
     """The known key that is most similar to an unknown one, and its field; None, None if none is similar."""
-    keys, key = _written(loc, reading)[2], loc[-1].removeprefix(UNKNOWN)
+    keys = _written(loc, reading)[2]
+    key = loc[-1].removeprefix(UNKNOWN)
     stem = key.rpartition("_")[0] or key
-    near = [one for one, (name, _) in keys.items() if name in (key, stem)] or get_close_matches(key, keys, n=1)
+    near = [one for one, (name, _) in keys.items() if name in (key, stem)] or get_close_matches(
+        key, keys, n=1
+    )
     return (near[0], keys[near[0]][0]) if near else (None, None)
 
 
 def _written(loc: tuple, reading: Reading) -> tuple[str, Any, Keys]:
     """Path and value at a location of pydantic, as written in the file, as far as it goes; the keys allowed there."""
-    path, node = "", reading.document
+    path = ""
+    node = reading.document
     for step in loc:
         if isinstance(node, list) and isinstance(step, int):
-            path, node = f"{path}[{step}]", node[step]
+            path = f"{path}[{step}]"
+            node = node[step]
         elif isinstance(node, dict):
             keys = [key for key, (name, _) in reading.keys(node).items() if name == step] or [step]
             if key := next((key for key in keys if key in node), None):
-                path, node = f"{path}.{key}".removeprefix("."), node[key]
+                path = f"{path}.{key}".removeprefix(".")
+                node = node[key]
     return path, node, reading.keys(node)
 
 
@@ -114,7 +145,11 @@ def _joined(sentences: list[str]) -> str:
     """One from several: "x must be a table; x = 3", "x must be a list; x = 3": "x must be a table or a list; x = 3"."""
     first, *others = dict.fromkeys(sentences)
     head, semicolon, tail = first.partition(";")
-    also = (other.partition(" must be ")[2].partition(";")[0] for other in others if " must be " in other)
+    also = (
+        other.partition(" must be ")[2].partition(";")[0]
+        for other in others
+        if " must be " in other
+    )
     return " or ".join((head, *also)) + semicolon + tail
 
 

@@ -58,7 +58,8 @@ def run_scene(
     ValueError, OSError : for a scene that cannot be built, and files that cannot be written.  NonFiniteError,
         KeyboardInterrupt : as Simulation.run.
     """
-    output, n_steps = scene.sections.output, scene.sections.dynamics.steps if steps is None else steps
+    output = scene.sections.output
+    n_steps = scene.sections.dynamics.steps if steps is None else steps
     files = scene.trajectories(trajectory)
     picture = scene.plot_name(files, beside=trajectory is not None)
     for file in scene.named_outputs(trajectory):
@@ -118,44 +119,61 @@ def resume_run(
     NonFiniteError, KeyboardInterrupt : as Simulation.run.
     """
     verify_frames(file)
-    path, contents = Path(file), read_file(file)
+    path = Path(file)
+    contents = read_file(file)
     known = stored(Scene, contents.scene, path) if contents.scene else None
-    given, scene = scene, scene or known
+    given = scene
+    scene = scene or known
     if scene is None:
         resumed = f"sim = minimd.Simulation.resume({str(file)!r}, potentials)"
         script = f"go on in the script: {resumed}; sim.run(n_steps, trajectory={str(file)!r}, append=True)"
-        raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; {script}")
+        raise ValueError(
+            f"file {str(file)!r} holds no scene from which to rebuild its potentials; {script}"
+        )
     end = scene.sections.dynamics.steps if steps is None else contents.step + steps
     if steps is None and end <= contents.step:
         if not contents.lacks_results:
             there = f"it is at step {contents.step}, dynamics.steps = {end}"
             remedy = "give the number of further steps with --steps"
-            raise ValueError(f"the run in {str(file)!r} has reached the end of its scene: {there}; {remedy}")
+            raise ValueError(
+                f"the run in {str(file)!r} has reached the end of its scene: {there}; {remedy}"
+            )
         end = contents.step  # it was killed after its last step
     if known is not None and (other := differences(known, scene)):
-        tell("NOTE           the scene given replaces the one of the run so far; the keys that differ are:")
+        tell(
+            "NOTE           the scene given replaces the one of the run so far; the keys that differ are:"
+        )
         for line in other:
             tell(f"               {line}")
     if contents.repaired:
         tell(f"repaired       {contents.repaired}")
     simulation = scene.simulation(contents.system)
     simulation.engine.go_on_from(contents.restart)
-    if (simulation.method.name, simulation.method.parameters) != (contents.method, contents.parameters):
+    if (simulation.method.name, simulation.method.parameters) != (
+        contents.method,
+        contents.parameters,
+    ):
         if given is None:  # a script went on with a method other than that of the scene
             simulation.method = contents.integrator()
-            tell(f"NOTE           the last steps were made with {simulation.method!r}, not with the method of the")
+            tell(
+                f"NOTE           the last steps were made with {simulation.method!r}, not with the method of the"
+            )
             tell("               scene in the file; the run goes on with the method of these steps")
         else:
             simulation.engine.moved()
     if given is None and (changed := other_potentials(contents.potentials, simulation.potentials)):
         those = f"the run goes on with those of the scene: {changed}"
-        tell(f"NOTE           the last steps were made with other potentials than the scene in the file has; {those}")
+        tell(
+            f"NOTE           the last steps were made with other potentials than the scene in the file has; {those}"
+        )
     for line in description(scene, simulation, end - contents.step):
         tell(line)
     when = f"at step {contents.step}, {scene.units.shown(contents.time)}, after {contents.n_frames} frames"
     tell(f"resumed        {when}")
     if len(scene.trajectories()) > 1:
-        tell(f"               only {file} is continued; the other trajectories keep their frames up to this step")
+        tell(
+            f"               only {file} is continued; the other trajectories keep their frames up to this step"
+        )
     observers = scene.observers()
     named: dict[str, Any] = {
         "every": scene.sections.output.every,
@@ -180,11 +198,14 @@ def tell_results(simulation: Simulation, observers: Sequence[Accumulator], tell:
 
 def differences(one: Scene, other: Scene) -> list[str]:
     """The keys whose values differ in two scenes, with both values as written in the files."""
-    found, (before, now) = [], (dict(_entries(tomllib.loads(scene.whole_text()))) for scene in (one, other))
+    found = []
+    before, now = (dict(_entries(tomllib.loads(scene.whole_text()))) for scene in (one, other))
     for key in dict.fromkeys([*before, *now]):
         if before.get(key) != now.get(key):
             values = (scene.get(key, "not given") for scene in (before, now))
-            was, becomes = (v if len(v) <= LONGEST_VALUE else f"{v[:LONGEST_VALUE]}..." for v in values)
+            was, becomes = (
+                v if len(v) <= LONGEST_VALUE else f"{v[:LONGEST_VALUE]}..." for v in values
+            )
             remark = " (no effect: the start is over)" if key.startswith(OF_THE_START) else ""
             found.append(f"{key}: {was} before, {becomes} now{remark}")
     return found
@@ -204,26 +225,35 @@ def _entries(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
 
 def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell) -> None:
     """Move the atoms to a minimum, if the scene asks for it."""
-    plan, dynamics = scene.sections.minimization, scene.sections.dynamics
+    plan = scene.sections.minimization
+    dynamics = scene.sections.dynamics
     if plan is None:
         return
     with kept(scene):
         found = simulation.minimize(**plan.model_dump(), progress=progress)
     if dynamics.temperature is not None:
-        simulation.set_temperature(dynamics.temperature, dynamics.seed)  # drawn again, because rigid bonds have turned
+        # drawn again, because rigid bonds have turned
+        simulation.set_temperature(dynamics.temperature, dynamics.seed)
     tell(str(found))
 
 
 def equilibrate(
-    scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell, crash_report: Path | None = None
+    scene: Scene,
+    simulation: Simulation,
+    progress: bool | None,
+    tell: Tell,
+    crash_report: Path | None = None,
 ) -> None:
     """Run the equilibration of the scene, if it has one."""
     plan = scene.sections.equilibration
     target = (plan and plan.temperature) or scene.sections.dynamics.temperature
-    if plan is None or target is None or plan.steps == 0:  # SceneSections has checked that there is a target
+    # SceneSections has checked that there is a target
+    if plan is None or target is None or plan.steps == 0:
         return
     every = plan.rescale_every
-    tell(f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every {every}")
+    tell(
+        f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every {every}"
+    )
     with kept(scene, where=" of the equilibration"):
         simulation.equilibrate(plan.steps, target, every, progress, crash_report)
 
@@ -231,7 +261,9 @@ def equilibrate(
 def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]:
     """Lines about what has been built and will be run."""
     run = f"{n_steps} steps = {scene.units.shown(n_steps * simulation.method.timestep)}"
-    rows = [("scene", f"{scene.path}" + (f": {scene.sections.title}" if scene.sections.title else ""))]
+    rows = [
+        ("scene", f"{scene.path}" + (f": {scene.sections.title}" if scene.sections.title else ""))
+    ]
     rows += simulation.engine.scene_in_words()
     rows += [("n_dof", f"{simulation.n_dof} degrees of freedom")] if simulation.constraints else []
     rows += [("run", f"{run}, observed every {scene.sections.output.every}")]
@@ -249,7 +281,11 @@ def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = ""
     try:
         yield
     except (KeyboardInterrupt, Terminated, NonFiniteError, ConstraintError, OSError) as error:
-        written = [file for file in files if file.is_file() and file.stat().st_size and file.stat().st_mtime > begun]
+        written = [
+            file
+            for file in files
+            if file.is_file() and file.stat().st_size and file.stat().st_mtime > begun
+        ]
         interrupted = isinstance(error, (KeyboardInterrupt, Terminated))
         if not written and not interrupted:
             raise
@@ -258,7 +294,9 @@ def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = ""
         if isinstance(error, Terminated):
             error.words += ending + _how_to_go_on(written, end)
             raise
-        failure = type(error)(sentence(error) + ending + (_how_to_go_on(written, end) if interrupted else ""))
+        failure = type(error)(
+            sentence(error) + ending + (_how_to_go_on(written, end) if interrupted else "")
+        )
         failure.__dict__.update(error.__dict__)  # such as the crash report
         raise failure from None
 
@@ -290,20 +328,35 @@ def hand_over_scene(
     """
     from minimd.lammps import check_hand_over, hand_over  # a run by minimd needs none of it
 
-    output, n_steps = scene.sections.output, scene.sections.dynamics.steps if steps is None else steps
+    output = scene.sections.output
+    n_steps = scene.sections.dynamics.steps if steps is None else steps
     simulation = scene.simulation()
     for line in description(scene, simulation, n_steps):
         tell(line)
     # before the minimization begins
-    check_hand_over(simulation, folder, n_steps, processes=processes, every=output.every, overwrite=overwrite)
+    check_hand_over(
+        simulation, folder, n_steps, processes=processes, every=output.every, overwrite=overwrite
+    )
     if scene.sections.observer:
         why = "they work in runs of minimd only, and LAMMPS makes this run"
         tell(f"NOTE           the observers of the scene are not used: {why}")
     minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell)
-    asked: dict[str, Any] = {"every": output.every, "store_forces": output.forces, "overwrite": overwrite}
-    done = hand_over(simulation, folder, n_steps, processes=processes, progress=progress, tell=tell, **asked)
+    asked: dict[str, Any] = {
+        "every": output.every,
+        "store_forces": output.forces,
+        "overwrite": overwrite,
+    }
+    done = hand_over(
+        simulation, folder, n_steps, processes=processes, progress=progress, tell=tell, **asked
+    )
     is_free = simulation.conserves_momentum
     angular = is_free and not simulation.system.cell.is_periodic
-    tell(str(conservation_report(done.record, linear=is_free, angular=angular, n_dof=simulation.n_dof)))
+    tell(
+        str(
+            conservation_report(
+                done.record, linear=is_free, angular=angular, n_dof=simulation.n_dof
+            )
+        )
+    )
     return done

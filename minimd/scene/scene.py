@@ -18,8 +18,10 @@ class Scene(Document):
         system : a state from which to go on, with its velocities, in place of the structure of the scene; its
             constraints are kept unless the scene has a section [constraints].
         """
-        dynamics, start = self.sections.dynamics, self.system() if system is None else self.constrained(system.copy())
-        potentials, method = self.potentials(), self.method()
+        dynamics = self.sections.dynamics
+        start = self.system() if system is None else self.constrained(system.copy())
+        potentials = self.potentials()
+        method = self.method()
         with blamed_on(str(self.path)):
             options: dict[str, Any] = {
                 "threads": dynamics.threads,
@@ -47,13 +49,17 @@ def load_scene(path: str | Path) -> Scene:
     file = checked_path("path", path)
     try:
         if (written := file.read_bytes()).startswith(b"\x89HDF"):
-            goes_on = "minimd resume continues it; in a script, md.Simulation.resume(file) has its state"
+            goes_on = (
+                "minimd resume continues it; in a script, md.Simulation.resume(file) has its state"
+            )
             raise ValueError(f"{file} is not a scene file (TOML), but the file of a run: {goes_on}")
         return parse_scene(written.decode("utf-8"), file)
     except FileNotFoundError:
         raise FileNotFoundError(f"scene file {str(file)!r} does not exist") from None
     except UnicodeDecodeError as error:
-        raise ValueError(f"{file}: a scene file (TOML) must be UTF-8 text, which this is not: {error}") from None
+        raise ValueError(
+            f"{file}: a scene file (TOML) must be UTF-8 text, which this is not: {error}"
+        ) from None
     except OSError as error:
         raise OSError(f"scene file {str(file)!r} cannot be read: {error.strerror}") from None
 

@@ -8,10 +8,25 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    NonNegativeInt,
+    model_validator,
+)
 
 from minimd.core.structure.checks import LARGEST
-from minimd.core.structure.units import BAR, BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3, PICOSECOND
+from minimd.core.structure.units import (
+    BAR,
+    BOLTZMANN_EV_PER_K,
+    DEGREE,
+    FEMTOSECOND,
+    GRAM_PER_CM3,
+    PICOSECOND,
+)
 
 # unit system: dimension: ending of the key: size of that unit in units of the engine
 KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {"ASE": {
@@ -22,7 +37,9 @@ KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {"ASE": {
     "inverse length": {"_per_A": 1.0}, "velocity": {"_A_ps": 1.0 / PICOSECOND},
     "acceleration": {"_A_ps2": 1.0 / PICOSECOND**2},
 }}  # fmt: skip
-KEY_UNITS["LJ"] = {dimension: {"": 1.0} for dimension in KEY_UNITS["ASE"]} | {"angle": {"_degree": DEGREE}}
+KEY_UNITS["LJ"] = {dimension: {"": 1.0} for dimension in KEY_UNITS["ASE"]} | {
+    "angle": {"_degree": DEGREE}
+}
 # key: its field, and the factor by which its numbers are multiplied, None if it is not a quantity
 Keys = dict[str, tuple[str, float | None]]
 # types of values that several sections use
@@ -68,7 +85,9 @@ class Section(BaseModel):
         keys: Keys = {}
         for name, info in cls.model_fields.items():
             dimension = next((mark for mark in info.metadata if isinstance(mark, Dimension)), None)
-            endings: Mapping[str, float | None] = {"": None} if dimension is None else KEY_UNITS[units][dimension]
+            endings: Mapping[str, float | None] = (
+                {"": None} if dimension is None else KEY_UNITS[units][dimension]
+            )
             keys |= {name + ending: (name, size) for ending, size in endings.items()}
         return keys
 
@@ -96,7 +115,8 @@ class Section(BaseModel):
             return table
         reading: Reading = info.context
         reading.sections[id(table)] = cls
-        keys, fields = cls.keys(reading.units), {}
+        keys = cls.keys(reading.units)
+        fields = {}
         for key, value in table.items():
             name, size = keys.get(key, (UNKNOWN + key, None))
             fields[UNKNOWN + key if name in fields else name] = _multiplied(value, size)
@@ -114,7 +134,9 @@ def sections_below(section: type[Section]) -> Iterator[type[Section]]:
 def _multiplied(value: Any, size: float | None) -> Any:
     if isinstance(value, list):
         return [_multiplied(entry, size) for entry in value]
-    is_quantity = size is not None and isinstance(value, int | float) and not isinstance(value, bool)
+    is_quantity = (
+        size is not None and isinstance(value, int | float) and not isinstance(value, bool)
+    )
     # larger numbers are refused later, as they are written
     return value * size if size is not None and is_quantity and abs(value) < LARGEST else value
 

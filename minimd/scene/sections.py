@@ -25,13 +25,27 @@ from minimd.core.potentials.pair import FEWEST, MIXING, LennardJones, Tabulated
 from minimd.core.potentials.term import OwnPotential
 from minimd.core.potentials.truncation import TRUNCATIONS
 from minimd.core.structure.checks import checked_count
-from minimd.core.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
+from minimd.core.structure.constraints import (
+    Constraint,
+    DistanceConstraints,
+    FixedAtoms,
+    SolverName,
+)
 from minimd.core.structure.lattice import BASES
 from minimd.core.structure.system import MOST_ATOMS, System, changed
 from minimd.core.structure.units import GRAM_PER_CM3
 from minimd.observers import KINDS, Accumulator, arguments
 from minimd.scene.force_sections import ForceSection
-from minimd.scene.section import KEY_UNITS, Dimension, NotNegative, PairOfAtoms, Positive, Section, Three, one_of
+from minimd.scene.section import (
+    KEY_UNITS,
+    Dimension,
+    NotNegative,
+    PairOfAtoms,
+    Positive,
+    Section,
+    Three,
+    one_of,
+)
 from minimd.scene.water import ModelName, water, water_of, water_potentials
 
 Column = Annotated[list[FiniteFloat], Field(min_length=FEWEST)]
@@ -60,21 +74,28 @@ def read_table(path: Path) -> Numbers:
         with quiet():  # NumPy warns of an empty file, which is refused
             columns = np.loadtxt(path, ndmin=2, encoding="utf-8-sig")
     except FileNotFoundError:
-        raise ValueError(f"table {str(path)!r} does not exist; its path is taken relative to the scene file") from None
+        raise ValueError(
+            f"table {str(path)!r} does not exist; its path is taken relative to the scene file"
+        ) from None
     except OSError as error:
         raise ValueError(f"table {str(path)!r} cannot be read: {error.strerror or error}") from None
     except ValueError as error:
-        raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u: {error}") from None
+        raise ValueError(
+            f"table {str(path)!r} must hold two numbers on each line, r and u: {error}"
+        ) from None
     if columns.shape[1:] != (2,) or not len(columns):
-        raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} "
-                         f"lines of {columns.shape[1]}")  # fmt: skip
+        raise ValueError(
+            f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} "
+            f"lines of {columns.shape[1]}"
+        )
     return Numbers(*columns.T.tolist())
 
 
 def as_sections(tables: Mapping[str, Numbers], units: str) -> str:
     """The text that adds these tables to a scene, to the last bit.  units : of the scene, "ASE" or "LJ"."""
     # the units of the engine, of size 1: the first of lengths, the last of energies
-    (length, *_), (*_, energy) = KEY_UNITS[units]["length"], KEY_UNITS[units]["energy"]
+    (length, *_) = KEY_UNITS[units]["length"]
+    (*_, energy) = KEY_UNITS[units]["energy"]
     return "".join(
         f"\n[tables.{json.dumps(name, ensure_ascii=False)}]\nr{length} = {one.r}\nu{energy} = {one.u}\n"
         for name, one in tables.items()
@@ -87,7 +108,8 @@ PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
 
 
-OF_FILES = ("format", "masses", "elements", "atom_style", "lammps_units")  # keys of system_from_file
+# keys of system_from_file
+OF_FILES = ("format", "masses", "elements", "atom_style", "lammps_units")
 
 
 class StructureSection(Section):
@@ -117,17 +139,27 @@ class StructureSection(Section):
         """See Section."""
         if (self.file is None) == (self.lattice is None):
             yield "must have either file or lattice"
-        of_files, of_lattices = ("cell", *OF_FILES), ("element", "repeat", "density", "lattice_constant")
+        of_files = ("cell", *OF_FILES)
+        of_lattices = ("element", "repeat", "density", "lattice_constant")
         made, others = ("lattice", of_files) if self.file is None else ("file", of_lattices)
-        yield from (f"cannot have {name} together with {made}" for name in others if name in self.model_fields_set)
+        yield from (
+            f"cannot have {name} together with {made}"
+            for name in others
+            if name in self.model_fields_set
+        )
         if self.file is not None:
             return
         if isinstance(self.bonds, str):
             yield "cannot have bonds from a file together with lattice; list the pairs, or give the structure as a file"
         needed = ("repeat", "element") if units == "ASE" else ("repeat",)
-        yield from (f"must have {name} together with lattice" for name in needed if name not in self.model_fields_set)
+        yield from (
+            f"must have {name} together with lattice"
+            for name in needed
+            if name not in self.model_fields_set
+        )
         if (self.density is None) == (self.lattice_constant is None):
-            density, edge = self.key("density", units), self.key("lattice_constant", units)
+            density = self.key("density", units)
+            edge = self.key("lattice_constant", units)
             yield f"must have either {density} or {edge} together with lattice"
 
 
@@ -145,14 +177,20 @@ class WaterSection(Section):
     def system(self, placed: System | None) -> System:
         """The molecules, held rigid.  placed : the atoms of a file, or None.  Raises ValueError as water, water_of."""
         given = self.model, self.molecules, self.density / GRAM_PER_CM3
-        made = water_of(placed, self.model) if placed else water(*given, cutoff=self.cutoff, seed=self.seed)
+        made = (
+            water_of(placed, self.model)
+            if placed
+            else water(*given, cutoff=self.cutoff, seed=self.seed)
+        )
         system, _, rigid = made
         return changed(system, constraints=(*system.constraints, rigid))
 
     def potentials(self) -> list[OwnPotential]:
         """Its potentials, also of a run in a file, without making molecules.  With atoms of a file, molecules and
         density have their default values, and the default cutoff is 9 Å.  Raises ValueError as water."""
-        return water_potentials(self.model, self.molecules, self.density / GRAM_PER_CM3, self.cutoff, self.accuracy)
+        return water_potentials(
+            self.model, self.molecules, self.density / GRAM_PER_CM3, self.cutoff, self.accuracy
+        )
 
 
 class ConstraintsSection(Section):
@@ -167,13 +205,16 @@ class ConstraintsSection(Section):
 
     def faults(self, units: str) -> Iterator[str]:
         """See Section."""
-        key, n = self.key("lengths", units), len(self.lengths) if isinstance(self.lengths, list) else None
+        key = self.key("lengths", units)
+        n = len(self.lengths) if isinstance(self.lengths, list) else None
         if self.lengths is not None and not self.pairs:
             yield f"must have pairs together with {key}"
         if n is not None and isinstance(self.pairs, list) and n != len(self.pairs):
             yield f"must have one number as {key}, or one for each of its {len(self.pairs)} pairs; it has {n}"
 
-    def constraints(self, bonds: list[list[int]], known: Sequence[Constraint]) -> tuple[Constraint, ...]:
+    def constraints(
+        self, bonds: list[list[int]], known: Sequence[Constraint]
+    ) -> tuple[Constraint, ...]:
         """The constraints of a system whose file, of structure or run, may hold some already.
         bonds : of the structure.  known : constraints of the file; they hold where the section says nothing,
             lengths only if the pairs are the same.
@@ -188,12 +229,18 @@ class ConstraintsSection(Section):
         if not pairs:
             if self.tolerance is not None or self.solver is not None:
                 remedy = "give pairs, or leave tolerance and solver out"
-                raise ValueError(f"tolerance and solver are for lengths, and no lengths are held; {remedy}")
+                raise ValueError(
+                    f"tolerance and solver are for lengths, and no lengths are held; {remedy}"
+                )
             return tuple(fixed)
         if held is None or held.pairs.tolist() != pairs:
             held = DistanceConstraints(pairs)
-        lengths, solved = held.lengths if self.lengths is None else self.lengths, self.solver or held.solver
-        return (*fixed, DistanceConstraints(pairs, lengths, self.tolerance or held.tolerance, solved))
+        lengths = held.lengths if self.lengths is None else self.lengths
+        solved = self.solver or held.solver
+        return (
+            *fixed,
+            DistanceConstraints(pairs, lengths, self.tolerance or held.tolerance, solved),
+        )
 
 
 class SpeciesSection(Section):
@@ -226,15 +273,21 @@ class LennardJonesSection(Section):
 
     def faults(self, units: str) -> Iterator[str]:
         """See Section."""
-        if (self.epsilon is None) != (self.sigma is None) or (self.epsilon is None) == (self.species is None):
+        if (self.epsilon is None) != (self.sigma is None) or (self.epsilon is None) == (
+            self.species is None
+        ):
             yield "must have either epsilon and sigma, or a table of species with both"
 
     def potential(self) -> LennardJones:
         """The potential that the section describes."""
-        species: Any = {name: (one.epsilon, one.sigma) for name, one in (self.species or {}).items()}
+        species: Any = {
+            name: (one.epsilon, one.sigma) for name, one in (self.species or {}).items()
+        }
         pairs: Any = {tuple(one.species): (one.epsilon, one.sigma) for one in self.pairs}
         others = self.model_dump(exclude={"type", "epsilon", "species", "pairs"})
-        return LennardJones(species if self.epsilon is None else self.epsilon, pairs=pairs, **others)
+        return LennardJones(
+            species if self.epsilon is None else self.epsilon, pairs=pairs, **others
+        )
 
 
 class PairTableSection(Section):
@@ -265,7 +318,11 @@ class TabulatedSection(Section):
     @property
     def files(self) -> list[str]:
         """The names of its tables, without repetition."""
-        return [self.file] if self.file is not None else list(dict.fromkeys(one.file for one in self.pairs or ()))
+        return (
+            [self.file]
+            if self.file is not None
+            else list(dict.fromkeys(one.file for one in self.pairs or ()))
+        )
 
     def potential(self, table_of: Callable[[str], Numbers]) -> Tabulated:
         """The potential that the section describes.  table_of : returns the numbers of a table.
@@ -273,8 +330,10 @@ class TabulatedSection(Section):
         tables = {name: table_of(name) for name in self.files}
         first = self.files[0]
         if others := [name for name, table in tables.items() if table.r != tables[first].r]:
-            raise ValueError(f"the tables of one potential must have the same r; those of {others[0]!r} and {first!r} "
-                             "differ")  # fmt: skip
+            raise ValueError(
+                f"the tables of one potential must have the same r; those of {others[0]!r} and {first!r} "
+                "differ"
+            )
         by_pair: Any = {tuple(one.species): tables[one.file].u for one in self.pairs or ()}
         options = self.model_dump(exclude={"type", "file", "pairs"})
         return Tabulated(tables[first].r, by_pair or tables[first].u, **options)
@@ -295,19 +354,26 @@ class DynamicsSection(Section):
 
     def faults(self, units: str) -> Iterator[str]:
         """See Section."""
-        missing = [self.key(name, units) for name in ("temperature", "relaxation_time") if getattr(self, name) is None]
+        missing = [
+            self.key(name, units)
+            for name in ("temperature", "relaxation_time")
+            if getattr(self, name) is None
+        ]
         if self.method in THERMOSTATS and missing:
             yield f"must have {' and '.join(missing)} with method {self.method!r}"
         if self.method not in THERMOSTATS and self.relaxation_time is not None:
-            yield (f"cannot have {self.key('relaxation_time', units)} with method {self.method!r}, which has no "
-                   f"relaxation time; {', '.join(THERMOSTATS)} have one")  # fmt: skip
+            yield (
+                f"cannot have {self.key('relaxation_time', units)} with method {self.method!r}, which has no "
+                f"relaxation time; {', '.join(THERMOSTATS)} have one"
+            )
 
     def integrator(self) -> Splitting:
         """The method with its time step; a thermostat with its bath."""
         if self.method not in THERMOSTATS:
             return SPLITTINGS[self.method](self.timestep)
-        return THERMOSTATS[self.method].with_relaxation_time(self.timestep, self.temperature, self.relaxation_time,
-                                                             self.seed)  # fmt: skip
+        return THERMOSTATS[self.method].with_relaxation_time(
+            self.timestep, self.temperature, self.relaxation_time, self.seed
+        )
 
 
 class BarostatSection(Section):
@@ -351,7 +417,9 @@ class OfObservers(Section):
         takes, kind = KINDS[self.kind].declared, self.kind  # type: ignore[attr-defined]
         for one in self._given():
             if one not in takes:
-                known = ", ".join(self.key(name, units) for name in type(self).model_fields if name in takes)
+                known = ", ".join(
+                    self.key(name, units) for name in type(self).model_fields if name in takes
+                )
                 yield f"cannot have {self.key(one, units)} with kind {kind!r}, which takes {known}"
         self.observer()  # raises ValueError if the observer refuses its arguments
 
@@ -381,7 +449,9 @@ def _argument(name: str) -> tuple[Any, None]:
     return Annotated[ARGUMENTS[check] | None, *marks], None
 
 
-KIND_OF_OBSERVER = Field(description="what is measured during the run, see [observers](observers.md)")
+KIND_OF_OBSERVER = Field(
+    description="what is measured during the run, see [observers](observers.md)"
+)
 ObserverSection = create_model(  # type: ignore[call-overload]
     "ObserverSection", __base__=OfObservers, __module__=__name__, __doc__=OfObservers.__doc__,
     kind=(Annotated[str, one_of(KINDS), KIND_OF_OBSERVER], ...),
@@ -391,7 +461,9 @@ ObserverSection = create_model(  # type: ignore[call-overload]
 
 def _plot_name(value: bool | str) -> bool | str:
     if isinstance(value, str) and not value.lower().endswith(PLOT_SUFFIXES):
-        raise ValueError(f"must be true, false or a name that ends in one of {', '.join(PLOT_SUFFIXES)}")
+        raise ValueError(
+            f"must be true, false or a name that ends in one of {', '.join(PLOT_SUFFIXES)}"
+        )
     return value
 
 
@@ -437,9 +509,16 @@ class SceneSections(Section):
 
     def faults(self, units: str) -> Iterator[str]:
         """See Section."""
-        given, temperature = self.model_fields_set, f"dynamics.{DynamicsSection.key('temperature', units)}"
-        pairs, is_cold = self.constraints and self.constraints.pairs, self.dynamics.temperature is None
-        named = {name for one in self.potential if isinstance(one, TabulatedSection) for name in one.files}
+        given = self.model_fields_set
+        temperature = f"dynamics.{DynamicsSection.key('temperature', units)}"
+        pairs = self.constraints and self.constraints.pairs
+        is_cold = self.dynamics.temperature is None
+        named = {
+            name
+            for one in self.potential
+            if isinstance(one, TabulatedSection)
+            for name in one.files
+        }
         unused = ", tables.".join(repr(name) for name in self.tables if name not in named)
         faults = {
             "structure is missing; give it, or water in its place": not given & {"structure", "water"},

@@ -41,7 +41,9 @@ MODELS = {
     "SPC/E": Model(1.0, 109.47, 0.4238, 0.25 * (3.7122 / 3.428) ** 12, 3.428**2 / 3.7122),
     # W. L. Jorgensen et al., J. Chem. Phys. 79, 926 (1983): u = A/r¹² − C/r⁶ with A = 582 000 kcal Å¹²/mol,
     # C = 595 kcal Å⁶/mol, from which σ⁶ = A/C, ε = C²/(4 A)
-    "TIP3P": Model(0.9572, 104.52, 0.417, 4.184 * 595.0**2 / (4.0 * 582e3), (582e3 / 595.0) ** (1.0 / 6.0)),
+    "TIP3P": Model(
+        0.9572, 104.52, 0.417, 4.184 * 595.0**2 / (4.0 * 582e3), (582e3 / 595.0) ** (1.0 / 6.0)
+    ),
     # S. Izadi, A. V. Onufriev, J. Chem. Phys. 145, 074501 (2016)
     "OPC3": Model(0.97888, 109.47, 0.447585, 0.68369, 3.17427),
 }
@@ -74,25 +76,34 @@ def water(
 
     Raises ValueError for an unknown model, a number of molecules below one, a density or cutoff that is not positive.
     """
-    potentials, edge = water_potentials(model, n, density, cutoff, accuracy), edge_of(n, density)
+    potentials = water_potentials(model, n, density, cutoff, accuracy)
+    edge = edge_of(n, density)
     if cutoff is None and (most := OF_BOX * edge) < CUTOFF:
         small = f"the cutoff of water is {most:.3g} Å, not {CUTOFF:g} Å, because the box is only {edge:.3g} Å wide"
         warn(f"{small}; take more molecules, or give cutoff to choose it")
     length, angle, *_ = MODELS[model]
     # the lattice with the fewest empty places, from which some are left out evenly
-    repeats = {name: ceil(round((n / len(BASES[name])) ** (1.0 / 3.0), 9)) for name in ("sc", "bcc", "fcc")}
+    repeats = {
+        name: ceil(round((n / len(BASES[name])) ** (1.0 / 3.0), 9)) for name in ("sc", "bcc", "fcc")
+    }
     name = min(repeats, key=lambda one: len(BASES[one]) * repeats[one] ** 3)
     places, _ = crystal(name, [repeats[name]] * 3, edge / repeats[name])
     centers = places[np.arange(n) * len(places) // n]
     half = radians(0.5 * angle)
-    shape = length * np.array([[0.0, 0.0, 0.0], [sin(half), 0.0, cos(half)], [-sin(half), 0.0, cos(half)]])
-    turns = np.linalg.qr(np.random.default_rng(checked_count("seed", seed, 0)).normal(size=(n, 3, 3)))[0]
+    shape = length * np.array(
+        [[0.0, 0.0, 0.0], [sin(half), 0.0, cos(half)], [-sin(half), 0.0, cos(half)]]
+    )
+    turns = np.linalg.qr(
+        np.random.default_rng(checked_count("seed", seed, 0)).normal(size=(n, 3, 3))
+    )[0]
     positions = (centers[:, None] + shape @ turns).reshape(-1, 3)
     system = System(positions, masses=1.0, species=["O", "H", "H"] * n, cell=edge, units=ASE)
     return _rigid(system, model, np.arange(3 * n).reshape(n, 3), potentials)
 
 
-def water_of(system: System, model: ModelName = "SPC/E", cutoff: float = CUTOFF, accuracy: float = 1e-5) -> RigidWater:
+def water_of(
+    system: System, model: ModelName = "SPC/E", cutoff: float = CUTOFF, accuracy: float = 1e-5
+) -> RigidWater:
     """Rigid water of atoms O and H that are there, such as those of a file; the answer is as that of water.
 
     The hydrogens of an oxygen are those within OH of it, in any order and through any image, whatever the bonds. Atoms
@@ -117,11 +128,17 @@ def water_of(system: System, model: ModelName = "SPC/E", cutoff: float = CUTOFF,
     odd = np.flatnonzero(n_arms != 1 + (species == "O"))
     if odd.size:
         atom = f"atom {odd[0]}, {species[odd[0]]}, has {n_arms[odd[0]]} partners"
-        raise ValueError(f"molecules of water must be an O and two H within {OH:g} Å of it, and no fourth site; {atom}")
-    return _rigid(system, model, np.column_stack([oxygens[::2], hydrogens.reshape(-1, 2)]), potentials)
+        raise ValueError(
+            f"molecules of water must be an O and two H within {OH:g} Å of it, and no fourth site; {atom}"
+        )
+    return _rigid(
+        system, model, np.column_stack([oxygens[::2], hydrogens.reshape(-1, 2)]), potentials
+    )
 
 
-def _rigid(system: System, model: str, molecules: NDArray[np.int64], potentials: list[OwnPotential]) -> RigidWater:
+def _rigid(
+    system: System, model: str, molecules: NDArray[np.int64], potentials: list[OwnPotential]
+) -> RigidWater:
     """What water returns, from atoms in their places.  molecules : (n, 3), indices of O, H, H."""
     length, angle, charge, *_ = MODELS[model]
     pairs = molecules[:, [[0, 1], [0, 2], [1, 2]]]
@@ -152,9 +169,14 @@ def water_potentials(
 ) -> list[OwnPotential]:
     """The potentials of water, without its molecules.  Arguments and errors are those of water."""
     _, _, _, epsilon, sigma = MODELS[checked_choice("model", model, MODELS)]
-    most, excluded = min(CUTOFF, OF_BOX * edge_of(n, density)), (0.0, 0.0, 1.0)
+    most = min(CUTOFF, OF_BOX * edge_of(n, density))
+    excluded = (0.0, 0.0, 1.0)
     cutoff = most if cutoff is None else checked_number("cutoff", cutoff, "positive and finite")
     parameters = {"O": (epsilon / KJ_PER_MOL_PER_EV, sigma), "H": (0.0, 1.0)}
-    options = {"switch_start": SWITCH_FROM * cutoff, "bonded_scale": excluded, "tail_correction": True}
+    options = {
+        "switch_start": SWITCH_FROM * cutoff,
+        "bonded_scale": excluded,
+        "tail_correction": True,
+    }
     of_oxygen = LennardJones(parameters, None, cutoff, "switched", **options)  # type: ignore[arg-type]
     return [of_oxygen, Coulomb(cutoff, accuracy, bonded_scale=excluded)]

@@ -16,7 +16,9 @@ class MethodTable(Displayed, dict[str, type[Method]]):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        rows = [("name", "class", "order", "stages", "symmetric", "symplectic", "explicit", "source")]
+        rows = [
+            ("name", "class", "order", "stages", "symmetric", "symplectic", "explicit", "source")
+        ]
         for method in self.values():
             rows.append(
                 (

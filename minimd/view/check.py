@@ -21,12 +21,19 @@ from minimd.core.structure.cell import images_of_length, nearest_vectors
 from minimd.core.structure.constraints import DistanceConstraints, lengths_of
 from minimd.core.structure.observables import Array, absolute_momentum, kinetic_energy, momentum
 from minimd.core.structure.system import System
-from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
+from minimd.mdanalysis.universes import (
+    VERSION,
+    RunUniverse,
+    diffusion_coefficient,
+    radial_distribution,
+    universe_of,
+)
 from minimd.observers.diffusion import SHORT
 
 # 2⁻²⁴, relative rounding of a velocity to float32, and therefore the largest error of a momentum relative to Σ|mv|
 SINGLE = 6e-8
-KINETIC = 1e-6  # K is quadratic in velocities: its error is twice that rounding; the rest is a margin for the sum
+# K is quadratic in velocities: its error is twice that rounding; the rest is a margin for the sum
+KINETIC = 1e-6
 LENGTHS = 2.1e-7  # √12 times that rounding: a length depends on six rounded coordinates
 EXACT = 0.0
 OBSERVED = (*SERIES, "constraint_violation")
@@ -68,20 +75,32 @@ class FileCheck(Displayed):
         A run that is too short to show a drift of the energy passes if the energy varies little: see Report.is_quiet.
         """
         report = self.report
-        conserved = (report.energy_is_conserved is True or report.is_quiet) and report.momentum_is_conserved
+        conserved = (
+            report.energy_is_conserved is True or report.is_quiet
+        ) and report.momentum_is_conserved
         return conserved and all(one.passed for one in self.comparisons)
 
     @property
     def outcome(self) -> str:
         """The judgement in one line."""
-        if not self.passed and self.report.energy_is_conserved is None and all(one.passed for one in self.comparisons):
+        if (
+            not self.passed
+            and self.report.energy_is_conserved is None
+            and all(one.passed for one in self.comparisons)
+        ):
             return f"NOT PASSED: {self.report.verdict}"
         if not all(one.passed for one in self.comparisons):
             return "FAILED: see the lines that end with FAILED; the verdict above does not count"
         return "passed" if self.passed else "FAILED"
 
     def __str__(self) -> str:
-        lines = self.heading, *self.comparisons, *self.structure, self.report, f"check          {self.outcome}"
+        lines = (
+            self.heading,
+            *self.comparisons,
+            *self.structure,
+            self.report,
+            f"check          {self.outcome}",
+        )
         return "\n".join(map(str, lines))
 
 
@@ -98,17 +117,25 @@ def check_file(path: str | Path) -> FileCheck:
 
 def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
     """The check of a file with an open universe.  damaged : its damaged frames or restarts, see h5md_reader.damage."""
-    contents, system, is_free = made.contents, made.system, made.contents.conserves_momentum
+    contents = made.contents
+    system = made.system
+    is_free = made.contents.conserves_momentum
     record, found = recomputed(made)
     lines = [*pressure_lines(record, system.masses.sum(), contents.barostat, is_free)]
     angular = is_free and not system.cell.is_periodic
     bound = "accuracy bounds the rms error of the forces of charges, over their rms"
-    calls = (one.removeprefix("Coulomb: ") for one in contents.potentials if one.startswith("Coulomb: "))
+    calls = (
+        one.removeprefix("Coulomb: ") for one in contents.potentials if one.startswith("Coulomb: ")
+    )
     lines += [Line("charges", call, bound, True) for call in calls]
     if contents.thin_cell:
-        lines.append(Line("cell", contents.thin_cell, "TOO THIN; open it in this direction, with pbc", False))
+        lines.append(
+            Line("cell", contents.thin_cell, "TOO THIN; open it in this direction, with pbc", False)
+        )
     n_dof = ConstraintSet(system, system.constraints).degrees_of_freedom(is_free)
-    report = conservation_report(record, angular, None, is_free, lines, n_dof, contents.too_long_a_step)
+    report = conservation_report(
+        record, angular, None, is_free, lines, n_dof, contents.too_long_a_step
+    )
     if "temperature" in contents.parameters:  # of a thermostat
         report = replace(report, bath=(contents.parameters["temperature"], 0.0))
     frames = f"{contents.n_frames} frame{'s' * (contents.n_frames > 1)}, steps {record.step[0]} to {record.step[-1]}"
@@ -124,7 +151,10 @@ def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
 def recomputed(made: RunUniverse) -> tuple[Record, list[Array]]:
     """What MDAnalysis reads of all frames, in the units of the simulation: the stored observables, in float64; and
     K, Σ p, Σ|p| and length_error, recomputed from float32 velocities and positions, (T,), (T, 3), (T,), (T,)."""
-    system, masses, units, rows = made.system.copy(), made.atoms.masses, made.system.units, []
+    system = made.system.copy()
+    masses = made.atoms.masses
+    units = made.system.units
+    rows = []
     for ts in made.trajectory:
         v = as_in_run(ts, ts.velocities) * (units.to_picosecond / units.to_angstrom)
         system.positions[:] = as_in_run(ts, ts.positions) / units.to_angstrom
@@ -133,7 +163,13 @@ def recomputed(made: RunUniverse) -> tuple[Record, list[Array]]:
         at = {"step": ts.data["step"], "time": ts.time / units.to_picosecond}
         at |= {name: np.array(ts.data[name]) for name in OBSERVED if name in ts.data}
         rows.append(
-            (at, kinetic_energy(v, masses), momentum(v, masses), absolute_momentum(v, masses), length_error(system))
+            (
+                at,
+                kinetic_energy(v, masses),
+                momentum(v, masses),
+                absolute_momentum(v, masses),
+                length_error(system),
+            )
         )
     stored, *found = zip(*rows, strict=True)
     series = {name: np.array([row[name] for row in stored]) for name in stored[0]}
@@ -143,22 +179,30 @@ def recomputed(made: RunUniverse) -> tuple[Record, list[Array]]:
 def length_error(system: System) -> float:
     """The largest | |r| − d | of the constrained lengths, relative to the largest coordinate; 0 without such
     lengths."""
-    positions, cell = system.positions, system.cell
+    positions = system.positions
+    cell = system.cell
     for one in system.constraints:
         if isinstance(one, DistanceConstraints):
             lengths = lengths_of(positions, cell, one)
             images = images_of_length(positions, cell, one.pairs, lengths)
             bonds = positions[one.pairs[:, 1]] - positions[one.pairs[:, 0]] + images
-            return float(np.abs(np.linalg.norm(bonds, axis=1) - lengths).max()) / float(np.abs(positions).max())
+            return float(np.abs(np.linalg.norm(bonds, axis=1) - lengths).max()) / float(
+                np.abs(positions).max()
+            )
     return 0.0
 
 
-def comparisons(made: RunUniverse, record: Record, found: list[Array], damaged: str) -> list[Comparison]:
+def comparisons(
+    made: RunUniverse, record: Record, found: list[Array], damaged: str
+) -> list[Comparison]:
     """Comparisons of recomputed quantities with stored ones. A figure is 0 for a zero difference, and infinite for any
     other with a zero scale. In fixed-point arithmetic Σ p is an integer in steps of the grid in each frame."""
-    (kinetic, momenta, sizes, lengths), grid = found, made.contents.restart.grid
-    energy, relative = record.potential_energy + record.kinetic_energy, "recomputed − stored, relative to"
-    stored, written = f"{relative} the stored value", f"{damaged} are not" if damaged else "frames and restarts are"
+    kinetic, momenta, sizes, lengths = found
+    grid = made.contents.restart.grid
+    energy = record.potential_energy + record.kinetic_energy
+    relative = "recomputed − stored, relative to"
+    stored = f"{relative} the stored value"
+    written = f"{damaged} are not" if damaged else "frames and restarts are"
     rows: list[tuple[str, Any, Any, float, str]] = [
         ("kinetic energy", kinetic - record.kinetic_energy, record.kinetic_energy, KINETIC, stored),
         ("momentum", np.linalg.norm(momenta - record.momentum, axis=1), sizes, SINGLE, f"{relative} Σ|mv|"),
@@ -172,14 +216,31 @@ def comparisons(made: RunUniverse, record: Record, found: list[Array], damaged: 
         ("checksums", bool(damaged), 1.0, EXACT, f"{written} those that were written"),
     ]  # fmt: skip
     if grid is not None and made.contents.conserves_momentum:
-        frames = frames_of(made.trajectory.filename, range(made.contents.n_frames), made.system.units)
-        steps = (grid.momenta(one.velocities, 1.0 / made.system.masses).astype(np.int64) for one in frames)
+        frames = frames_of(
+            made.trajectory.filename, range(made.contents.n_frames), made.system.units
+        )
+        steps = (
+            grid.momenta(one.velocities, 1.0 / made.system.masses).astype(np.int64)
+            for one in frames
+        )
         totals = np.array([one.sum(axis=0) for one in steps])
-        rows.insert(-1, ("exact momentum", totals - totals[0], 1.0, EXACT, "change of Σ p, in whole steps of the grid"))
+        rows.insert(
+            -1,
+            (
+                "exact momentum",
+                totals - totals[0],
+                1.0,
+                EXACT,
+                "change of Σ p, in whole steps of the grid",
+            ),
+        )
     with np.errstate(divide="ignore", invalid="ignore"):
         return [
             Comparison(
-                name, float(np.where(figures == 0.0, 0.0, np.abs(figures) / np.abs(scales)).max()), limit, meaning
+                name,
+                float(np.where(figures == 0.0, 0.0, np.abs(figures) / np.abs(scales)).max()),
+                limit,
+                meaning,
             )
             for name, figures, scales, limit, meaning in rows
         ]
@@ -192,21 +253,27 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
     run : a file, or its universe.  Raises as universe.
     """
     with universe_of(run) as made:
-        contents, system = made.contents, made.system
+        contents = made.contents
+        system = made.system
         if not system.cell.pbc.all() or len(system) < 2:
             return []
         r, g = radial_distribution(made)
-        above = np.append(g >= 0.5 * g.max(), False)  # the first interval of this has the first peak
+        # the first interval of this has the first peak
+        above = np.append(g >= 0.5 * g.max(), False)
         first = int(np.argmax(above))
         peak = float(r[first + np.argmax(g[first : first + int(np.argmin(above[first:]))])])
         rigid = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
-        bonds = nearest_vectors(system.positions, system.cell, np.concatenate([system.bonds, *rigid]))
+        bonds = nearest_vectors(
+            system.positions, system.cell, np.concatenate([system.bonds, *rigid])
+        )
         apart = np.linalg.norm(bonds, axis=1)
         inside = ", between bonded atoms" * bool((np.abs(apart - peak) < 0.1 * peak).any())
         lines = [f"g(r)           first peak at {peak:.3g} {system.units.length}{inside}"]
         if contents.n_frames > 1:
             diffusion = diffusion_coefficient(made)
             if diffusion.result.diffusivity.state != SHORT:
-                slowed = ", slowed by the friction of Langevin dynamics" * (contents.method == LangevinBAOAB.name)
+                slowed = ", slowed by the friction of Langevin dynamics" * (
+                    contents.method == LangevinBAOAB.name
+                )
                 lines.append(f"diffusion      {diffusion}{slowed}")
     return lines

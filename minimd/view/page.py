@@ -98,40 +98,54 @@ class Story(NamedTuple):
 def run_story(path: Path, frames: int) -> Story:
     """The check of a run as text, its picture, its atoms.  Raises as minimd.mdanalysis.universe."""
     with universe_of(path) as made:
-        motion, contents = motion_of(made, frames), made.contents
+        motion = motion_of(made, frames)
+        contents = made.contents
         words = "Four pictures: change of the total energy, temperature, change of the momentum, and structure; the "
         shown = _scalable(drawn(made)), f"{words}report has their figures.", str(checked(made))
     notes = _left_out(motion, contents.repaired)
     return Story(contents.title, _heading(path, contents), contents, motion, (), (), *shown, notes)
 
 
-def failure_story(path: Path, frames: int, potentials: Potential | Sequence[Potential] | None) -> Story:
+def failure_story(
+    path: Path, frames: int, potentials: Potential | Sequence[Potential] | None
+) -> Story:
     """The last steps of a failed run, made again; or, without potentials, the two states in its file.
     Raises as minimd.replay."""
-    past, contents = read_crash_report(path), read_file(path)
-    found, source, picture = past.findings, path, ("image/svg+xml", b"")
+    past = read_crash_report(path)
+    contents = read_file(path)
+    found = past.findings
+    source = path
+    picture = ("image/svg+xml", b"")
     closest = found.closest[:2] if found.closest else (found.fastest,)
     marked = (found.pair.first, found.pair.second) if found.pair else closest
-    report, words = str(found), "Four pictures of the states in the file."
+    report = str(found)
+    words = "Four pictures of the states in the file."
     advice = f"minimd.view({path.name!r}, potentials=...)."
-    notes: tuple[str, ...] = (f"The steps between these states need the potentials of the script: {advice}",)
+    notes: tuple[str, ...] = (
+        f"The steps between these states need the potentials of the script: {advice}",
+    )
     with TemporaryDirectory() as folder:
         if potentials is not None or past.run.scene:
             drawing = Path(folder) / "steps.svg"
             seen = replay(path, potentials, trajectory=Path(folder) / "steps.h5md", picture=drawing)
-            source, report, notes = seen.trajectory or path, f"{found}\n\n{seen}", ()
+            source = seen.trajectory or path
+            report = f"{found}\n\n{seen}"
+            notes = ()
             words = "Four pictures against the step: total energy, distance of the closest pair, largest force, "
-            words, picture = f"{words}largest speed; the report has a table.", (picture[0], drawing.read_bytes())
+            words = f"{words}largest speed; the report has a table."
+            picture = (picture[0], drawing.read_bytes())
         with universe_of(source) as made:
             motion = motion_of(made, frames, marked, latest=True)
             picture = picture if picture[1] else _scalable(drawn(made))
-    cause, title = (found.cause, found.advice, f"{found.fault}, at step {found.step}"), f"{contents.title}: failed"
+    cause = (found.cause, found.advice, f"{found.fault}, at step {found.step}")
+    title = f"{contents.title}: failed"
     told = picture, words, report, (*notes, *_left_out(motion))
     return Story(title, _heading(path, contents), contents, motion, marked, cause, *told)
 
 
 def _heading(path: Path, contents: H5MDContents) -> str:
-    system, step = contents.system, contents.system.units.shown(contents.timestep)
+    system = contents.system
+    step = contents.system.units.shown(contents.timestep)
     return f"{path.name}: {len(system)} atoms, {contents.method} with Δt = {step}, {system.units.name} units"
 
 
@@ -151,7 +165,9 @@ def _scalable(figure: Figure) -> tuple[str, bytes]:
     return "image/svg+xml", vectors
 
 
-def motion_of(made: RunUniverse, most: int, marked: Sequence[int] = (), latest: bool = False) -> Motion:
+def motion_of(
+    made: RunUniverse, most: int, marked: Sequence[int] = (), latest: bool = False
+) -> Motion:
     """The motion in a file whose universe is open.
 
     most : largest number of frames; fewer are used if there are many atoms.  latest : the last frames, in place of
@@ -159,21 +175,32 @@ def motion_of(made: RunUniverse, most: int, marked: Sequence[int] = (), latest: 
     marked : atoms that are always shown; all are shifted so that, in the last frame, the first of these is in the
         middle of the cell.
     """
-    contents, system, cell, record = made.contents, made.system, made.system.cell, made.contents.record
+    contents = made.contents
+    system = made.system
+    cell = made.system.cell
+    record = made.contents.record
     atoms = chosen_atoms(len(system), marked)
     frames = chosen_frames(contents.n_frames, min(most, max(2, BYTES // (6 * len(atoms)))), latest)
-    inverses = np.linalg.inv(cell.reduction @ record.cell[frames]) if "cell" in record else [cell.inverse] * len(frames)
+    inverses = (
+        np.linalg.inv(cell.reduction @ record.cell[frames])
+        if "cell" in record
+        else [cell.inverse] * len(frames)
+    )
     looks = (made.trajectory[int(k)] for k in frames)
     places = (as_in_run(ts, ts.positions[atoms]) / system.units.to_angstrom for ts in looks)
     fractions = np.array([place @ inverse for place, inverse in zip(places, inverses, strict=True)])
     if marked:
         middle = 0.5 * cell.vectors.sum(axis=0) @ cell.inverse
-        fractions += np.where(cell.pbc, middle - fractions[-1, np.searchsorted(atoms, marked[0])], 0.0)
+        fractions += np.where(
+            cell.pbc, middle - fractions[-1, np.searchsorted(atoms, marked[0])], 0.0
+        )
     extent = np.ptp(fractions, axis=1)
     low = np.where(cell.pbc, 0.0, fractions.min(axis=1))
     width = np.where(cell.pbc, 1.0, np.where(extent > 0.0, extent, 1.0) * LEVELS / (LEVELS - 1))
     counts = np.rint((fractions - low[:, None]) / width[:, None] * LEVELS) % LEVELS
-    apart = neighbor_distances(fractions[0] @ cell.lattice, system.species_index[atoms], len(system.species_names))
+    apart = neighbor_distances(
+        fractions[0] @ cell.lattice, system.species_index[atoms], len(system.species_names)
+    )
     return Motion(contents, frames, atoms, counts.astype(np.uint16), low, width, apart)
 
 
@@ -196,7 +223,9 @@ def chosen_frames(n_frames: int, most: int, latest: bool = False) -> NDArray[np.
 
 def chosen_atoms(n_atoms: int, marked: Sequence[int] = ()) -> NDArray[np.int64]:
     """All atoms, or every n-th and the marked ones."""
-    return np.union1d(np.arange(0, n_atoms, ceil(n_atoms / ATOMS)), np.asarray(marked, dtype=np.int64))
+    return np.union1d(
+        np.arange(0, n_atoms, ceil(n_atoms / ATOMS)), np.asarray(marked, dtype=np.int64)
+    )
 
 
 def neighbor_distances(positions: Array, species: NDArray[np.int64], n_species: int) -> Array:
@@ -205,60 +234,88 @@ def neighbor_distances(positions: Array, species: NDArray[np.int64], n_species: 
     if len(positions) < 2:
         return np.ones(n_species)
     some = np.arange(0, len(positions), ceil(len(positions) / SAMPLED))
-    nearest, kinds = cKDTree(positions).query(positions[some], k=2)[0][:, 1], species[some]
-    medians = [np.median(nearest[kinds == k] if (kinds == k).any() else nearest) for k in range(n_species)]
+    nearest = cKDTree(positions).query(positions[some], k=2)[0][:, 1]
+    kinds = species[some]
+    medians = [
+        np.median(nearest[kinds == k] if (kinds == k).any() else nearest) for k in range(n_species)
+    ]
     return np.where(np.array(medians) > 0.0, medians, 1.0)
 
 
 def page(story: Story) -> str:
     """A story as HTML."""
-    motion, system, rows = story.motion, story.contents.system, parameters(story.contents)
+    motion = story.motion
+    system = story.contents.system
+    rows = parameters(story.contents)
     about = json.dumps(known_to_the_program(story), allow_nan=False, separators=(",", ":"))
-    failure, counts = "", np.bincount(system.species_index, minlength=len(system.species_names))
+    failure = ""
+    counts = np.bincount(system.species_index, minlength=len(system.species_names))
     if story.cause:
         first, advice, fault = map(html.escape, story.cause)
         lines = f"<p><strong>{first}</strong></p><p>What to do: {advice}.</p><p>What happened: {fault}.</p>"
         failure = f'<section class="failure"><h2>Why it failed</h2>{lines}</section>'
     cells = ((html.escape(name), html.escape(words)) for name, words in rows)
     circle = '<svg viewBox="0 0 10 10" aria-hidden="true"><circle cx="5" cy="5" r="4.5" fill="{}"/></svg>'
-    legend = zip(map(circle.format, colors(system.species_names)), system.species_names, counts, strict=True)
+    legend = zip(
+        map(circle.format, colors(system.species_names)), system.species_names, counts, strict=True
+    )
     known = {
         "frames": b64(motion.counts, "<u2"),
         "species": b64(system.species_index[motion.atoms], "<u4"),
         "bonds": b64(bonds_among(motion.atoms, system), "<u4"),
         "about": about.replace("<", "\\u003c"),  # safe inside a script element
         "picture": f"data:{story.picture[0]};base64,{b64encode(story.picture[1]).decode()}",
-        "library": _text("ngl.js").partition("//# sourceMappingURL")[0],  # which developer tools would request
+        # which developer tools would request
+        "library": _text("ngl.js").partition("//# sourceMappingURL")[0],
         "library_licenses": html.escape(_text("ngl-licenses.txt")),
         "style": _text("page.css"),
         "program": _text("motion.js") + _text("page.js"),
         "failure": failure,
         "notes": " ".join(map(html.escape, story.notes)),
-        "parameters": "".join(f'<tr><th scope="row">{name}</th><td>{words}</td></tr>' for name, words in cells),
-        "species_list": "".join(f"<li>{shown} {html.escape(str(name))} ({n})</li>" for shown, name, n in legend),
+        "parameters": "".join(
+            f'<tr><th scope="row">{name}</th><td>{words}</td></tr>' for name, words in cells
+        ),
+        "species_list": "".join(
+            f"<li>{shown} {html.escape(str(name))} ({n})</li>" for shown, name, n in legend
+        ),
         "version": html.escape(__version__),
     }
-    words = {name: html.escape(getattr(story, name)) for name in ("title", "heading", "alternative", "report")}
+    words = {
+        name: html.escape(getattr(story, name))
+        for name in ("title", "heading", "alternative", "report")
+    }
     return Template(_text("page.html")).substitute(known, **words)
 
 
 def parameters(contents: H5MDContents) -> Rows:
     """System, method and potentials, in the units of the system; times and rates in ps, or τ."""
-    system, units = contents.system, contents.system.units
-    mass, picosecond = ("u", f", of which {units.to_picosecond**-1:.5g} make a ps") if units is ASE else ("m", "")
+    system = contents.system
+    units = contents.system.units
+    mass, picosecond = (
+        ("u", f", of which {units.to_picosecond**-1:.5g} make a ps") if units is ASE else ("m", "")
+    )
     words = (
-        f"lengths in {units.length}, energies in {units.energy}, masses in {mass}, times in {units.time}{picosecond}"
+        f"lengths in {units.length}, energies in {units.energy}, masses in {mass}, "
+        f"times in {units.time}{picosecond}"
     )
     rows = [row for row in system.display_rows() if row[0] != "units"]
-    rows += [row for row in contents.scene_in_words() if row[0] not in {"system", "cell", "constraints"}]  # told above
+    # told above
+    rows += [
+        row for row in contents.scene_in_words() if row[0] not in {"system", "cell", "constraints"}
+    ]
     return [*rows, ("units", f"{words}, temperatures in {units.temperature}")]
 
 
 def known_to_the_program(story: Story) -> dict[str, Any]:
     """The data for the program of the page, other than the counts: see motion.js."""
-    motion, system, units = story.motion, story.contents.system, story.contents.system.units
-    record, cell, place = motion.contents.record, motion.contents.system.cell, motion.atoms.tolist().index
-    times, temperatures = record.time[motion.frames] * units.to_picosecond, record.temperature[motion.frames]
+    motion = story.motion
+    system = story.contents.system
+    units = story.contents.system.units
+    record = motion.contents.record
+    cell = motion.contents.system.cell
+    place = motion.atoms.tolist().index
+    times = record.time[motion.frames] * units.to_picosecond
+    temperatures = record.temperature[motion.frames]
     return {
         "low": motion.low.tolist(),
         "width": motion.width.tolist(),
@@ -270,7 +327,11 @@ def known_to_the_program(story: Story) -> dict[str, Any]:
         "steps": record.step[motion.frames].tolist(),
         "times": times.tolist(),
         "temperatures": [value if np.isfinite(value) else None for value in temperatures.tolist()],
-        "units": {"time": units.shown_time, "temperature": units.temperature, "length": units.length},
+        "units": {
+            "time": units.shown_time,
+            "temperature": units.temperature,
+            "length": units.length,
+        },
         "radii": (0.5 * motion.apart).tolist(),
         "colors": colors(system.species_names),
         "marked": [place(atom) for atom in story.marked],

@@ -18,7 +18,12 @@ from minimd.core.engine.record_picture import (
     draw_temperature,
     four_panels,
 )
-from minimd.mdanalysis.universes import RunUniverse, mean_square_displacement, radial_distribution, universe_of
+from minimd.mdanalysis.universes import (
+    RunUniverse,
+    mean_square_displacement,
+    radial_distribution,
+    universe_of,
+)
 
 
 def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
@@ -38,7 +43,9 @@ def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
 
 def drawn(made: RunUniverse) -> Figure:
     """The figure of plot_file, for a run whose universe is open; it is not written to a file."""
-    contents, record, units = made.contents, made.contents.record, made.system.units
+    contents = made.contents
+    record = made.contents.record
+    units = made.system.units
     answers = [one.result() for one in contents.observers.values() if one.n_looks]
     figure, panels = four_panels(len(answers))
     for draw, panel in zip((_energy, draw_temperature, draw_momentum), panels, strict=False):
@@ -50,7 +57,11 @@ def drawn(made: RunUniverse) -> Figure:
     for panel in panels:
         panel.margins(x=0.01)
         panel.title.set_fontsize(10)
-    figure.suptitle(f"{contents.title}, {contents.method}, {contents.n_frames} frames", fontsize=11, parse_math=False)
+    figure.suptitle(
+        f"{contents.title}, {contents.method}, {contents.n_frames} frames",
+        fontsize=11,
+        parse_math=False,
+    )
     return figure
 
 
@@ -65,16 +76,29 @@ def _energy(panel: Axes, times: Array, record: Record) -> None:
 
 def _structure(panel: Axes, made: RunUniverse) -> None:
     """g(r) if possible, else the mean-square displacement, else a note that there is none."""
-    units, title = made.system.units, "mean-square displacement"
+    units = made.system.units
+    title = "mean-square displacement"
     if made.system.cell.pbc.all() and len(made.system) > 1:
         r, g = radial_distribution(made)
         panel.axhline(1.0, color="0.7", lw=0.8)
         panel.plot(r, g, color=STRUCTURE, **STYLE)
         title = "radial distribution, all atoms"
-        panel.set(xlabel=f"r  [{units.length}]", ylabel="g(r)", title=title, xlim=(0.0, r[-1]), ylim=(0.0, None))
+        panel.set(
+            xlabel=f"r  [{units.length}]",
+            ylabel="g(r)",
+            title=title,
+            xlim=(0.0, r[-1]),
+            ylim=(0.0, None),
+        )
     elif made.contents.n_frames > 1:
         panel.plot(*mean_square_displacement(made), color=STRUCTURE, **STYLE)
-        panel.set(xlabel=f"lag  [{units.shown_time}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{units.length}²]", title=title)
+        panel.set(
+            xlabel=f"lag  [{units.shown_time}]",
+            ylabel=f"⟨|r(t) − r(0)|²⟩  [{units.length}²]",
+            title=title,
+        )
     else:
         words = "one frame only, no displacement"
-        panel.text(0.5, 0.5, words, ha="center", va="center", transform=panel.transAxes, color="0.4")
+        panel.text(
+            0.5, 0.5, words, ha="center", va="center", transform=panel.transAxes, color="0.4"
+        )

@@ -37,12 +37,18 @@ class View:
         return f"View({str(self.file)!r}: {self.summary}; {size}; write it with .save())"
 
     def _repr_html_(self) -> str:
-        style, title = f"width: 100%; height: {HEIGHT}px; border: 0", html.escape(str(self.file))
-        return f'<iframe title="{title}" style="{style}" srcdoc="{html.escape(self.html)}"></iframe>'
+        style = f"width: 100%; height: {HEIGHT}px; border: 0"
+        title = html.escape(str(self.file))
+        return (
+            f'<iframe title="{title}" style="{style}" srcdoc="{html.escape(self.html)}"></iframe>'
+        )
 
 
 def view(
-    file: str | Path | Record, *, frames: int = FRAMES, potentials: Potential | Sequence[Potential] | None = None
+    file: str | Path | Record,
+    *,
+    frames: int = FRAMES,
+    potentials: Potential | Sequence[Potential] | None = None,
 ) -> View:
     """A run as a page: its report, its pictures, and its atoms in motion with cell, bonds and species.
 
@@ -62,11 +68,13 @@ def view(
         ValueError also if potentials are given for a run that did not fail,
         if frames is not a whole number of at least 2, and for the record of a run that wrote no .h5md file.
     """
-    frames, place = checked_count("frames", frames, least=2), file.trajectory if isinstance(file, Record) else file
+    frames = checked_count("frames", frames, least=2)
+    place = file.trajectory if isinstance(file, Record) else file
     if place is None:
         needs = "a page needs the frames of the run, but the run wrote no .h5md file"
         raise ValueError(f"{needs}; run with trajectory='run.h5md'")
-    from minimd.core.files.crash_file import is_crash_file  # these load h5py, MDAnalysis and matplotlib
+    # these load h5py, MDAnalysis and matplotlib
+    from minimd.core.files.crash_file import is_crash_file
     from minimd.core.files.h5md_reader import verify_frames
     from minimd.view.page import failure_story, page, run_story
 
@@ -77,4 +85,6 @@ def view(
         used = "potentials are used for a failed run only"
         raise ValueError(f"{used}; {str(path)!r} holds a run that did not fail: leave them out")
     story = failure_story(path, frames, potentials) if has_failed else run_story(path, frames)
-    return View(page(story), path, f"{len(story.motion.frames)} frames of {len(story.motion.atoms)} atoms")
+    return View(
+        page(story), path, f"{len(story.motion.frames)} frames of {len(story.motion.atoms)} atoms"
+    )

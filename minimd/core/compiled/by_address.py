@@ -75,7 +75,9 @@ def _is_word_by_word(kind: Any) -> bool:
 @typeof_impl.register(ByAddress)
 def _typeof(value, context):
     if "kind" not in vars(value):  # found once for each object: many share parts
-        vars(value)["kind"] = AddressType(tuple(typeof_impl(one, context) for one in value), type(value))
+        vars(value)["kind"] = AddressType(
+            tuple(typeof_impl(one, context) for one in value), type(value)
+        )
     return vars(value)["kind"]
 
 
@@ -103,7 +105,8 @@ def _field(context, builder, kind, address, name):
 
 @extending.lower_builtin("static_getitem", AddressType, types.IntegerLiteral)
 def _item(context, builder, signature, arguments):
-    (kind, _), (address, index) = signature.args, arguments
+    kind, _ = signature.args
+    address, index = arguments
     k = index % len(kind)
     return _read(context, builder, kind[k], address, kind.places[k])
 
@@ -114,22 +117,32 @@ def _read(context, builder, kind, address, place):
         return _array(context, builder, kind, address, place)
     if _is_word_by_word(kind):
         places = accumulate((_n_words(one) for one in kind.types), initial=place)
-        each = [_read(context, builder, one, address, at) for one, at in zip(kind, places, strict=False)]
+        each = [
+            _read(context, builder, one, address, at) for one, at in zip(kind, places, strict=False)
+        ]
         return context.make_tuple(builder, kind, each)
     return _word(builder, context.get_value_type(kind), address, place)
 
 
 def _array(context, builder, kind, address, place):
     """An array that owns nothing."""
-    model, word, element = context.data_model_manager[kind], ir.IntType(8 * WORD), context.get_data_type(kind.dtype)
-    itemsize, n = word(context.get_abi_sizeof(element)), kind.ndim
-    shape, strides = ([_word(builder, word, address, place + at + k) for k in range(n)] for at in (1, 1 + n))
+    model = context.data_model_manager[kind]
+    word = ir.IntType(8 * WORD)
+    element = context.get_data_type(kind.dtype)
+    itemsize = word(context.get_abi_sizeof(element))
+    n = kind.ndim
+    shape, strides = (
+        [_word(builder, word, address, place + at + k) for k in range(n)] for at in (1, 1 + n)
+    )
     if n == 1 and kind.layout == "C":
         strides = [itemsize]
-    parts = {"nitems": functools.reduce(builder.mul, shape), "itemsize": itemsize,
-             "data": _word(builder, element.as_pointer(), address, place),
-             "shape": cgutils.pack_array(builder, shape, word),
-             "strides": cgutils.pack_array(builder, strides, word)}  # fmt: skip
+    parts = {
+        "nitems": functools.reduce(builder.mul, shape),
+        "itemsize": itemsize,
+        "data": _word(builder, element.as_pointer(), address, place),
+        "shape": cgutils.pack_array(builder, shape, word),
+        "strides": cgutils.pack_array(builder, strides, word),
+    }
     array = ir.Constant(model.get_value_type(), None)  # no owner
     for name, part in parts.items():
         array = model.set(builder, array, part, name)
@@ -151,8 +164,11 @@ def _call(returned: types.Type):
     @intrinsic
     def call(_context, address, arguments):
         def generate(context, builder, signature, values):
-            kinds, convention = signature.args[1].types, context.call_conv
-            code = builder.inttoptr(values[0], convention.get_function_type(returned, kinds).as_pointer())
+            kinds = signature.args[1].types
+            convention = context.call_conv
+            code = builder.inttoptr(
+                values[0], convention.get_function_type(returned, kinds).as_pointer()
+            )
             each = cgutils.unpack_tuple(builder, values[1], len(kinds))
             status, result = convention.call_function(builder, code, returned, kinds, each)
             with cgutils.if_unlikely(builder, status.is_error):
@@ -165,4 +181,5 @@ def _call(returned: types.Type):
 
 
 # of a kernel that returns a whole number, and of one that returns nothing
-call_at, run_at = _call(types.int64), _call(types.none)
+call_at = _call(types.int64)
+run_at = _call(types.none)

@@ -54,7 +54,8 @@ class CodeFiles(IndexDataCacheFile):
         if content is not None:
             try:
                 return pickle.loads(content)
-            except (ImportError, AttributeError):  # of a script that has another name, or other functions, now
+            except (ImportError, AttributeError):
+                # of a script that has another name, or other functions, now
                 return None
         if not CodeFiles.is_told:
             CodeFiles.is_told = True
@@ -65,7 +66,8 @@ class CodeFiles(IndexDataCacheFile):
 
     def _save(self, path: str, value: Any) -> None:
         """Write a file under another name, then rename it."""
-        content, part = self._dump(value), Path(f"{path}.{uuid4().hex}")
+        content = self._dump(value)
+        part = Path(f"{path}.{uuid4().hex}")
         try:
             with part.open("xb") as file:  # a new file: no link is followed
                 file.write(sha256(content).digest())
@@ -78,7 +80,8 @@ class CodeFiles(IndexDataCacheFile):
 def sound_content(path: str | Path) -> bytes | None:
     """What a file of the cache holds behind its checksum; None if it is damaged.  OSError if it cannot be read."""
     with open(path, "rb") as file:
-        checksum, content = file.read(CHECKSUM), file.read()
+        checksum = file.read(CHECKSUM)
+        content = file.read()
     return content if sha256(content).digest() == checksum else None
 
 
@@ -98,7 +101,9 @@ class KernelCache(FunctionCache):
     def __init__(self, function: Callable) -> None:
         super().__init__(function)
         self._function = function
-        self._cache_file = CodeFiles(self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp())
+        self._cache_file = CodeFiles(
+            self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp()
+        )
         self._lock = -1
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -106,7 +111,8 @@ class KernelCache(FunctionCache):
         found = super().load_overload(sig, target_context)
         if found is not None or self._lock >= 0:
             return found
-        with suppress(OSError, ImportError):  # take the lock of this kernel, where the file system has locks
+        # take the lock of this kernel, where the file system has locks
+        with suppress(OSError, ImportError):
             import fcntl  # Windows has no such locks
 
             file = os.path.join(self._cache_path, f"{self._impl.filename_base}.lock")
@@ -125,7 +131,8 @@ class KernelCache(FunctionCache):
     def save_overload(self, sig: Any, data: Any) -> None:
         """Called by Numba after a compilation."""
         try:
-            with suppress(OSError):  # such as a full disk: what was compiled can be used all the same
+            # such as a full disk: what was compiled can be used all the same
+            with suppress(OSError):
                 super().save_overload(sig, data)
         finally:
             self.let_others_go_on()
@@ -144,7 +151,10 @@ class KernelCache(FunctionCache):
 
 def _fields_of(kinds: Any) -> tuple:
     """The names of fields of named tuples among types, and inside them."""
-    return tuple((tuple(getattr(kind, "fields", ())), _fields_of(getattr(kind, "types", ()))) for kind in kinds)
+    return tuple(
+        (tuple(getattr(kind, "fields", ())), _fields_of(getattr(kind, "types", ())))
+        for kind in kinds
+    )
 
 
 class FailedCompilations(event.Listener):

@@ -61,7 +61,11 @@ def on_grid(x, step):
 @by_type
 def as_float(whole):
     """An int64, or a vector of them, as float64."""
-    return (lambda whole: as_floats(whole)) if isinstance(whole, Vector) else lambda whole: np.float64(whole)
+    return (
+        (lambda whole: as_floats(whole))
+        if isinstance(whole, Vector)
+        else lambda whole: np.float64(whole)
+    )
 
 
 class GridSteps(namedtuple("GridSteps", "per_force length momentum energy limit2")):
@@ -79,10 +83,15 @@ def is_fixed(steps: types.Type) -> bool:
 @by_type
 def in_steps(energy, steps):
     """An energy; on a grid rounded to a multiple of its step."""
-    return (lambda energy, steps: on_grid(energy, steps.energy)) if is_fixed(steps) else lambda energy, steps: energy
+    return (
+        (lambda energy, steps: on_grid(energy, steps.energy))
+        if is_fixed(steps)
+        else lambda energy, steps: energy
+    )
 
 
-LIMIT2 = MOST**2  # square of the largest impulse, in steps of momentum: below it, biased_product is right
+# square of the largest impulse, in steps of momentum: below it, biased_product is right
+LIMIT2 = MOST**2
 
 
 @by_type
@@ -102,7 +111,11 @@ def force_along(f, x, steps):
 @by_type
 def as_force(f, steps):
     """A component of a force from force_along."""
-    return (lambda f, steps: as_float(f) / steps.per_force[0]) if is_fixed(steps) else lambda f, steps: f
+    return (
+        (lambda f, steps: as_float(f) / steps.per_force[0])
+        if is_fixed(steps)
+        else lambda f, steps: f
+    )
 
 
 @by_type
@@ -113,4 +126,6 @@ def is_too_large(size2, steps):
     if not isinstance(size2, Vector):
         return lambda size2, steps: not size2 * steps.per_force[0] ** 2 <= LIMIT2
     all_lanes = (1 << size2.lanes) - 1
-    return lambda size2, steps: bits_from_mask(size2 * steps.per_force[0] ** 2 <= LIMIT2) != all_lanes
+    return lambda size2, steps: (
+        bits_from_mask(size2 * steps.per_force[0] ** 2 <= LIMIT2) != all_lanes
+    )

@@ -63,7 +63,9 @@ class PartCompiler(Compiler):
     """Numba's compiler, for parts of kernels."""
 
     def __init__(self, typingctx: Any, targetctx: Any, library: Any, *arguments: Any) -> None:
-        super().__init__(typingctx, targetctx, library or PartLibrary(targetctx.codegen(), "part"), *arguments)
+        super().__init__(
+            typingctx, targetctx, library or PartLibrary(targetctx.codegen(), "part"), *arguments
+        )
 
 
 restrict_features(os.environ.get("MINIMD_VECTORS", NEWEST))
@@ -89,7 +91,9 @@ def cache_folder() -> Path | None:
                         part.mkdir(mode=0o700, exist_ok=True)  # for this user alone
             # perhaps only now: somebody else may have been faster in a common folder
             if opened := open_to_others(folder):
-                hint = "take that permission from them, or set NUMBA_CACHE_DIR to a folder of your own"
+                hint = (
+                    "take that permission from them, or set NUMBA_CACHE_DIR to a folder of your own"
+                )
                 words = f"compiled code is not kept in {base}, because other users can change {opened}; {hint}"
                 warnings.warn(words, stacklevel=2)
                 continue
@@ -109,14 +113,17 @@ def open_to_others(folder: Path) -> Path | None:
     if not hasattr(os, "getuid"):
         return None
     folder = Path(os.path.realpath(folder))
-    trusted = {os.getuid(), 0, os.stat(folder.anchor).st_uid}  # in a container root may have another number
+    # in a container root may have another number
+    trusted = {os.getuid(), 0, os.stat(folder.anchor).st_uid}
     for part in (*reversed(folder.parents), folder):
         try:
             status = part.stat()
         except FileNotFoundError:
             return None
         is_common = part != folder and status.st_mode & stat.S_ISVTX
-        if status.st_uid not in trusted or (status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not is_common):
+        if status.st_uid not in trusted or (
+            status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not is_common
+        ):
             return part
     return None
 
@@ -128,7 +135,8 @@ def kernel(function, **flags):
 
 def _cached(compiled):
     """The same dispatcher, with a cache in the folder."""
-    folder, previous = cache_folder(), numba.config.CACHE_DIR
+    folder = cache_folder()
+    previous = numba.config.CACHE_DIR
     if folder is not None:
         numba.config.CACHE_DIR = str(folder)
         try:
@@ -159,7 +167,12 @@ class PartOfKernel(CalledKernel):
         super().__init__(py_func, locals, targetoptions, pipeline_class=PartCompiler)
 
 
-NOT_FROM_OUTSIDE = {"nopython": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+NOT_FROM_OUTSIDE = {
+    "nopython": True,
+    "error_model": "numpy",
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
 
 
 def inlined(function):
@@ -170,7 +183,9 @@ def inlined(function):
 def scalar(function):
     """Compile a function that only kernels call; the compiler puts it into the kernel. It must not create arrays:
     then it needs no reference counts for those it is given, which would cost more than a small function."""
-    return PartOfKernel(function, targetoptions={**NOT_FROM_OUTSIDE, "forceinline": True, "_nrt": False})
+    return PartOfKernel(
+        function, targetoptions={**NOT_FROM_OUTSIDE, "forceinline": True, "_nrt": False}
+    )
 
 
 def called_kernel(function):
@@ -240,7 +255,9 @@ class DirectCalls:
         if kinds != first:
             name = getattr(kernel, "__name__", repr(kernel))
             one_type = f"a DirectCalls passes {name} arguments of one type, {_in_words(first)}"
-            raise TypeError(f"{one_type}; got {_in_words(kinds)}: take another DirectCalls for these")
+            raise TypeError(
+                f"{one_type}; got {_in_words(kinds)}: take another DirectCalls for these"
+            )
         return address
 
 
@@ -264,7 +281,9 @@ class CompileClock(event.Listener, threading.local):
     def __init__(self) -> None:
         self.seconds = 0.0
         self.is_to_tell = False
-        self._depth, self._started, self._collects = 0, 0.0, False
+        self._depth = 0
+        self._started = 0.0
+        self._collects = False
         self._timer: threading.Timer | None = None
 
     def on_start(self, _event: event.Event) -> None:
@@ -311,7 +330,9 @@ def announce_compilation() -> Iterator[None]:
 
 
 def _source_hash() -> str:
-    digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__} {numpy.__version__}".encode())
+    digest = hashlib.sha256(
+        f"{numba.__version__} {llvmlite.__version__} {numpy.__version__}".encode()
+    )
     for name, source in sorted(_kernel_sources().items()):
         digest.update(name.encode() + source)
     return digest.hexdigest()[:16]
@@ -322,22 +343,34 @@ def _kernel_sources() -> dict[str, bytes]:
     import constants or types, which may depend on those of a third file, and so on.
     Imports inside functions do not count: kernels cannot import."""
     package = Path(__file__).parents[2]  # minimd
-    names = {file: ".".join(file.relative_to(package.parent).with_suffix("").parts) for file in package.rglob("*.py")}
+    names = {
+        file: ".".join(file.relative_to(package.parent).with_suffix("").parts)
+        for file in package.rglob("*.py")
+    }
     texts = {name.removesuffix(".__init__"): file.read_bytes() for file, name in names.items()}
     needed = set[str]()
     new = {
-        name for name, text in texts.items() if HOLDS_KERNELS.search(text) or name.startswith("minimd.core.compiled.")
+        name
+        for name, text in texts.items()
+        if HOLDS_KERNELS.search(text) or name.startswith("minimd.core.compiled.")
     }
     while new:
         needed |= new
         imports = [pair for name in new for pair in IMPORTED.findall(texts[name].decode())]
         modules = {module for module, _ in imports}
-        modules.update(f"{module}.{word}" for module, words in imports for word in re.findall(r"\w+", words))
+        modules.update(
+            f"{module}.{word}" for module, words in imports for word in re.findall(r"\w+", words)
+        )
         new = modules.intersection(texts) - needed
     return {name: texts[name] for name in needed}
 
 
 def _cache_bases() -> list[Path]:
-    given, user = os.environ.get("NUMBA_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     temporary = f"minimd-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
-    return [*([Path(given)] if given else []), Path(user) / "minimd", Path(tempfile.gettempdir()) / temporary]
+    return [
+        *([Path(given)] if given else []),
+        Path(user) / "minimd",
+        Path(tempfile.gettempdir()) / temporary,
+    ]

@@ -18,7 +18,8 @@ import numpy as np
 
 EPS = float(np.finfo(float).eps)  # of 1: the relative spacing of numbers
 MISSING = "MISSING"
-STATUS = Path("/proc/self/status")  # of Linux, where the peak of getrusage can be that of the parent process
+# of Linux, where the peak of getrusage can be that of the parent process
+STATUS = Path("/proc/self/status")
 _threads: ContextVar[int | None] = ContextVar("_threads", default=None)
 
 
@@ -75,7 +76,11 @@ def peak_memory() -> int | None:
 
 NEWEST = "avx512"
 # beginnings of names of the features that each choice does without
-WIDER = {NEWEST: (), "avx2": ("avx512", "avx10"), "sse": ("avx", "fma", "f16c", "vaes", "vpclmulqdq", "xop")}
+WIDER = {
+    NEWEST: (),
+    "avx2": ("avx512", "avx10"),
+    "sse": ("avx", "fma", "f16c", "vaes", "vpclmulqdq", "xop"),
+}
 
 
 def restrict_features(choice: str) -> None:

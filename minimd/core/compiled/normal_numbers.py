@@ -19,11 +19,15 @@ from numba.np.random import _constants as numpys
 
 from minimd.core.compiled.kernels import inlined, kernel, scalar
 
-FIRST, SECOND = np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157)  # multipliers of Philox4x64
+# multipliers of Philox4x64
+FIRST = np.uint64(0xD2E7470EE14C6C93)
+SECOND = np.uint64(0xCA5A826395121157)
 # what its key grows by: fractions of (√5 − 1)/2 and of √3 − 1
-GOLDEN, ROOT = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B)
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+ROOT = np.uint64(0xBB67AE8584CAA73B)
 ROUNDS = 10
-LAYERS, MANTISSA = np.uint64(255), np.uint64((1 << 52) - 1)
+LAYERS = np.uint64(255)
+MANTISSA = np.uint64((1 << 52) - 1)
 INSIDE, WIDTHS, HEIGHTS = numpys.ki_double, numpys.wi_double, numpys.fi_double  # of the layers
 TAIL = numpys.ziggurat_nor_r  # where the lowest layer ends and the tail of the curve begins
 UNIT = 2.0**-53
@@ -36,7 +40,9 @@ class NoiseStream(namedtuple("NoiseStream", "key counter words place")):
 @inlined
 def new_stream(key):
     """A stream with this key, (2,) uint64; start_stream must be called before its first number."""
-    return NoiseStream(key, np.zeros(4, dtype=np.uint64), np.zeros(4, dtype=np.uint64), np.zeros(1, dtype=np.int64))
+    return NoiseStream(
+        key, np.zeros(4, dtype=np.uint64), np.zeros(4, dtype=np.uint64), np.zeros(1, dtype=np.int64)
+    )
 
 
 @scalar
@@ -44,7 +50,9 @@ def three_normals(stream, atom, contact, step):
     """The first three normal numbers of Philox(key, counter=[0, atom, contact, step])."""
     counter = np.uint64(1), np.uint64(atom), np.uint64(contact), np.uint64(step)
     a, b, c, _ = _philox(counter, stream.key)
-    (x, is_x), (y, is_y), (z, is_z) = _inside(a), _inside(b), _inside(c)
+    x, is_x = _inside(a)
+    y, is_y = _inside(b)
+    z, is_z = _inside(c)
     if is_x and is_y and is_z:  # 97 of 100
         return x, y, z
     start_stream(stream, atom, contact, step)
@@ -55,7 +63,10 @@ def three_normals(stream, atom, contact, step):
 @scalar
 def start_stream(stream, atom, contact, step):
     """Begin with the numbers of Philox(key, counter=[0, atom, contact, step])."""
-    stream.counter[0], stream.counter[1], stream.counter[2], stream.counter[3] = 0, atom, contact, np.uint64(step)
+    stream.counter[0] = 0
+    stream.counter[1] = atom
+    stream.counter[2] = contact
+    stream.counter[3] = np.uint64(step)
     stream.place[0] = 4
 
 
@@ -92,7 +103,8 @@ def sum_of_squares(stream, n):
 @scalar
 def _inside(word):
     """The number that a word stands for, and whether it lies inside its layer, as 99 of 100 do."""
-    layer, mantissa = word & LAYERS, word >> np.uint64(9) & MANTISSA
+    layer = word & LAYERS
+    mantissa = word >> np.uint64(9) & MANTISSA
     x = mantissa * WIDTHS[layer]
     return (-x if word >> np.uint64(8) & np.uint64(1) else x), mantissa < INSIDE[layer]
 
@@ -101,12 +113,17 @@ def _inside(word):
 def _at_edge(x, layer, mantissa, stream):
     """A number that may lie above the curve, and whether it lies under it; or a number of the tail."""
     if layer > np.uint64(0):
-        height = (HEIGHTS[layer - np.uint64(1)] - HEIGHTS[layer]) * _uniform(stream) + HEIGHTS[layer]
+        height = (HEIGHTS[layer - np.uint64(1)] - HEIGHTS[layer]) * _uniform(stream) + HEIGHTS[
+            layer
+        ]
         return x, height < exp(-0.5 * x * x)
     while True:
-        beyond, level = -log1p(-_uniform(stream)) * numpys.ziggurat_nor_inv_r, -log1p(-_uniform(stream))
+        beyond = -log1p(-_uniform(stream)) * numpys.ziggurat_nor_inv_r
+        level = -log1p(-_uniform(stream))
         if level + level > beyond * beyond:
-            return (-(TAIL + beyond) if mantissa >> np.uint64(8) & np.uint64(1) else TAIL + beyond), True
+            return (
+                -(TAIL + beyond) if mantissa >> np.uint64(8) & np.uint64(1) else TAIL + beyond
+            ), True
 
 
 @scalar
@@ -120,7 +137,9 @@ def _next(stream):
     """The next word."""
     if stream.place[0] == 4:
         stream.counter[0] += np.uint64(1)
-        stream.words[0], stream.words[1], stream.words[2], stream.words[3] = _philox(stream.counter, stream.key)
+        stream.words[0], stream.words[1], stream.words[2], stream.words[3] = _philox(
+            stream.counter, stream.key
+        )
         stream.place[0] = 0
     stream.place[0] += 1
     return stream.words[stream.place[0] - 1]
@@ -130,11 +149,14 @@ def _next(stream):
 def _philox(counter, key):
     """The four words of a counter."""
     a, b, c, d = counter[0], counter[1], counter[2], counter[3]
-    k, m = key[0], key[1]
+    k = key[0]
+    m = key[1]
     for _ in range(ROUNDS):
-        (high, low), (high_2, low_2) = _words(FIRST, a), _words(SECOND, c)
+        high, low = _words(FIRST, a)
+        high_2, low_2 = _words(SECOND, c)
         a, b, c, d = high_2 ^ b ^ k, low_2, high ^ d ^ m, low
-        k, m = k + GOLDEN, m + ROOT
+        k = k + GOLDEN
+        m = m + ROOT
     return a, b, c, d
 
 
@@ -144,7 +166,8 @@ def _words(_context, a, b):
     kind = types.UniTuple(types.uint64, 2)
 
     def generate(context, builder, _signature, values):
-        wide, word = ir.IntType(128), ir.IntType(64)
+        wide = ir.IntType(128)
+        word = ir.IntType(64)
         product = builder.mul(*(builder.zext(value, wide) for value in values))
         words = builder.trunc(builder.lshr(product, wide(64)), word), builder.trunc(product, word)
         return context.make_tuple(builder, kind, words)

@@ -12,8 +12,13 @@ from minimd.core.compiled.threads import AT, GO_ON, JUMP, MOST_CHUNKS, MOST_OPER
 __all__ = ["GO_ON", "JUMP"]
 
 # answers of operations: see threads.run_operations; NEEDS_ROOM: memory; BREATHE: Python looks whether to go on
-NEEDS_ROOM, BREATHE, NOT_FINITE, OUT_OF_RANGE, CANNOT_KEEP = 2, 3, 4, 5, 6
-IN_A_CHUNK = 512  # atoms, or terms, of which each takes as long: some microseconds, more than a barrier
+NEEDS_ROOM = 2
+BREATHE = 3
+NOT_FINITE = 4
+OUT_OF_RANGE = 5
+CANNOT_KEEP = 6
+# atoms, or terms, of which each takes as long: some microseconds, more than a barrier
+IN_A_CHUNK = 512
 
 
 class Operation(NamedTuple):
@@ -36,7 +41,9 @@ class Operation(NamedTuple):
     is_kept: bool = False
 
 
-def operation(calls: DirectCalls, kernel: Callable, data: ByAddress, n_chunks: int = 1, **more: Any) -> Operation:
+def operation(
+    calls: DirectCalls, kernel: Callable, data: ByAddress, n_chunks: int = 1, **more: Any
+) -> Operation:
     """An operation of compiled code.  calls : of a caller who always gives this kernel data of one type."""
     return Operation(calls.address(kernel, data, 0), data, n_chunks, **more)
 
@@ -55,8 +62,12 @@ class Program:
     """Operations that are made anew when the memory of their data was replaced.
     make : returns them: always as many, in the same order.  version : of that memory.  pool : the threads."""
 
-    def __init__(self, make: Callable[[], Iterable[Operation]], version: Callable[[], Any], pool: ThreadPool) -> None:
-        self._make, self._version, self._pool = make, version, pool
+    def __init__(
+        self, make: Callable[[], Iterable[Operation]], version: Callable[[], Any], pool: ThreadPool
+    ) -> None:
+        self._make = make
+        self._version = version
+        self._pool = pool
         self._made_for: Any = None
         self._course = np.zeros(1, dtype=np.int64)
 
@@ -71,9 +82,17 @@ class Program:
             return
         made = list(self._make())
         if len(made) >= MOST_OPERATIONS:
-            raise ValueError(f"a program has up to {MOST_OPERATIONS - 1} operations; this one has {len(made)}")
+            raise ValueError(
+                f"a program has up to {MOST_OPERATIONS - 1} operations; this one has {len(made)}"
+            )
         rows = [
-            (one.code, 0 if one.data is None else one.data.address, one.n_chunks, k + one.then, k + one.otherwise)
+            (
+                one.code,
+                0 if one.data is None else one.data.address,
+                one.n_chunks,
+                k + one.then,
+                k + one.otherwise,
+            )
             for k, one in enumerate(made)
         ]
         self._rows = np.array(rows, dtype=np.int64).reshape(-1, 5)
@@ -90,7 +109,9 @@ class Program:
             if answer:
                 one = self.operations[course[AT]]
                 if one.python is None:
-                    raise RuntimeError(f"operation {course[AT]} returned the unknown status {answer}")
+                    raise RuntimeError(
+                        f"operation {course[AT]} returned the unknown status {answer}"
+                    )
                 if one.code:
                     one.python(answer)
                 else:

@@ -27,7 +27,15 @@ NUMBER_KINDS = "biufc"  # of NumPy: truth values, integers, floats, complex numb
 # modules known by their versions, minimd by its sources
 TRUSTED = {"builtins", "math", "cmath", "numpy", "numba", "minimd"}
 LARGEST_ARRAY = 10**6  # bytes: Numba does not cache code that reads a larger one
-CODE_FIELDS = ("co_code", "co_exceptiontable", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_flags")
+CODE_FIELDS = (
+    "co_code",
+    "co_exceptiontable",
+    "co_names",
+    "co_varnames",
+    "co_freevars",
+    "co_cellvars",
+    "co_flags",
+)
 COUNTS = ("co_argcount", "co_posonlyargcount", "co_kwonlyargcount")
 
 
@@ -48,7 +56,8 @@ class FunctionSnapshot:
     """
 
     def __init__(self, function: Any) -> None:
-        self._hash, self._is_clear = hashlib.sha256(), True
+        self._hash = hashlib.sha256()
+        self._is_clear = True
         self._copies: dict[int, tuple[Any, Any]] = {}  # by the id of a compiled function
         self._note(sys.version, numba.__version__, np.__version__)
         self.function: Any
@@ -67,7 +76,8 @@ class FunctionSnapshot:
         """Copies of what a function reads: for kernels, and for the plain function."""
         if isinstance(value, ModuleType) and _is_trusted(value.__name__):
             self._note("module", value.__name__)
-            self._is_clear &= not value.__name__.startswith("minimd")  # its constants may change with its sources
+            # its constants may change with its sources
+            self._is_clear &= not value.__name__.startswith("minimd")
             return value, value
         if _is_named_in_trusted_module(value):
             self._note("name", value.__module__, value.__qualname__)
@@ -80,10 +90,16 @@ class FunctionSnapshot:
             self._note(type(value).__name__, value)
         elif isinstance(value, np.generic) and value.dtype.kind in NUMBER_KINDS:
             self._note("number", value.dtype.str, value.tobytes())
-        elif type(value) is np.ndarray and value.dtype.kind in NUMBER_KINDS and value.nbytes <= LARGEST_ARRAY:
+        elif (
+            type(value) is np.ndarray
+            and value.dtype.kind in NUMBER_KINDS
+            and value.nbytes <= LARGEST_ARRAY
+        ):
             if not (value.flags.c_contiguous or value.flags.f_contiguous):
                 self._is_clear = False  # Numba reads an array with gaps from its place in memory
-            self._note("array", value.dtype.str, value.shape, value.flags.c_contiguous, value.tobytes())
+            self._note(
+                "array", value.dtype.str, value.shape, value.flags.c_contiguous, value.tobytes()
+            )
             value = value.copy(order="K")
         elif type(value) is tuple:
             self._note("tuple", len(value))
@@ -98,7 +114,11 @@ class FunctionSnapshot:
         if id(function) in self._copies:
             self._note("again", list(self._copies).index(id(function)))
             return self._copies[id(function)]
-        if type(function) not in (CPUDispatcher, PartOfKernel) or function.locals or _has_fixed_signatures(function):
+        if (
+            type(function) not in (CPUDispatcher, PartOfKernel)
+            or function.locals
+            or _has_fixed_signatures(function)
+        ):
             self._is_clear = False
             return function, function
         self._note("options")
@@ -116,11 +136,15 @@ class FunctionSnapshot:
         """Two copies of a function that read nothing yet."""
         self._note("function", function.__name__)
         self._code(function.__code__)
-        defaults, keywords = function.__defaults__ or (), function.__kwdefaults__ or {}
-        values, keyword_values = self._data(tuple(defaults)), self._data(tuple(keywords.values()))
+        defaults = function.__defaults__ or ()
+        keywords = function.__kwdefaults__ or {}
+        values = self._data(tuple(defaults))
+        keyword_values = self._data(tuple(keywords.values()))
         self._note(tuple(keywords))
         named = [dict(zip(keywords, each, strict=True)) or None for each in keyword_values]
-        return unread(function, values[0] or None, named[0]), unread(function, values[1] or None, named[1])
+        return unread(function, values[0] or None, named[0]), unread(
+            function, values[1] or None, named[1]
+        )
 
     def _fill(self, function: FunctionType, first: FunctionType, second: FunctionType) -> None:
         """Give the shells copies of the globals and closure cells that the function reads."""
@@ -129,10 +153,14 @@ class FunctionSnapshot:
         for name in names:
             self._note("global", name)
             if name in function.__globals__:
-                first.__globals__[name], second.__globals__[name] = self._value(function.__globals__[name])
+                first.__globals__[name], second.__globals__[name] = self._value(
+                    function.__globals__[name]
+                )
             elif not hasattr(builtins, name):
                 self._is_clear = False  # it is not defined
-        for cell, *copies in zip(*(f.__closure__ or () for f in (function, first, second)), strict=True):
+        for cell, *copies in zip(
+            *(f.__closure__ or () for f in (function, first, second)), strict=True
+        ):
             self._note("cell")
             try:
                 copies[0].cell_contents, copies[1].cell_contents = self._value(cell.cell_contents)
@@ -150,26 +178,33 @@ class FunctionSnapshot:
                 self._data(constant)
 
 
-def unread(function: FunctionType, defaults: tuple | None, keywords: dict[str, Any] | None) -> FunctionType:
+def unread(
+    function: FunctionType, defaults: tuple | None, keywords: dict[str, Any] | None
+) -> FunctionType:
     """A copy of a function with other defaults that reads nothing yet: its globals and its cells are empty."""
     around = {"__name__": function.__module__, "__builtins__": builtins}
     cells = tuple(CellType() for _ in function.__closure__ or ())
     copied = FunctionType(function.__code__, around, function.__name__, defaults, cells)
-    copied.__kwdefaults__, copied.__qualname__, copied.__doc__ = keywords, function.__qualname__, function.__doc__
+    copied.__kwdefaults__ = keywords
+    copied.__qualname__ = function.__qualname__
+    copied.__doc__ = function.__doc__
     return copied
 
 
 def globals_read(code: CodeType) -> tuple[list[str], bool]:
     """Names of the globals that a code reads, functions defined in it included, and whether it imports modules."""
     instructions = [one for part in _with_inner(code) for one in dis.get_instructions(part)]
-    names = sorted({one.argval for one in instructions if one.opname in ("LOAD_GLOBAL", "LOAD_NAME")})
+    names = sorted(
+        {one.argval for one in instructions if one.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
+    )
     return names, any(one.opname == "IMPORT_NAME" for one in instructions)
 
 
 def _copied(value: Any) -> Any:
     """A copy that later changes do not reach, if possible; a module's has its names, not copies of what they hold."""
     if isinstance(value, ModuleType):
-        module = ModuleType(f"{value.__name__}, copy {uuid4().hex}")  # Numba tells modules apart by their names
+        # Numba tells modules apart by their names
+        module = ModuleType(f"{value.__name__}, copy {uuid4().hex}")
         module.__dict__.update(vars(value), __name__=module.__name__, __spec__=None)
         return module
     try:
@@ -191,7 +226,8 @@ def _is_trusted(module: Any) -> bool:
 
 def _is_named_in_trusted_module(value: Any) -> bool:
     """True for what a trusted module holds under the name that the value carries, such as math.exp."""
-    module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
+    module = getattr(value, "__module__", None)
+    name = getattr(value, "__qualname__", None)
     if not (_is_trusted(module) and isinstance(name, str)):
         return False
     return getattr(sys.modules.get(module), name, None) is value  # type: ignore[arg-type]

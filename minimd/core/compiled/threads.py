@@ -27,21 +27,30 @@ from minimd.core.compiled.kernels import code_for, kernel, scalar, shared_kernel
 
 # shared counters: the open phase, see _word; the program it belongs to; the finished chunks of the open phase; what its
 # operation has answered; and for each chunk the last phase in which it was taken
-OPEN, TASK, FINISHED, ANSWER, CLAIMS = 0, 1, 8, 9, 16
+OPEN = 0
+TASK = 1
+FINISHED = 8
+ANSWER = 9
+CLAIMS = 16
 MOST_CHUNKS = 1024
 BITS = 12  # of the number of an operation, and of its chunks, in the word of a phase
 MOST_OPERATIONS = (1 << BITS) - 1
 MOST_PHASES = 1 << 38  # of one set of counters: the word of a phase has 63 bits
 CODE, DATA, CHUNKS, THEN, OTHERWISE = range(5)  # columns of the table of operations
 AT = 0  # place in a course: the next operation
-GO_ON, JUMP, PYTHON = 0, -1, 1  # answers: go on with the operation THEN, or OTHERWISE; Python is wanted
+# answers: go on with the operation THEN, or OTHERWISE; Python is wanted
+GO_ON = 0
+JUMP = -1
+PYTHON = 1
 PATIENCE = 2000  # reads of a counter before a waiting thread lets others run
 # times that a helper lets others run, about a millisecond, before it sleeps: waking it takes as long as a small program
 LINGERING = 1000
 
 HAS_AFFINITY = hasattr(os, "sched_setaffinity")
 _sched_getcpu = types.ExternalFunction("sched_getcpu", types.int32())
-_let_others_run = types.ExternalFunction("SwitchToThread" if os.name == "nt" else "sched_yield", types.int32())
+_let_others_run = types.ExternalFunction(
+    "SwitchToThread" if os.name == "nt" else "sched_yield", types.int32()
+)
 
 
 class Worker(namedtuple("Worker", "counters thread n_threads")):
@@ -64,7 +73,9 @@ class ThreadPool:
         self._core = -1
         self._wake = [threading.Lock() for _ in range(n_threads - 1)]
         named = enumerate(self._wake, start=1)
-        self._helpers = [threading.Thread(target=self._help, args=one, daemon=True) for one in named]
+        self._helpers = [
+            threading.Thread(target=self._help, args=one, daemon=True) for one in named
+        ]
         for wake, helper in zip(self._wake, self._helpers, strict=True):
             wake.acquire()
             helper.start()
@@ -75,9 +86,11 @@ class ThreadPool:
             worker = Worker(self._counters, 0, self.n_threads)
             self._code = code_for(run_operations, types_of((worker, 0, operations, course)))
         with self._busy:
-            first = (int(self._counters[OPEN]) >> 2 * BITS) + 1  # the number of the program: that of its first phase
+            # the number of the program: that of its first phase
+            first = (int(self._counters[OPEN]) >> 2 * BITS) + 1
             if first > MOST_PHASES:
-                self._counters, first = no_counts(), 1
+                self._counters = no_counts()
+                first = 1
             worker = Worker(self._counters, 0, self.n_threads)
             self._task = self._counters, first, self._code, operations, course
             if self._helpers and HAS_AFFINITY:
@@ -119,7 +132,8 @@ def thread_pool(n_threads: int) -> ThreadPool:
 _shared_pool = functools.cache(ThreadPool)
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_shared_pool.cache_clear)  # a child process has none of its parent's threads
+    # a child process has none of its parent's threads
+    os.register_at_fork(after_in_child=_shared_pool.cache_clear)
 
 
 @shared_kernel
@@ -136,12 +150,16 @@ def run_operations(worker, task, operations, course):
     if worker.thread == 0:
         _exchange(counters, TASK, task)
         _open(counters, task, operations, course, course[AT], GO_ON)
-    word, reads = _read(counters, OPEN), 0
+    word = _read(counters, OPEN)
+    reads = 0
     while word >> 2 * BITS < task:  # a helper may be faster than the calling thread
-        word, reads = _read(counters, OPEN), _waited(reads)
+        word = _read(counters, OPEN)
+        reads = _waited(reads)
     while True:
-        at, n = word >> BITS & MOST_OPERATIONS, word & MOST_OPERATIONS
-        if at == MOST_OPERATIONS or _read(counters, TASK) != task:  # read after the word: which is then of this task
+        at = word >> BITS & MOST_OPERATIONS
+        n = word & MOST_OPERATIONS
+        # read after the word: which is then of this task
+        if at == MOST_OPERATIONS or _read(counters, TASK) != task:
             return _read(counters, ANSWER)
         chunk = _take(worker, word, n)
         while chunk >= 0:
@@ -152,15 +170,18 @@ def run_operations(worker, task, operations, course):
                 _finish(counters, word, operations, course)
                 break
             chunk = _take(worker, word, n)
-        before, reads = word, 0
+        before = word
+        reads = 0
         while word == before:
-            word, reads = _read(counters, OPEN), _waited(reads)
+            word = _read(counters, OPEN)
+            reads = _waited(reads)
 
 
 @scalar
 def _run_alone(operations, course):
     """See run_operations: on one thread."""
-    at, answer = course[AT], GO_ON
+    at = course[AT]
+    answer = GO_ON
     while answer <= GO_ON and at < operations.shape[0]:
         answer = PYTHON if operations[at, CHUNKS] == 0 else GO_ON
         for chunk in range(operations[at, CHUNKS]):
@@ -175,7 +196,8 @@ def _run_alone(operations, course):
 @scalar
 def _finish(counters, word, operations, course):
     """What the thread does that finishes the last chunk of a phase: it opens the next one."""
-    answer, at = _read(counters, ANSWER), word >> BITS & MOST_OPERATIONS
+    answer = _read(counters, ANSWER)
+    at = word >> BITS & MOST_OPERATIONS
     if answer <= GO_ON:
         at = operations[at, THEN if answer == GO_ON else OTHERWISE]
     _open(counters, (word >> 2 * BITS) + 1, operations, course, at, max(answer, GO_ON))
@@ -234,13 +256,17 @@ def _atomic(name: str):
 
     @intrinsic
     def change(_context, counters, place, number):
-        emit = _at(counters, lambda builder, address, number: builder.atomic_rmw(name, address, number, "seq_cst"))
+        emit = _at(
+            counters,
+            lambda builder, address, number: builder.atomic_rmw(name, address, number, "seq_cst"),
+        )
         return types.int64(counters, types.intp, types.int64), emit
 
     return change
 
 
-_add, _exchange = _atomic("add"), _atomic("xchg")
+_add = _atomic("add")
+_exchange = _atomic("xchg")
 
 
 @intrinsic
@@ -253,7 +279,10 @@ def _read(_context, counters, place):
 @intrinsic
 def _replace(_context, counters, place, expected, number):
     """Write a number if the counter still has the expected one; returns what it was."""
-    emit = _at(counters, lambda code, *values: code.extract_value(code.cmpxchg(*values, "seq_cst", "seq_cst"), 0))
+    emit = _at(
+        counters,
+        lambda code, *values: code.extract_value(code.cmpxchg(*values, "seq_cst", "seq_cst"), 0),
+    )
     return types.int64(counters, types.intp, types.int64, types.int64), emit
 
 

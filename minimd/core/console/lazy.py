@@ -8,7 +8,8 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
-_LOADING = RLock()  # two threads that load modules which need each other would each see one half loaded
+# two threads that load modules which need each other would each see one half loaded
+_LOADING = RLock()
 
 
 def places_of(package: str) -> dict[str, str]:
@@ -19,9 +20,16 @@ def places_of(package: str) -> dict[str, str]:
     try:
         text = spec.loader.get_data(stub)  # in a zip, too
     except OSError as error:
-        raise ImportError(f"{package} needs its stub, {stub}, to find its names; install minimd anew") from error
+        raise ImportError(
+            f"{package} needs its stub, {stub}, to find its names; install minimd anew"
+        ) from error
     imports = [node for node in ast.parse(text).body if isinstance(node, ast.ImportFrom)]
-    return {alias.name: node.module or "" for node in imports for alias in node.names if alias.name[0] != "_"}
+    return {
+        alias.name: node.module or ""
+        for node in imports
+        for alias in node.names
+        if alias.name[0] != "_"
+    }
 
 
 def submodule(package: str, name: str) -> ModuleType | None:
@@ -64,5 +72,6 @@ class LazyNames:
         try:
             members = vars(import_module(place))
             return members[name] if name in members else submodule(place, name)
-        except AttributeError as error:  # raised by a module that was loaded: import would say "cannot import name"
+        except AttributeError as error:
+            # raised by a module that was loaded: import would say "cannot import name"
             raise ImportError(f"{place} cannot be loaded: {error}") from error

@@ -43,9 +43,14 @@ def quiet() -> Iterator[None]:
 def warn(words: str) -> None:
     """Warn of something, at the first line outside minimd and contextlib. Where standard error is closed, nobody reads
     it."""
-    frame, level, inside = sys._getframe(), 1, ("minimd", "contextlib")
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in inside:
-        frame, level = frame.f_back, level + 1
+    frame = sys._getframe()
+    level = 1
+    inside = ("minimd", "contextlib")
+    while (
+        frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in inside
+    ):
+        frame = frame.f_back
+        level = level + 1
     try:
         warnings.warn(words, stacklevel=level)
     except UserWarning:  # warnings are errors

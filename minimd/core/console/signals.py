@@ -13,7 +13,11 @@ from typing import Any, NoReturn, Protocol
 from minimd.core.compiled.terminal import tell
 
 # Windows has no SIGHUP
-SIGNALS = [number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None]
+SIGNALS = [
+    number
+    for name in ("SIGINT", "SIGTERM", "SIGHUP")
+    if (number := getattr(signal, name, None)) is not None
+]
 # handlers that nobody has set; the command `minimd` adds its own
 DEFAULT_HANDLERS: list[Any] = [signal.SIG_DFL, signal.default_int_handler]
 
@@ -51,13 +55,17 @@ def stop_on_signals(run: Stoppable, seconds: float = inf) -> Iterator[None]:
     deadline = monotonic() + seconds
     timer = threading.Timer(seconds, setattr, (run, "stop_requested", True))
     of_thread = threading.current_thread() is not threading.main_thread()
-    is_inner, active = bool(_active) and not of_thread, _of_threads if of_thread else _active
-    run.stop_requested, active[id(request)] = False, (run, request)
+    is_inner = bool(_active) and not of_thread
+    active = _of_threads if of_thread else _active
+    run.stop_requested = False
+    active[id(request)] = (run, request)
     if seconds < threading.TIMEOUT_MAX:  # 292 years
         timer.start()
     try:
         try:
-            with _handled(dict.fromkeys(SIGNALS, request), before, [outer for _, outer in _active.values()]):
+            with _handled(
+                dict.fromkeys(SIGNALS, request), before, [outer for _, outer in _active.values()]
+            ):
                 yield
         finally:
             timer.cancel()
@@ -67,7 +75,9 @@ def stop_on_signals(run: Stoppable, seconds: float = inf) -> Iterator[None]:
             raise KeyboardInterrupt("the run is complete, and was stopped after the last step")
     except KeyboardInterrupt as stopped:
         if not received and monotonic() > deadline:
-            tell(f"minimd: {stopped}, because max_seconds = {seconds:g} have passed{_kept(stopped)}")
+            tell(
+                f"minimd: {stopped}, because max_seconds = {seconds:g} have passed{_kept(stopped)}"
+            )
             return
         if received[:1] in ([], [signal.SIGINT]):
             stopped.args = (f"{str(stopped) or 'interrupted'}{_kept(stopped)}",)
@@ -90,12 +100,16 @@ def raising_on_signals() -> Iterator[None]:
     For the main thread of a process whose workers do the work. Handlers that the host has set, and signals that it
     ignores, are left alone.
     """
-    with _handled(dict.fromkeys(SIGNALS, raise_terminated) | {signal.SIGINT: signal.default_int_handler}, {}):
+    with _handled(
+        dict.fromkeys(SIGNALS, raise_terminated) | {signal.SIGINT: signal.default_int_handler}, {}
+    ):
         yield
 
 
 @contextmanager
-def _handled(handlers: dict[int, Any], before: dict[int, Any], also: Sequence[Any] = ()) -> Iterator[None]:
+def _handled(
+    handlers: dict[int, Any], before: dict[int, Any], also: Sequence[Any] = ()
+) -> Iterator[None]:
     """Set handlers of signals, in the main thread, in place of the default ones and of those named in also; before :
     takes the replaced ones. At the end they are set again, that of Ctrl-C last: it may raise."""
     try:
@@ -151,7 +165,9 @@ def _kept(stopped: BaseException) -> str:
     again = "to go on, call run with trajectory={0!r}, append=True; in a new session first sim = {1}({0!r}, potentials)"
     can_go_on = [file for file in files if file.lower().endswith(".h5md")]
     go_on = f"; {again.format(can_go_on[0], 'minimd.Simulation.resume')}" if can_go_on else ""
-    return f"; what was written is kept in {', '.join(files)}{go_on}" if files and not _callers else ""
+    return (
+        f"; what was written is kept in {', '.join(files)}{go_on}" if files and not _callers else ""
+    )
 
 
 class Terminated(SystemExit):

@@ -26,7 +26,8 @@ IN_USE = (
 )
 # and no waiting for what is a pipe
 NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-UNLOCKABLE = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of file systems without locks
+# of file systems without locks
+UNLOCKABLE = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
 def temporary(path: Path) -> Path:
@@ -62,8 +63,11 @@ def write_whole(file: Path, content: str | bytes, overwrite: bool = True) -> Non
             raise OSError(errno.EINVAL, "it is not a regular file")
         with open(new_file(part), "wb") as whole:
             try:
-                if not overwrite and file.exists():  # under the lock: no other run makes it meanwhile
-                    raise FileExistsError(f"output {str(file)!r} exists; choose another name, or pass overwrite=True")
+                # under the lock: no other run makes it meanwhile
+                if not overwrite and file.exists():
+                    raise FileExistsError(
+                        f"output {str(file)!r} exists; choose another name, or pass overwrite=True"
+                    )
                 whole.write(content.encode() if isinstance(content, str) else content)
                 whole.flush()
                 os.fsync(whole.fileno())

@@ -23,13 +23,17 @@ def listed(names: Iterable[Any]) -> str:
 def printable(text: str) -> str:
     """A text of a file, with escapes in place of characters that a terminal would obey, or that reorder others;
     ends of lines are kept."""
-    return "".join(one if one.isprintable() or one == "\n" else one.encode("unicode_escape").decode() for one in text)
+    return "".join(
+        one if one.isprintable() or one == "\n" else one.encode("unicode_escape").decode()
+        for one in text
+    )
 
 
 def shown(value: Any) -> str:
     """A value as Python writes it, in one line, shortened."""
     try:
         text = " ".join(repr(value).split())
-    except Exception:  # whatever an object of the user's raises, or an integer of more digits than Python writes
+    except Exception:
+        # whatever an object of the user's raises, or an integer of more digits than Python writes
         text = f"an object of type {type(value).__name__}"
     return text if len(text) <= SHOWN else text[: SHOWN - 4] + " ..."

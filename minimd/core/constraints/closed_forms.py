@@ -103,7 +103,9 @@ def rows(values, at, block):
     x = y = z = zeros(block[2])
     for n in range(count(block[2])):
         i = _place(at, block, n)
-        x, y, z = with_lane(x, n, values[i, 0]), with_lane(y, n, values[i, 1]), with_lane(z, n, values[i, 2])
+        x = with_lane(x, n, values[i, 0])
+        y = with_lane(y, n, values[i, 1])
+        z = with_lane(z, n, values[i, 2])
     return x, y, z
 
 
@@ -126,7 +128,11 @@ def put_rows(values, at, block, xyz):
 @inlined
 def between(vectors, i, j):
     """x_j − x_i."""
-    return vectors[j, 0] - vectors[i, 0], vectors[j, 1] - vectors[i, 1], vectors[j, 2] - vectors[i, 2]
+    return (
+        vectors[j, 0] - vectors[i, 0],
+        vectors[j, 1] - vectors[i, 1],
+        vectors[j, 2] - vectors[i, 2],
+    )
 
 
 @inlined
@@ -173,16 +179,19 @@ def drift_pairs(block, atoms, bonds, duration):
     positions, velocities, inverse_masses, _ = atoms
     i, j = bonds.first, bonds.second
     x, y = rows(positions, i, block), rows(positions, j, block)
-    u, v = rows(velocities, i, block), rows(velocities, j, block)
+    u = rows(velocities, i, block)
+    v = rows(velocities, j, block)
     wi, wj = numbers(inverse_masses, i, block), numbers(inverse_masses, j, block)
     s = plus(minus(y, x), rows(bonds.offsets, (), block))
-    p, w = combined(1.0, s, duration, minus(v, u)), wi + wj
+    p = combined(1.0, s, duration, minus(v, u))
+    w = wi + wj
     a, b, c = w * w * dot(s, s), w * dot(p, s), dot(p, p) - numbers(bonds.lengths2, (), block)
     discriminant = b * b - a * c
     n_kept = n_without_failure(select(b > 0.0, discriminant, -1.0))
     if n_kept >= count(block[2]):
         scale = -c / (b + sqrt(discriminant)) / duration
-        u, v = combined(1.0, u, -scale * wi, s), combined(1.0, v, scale * wj, s)
+        u = combined(1.0, u, -scale * wi, s)
+        v = combined(1.0, v, scale * wj, s)
         put_rows(velocities, i, block, u)
         put_rows(velocities, j, block, v)
         put_rows(positions, i, block, combined(1.0, x, duration, u))
@@ -198,8 +207,11 @@ def project_pairs(block, atoms, bonds, targets, multipliers):
     """
     positions, vectors, inverse_masses, _ = atoms
     i, j = bonds.first, bonds.second
-    r = plus(minus(rows(positions, j, block), rows(positions, i, block)), rows(bonds.offsets, (), block))
-    u, v = rows(vectors, i, block), rows(vectors, j, block)
+    r = plus(
+        minus(rows(positions, j, block), rows(positions, i, block)), rows(bonds.offsets, (), block)
+    )
+    u = rows(vectors, i, block)
+    v = rows(vectors, j, block)
     wi, wj = numbers(inverse_masses, i, block), numbers(inverse_masses, j, block)
     scale = (numbers(targets, (), block) - dot(r, minus(v, u))) / ((wi + wj) * dot(r, r))
     put_numbers(multipliers, (), block, scale)
@@ -211,7 +223,11 @@ def project_pairs(block, atoms, bonds, targets, multipliers):
 @scalar
 def corners(values, atoms, block):
     """The rows of values (N, 3) that belong to the atoms a, b, c of molecules."""
-    return rows(values, atoms[0], block), rows(values, atoms[1], block), rows(values, atoms[2], block)
+    return (
+        rows(values, atoms[0], block),
+        rows(values, atoms[1], block),
+        rows(values, atoms[2], block),
+    )
 
 
 @scalar
@@ -225,34 +241,46 @@ def put_corners(values, atoms, block, xyz):
 @scalar
 def three(values, at, block):
     """The numbers at three places, of each molecule of a block."""
-    return numbers(values, at[0], block), numbers(values, at[1], block), numbers(values, at[2], block)
+    return (
+        numbers(values, at[0], block),
+        numbers(values, at[1], block),
+        numbers(values, at[2], block),
+    )
 
 
 @scalar
 def first_three(shapes, block):
     """The first three shapes of each molecule of a block."""
-    return numbers(shapes[0], (), block), numbers(shapes[1], (), block), numbers(shapes[2], (), block)
+    return (
+        numbers(shapes[0], (), block),
+        numbers(shapes[1], (), block),
+        numbers(shapes[2], (), block),
+    )
 
 
 @scalar
 def arms(here, offsets, block):
     """r_b − r_a and r_c − r_a of molecules, from the positions of their atoms."""
     a, b, c = here
-    return plus(minus(b, a), rows(offsets[0], (), block)), plus(minus(c, a), rows(offsets[1], (), block))
+    return plus(minus(b, a), rows(offsets[0], (), block)), plus(
+        minus(c, a), rows(offsets[1], (), block)
+    )
 
 
 @scalar
 def inertia(masses, alpha, beta):
     """κ, Q and W of linear molecules.  masses : inverse, of a, b, c."""
     wa, wb, wc = masses
-    kappa, q = alpha * wa - beta * wc, wb + alpha * alpha * wa + beta * beta * wc
+    kappa = alpha * wa - beta * wc
+    q = wb + alpha * alpha * wa + beta * beta * wc
     return kappa, q, wa + wc - kappa * kappa / q
 
 
 @scalar
 def pushed(vectors, masses, alpha, beta, mu, along):
     """vectors of a, b, c + M⁻¹ times (−α μ − λ s, μ, −β μ + λ s), with along = λ s."""
-    (a, b, c), (wa, wb, wc) = vectors, masses
+    a, b, c = vectors
+    wa, wb, wc = masses
     on_a, on_c = combined(alpha, mu, 1.0, along), combined(beta, mu, -1.0, along)
     return combined(1.0, a, -wa, on_a), combined(1.0, b, wb, mu), combined(1.0, c, -wc, on_c)
 
@@ -260,8 +288,13 @@ def pushed(vectors, masses, alpha, beta, mu, along):
 @scalar
 def moved(here, duration, velocities):
     """Positions of a, b, c after a drift."""
-    (a, b, c), (u, v, w) = here, velocities
-    return combined(1.0, a, duration, u), combined(1.0, b, duration, v), combined(1.0, c, duration, w)
+    a, b, c = here
+    u, v, w = velocities
+    return (
+        combined(1.0, a, duration, u),
+        combined(1.0, b, duration, v),
+        combined(1.0, c, duration, w),
+    )
 
 
 @scalar
@@ -269,20 +302,27 @@ def drift_linear(block, atoms, molecules, duration):
     """Drift of molecules with b in the middle and shapes (M,): α, β, d² [length²].  duration : [time]."""
     positions, velocities, inverse_masses, _ = atoms
     abc, offsets, shapes, _ = molecules
-    here, moving = corners(positions, abc, block), corners(velocities, abc, block)
-    masses, (alpha, beta, length2) = three(inverse_masses, abc, block), first_three(shapes, block)
-    (kappa, q, w), there = inertia(masses, alpha, beta), moved(here, duration, moving)
-    (_, s), (to_b, p) = arms(here, offsets, block), arms(there, offsets, block)
+    here = corners(positions, abc, block)
+    moving = corners(velocities, abc, block)
+    masses = three(inverse_masses, abc, block)
+    alpha, beta, length2 = first_three(shapes, block)
+    kappa, q, w = inertia(masses, alpha, beta)
+    there = moved(here, duration, moving)
+    _, s = arms(here, offsets, block)
+    to_b, p = arms(there, offsets, block)
     e = combined(1.0, to_b, -beta, p)
     p = combined(1.0, p, -kappa / q, e)
-    along, square, gap = w * dot(p, s), w * w * dot(s, s), dot(p, p) - length2
+    along = w * dot(p, s)
+    square = w * w * dot(s, s)
+    gap = dot(p, p) - length2
     discriminant = along * along - square * gap
     n_kept = n_without_failure(select(along > 0.0, discriminant, -1.0))
     if n_kept >= count(block[2]):
         scale = -gap / (along + sqrt(discriminant))
         mu = combined(-1.0 / q, e, -scale * kappa / q, s)
         there = pushed(there, masses, alpha, beta, mu, times(scale, s))
-        mu, push = times(1.0 / duration, mu), times(scale / duration, s)
+        mu = times(1.0 / duration, mu)
+        push = times(scale / duration, s)
         put_corners(positions, abc, block, there)
         put_corners(velocities, abc, block, pushed(moving, masses, alpha, beta, mu, push))
     return n_kept
@@ -294,9 +334,12 @@ def project_linear(block, atoms, molecules, targets, multipliers):
     project_pairs."""
     positions, vectors, inverse_masses, _ = atoms
     abc, offsets, shapes, side = molecules
-    (a, b, c), masses = corners(vectors, abc, block), three(inverse_masses, abc, block)
-    alpha, beta = numbers(shapes[0], (), block), numbers(shapes[1], (), block)
-    (kappa, q, w), (_, r) = inertia(masses, alpha, beta), arms(corners(positions, abc, block), offsets, block)
+    a, b, c = corners(vectors, abc, block)
+    masses = three(inverse_masses, abc, block)
+    alpha = numbers(shapes[0], (), block)
+    beta = numbers(shapes[1], (), block)
+    kappa, q, w = inertia(masses, alpha, beta)
+    _, r = arms(corners(positions, abc, block), offsets, block)
     e = minus(b, combined(alpha, a, beta, c))
     along = dot(r, combined(1.0, minus(c, a), -kappa / q, e))
     scale = (numbers(targets, side, block) - along) / (w * dot(r, r))
@@ -323,8 +366,14 @@ def impulses(b0, c0, drifted, r_a, r_b, r_c):
     cos_psi = sqrt(cos_psi2)
     xb = -r_c * cos_psi
     yb, yc = -r_b * cos_phi - r_c * sin_psi * sin_phi, -r_b * cos_phi + r_c * sin_psi * sin_phi
-    xb0, yb0, xc0, yc0 = dot(b0, x), dot(b0, y), dot(c0, x), dot(c0, y)
-    xb1, yb1, xc1, yc1 = dot(b1, x), dot(b1, y), dot(c1, x), dot(c1, y)
+    xb0 = dot(b0, x)
+    yb0 = dot(b0, y)
+    xc0 = dot(c0, x)
+    yc0 = dot(c0, y)
+    xb1 = dot(b1, x)
+    yb1 = dot(b1, y)
+    xc1 = dot(c1, x)
+    yc1 = dot(c1, y)
     alpha = xb * (xb0 - xc0) + yb0 * yb + yc0 * yc
     beta = xb * (yc0 - yb0) + xb0 * yb + xc0 * yc
     gamma = xb0 * yb1 - xb1 * yb0 + xc0 * yc1 - xc1 * yc0
@@ -334,7 +383,9 @@ def impulses(b0, c0, drifted, r_a, r_b, r_c):
     cosine = sqrt(max(1.0 - sine * sine, 0.0))
     dxb, dyb = xb * cosine - yb * sine - xb1, xb * sine + yb * cosine - yb1
     dxc, dyc = -xb * cosine - yc * sine - xc1, -xb * sine + yc * cosine - yc1
-    xe, ye, area = xc0 - xb0, yc0 - yb0, xb0 * yc0 - yb0 * xc0
+    xe = xc0 - xb0
+    ye = yc0 - yb0
+    area = xb0 * yc0 - yb0 * xc0
     ab, ac = (dxb * ye - dyb * xe) / area, (dxc * ye - dyc * xe) / area
     exist = select(cos_phi2 > 0.0, select(cos_psi2 > 0.0, rest, -1.0), -1.0)
     return ab, ac, 0.5 * (dxb * yb0 - dyb * xb0 - dxc * yc0 + dyc * xc0) / area, exist
@@ -344,11 +395,15 @@ def impulses(b0, c0, drifted, r_a, r_b, r_c):
 def drift_triangles(block, atoms, triangles, duration):
     """Drift of triangles with shapes (T,): r_a, r_b, r_c [length] and the share of b, and of c, in the mass."""
     positions, velocities, _, _ = atoms
-    (abc, offsets, shapes, _), push = triangles, 1.0 / duration
-    here, (u, v, w) = corners(positions, abc, block), corners(velocities, abc, block)
+    abc, offsets, shapes, _ = triangles
+    push = 1.0 / duration
+    here = corners(positions, abc, block)
+    u, v, w = corners(velocities, abc, block)
     b0, c0 = arms(here, offsets, block)
-    p, q = combined(1.0, b0, duration, minus(v, u)), combined(1.0, c0, duration, minus(w, u))
-    (r_a, r_b, r_c), share = first_three(shapes, block), numbers(shapes[3], (), block)
+    p = combined(1.0, b0, duration, minus(v, u))
+    q = combined(1.0, c0, duration, minus(w, u))
+    r_a, r_b, r_c = first_three(shapes, block)
+    share = numbers(shapes[3], (), block)
     a1 = combined(-share, p, -share, q)
     ab, ac, bc, exist = impulses(b0, c0, (a1, plus(a1, p), plus(a1, q)), r_a, r_b, r_c)
     n_kept = n_without_failure(exist)
@@ -370,23 +425,31 @@ def project_triangles(block, atoms, triangles, targets, multipliers):
     positions, vectors, inverse_masses, _ = atoms
     abc, offsets, _, sides = triangles
     ab, ac = arms(corners(positions, abc, block), offsets, block)
-    bc, (u, v, w) = minus(ac, ab), three(inverse_masses, abc, block)
-    g, h, k = dot(ab, ab), dot(ac, ac), dot(ab, ac)
+    bc = minus(ac, ab)
+    u, v, w = three(inverse_masses, abc, block)
+    g = dot(ab, ab)
+    h = dot(ac, ac)
+    k = dot(ab, ac)
     xx, yy, zz = (u + v) * g, (u + w) * h, (v + w) * (g + h - k - k)
     xy, xz, yz = u * k, v * (g - k), w * (h - k)
     minor_x, minor_y, minor_z = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     scale = 1.0 / (xx * minor_x + xy * minor_y + xz * minor_z)
-    (of_ab, of_ac, of_bc), (a, b, c) = three(targets, sides, block), corners(vectors, abc, block)
+    of_ab, of_ac, of_bc = three(targets, sides, block)
+    a, b, c = corners(vectors, abc, block)
     sum_ab = sum_ac = sum_bc = 0.0 * scale
     for _ in range(2):
-        x, y, z = of_ab - dot(ab, minus(b, a)), of_ac - dot(ac, minus(c, a)), of_bc - dot(bc, minus(c, b))
+        x = of_ab - dot(ab, minus(b, a))
+        y = of_ac - dot(ac, minus(c, a))
+        z = of_bc - dot(bc, minus(c, b))
         on_ab = scale * (minor_x * x + minor_y * y + minor_z * z)
         on_ac = scale * (minor_y * x + (xx * zz - xz * xz) * y + (xy * xz - xx * yz) * z)
         on_bc = scale * (minor_z * x + (xy * xz - xx * yz) * y + (xx * yy - xy * xy) * z)
         a = combined(1.0, a, -u, combined(on_ab, ab, on_ac, ac))
         b = combined(1.0, b, v, combined(on_ab, ab, -on_bc, bc))
         c = combined(1.0, c, w, combined(on_ac, ac, on_bc, bc))
-        sum_ab, sum_ac, sum_bc = sum_ab + on_ab, sum_ac + on_ac, sum_bc + on_bc
+        sum_ab = sum_ab + on_ab
+        sum_ac = sum_ac + on_ac
+        sum_bc = sum_bc + on_bc
     put_corners(vectors, abc, block, (a, b, c))
     put_numbers(multipliers, sides[0], block, sum_ab)
     put_numbers(multipliers, sides[1], block, sum_ac)

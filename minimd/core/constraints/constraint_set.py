@@ -23,9 +23,12 @@ from minimd.core.structure.observables import (
 )
 from minimd.core.structure.system import System, check_resolution
 
-WHOLE = 1e-6  # largest deviation of images from lattice vectors, and of lengths that is still a tolerance
-NO_SHARE = 1e-9  # degrees of freedom of an atom: fewer are rounding, of an atom that constraints hold in its place
-TOLD = 1e-8  # relative violation above which one is warned of a projection: files of single precision have more
+# largest deviation of images from lattice vectors, and of lengths that is still a tolerance
+WHOLE = 1e-6
+# degrees of freedom of an atom: fewer are rounding, of an atom that constraints hold in its place
+NO_SHARE = 1e-9
+# relative violation above which one is warned of a projection: files of single precision have more
+TOLD = 1e-8
 
 
 class ConstraintSet:
@@ -38,7 +41,9 @@ class ConstraintSet:
     kept : the same constraints, with the lengths that are kept; at most one of each kind.
     """
 
-    def __init__(self, system: System, constraints: Constraint | Sequence[Constraint], threads: int = 1) -> None:
+    def __init__(
+        self, system: System, constraints: Constraint | Sequence[Constraint], threads: int = 1
+    ) -> None:
         given = list(constraints) if isinstance(constraints, list | tuple) else [constraints]
         self.inverse_masses = 1.0 / system.masses
         for constraint in given:
@@ -46,27 +51,52 @@ class ConstraintSet:
                 constraint.check_size(len(system))
                 self.inverse_masses[constraint.atoms] = 0.0
             else:
-                checked_kind("constraints", constraint, DistanceConstraints, "DistanceConstraints or FixedAtoms")
-        distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
+                checked_kind(
+                    "constraints",
+                    constraint,
+                    DistanceConstraints,
+                    "DistanceConstraints or FixedAtoms",
+                )
+        distances = [
+            constraint for constraint in given if isinstance(constraint, DistanceConstraints)
+        ]
         if len(distances) > 1:
-            raise ValueError(f"constraints must hold all pairs in one DistanceConstraints; {len(distances)} are given")
-        self._threads, self._cell = threads, system.cell  # the cell for which the images of bonds were found
+            raise ValueError(
+                f"constraints must hold all pairs in one DistanceConstraints; {len(distances)} are given"
+            )
+        # the cell for which the images of bonds were found
+        self._threads = threads
+        self._cell = system.cell
         self.n_fixed = int((self.inverse_masses == 0.0).sum())
-        self.kept: tuple[Any, ...] = (FixedAtoms(self.inverse_masses == 0.0),) if self.n_fixed else ()
-        self.bonds, self.n_constraints = None, 0
+        self.kept: tuple[Any, ...] = (
+            (FixedAtoms(self.inverse_masses == 0.0),) if self.n_fixed else ()
+        )
+        self.bonds = None
+        self.n_constraints = 0
         for one in distances:
             check_atoms(one.pairs, len(system))
-            place, lengths = (system.positions, system.cell, one.pairs), one.lengths
-            images = nearest_images(*place) if lengths is None else images_of_length(*place, lengths)
-            self.bonds = ConstraintSolver(one, system.positions, self.inverse_masses, images, threads)
+            place = (system.positions, system.cell, one.pairs)
+            lengths = one.lengths
+            images = (
+                nearest_images(*place) if lengths is None else images_of_length(*place, lengths)
+            )
+            self.bonds = ConstraintSolver(
+                one, system.positions, self.inverse_masses, images, threads
+            )
             check_resolution(system, float(self.bonds.lengths.min()), "the shortest rigid length")
             self.n_constraints = self.bonds.n_constraints
-            self.kept += (DistanceConstraints(self.bonds.pairs, self.bonds.lengths, one.tolerance, one.solver),)
+            self.kept += (
+                DistanceConstraints(
+                    self.bonds.pairs, self.bonds.lengths, one.tolerance, one.solver
+                ),
+            )
 
     def degrees_of_freedom(self, conserves_momentum: bool) -> int:
         """Degrees of freedom of the atoms that move, see observables. Raises ValueError if none is left."""
         n_atoms = len(self.inverse_masses) - self.n_fixed
-        return degrees_of_freedom(n_atoms, self.n_constraints, conserves_momentum and not self.n_fixed)
+        return degrees_of_freedom(
+            n_atoms, self.n_constraints, conserves_momentum and not self.n_fixed
+        )
 
     def shares(self, positions: Array, conserves_momentum: bool) -> Array:
         """Degrees of freedom of each atom, (N,); their sum is degrees_of_freedom.
@@ -77,8 +107,11 @@ class ConstraintSet:
         ⟨m_i v_i²⟩ = g_i k_B T. Atoms of different bodies are projected together.  positions : (N, 3).
         """
         n_atoms = len(self.inverse_masses)
-        left, shares = np.arange(n_atoms), np.zeros(n_atoms)
-        body = left if self.bonds is None else bodies_of(self.bonds.pairs, self.inverse_masses).label
+        left = np.arange(n_atoms)
+        shares = np.zeros(n_atoms)
+        body = (
+            left if self.bonds is None else bodies_of(self.bonds.pairs, self.inverse_masses).label
+        )
         while left.size:
             first = np.unique(body[left], return_index=True)[1]
             atoms = left[first]
@@ -99,7 +132,9 @@ class ConstraintSet:
         moving = np.where(self.inverse_masses[:, None] > 0.0, velocities, 0.0)
         drift = center(moving, system.masses, conserves_momentum and not self.n_fixed)
         thermal = thermal_energy(kinetic_energy(moving, system.masses), drift, system.masses)
-        return thermal and temperature(thermal, self.degrees_of_freedom(conserves_momentum), system.units.k_B)
+        return thermal and temperature(
+            thermal, self.degrees_of_freedom(conserves_momentum), system.units.k_B
+        )
 
     def fit(self, system: System) -> None:
         """Choose images of bonds with the right lengths, after atoms moved by lattice vectors or the cell changed."""
@@ -107,14 +142,19 @@ class ConstraintSet:
             return
         off = self.bonds.violation(system.positions) > self.bonds.tolerance
         if not system.cell.same_as(self._cell):
-            off[:], self._cell = True, system.cell
+            off[:] = True
+            self._cell = system.cell
         if not off.any():
             return
         offsets = self.bonds.offsets.copy()
-        offsets[off] = images_of_length(system.positions, system.cell, self.bonds.pairs[off], self.bonds.lengths[off])
+        offsets[off] = images_of_length(
+            system.positions, system.cell, self.bonds.pairs[off], self.bonds.lengths[off]
+        )
         if not np.array_equal(offsets, self.bonds.offsets):
             iterations = self.bonds.iterations
-            self.bonds = ConstraintSolver(self.kept[-1], system.positions, self.inverse_masses, offsets, self._threads)
+            self.bonds = ConstraintSolver(
+                self.kept[-1], system.positions, self.inverse_masses, offsets, self._threads
+            )
             self.bonds.iterations = iterations
 
     def follow(self, before: Cell, cell: Cell) -> None:
@@ -129,9 +169,12 @@ class ConstraintSet:
         cells = offsets @ system.cell.inverse
         deviation = np.abs(cells - np.rint(cells) * system.cell.pbc).max()
         if max(deviation, tolerance) > max(WHOLE, self.kept[-1].tolerance):
-            raise ValueError(f"images of rigid bonds must be lattice vectors, and lengths be kept to {WHOLE:g}")
+            raise ValueError(
+                f"images of rigid bonds must be lattice vectors, and lengths be kept to {WHOLE:g}"
+            )
         place = system.positions, self.inverse_masses, offsets
-        self.bonds, self._cell = ConstraintSolver(self.kept[-1], *place, self._threads, tolerance), system.cell
+        self.bonds = ConstraintSolver(self.kept[-1], *place, self._threads, tolerance)
+        self._cell = system.cell
 
     def with_equal_masses(self, system: System) -> "ConstraintSet":
         """The same constraints and lengths on atoms of mass 1: projections are then the shortest moves."""

@@ -73,7 +73,8 @@ def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
     n = len(inverse_masses)
     label = connected(pairs, n)
     n_bodies = 1 + label.max()
-    last, is_free = np.zeros(n_bodies, dtype=np.int64), np.ones(n_bodies, dtype=bool)
+    last = np.zeros(n_bodies, dtype=np.int64)
+    is_free = np.ones(n_bodies, dtype=bool)
     last[label] = np.arange(n)
     last[label[pairs[:, 1]]] = pairs[:, 1]
     is_free[label[inverse_masses == 0.0]] = False
@@ -88,18 +89,28 @@ def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
     n = len(inverse_masses)
     apart = n + np.arange(pairs.size).reshape(-1, 2)  # a fixed atom does not couple its constraints
     bodies = np.where(inverse_masses[pairs] > 0.0, pairs, apart)
-    k, sides = np.repeat(np.arange(len(pairs)), 2), bodies.reshape(-1)
-    incidence = coo_array((np.tile([-1.0, 1.0], len(pairs)), (k, sides)), shape=(len(pairs), n + pairs.size)).tocsr()
-    coupled = ((incidence * np.concatenate([inverse_masses, np.zeros(pairs.size)])) @ incidence.T).tocsr()
+    k = np.repeat(np.arange(len(pairs)), 2)
+    sides = bodies.reshape(-1)
+    incidence = coo_array(
+        (np.tile([-1.0, 1.0], len(pairs)), (k, sides)), shape=(len(pairs), n + pairs.size)
+    ).tocsr()
+    coupled = (
+        (incidence * np.concatenate([inverse_masses, np.zeros(pairs.size)])) @ incidence.T
+    ).tocsr()
     label = connected_components(coupled)[1]
     by_degree = np.lexsort((np.diff(coupled.indptr), label))
     ends = by_degree[np.flatnonzero(np.diff(label[by_degree], prepend=-1))]
-    order = np.lexsort((dijkstra(abs(coupled), unweighted=True, indices=ends, min_only=True), -label))[::-1]
+    order = np.lexsort(
+        (dijkstra(abs(coupled), unweighted=True, indices=ends, min_only=True), -label)
+    )[::-1]
     label = label[order]
     starts = np.flatnonzero(np.diff(label, prepend=-1, append=label[-1] + 1))
     matrix = coupled[order][:, order].tocoo()
-    first, second = np.ascontiguousarray(pairs[order, 0]), np.ascontiguousarray(pairs[order, 1])
-    return Graph(ids[order], first, second, _enveloped(pairs[order], inverse_masses, starts, matrix))
+    first = np.ascontiguousarray(pairs[order, 0])
+    second = np.ascontiguousarray(pairs[order, 1])
+    return Graph(
+        ids[order], first, second, _enveloped(pairs[order], inverse_masses, starts, matrix)
+    )
 
 
 def _enveloped(pairs: Ints, inverse_masses: Floats, starts: Ints, matrix: Any) -> Components:
@@ -118,13 +129,17 @@ def _enveloped(pairs: Ints, inverse_masses: Floats, starts: Ints, matrix: Any) -
     return Components(starts, atoms, atom_starts, begins, lowest, coupling)
 
 
-STRAIGHT = 1e-9  # relative: a triangle with a side as long as the others together is a line; files have nine digits
-CONSTRAINTS_IN_A_CHUNK = 500  # least number: about ten microseconds of work, more than the time to wake a thread
+# relative: a triangle with a side as long as the others together is a line; files have nine digits
+STRAIGHT = 1e-9
+# least number: about ten microseconds of work, more than the time to wake a thread
+CONSTRAINTS_IN_A_CHUNK = 500
 ALIKE = 1e-12  # relative: masses and squared lengths that differ by less are equal
 
 
-class Solving(ByAddress, namedtuple("Solving", "solver positions vectors inverse_masses lanes n answers most "
-                                    "arguments")):  # fmt: skip
+class Solving(
+    ByAddress,
+    namedtuple("Solving", "solver positions vectors inverse_masses lanes n answers most arguments"),
+):
     """A solver on the n components of a group, in as many chunks as there are answers.
     positions, vectors, inverse_masses, lanes : of Atoms.  arguments : of the solver.
     answers : (chunks,) output, see vectors.  most : (chunks,) the largest so far."""
@@ -133,9 +148,11 @@ class Solving(ByAddress, namedtuple("Solving", "solver positions vectors inverse
 @filling_kernel
 def solve_chunk(solving, chunk):
     """The solver on some components.  CANNOT_KEEP if a constraint cannot be kept."""
-    n, n_chunks = solving.n, solving.answers.size
+    n = solving.n
+    n_chunks = solving.answers.size
     atoms = Atoms(solving.positions, solving.vectors, solving.inverse_masses, solving.lanes)
-    first, last = chunk * n // n_chunks, (chunk + 1) * n // n_chunks
+    first = chunk * n // n_chunks
+    last = (chunk + 1) * n // n_chunks
     answer = _solved(solving.solver, first, last, atoms, solving.arguments)
     solving.answers[chunk], solving.most[chunk] = answer, max(answer, solving.most[chunk])
     return GO_ON if answer >= 0 else CANNOT_KEEP
@@ -152,16 +169,23 @@ class Networks:
     Other shapes have other solvers: drifter, projector are their markers, known are their arguments after the atoms;
     n_each is the number of constraints of one molecule, if the solver counts molecules."""
 
-    shape, n_each = "networks", 1
+    shape = "networks"
+    n_each = 1
     drifter: tuple = networks.DriftComponents()
     projector: tuple = networks.ProjectComponents()
 
     def __init__(self, every: Any, graph: Graph, positions: Floats) -> None:
-        self.order, self.graph, self.masses = graph.order, graph, every.inverse_masses
-        k, n = graph.order.size, graph.components.coupling.size
+        self.order = graph.order
+        self.graph = graph
+        self.masses = every.inverse_masses
+        k = graph.order.size
+        n = graph.components.coupling.size
         offsets = np.ascontiguousarray(every.offsets[graph.order])
-        self.bonds = Bonds(graph.first, graph.second, offsets, every.lengths[graph.order] ** 2, every.tolerance)
-        self.n_constraints, self.n_components = k, graph.components.starts.size - 1
+        self.bonds = Bonds(
+            graph.first, graph.second, offsets, every.lengths[graph.order] ** 2, every.tolerance
+        )
+        self.n_constraints = k
+        self.n_components = graph.components.starts.size - 1
         n_chunks = max(1, min(self.n_components, k // CONSTRAINTS_IN_A_CHUNK, MOST_CHUNKS))
         self.answers, self.most = np.zeros((2, n_chunks), dtype=np.int64)
         self._calls: defaultdict[Any, DirectCalls] = defaultdict(DirectCalls)
@@ -175,13 +199,22 @@ class Networks:
         """The arguments of solvers.  Raises ValueError if a constraint depends on the others."""
         k = dependent_constraint(positions, self.graph.components, self.bonds, self.memory)
         if k >= 0:
-            which = f"constraint {self.order[k]} (atoms {self.graph.first[k]}-{self.graph.second[k]})"
-            raise ValueError(f"{which} follows from the other constraints or contradicts them; leave it out")
+            which = (
+                f"constraint {self.order[k]} (atoms {self.graph.first[k]}-{self.graph.second[k]})"
+            )
+            raise ValueError(
+                f"{which} follows from the other constraints or contradicts them; leave it out"
+            )
         return self.graph.components, self.bonds, self.memory
 
     def offsets(self) -> list[Floats]:
         """All arrays (…, 3) of lattice translations that its solvers read."""
-        of_molecules = (array for one in self.known if isinstance(one, TriatomicMolecules) for array in one.offsets)
+        of_molecules = (
+            array
+            for one in self.known
+            if isinstance(one, TriatomicMolecules)
+            for array in one.offsets
+        )
         return [self.bonds.offsets, *of_molecules]
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> Operation:
@@ -190,12 +223,19 @@ class Networks:
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
         """r_ij · x_ij = targets for the vectors x."""
-        return self._solve(self.projector, positions, vectors, (*self.known, targets, self.multipliers))
+        return self._solve(
+            self.projector, positions, vectors, (*self.known, targets, self.multipliers)
+        )
 
-    def _solve(self, solver: tuple, positions: Floats, vectors: Floats, arguments: tuple[Any, ...]) -> Operation:
-        atoms, room = (positions, vectors, self.masses, lanes_for()), (self.n_components, self.answers, self.most)
+    def _solve(
+        self, solver: tuple, positions: Floats, vectors: Floats, arguments: tuple[Any, ...]
+    ) -> Operation:
+        atoms = (positions, vectors, self.masses, lanes_for())
+        room = (self.n_components, self.answers, self.most)
         calls = self._calls[type(solver), positions.flags.carray, vectors.flags.carray]
-        return operation(calls, solve_chunk, Solving(solver, *atoms, *room, arguments), len(self.answers))
+        return operation(
+            calls, solve_chunk, Solving(solver, *atoms, *room, arguments), len(self.answers)
+        )
 
     def failed(self, of_drift: bool) -> int:
         """After CANNOT_KEEP: the constraint, within the group, that cannot be kept; of a molecule its first one."""
@@ -205,7 +245,9 @@ class Networks:
 class LoneBonds(Networks):
     """Bonds that share no atom."""
 
-    shape, drifter, projector = "bonds of their own", closed_forms.DriftPairs(), closed_forms.ProjectPairs()
+    shape = "bonds of their own"
+    drifter = closed_forms.DriftPairs()
+    projector = closed_forms.ProjectPairs()
 
     def _known(self, positions: Floats) -> tuple:
         return super()._known(positions)[1:2]
@@ -214,7 +256,8 @@ class LoneBonds(Networks):
 class Sweeps(Networks):
     """Components of any shape, by SHAKE, and by RATTLE if all targets are zero."""
 
-    shape, drifter = "networks, by sweeps", networks.SweepDrift()
+    shape = "networks, by sweeps"
+    drifter = networks.SweepDrift()
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
         """See Networks."""
@@ -225,15 +268,21 @@ class Sweeps(Networks):
 class Triangles(Networks):
     """Triangles with two equal sides whose outer atoms have equal masses: water."""
 
-    shape, drifter, projector, n_each = "triangles", closed_forms.DriftTriangles(), closed_forms.ProjectTriangles(), 3
+    shape = "triangles"
+    drifter = closed_forms.DriftTriangles()
+    projector = closed_forms.ProjectTriangles()
+    n_each = 3
 
     def _known(self, positions: Floats) -> tuple:
         super()._known(positions)
         lengths2 = self.bonds.lengths2
         base = _equal_sides(self.graph, self.graph.components.starts[:-1], lengths2, self.masses)
         corners, arms, sides = _corners(self.graph, base, self.bonds.offsets)
-        half, heavy, light = 0.5 * np.sqrt(lengths2[base]), 1.0 / self.masses[corners[0]], 1.0 / self.masses[corners[1]]
-        height, share = np.sqrt(lengths2[sides[0]] - half * half), light / (heavy + 2.0 * light)
+        half = 0.5 * np.sqrt(lengths2[base])
+        heavy = 1.0 / self.masses[corners[0]]
+        light = 1.0 / self.masses[corners[1]]
+        height = np.sqrt(lengths2[sides[0]] - half * half)
+        share = light / (heavy + 2.0 * light)
         shapes = 2.0 * share * height, (1.0 - 2.0 * share) * height, half, share
         return (TriatomicMolecules(corners, arms, shapes, (*sides, base)),)
 
@@ -242,25 +291,33 @@ class LinearTriatomics(Networks):
     """Three atoms in a line: the distance of the outer ones is kept, and the place of the middle one between them.
     Their constraints depend on each other, and their solver takes this into account."""
 
-    shape, drifter, projector, n_each = "linear molecules", closed_forms.DriftLinear(), closed_forms.ProjectLinear(), 3
+    shape = "linear molecules"
+    drifter = closed_forms.DriftLinear()
+    projector = closed_forms.ProjectLinear()
+    n_each = 3
 
     def _known(self, positions: Floats) -> tuple:
         self.n_constraints = 4 * self.n_components
-        lengths2, sides = self.bonds.lengths2, self.graph.components.starts[:-1, None] + np.arange(3)
-        ends = sides[np.arange(len(sides)), np.argmax(lengths2[sides], axis=1)]  # the longest side of each
+        lengths2 = self.bonds.lengths2
+        sides = self.graph.components.starts[:-1, None] + np.arange(3)
+        # the longest side of each
+        ends = sides[np.arange(len(sides)), np.argmax(lengths2[sides], axis=1)]
         # the middle one is the corner opposite the longest side
         (middle, b, c), arms, (short, _) = _corners(self.graph, ends, self.bonds.offsets)
         beta = np.sqrt(lengths2[short] / lengths2[ends])
-        shapes, offsets = (1.0 - beta, beta, lengths2[ends]), (-arms[0], arms[1] - arms[0])
+        shapes = (1.0 - beta, beta, lengths2[ends])
+        offsets = (-arms[0], arms[1] - arms[0])
         return (TriatomicMolecules((b, middle, c), offsets, shapes, ends),)
 
 
 def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
     """All constraints, sorted by shape.  solver : as for DistanceConstraints.
     Raises ValueError for a triangle with a side longer than the others together."""
-    graph, masses = graph_of(every.pairs, every.inverse_masses, np.arange(len(every.pairs))), every.inverse_masses
+    graph = graph_of(every.pairs, every.inverse_masses, np.arange(len(every.pairs)))
+    masses = every.inverse_masses
     kinds = np.full(graph.order.size, Sweeps if solver == "shake" else Networks, dtype=object)
-    starts, sizes = graph.components.starts[:-1], np.diff(graph.components.starts)
+    starts = graph.components.starts[:-1]
+    sizes = np.diff(graph.components.starts)
     lengths2 = every.lengths[graph.order] ** 2
     if solver == "auto":
         kinds[starts[sizes == 1]] = LoneBonds
@@ -275,10 +332,14 @@ def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
         why = "which form a triangle, contradict each other: one is longer than the sum of the other two"
         raise ValueError(f"the lengths of constraints {which}, {why}")
     moves = ((masses[graph.first[sides]] > 0.0) & (masses[graph.second[sides]] > 0.0)).all(axis=1)
-    kinds[sides[(_equal_sides(graph, starts, lengths2, masses) >= 0) & moves & (solver == "auto")]] = Triangles
+    kinds[
+        sides[(_equal_sides(graph, starts, lengths2, masses) >= 0) & moves & (solver == "auto")]
+    ] = Triangles
     kinds[sides[excess >= -STRAIGHT * lengths.sum(axis=1)]] = LinearTriatomics
     members = [(kind, graph.order[kinds == kind]) for kind in dict.fromkeys(kinds)]
-    return [kind(every, graph_of(every.pairs[ids], masses, ids), positions) for kind, ids in members]
+    return [
+        kind(every, graph_of(every.pairs[ids], masses, ids), positions) for kind, ids in members
+    ]
 
 
 def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats) -> Ints:
@@ -288,21 +349,27 @@ def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: F
         base = starts + k
         others = lengths2[starts[:, None] + np.delete(np.arange(3), k)]
         masses = inverse_masses[graph.first[base]], inverse_masses[graph.second[base]]
-        same = np.isclose(others[:, 0], others[:, 1], rtol=ALIKE, atol=0.0) & np.isclose(*masses, rtol=ALIKE, atol=0.0)
+        same = np.isclose(others[:, 0], others[:, 1], rtol=ALIKE, atol=0.0) & np.isclose(
+            *masses, rtol=ALIKE, atol=0.0
+        )
         answer[same] = base[same]
     return answer
 
 
-def _corners(graph: Graph, base: Ints,
-             offsets: Floats) -> tuple[tuple[Ints, ...], tuple[Floats, ...], tuple[Ints, ...]]:  # fmt: skip
+def _corners(
+    graph: Graph, base: Ints, offsets: Floats
+) -> tuple[tuple[Ints, ...], tuple[Floats, ...], tuple[Ints, ...]]:
     """Of each triangle: atoms apex, b, c with b-c the base; offsets of b and c from the apex, (T, 3) each; the two
     other constraints."""
     starts = graph.components.starts[:-1]
     sides = starts[:, None] + np.arange(3)
-    first, second = graph.first[sides], graph.second[sides]
+    first = graph.first[sides]
+    second = graph.second[sides]
     b, c = graph.first[base], graph.second[base]
     apex = (first.sum(axis=1) + second.sum(axis=1)) // 2 - b - c
     is_of = [(first == atom[:, None]) | (second == atom[:, None]) for atom in (apex, b, c)]
     arms = tuple(np.argmax(is_of[0] & is_of_end, axis=1) + starts for is_of_end in is_of[1:])
-    shifts = tuple(np.where((graph.first[arm] == apex)[:, None], 1.0, -1.0) * offsets[arm] for arm in arms)
+    shifts = tuple(
+        np.where((graph.first[arm] == apex)[:, None], 1.0, -1.0) * offsets[arm] for arm in arms
+    )
     return (apex, b, c), shifts, arms

@@ -21,7 +21,8 @@ from minimd.core.compiled.machine import EPS
 from minimd.core.constraints.closed_forms import NOTHING, add_opposite, between, drift_some
 from minimd.core.structure.vectors import dot, separation
 
-MAX_ITERATIONS, MAX_SWEEPS = 50, 10_000
+MAX_ITERATIONS = 50
+MAX_SWEEPS = 10_000
 ROUNDING = 4.0 * EPS  # of |r|² against d²: no iteration makes it smaller
 # of residuals below this, one more iteration makes rounding (it squares them), even where the equations are stiff
 LAST = 1e-9
@@ -56,10 +57,12 @@ def assemble(components, start, end, r, s, lower, upper):
 def factorize(components, start, end, lower, upper):
     """A = L U in place, L with ones on its diagonal. Returns the row without a pivot, or −1."""
     for k in range(start, end):
-        at_k, first_k = components.begins[k] - components.lowest[k], components.lowest[k]
+        at_k = components.begins[k] - components.lowest[k]
+        first_k = components.lowest[k]
         for l in range(first_k, k):
             at_l = components.begins[l] - components.lowest[l]
-            in_column, in_row = upper[at_k + l], lower[at_k + l]
+            in_column = upper[at_k + l]
+            in_row = lower[at_k + l]
             for m in range(max(first_k, components.lowest[l]), l):
                 in_column -= lower[at_l + m] * upper[at_k + m]
                 in_row -= lower[at_k + m] * upper[at_l + m]
@@ -90,18 +93,21 @@ def solve(components, start, end, lower, upper, x):
 @inlined
 def restore_lengths(atoms, components, bonds, c, memory):
     """λ of component c by Newton's method, from positions that have drifted: memory.total. Returns the iterations."""
-    start, end = components.starts[c], components.starts[c + 1]
+    start = components.starts[c]
+    end = components.starts[c + 1]
     r, s, x, total, lower, upper = memory
     for k in range(start, end):
         total[k] = 0.0
     for iteration in range(MAX_ITERATIONS):
         find_separations(atoms.positions, bonds, start, end, r)
-        worst, where = 0.0, start
+        worst = 0.0
+        where = start
         for k in range(start, end):
             x[k] = 0.5 * (bonds.lengths2[k] - dot(r[k], r[k]))
             violation = abs(2.0 * x[k]) / bonds.lengths2[k]
             if not violation <= worst:
-                worst, where = violation, k
+                worst = violation
+                where = k
         if worst <= ROUNDING:
             return iteration
         assemble(components, start, end, r, s, lower, upper)
@@ -111,7 +117,9 @@ def restore_lengths(atoms, components, bonds, c, memory):
         solve(components, start, end, lower, upper, x)
         for k in range(start, end):
             total[k] += x[k]
-            add_opposite(atoms.positions, atoms.inverse_masses, bonds.first[k], bonds.second[k], x[k], s[k])
+            add_opposite(
+                atoms.positions, atoms.inverse_masses, bonds.first[k], bonds.second[k], x[k], s[k]
+            )
         if worst < LAST:
             return iteration + 1
     return NOTHING - where
@@ -123,11 +131,16 @@ def drift_with(restore_lengths):
     @inlined
     def drift_components(first, last, atoms, components, bonds, memory, duration):
         """Drift of components first to last − 1.  Atoms, Components, Bonds, Memory, [time]."""
-        s, total, most = memory.s, memory.total, 0
+        s = memory.s
+        total = memory.total
+        most = 0
         for c in range(first, last):
-            start, end = components.starts[c], components.starts[c + 1]
+            start = components.starts[c]
+            end = components.starts[c + 1]
             find_separations(atoms.positions, bonds, start, end, s)
-            atoms_of_it = components.atoms[components.atom_starts[c] : components.atom_starts[c + 1]]
+            atoms_of_it = components.atoms[
+                components.atom_starts[c] : components.atom_starts[c + 1]
+            ]
             drift_some(atoms.positions, atoms.vectors, atoms_of_it, duration)
             n_iterations = restore_lengths(atoms, components, bonds, c, memory)
             if n_iterations < 0:
@@ -145,9 +158,12 @@ def drift_with(restore_lengths):
 def project_components(first, last, atoms, components, bonds, memory, targets, total):
     """As project_pairs, for components of any shape; projected twice, to remove the rounding of the first projection.
     total : (K,), the multipliers.  Returns 1, or −1 − the constraint that depends on others."""
-    vectors, inverse_masses, (r, _, x, _, lower, upper) = atoms.vectors, atoms.inverse_masses, memory
+    vectors = atoms.vectors
+    inverse_masses = atoms.inverse_masses
+    r, _, x, _, lower, upper = memory
     for c in range(first, last):
-        start, end = components.starts[c], components.starts[c + 1]
+        start = components.starts[c]
+        end = components.starts[c + 1]
         find_separations(atoms.positions, bonds, start, end, r)
         assemble(components, start, end, r, r, lower, upper)
         singular = factorize(components, start, end, lower, upper)
@@ -169,9 +185,13 @@ def project_components(first, last, atoms, components, bonds, memory, targets, t
 @kernel
 def dependent_constraint(positions, components, bonds, memory):
     """A constraint whose pivot vanishes relative to its diagonal: others imply or contradict it; else −1."""
-    r, total, lower, upper = memory.r, memory.total, memory.lower, memory.upper
+    r = memory.r
+    total = memory.total
+    lower = memory.lower
+    upper = memory.upper
     for c in range(components.starts.size - 1):
-        start, end = components.starts[c], components.starts[c + 1]
+        start = components.starts[c]
+        end = components.starts[c + 1]
         find_separations(positions, bonds, start, end, r)
         assemble(components, start, end, r, r, lower, upper)
         for k in range(start, end):
@@ -188,21 +208,27 @@ def dependent_constraint(positions, components, bonds, memory):
 @inlined
 def sweep_lengths(atoms, components, bonds, c, memory):
     """λ of component c by sweeps, from positions that have drifted: memory.total. Returns the number of sweeps."""
-    start, end = components.starts[c], components.starts[c + 1]
-    s, total = memory.s, memory.total
+    start = components.starts[c]
+    end = components.starts[c + 1]
+    s = memory.s
+    total = memory.total
     for k in range(start, end):
         total[k] = 0.0
-    sweeps, worst, where = 0, 2.0 * bonds.tolerance, start
+    sweeps = 0
+    worst = 2.0 * bonds.tolerance
+    where = start
     while not worst <= bonds.tolerance:
         if sweeps == MAX_SWEEPS:
             return NOTHING - where
-        sweeps, worst = sweeps + 1, 0.0
+        sweeps = sweeps + 1
+        worst = 0.0
         for k in range(start, end):
             i, j = bonds.first[k], bonds.second[k]
             r = separation(atoms.positions, i, j, bonds.offsets[k])
             gap = bonds.lengths2[k] - dot(r, r)
             if not abs(gap) <= worst * bonds.lengths2[k]:
-                worst, where = abs(gap) / bonds.lengths2[k], k
+                worst = abs(gap) / bonds.lengths2[k]
+                where = k
             scale = gap / (2.0 * (atoms.inverse_masses[i] + atoms.inverse_masses[j]) * dot(r, s[k]))
             total[k] += scale
             add_opposite(atoms.positions, atoms.inverse_masses, i, j, scale, s[k])
@@ -213,22 +239,30 @@ def sweep_lengths(atoms, components, bonds, c, memory):
 def sweep_velocities(first, last, atoms, components, bonds, _memory, _targets, _multipliers):
     """Velocities of components first to last − 1, by sweeps, if all targets are zero.  The tolerance is that of
     |r · v|/(|r| |v|), v the relative velocity of a bond."""
-    velocities, inverse_masses = atoms.vectors, atoms.inverse_masses
+    velocities = atoms.vectors
+    inverse_masses = atoms.inverse_masses
     most = 0
     for c in range(first, last):
-        start, end = components.starts[c], components.starts[c + 1]
-        sweeps, worst, where = 0, 2.0 * bonds.tolerance, start
+        start = components.starts[c]
+        end = components.starts[c + 1]
+        sweeps = 0
+        worst = 2.0 * bonds.tolerance
+        where = start
         while not worst <= bonds.tolerance:
             if sweeps == MAX_SWEEPS:
                 return NOTHING - where
-            sweeps, worst = sweeps + 1, 0.0
+            sweeps = sweeps + 1
+            worst = 0.0
             for k in range(start, end):
                 i, j = bonds.first[k], bonds.second[k]
                 r = separation(atoms.positions, i, j, bonds.offsets[k])
                 v = between(velocities, i, j)
-                along, r2, v2 = dot(r, v), dot(r, r), dot(v, v)
+                along = dot(r, v)
+                r2 = dot(r, r)
+                v2 = dot(v, v)
                 if along != 0.0 and not abs(along) <= worst * sqrt(r2 * v2):
-                    worst, where = abs(along) / sqrt(r2 * v2), k
+                    worst = abs(along) / sqrt(r2 * v2)
+                    where = k
                 scale = -along / ((inverse_masses[i] + inverse_masses[j]) * r2)
                 add_opposite(velocities, inverse_masses, i, j, scale, r)
         most = max(most, sweeps)

@@ -34,7 +34,8 @@ class Free(ByAddress, namedtuple("Free", "positions velocities atoms duration n_
 def drift_free(free, chunk):
     """positions += duration · velocities, of some of the atoms."""
     positions, velocities, atoms, duration, n_chunks = free
-    first, last = chunk * atoms.size // n_chunks, (chunk + 1) * atoms.size // n_chunks
+    first = chunk * atoms.size // n_chunks
+    last = (chunk + 1) * atoms.size // n_chunks
     drift_some(positions, velocities, atoms[first:last], duration)
     return GO_ON
 
@@ -60,23 +61,45 @@ class ConstraintSolver:
     ValueError : for atoms that do not exist, a pair of two fixed atoms, a length of zero, or dependent constraints.
     """
 
-    def __init__(self, constraints: DistanceConstraints, positions: Floats, inverse_masses: Floats,
-                 offsets: Floats | None = None, threads: int = 1, tolerance: float | None = None) -> None:  # fmt: skip
-        self.pairs, self.inverse_masses, self._calls = constraints.pairs, inverse_masses, DirectCalls()
+    def __init__(
+        self,
+        constraints: DistanceConstraints,
+        positions: Floats,
+        inverse_masses: Floats,
+        offsets: Floats | None = None,
+        threads: int = 1,
+        tolerance: float | None = None,
+    ) -> None:
+        self.pairs, self.inverse_masses, self._calls = (
+            constraints.pairs,
+            inverse_masses,
+            DirectCalls(),
+        )
         self.offsets = np.zeros((len(self.pairs), 3)) if offsets is None else offsets
         check_atoms(self.pairs, len(positions))
         stuck = np.flatnonzero((inverse_masses[self.pairs] == 0.0).all(axis=1))
         if stuck.size:
             i, j = self.pairs[k := int(stuck[0])]
-            raise ValueError(f"constraint {k} (atoms {i}-{j}) connects two atoms that are held fixed; leave it out")
-        lengths = np.linalg.norm(self.bonds(positions), axis=1) if constraints.lengths is None else constraints.lengths
+            raise ValueError(
+                f"constraint {k} (atoms {i}-{j}) connects two atoms that are held fixed; leave it out"
+            )
+        lengths = (
+            np.linalg.norm(self.bonds(positions), axis=1)
+            if constraints.lengths is None
+            else constraints.lengths
+        )
         if not (lengths > 0.0).all():
             i, j = self.pairs[k := int(np.argmin(lengths > 0.0))]
-            raise ValueError(f"constraint {k} has length 0: atoms {i} and {j} are at the same place; give lengths")
-        self.lengths, self.threads = lengths, max(1, min(threads, len(self.pairs) // CONSTRAINTS_IN_A_CHUNK))
+            raise ValueError(
+                f"constraint {k} has length 0: atoms {i} and {j} are at the same place; give lengths"
+            )
+        self.lengths = lengths
+        self.threads = max(1, min(threads, len(self.pairs) // CONSTRAINTS_IN_A_CHUNK))
         rounding = ROUNDINGS * EPS * float(np.abs(positions).max()) / float(lengths.min())
         self.tolerance = max(constraints.tolerance, rounding) if tolerance is None else tolerance
-        self.accuracy = self.tolerance * float(lengths.max()) if constraints.solver == "shake" else 0.0
+        self.accuracy = (
+            self.tolerance * float(lengths.max()) if constraints.solver == "shake" else 0.0
+        )
         self.groups = groups_of(self, positions, constraints.solver)
         self.free_atoms = np.setdiff1d(np.arange(len(positions)), self.pairs)
         self.n_constraints = sum(group.n_constraints for group in self.groups)
@@ -91,7 +114,10 @@ class ConstraintSolver:
 
     def follow(self, before: Cell, cell: Cell) -> None:
         """Change offsets, in place, to the same multiples of the vectors of another cell."""
-        for offsets in (self.offsets, *(array for group in self.groups for array in group.offsets())):
+        for offsets in (
+            self.offsets,
+            *(array for group in self.groups for array in group.offsets()),
+        ):
             before.follow(cell, offsets)
 
     @property
@@ -112,7 +138,9 @@ class ConstraintSolver:
             free = Free(positions, velocities, self.free_atoms, float(duration), n_chunks)
             yield operation(self._calls, drift_free, free, n_chunks)
         for group in self.groups:
-            yield self._kept(group.drift(positions, velocities, duration), group, positions, velocities, duration)
+            yield self._kept(
+                group.drift(positions, velocities, duration), group, positions, velocities, duration
+            )
 
     def projections(self, positions: Floats, velocities: Floats) -> Iterator[Operation]:
         """Project velocities in place so that r_ij · v_ij = 0 for all constraints.  Both arrays are (N, 3)."""
@@ -141,12 +169,18 @@ class ConstraintSolver:
                 return
         self._fail(int(np.argmax(self.violation(positions))), positions, at_rest, 1.0)
 
-    def multipliers(self, positions: Floats, velocities: Floats, accelerations: Floats) -> list[tuple[Ints, Floats]]:
+    def multipliers(
+        self, positions: Floats, velocities: Floats, accelerations: Floats
+    ) -> list[tuple[Ints, Floats]]:
         """Constraints of each group, and their λ [energy/length²]: the force on j is λ r_ij. Projects accelerations."""
         found = []
         for group in self.groups:
-            turning = velocities[self.pairs[group.order, 1]] - velocities[self.pairs[group.order, 0]]
-            project = group.project(positions, accelerations, -np.einsum("ij,ij->i", turning, turning))
+            turning = (
+                velocities[self.pairs[group.order, 1]] - velocities[self.pairs[group.order, 0]]
+            )
+            project = group.project(
+                positions, accelerations, -np.einsum("ij,ij->i", turning, turning)
+            )
             self._run([self._kept(project, group, positions, accelerations, 0.0)])
             found.append((group.order, group.multipliers.copy()))
         return found
@@ -154,7 +188,9 @@ class ConstraintSolver:
     def virial(self, positions: Floats, velocities: Floats, forces: Floats) -> Floats:
         """W = Σ λ r_ij ⊗ r_ij of the constraint forces, (3, 3) [energy]. forces : (N, 3), all others."""
         shares = []
-        for order, multipliers in self.multipliers(positions, velocities, forces * self.inverse_masses[:, None]):
+        for order, multipliers in self.multipliers(
+            positions, velocities, forces * self.inverse_masses[:, None]
+        ):
             bonds = self.bonds(positions)[order]
             shares.append(np.einsum("k,ki,kj->kij", multipliers, bonds, bonds))
         return sum_in_any_order(np.concatenate(shares))
@@ -175,7 +211,9 @@ class ConstraintSolver:
         along = np.abs(np.einsum("ij,ij->i", self.bonds(positions), turning))
         return along / (self.lengths * np.where(speeds > 0.0, speeds, 1.0))
 
-    def _kept(self, one: Operation, group: Any, positions: Floats, velocities: Floats, duration: float) -> Operation:
+    def _kept(
+        self, one: Operation, group: Any, positions: Floats, velocities: Floats, duration: float
+    ) -> Operation:
         """An operation on a group that fails for the first constraint that cannot be kept."""
 
         def fail(_answer: int) -> None:
@@ -183,10 +221,15 @@ class ConstraintSolver:
 
         return one._replace(python=fail)
 
-    def _fail(self, constraint: int, positions: Floats, velocities: Floats, duration: float) -> None:
+    def _fail(
+        self, constraint: int, positions: Floats, velocities: Floats, duration: float
+    ) -> None:
         """Raise ConstraintError with the larger violation: closed forms fail before they move atoms, others after."""
         i, j = self.pairs[constraint].tolist()
-        off = max(self.violation(positions)[constraint], self.violation(positions + duration * velocities)[constraint])
+        off = max(
+            self.violation(positions)[constraint],
+            self.violation(positions + duration * velocities)[constraint],
+        )
         what = f"drift of {duration:g}" if duration else "projection of velocities"
         why = f"cannot be kept in a {what}: the relative error of r² is {off:.1e}"
         error = ConstraintError(f"constraint {constraint} (atoms {i}-{j}) {why}")
@@ -197,4 +240,6 @@ class ConstraintSolver:
 def check_atoms(pairs: Ints, n_atoms: int) -> None:
     """Raise ValueError if constraints (K, 2) name atoms that do not exist."""
     if pairs.max(initial=-1) >= n_atoms:
-        raise ValueError(f"constraints must name atoms 0 to {n_atoms - 1}; they name atom {pairs.max()}")
+        raise ValueError(
+            f"constraints must name atoms 0 to {n_atoms - 1}; they name atom {pairs.max()}"
+        )

@@ -37,13 +37,17 @@ class CrashReport:
     units: str
 
     def __str__(self) -> str:
-        pair, units = self.pair, SYSTEMS.get(self.units, LJ)
-        force, length = f"{units.energy}/{units.length}", units.length
+        pair = self.pair
+        units = SYSTEMS.get(self.units, LJ)
+        force = f"{units.energy}/{units.length}"
+        length = units.length
         lines = [f"fault          {self.fault}, at step {self.step}"]
         lines += [f"cause          {self.cause}", f"what to do     {self.advice}"]
         if pair is not None:
             what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms} ({pair.law}), {pair.apart(length)}"
-            lines.append(f"pair           {what}, −u′ {pair.force:.3g} {force}{pair.stiffness(self.timestep)}")
+            lines.append(
+                f"pair           {what}, −u′ {pair.force:.3g} {force}{pair.stiffness(self.timestep)}"
+            )
         closest = self.closest.told(length) if self.closest else "none"
         largest = f"largest force {self.largest_force:.3g} {force} on atom {self.pushed}"
         moves = f"atom {self.fastest} moves {self.displacement:.3g} {length} in a step"
@@ -54,11 +58,22 @@ class CrashReport:
 def examine(engine: Engine, failure: Failure) -> CrashReport:
     """Find the likely cause of a failure.  engine : in the last good state, with energies of single atoms."""
     evidence = Evidence(engine, failure)
-    (pushed, force), (fastest, speed) = longest(engine.forces), longest(engine.velocities)
+    pushed, force = longest(engine.forces)
+    fastest, speed = longest(engine.velocities)
     kind, (cause, advice, pair) = next(verdicts(evidence, AFTER))
     if depth := strange_depth(evidence):
-        cause, advice = f"{depth} (a consequence: {cause})", "correct epsilon before anything else"
-    timestep, units = engine.method.timestep, engine.system.units.name
-    seen: tuple[Any, ...] = (evidence.closest, pushed, force, fastest, speed * abs(timestep), timestep, units)
+        cause = f"{depth} (a consequence: {cause})"
+        advice = "correct epsilon before anything else"
+    timestep = engine.method.timestep
+    units = engine.system.units.name
+    seen: tuple[Any, ...] = (
+        evidence.closest,
+        pushed,
+        force,
+        fastest,
+        speed * abs(timestep),
+        timestep,
+        units,
+    )
     at = failure.fault, failure.step, engine.step, failure.start.step
     return CrashReport(*at, kind, pair, cause, advice, *seen)

@@ -9,12 +9,19 @@ from minimd.core.console.display import NAME_WIDTH, Displayed, Rows
 from minimd.core.engine.record import SERIES, Record
 from minimd.core.structure import statistics
 from minimd.core.structure.observables import Array
-from minimd.core.structure.statistics import FEW, block_means, independent, mean_and_error, with_error
+from minimd.core.structure.statistics import (
+    FEW,
+    block_means,
+    independent,
+    mean_and_error,
+    with_error,
+)
 
 BLOCKS = 40  # averages of the total energy between which the drift is fitted
 BLOCKS_OF_WALK = 20  # the same for a series that wanders like a random walk
 SIGNIFICANT = 3.0  # standard errors, if these are well known: chance exceeds them 3 times in 1000
-MOST_SIGNIFICANT = 6.0  # standard errors, if these are poorly known: no fluctuation looks so straight
+# standard errors, if these are poorly known: no fluctuation looks so straight
+MOST_SIGNIFICANT = 6.0
 INDEPENDENT = 4.0  # entries: with fewer, a series is too short to judge
 LARGEST_RANGE = 0.5  # of the kinetic energy
 RANGE_OF_ROUNDING = 1e-11  # of the potential energy
@@ -22,8 +29,10 @@ NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
 # of the potential energy: a smaller kinetic energy comes from rounding of the forces, and is of its square
 AT_REST = 1e-20
 QUIET = 0.01  # of the kinetic energy, by which the energy of a short run may vary
-MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
-ANGULAR_MOMENTUM_KEPT = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
+# of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
+MOMENTUM_KEPT = 1e-13
+# of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
+ANGULAR_MOMENTUM_KEPT = 1e-12
 # likewise where momentum is exactly constant: displacements are rounded to some 2⁻⁴⁰ of the scene
 KEPT_ON_A_GRID = 1e-9
 # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
@@ -75,7 +84,10 @@ class DriftRate:
         if not np.isinf(self.n_independent):
             from scipy.special import ndtr, stdtrit  # takes its time to load
 
-            most = min(MOST_SIGNIFICANT, float(stdtrit(max(1.0, self.n_independent - 2.0), ndtr(SIGNIFICANT))))
+            most = min(
+                MOST_SIGNIFICANT,
+                float(stdtrit(max(1.0, self.n_independent - 2.0), ndtr(SIGNIFICANT))),
+            )
         return not abs(self.slope) <= most * self.error
 
     @property
@@ -84,7 +96,9 @@ class DriftRate:
         return self.is_unsure and not self.is_significant
 
 
-def drift(time: Array, series: Array, blocks: int = BLOCKS, beside: Array | None = None) -> DriftRate:
+def drift(
+    time: Array, series: Array, blocks: int = BLOCKS, beside: Array | None = None
+) -> DriftRate:
     """Least-squares slope of a series, with the standard error that follows from its correlated fluctuations.
 
         error² = σ² / ((n − 2) Var t),   n = blocks (1 − ρ)/(1 + ρ)
@@ -110,7 +124,10 @@ def drift(time: Array, series: Array, blocks: int = BLOCKS, beside: Array | None
     if beside is not None:
         least = min(own, independent(_line(t, block_means(beside, blocks))[1]))
     variance = rest @ rest / blocks
-    one, safe = (DriftRate(slope, float(np.sqrt(variance / max(1.0, n - 2.0) / t.var())), n) for n in (own, least))
+    one, safe = (
+        DriftRate(slope, float(np.sqrt(variance / max(1.0, n - 2.0) / t.var())), n)
+        for n in (own, least)
+    )
     return replace(safe, is_unsure=own < INDEPENDENT or one.is_significant)
 
 
@@ -131,8 +148,10 @@ def drift_of_walk(time: Array, series: Array, blocks: int = BLOCKS_OF_WALK) -> D
     blocks = min(blocks, len(series))
     if blocks <= FEW or np.ptp(time) == 0.0 or not np.isfinite([time, series]).all():
         return drift(time, series, blocks)
-    t, y = block_means(time, blocks), block_means(series, blocks)
-    steps, rate = np.diff(y), (blocks - 1.0) / np.ptp(t)
+    t = block_means(time, blocks)
+    y = block_means(series, blocks)
+    steps = np.diff(y)
+    rate = (blocks - 1.0) / np.ptp(t)
     error = float(statistics.standard_error(steps, statistics.wandering)) * rate
     return DriftRate(float(steps.mean() * rate), error, blocks / 2.0)
 
@@ -162,7 +181,10 @@ class Cost:
         share = f"took {100.0 * self.observing / (self.seconds + self.observing or 1.0):.2g} % of the time"
         rows = [("speed", f"{speed}; {work}"), ("observers", share if self.observing > 0.0 else "")]
         rows.append(("constraints", self.constraints))
-        rows += [("memory", held if self.peak_memory is not None else ""), ("not needed", ", ".join(self.skipped))]
+        rows += [
+            ("memory", held if self.peak_memory is not None else ""),
+            ("not needed", ", ".join(self.skipped)),
+        ]
         return [row for row in rows if row[1]]
 
 
@@ -239,7 +261,11 @@ class Report(Displayed):
     @property
     def shadow_is_conserved(self) -> bool | None:
         """Whether the shadow energy has no drift, likewise; None if it was not recorded, or in too few frames."""
-        return None if self.shadow_drift is None else self._has_no(self.shadow_drift) and not self.not_finite
+        return (
+            None
+            if self.shadow_drift is None
+            else self._has_no(self.shadow_drift) and not self.not_finite
+        )
 
     def _has_no(self, slope: DriftRate) -> bool | None:
         if self.n_frames < FEW:
@@ -294,36 +320,63 @@ class Report(Displayed):
     def display_rows(self) -> Rows:
         """See Displayed."""
         energy, time, heat = self.units
-        per, only, slope, shadow = f"{energy} per atom", self.n_frames == 1, self.energy_drift, self.shadow_drift
+        per = f"{energy} per atom"
+        only = self.n_frames == 1
+        slope = self.energy_drift
+        shadow = self.shadow_drift
         error = "" if np.isinf(slope.error) else " (standard error)"
         drifts = "drift unknown: one frame" if only else f"drift {slope} {per} per {time}{error}"
         minus = " - reservoir" * self.has_bath + " - work" * self.has_work
         rows = [(f"E{minus}" if minus else "total energy", drifts)]
         rows.append(("", f"oscillation {self.energy_oscillation:.2e} {per} (standard deviation)"))
         if shadow is not None:
-            said = {None: "too short to judge", True: "none", False: "IT DRIFTS"}[self.shadow_is_conserved]
+            said = {None: "too short to judge", True: "none", False: "IT DRIFTS"}[
+                self.shadow_is_conserved
+            ]
             rows.append(("shadow energy", f"drift {shadow} {per} per {time}: {said}"))
             rows.append(("", f"oscillation {self.shadow_oscillation:.2e} {per}"))
         if self.momentum_change is not None:
             change = f"change {self.momentum_change:.1e} of the sum of |mv|: {KEPT[self.momentum_is_conserved]}"
             moving = change if self.momentum_change else "exactly constant"
-            rows.append(("momentum", "no motion but rounding: the atoms are at rest" if self.is_at_rest else moving))
+            rows.append(
+                (
+                    "momentum",
+                    "no motion but rounding: the atoms are at rest" if self.is_at_rest else moving,
+                )
+            )
         if self.angular_momentum_change is not None and not self.is_at_rest:
             said = f"sum of m|r||v|: {KEPT[self.angular_momentum_is_conserved]}"
-            rows.append(("ang. momentum", f"change {self.angular_momentum_change:.1e} of the {said}"))
+            rows.append(
+                ("ang. momentum", f"change {self.angular_momentum_change:.1e} of the {said}")
+            )
         if self.constraint_violation is not None:
             said = "kept" if self.constraint_violation < LENGTHS_KEPT else "NOT KEPT"
-            rows.append(("lengths", f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}"))
+            rows.append(
+                ("lengths", f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}")
+            )
         rows += [(line.name, f"{line.summary}: {line.verdict}") for line in self.lines]
-        spread = "of one frame" if only else f"on average, standard deviation {self.temperature_deviation:.2g} {heat}"
-        rows.append(("temperature", f"{with_error(self.mean_temperature, self.temperature_error)} {heat} {spread}"))
+        spread = (
+            "of one frame"
+            if only
+            else f"on average, standard deviation {self.temperature_deviation:.2g} {heat}"
+        )
+        rows.append(
+            (
+                "temperature",
+                f"{with_error(self.mean_temperature, self.temperature_error)} {heat} {spread}",
+            )
+        )
         if self.bath is not None:
             asked, deficit = self.bath
             setting = f"the thermostat is set to {asked:.4g} {heat}"
             if deficit > self.temperature_error:
                 setting += f"; in steps of this length velocities have {asked - deficit:.4g} {heat}, positions do not"
             rows.append(("", setting))
-        return [*rows, *(self.cost.rows() if self.cost is not None else ()), ("verdict", self.verdict)]
+        return [
+            *rows,
+            *(self.cost.rows() if self.cost is not None else ()),
+            ("verdict", self.verdict),
+        ]
 
     @property
     def verdict(self) -> str:
@@ -348,7 +401,11 @@ class Report(Displayed):
         name = f"total energy minus {taken}" if taken else "total energy"
         if self.energy_is_conserved is None:
             share = self.energy_range / self.kinetic_energy if self.is_quiet else 0.0
-            within = f"varies by {100.0 * share:.1g} % of the kinetic energy" if self.is_quiet else "varies"
+            within = (
+                f"varies by {100.0 * share:.1g} % of the kinetic energy"
+                if self.is_quiet
+                else "varies"
+            )
             short = "the run is too short to tell whether it drifts: its fluctuations last nearly as long as the run"
             return f"the {name} {within}; {short}"
         if self.energy_is_conserved:
@@ -358,7 +415,9 @@ class Report(Displayed):
             times = f"BY {self.energy_range / self.kinetic_energy:.2g} TIMES THE KINETIC ENERGY"
             near = "it oscillates near the limit of stability, or has jumped; reduce the time step"
             return f"THE {name.upper()} VARIES {times}, without a drift: {self.too_long_a_step or near}"
-        (first, last), swollen, causes = self.temperatures, "", [self.too_long_a_step] * bool(self.too_long_a_step)
+        first, last = self.temperatures
+        swollen = ""
+        causes = [self.too_long_a_step] * bool(self.too_long_a_step)
         if self.is_settling:
             went = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}"
             causes.append(f"{went}, and with it the error of the energy; equilibrate first")
@@ -374,21 +433,36 @@ def _differ(ends: tuple[float, float], share: float) -> bool:
 
 
 @np.errstate(all="ignore")  # the report says what is not finite
-def conservation_report(record: Record, angular: bool, cost: Cost | None = None, linear: bool = True,
-                        lines: Sequence[Line] = (), n_dof: int | None = None,
-                        too_long_a_step: str = "") -> Report:  # fmt: skip
+def conservation_report(
+    record: Record,
+    angular: bool,
+    cost: Cost | None = None,
+    linear: bool = True,
+    lines: Sequence[Line] = (),
+    n_dof: int | None = None,
+    too_long_a_step: str = "",
+) -> Report:
     """The report of a record.
     linear, angular : whether momentum is constant (see Engine.conserves_momentum), and angular momentum, too (then
         nothing is periodic).  lines, cost, too_long_a_step : see Report.
     n_dof : degrees of freedom of the run; if not given, the kinetic energy includes a motion of the center of mass.
     With a thermostat or barostat, total energy minus reservoir energy is judged; with forces that depend on time, the
     total energy and the shadow energy minus their work."""
-    units, has_bath, n, heat = record.units, "conserved_energy" in record, record.n_atoms, record.temperature
+    units = record.units
+    has_bath = "conserved_energy" in record
+    n = record.n_atoms
+    heat = record.temperature
     thermal = record.kinetic_energy if n_dof is None else 0.5 * n_dof * units.k_B * heat
-    time, work = record.time * units.to_picosecond, record.work if "work" in record else 0.0
+    time = record.time * units.to_picosecond
+    work = record.work if "work" in record else 0.0
     energy = (record.conserved_energy if has_bath else record.total_energy - work) / n
-    slope = drift_of_walk(time, energy) if has_bath else drift(time, energy, beside=record.kinetic_energy)
-    shadow, potential = None, np.abs(record.potential_energy)
+    slope = (
+        drift_of_walk(time, energy)
+        if has_bath
+        else drift(time, energy, beside=record.kinetic_energy)
+    )
+    shadow = None
+    potential = np.abs(record.potential_energy)
     if "shadow_energy" in record:
         series = (record.shadow_energy - work) / n
         shadow = drift(time, series, beside=record.kinetic_energy)

@@ -16,11 +16,16 @@ from minimd.core.engine.engine import Engine
 from minimd.core.structure.observables import longest
 
 ROUNDING = 2.0**-52  # of the forces
-AMPLIFIED = 1e3  # rounding errors by which the turning point is displaced, so that their growth stands out
+# rounding errors by which the turning point is displaced, so that their growth stands out
+AMPLIFIED = 1e3
 # times what one rounding grows to, times the square root of the steps: up to this, a distance is due to rounding
 ENOUGH = 3.0
 CHAOS = 0.01  # of the way that atoms went: beyond it, rounding has grown too much to tell
-VERDICTS = {True: "reversible to rounding", None: "too chaotic to tell; probe fewer steps", False: "NOT REVERSIBLE"}
+VERDICTS = {
+    True: "reversible to rounding",
+    None: "too chaotic to tell; probe fewer steps",
+    False: "NOT REVERSIBLE",
+}
 
 
 @dataclass(frozen=True)
@@ -66,9 +71,12 @@ class Reversibility(Displayed):
 def make_steps_back(guard: RunGuard, n_steps: int) -> None:
     """See Simulation.run_back. At the end, step, time and velocities are those of the run that is retraced.
     Raises ValueError for an engine whose steps cannot be retraced to the last bit."""
-    engine, precision = guard.engine, guard.engine.interactions.options.precision
+    engine = guard.engine
+    precision = guard.engine.interactions.options.precision
     if engine.interactions.grid is None:
-        raise ValueError(f"steps can be retraced only with precision='fixed-point'; precision is {precision!r}")
+        raise ValueError(
+            f"steps can be retraced only with precision='fixed-point'; precision is {precision!r}"
+        )
     if engine.constraint_set.bonds is not None:
         rounded = "constraint impulses are rounded after they are computed"
         raise ValueError(f"steps with constraints cannot be retraced to the last bit: {rounded}")
@@ -97,10 +105,16 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
     """See Simulation.probe_reversibility."""
     engine = guard.engine
     if engine.has_bath:
-        bath = f"{engine.method.name} is a thermostat" if engine.method.is_thermostat else "there is a barostat"
+        bath = (
+            f"{engine.method.name} is a thermostat"
+            if engine.method.is_thermostat
+            else "there is a barostat"
+        )
         raise ValueError(f"{bath}: its noise cannot be undone, so no run with it is reversible")
     if engine.interactions.depend_on_time:
-        raise ValueError("a run with forces that depend on time has no way back: probe a run without these forces")
+        raise ValueError(
+            "a run with forces that depend on time has no way back: probe a run without these forces"
+        )
     before = engine.snapshot()
     with guard.uncounted():
         guard.check_start()
@@ -118,23 +132,33 @@ def _probed(guard: RunGuard, n_steps: int) -> Reversibility:
     guard.make_steps(n_steps)
     way = longest(engine.positions - start.positions)[1]
     turn(engine)
-    turning, forces = engine.snapshot(), engine.forces.copy()
+    turning = engine.snapshot()
+    forces = engine.forces.copy()
     guard.make_steps(n_steps)
     returned = engine.positions.copy()
-    if np.array_equal(returned, start.positions) and np.array_equal(-engine.velocities, start.velocities):
+    if np.array_equal(returned, start.positions) and np.array_equal(
+        -engine.velocities, start.velocities
+    ):
         return Reversibility(n_steps, 0.0, way, 0.0, engine.system.units.length, is_exact=True)
     engine.restore(turning)
     # the turning point is displaced by some roundings of random sign: of coordinates (or the tolerance of a solver),
     # forces and velocities
-    random, shape = np.random.default_rng(1), engine.positions.shape
-    moving, amplified = engine.constraint_set.inverse_masses[:, None], AMPLIFIED * ROUNDING
+    random = np.random.default_rng(1)
+    shape = engine.positions.shape
+    moving = engine.constraint_set.inverse_masses[:, None]
+    amplified = AMPLIFIED * ROUNDING
     kicks = np.abs(forces) * moving * abs(engine.method.timestep)
     swept = 0.0 if engine.constraint_set.bonds is None else engine.constraint_set.bonds.accuracy
     sizes = (AMPLIFIED * swept + amplified * np.abs(engine.positions)) * (moving > 0.0)
     engine.positions[:] += random.choice([-1.0, 1.0], shape) * sizes
-    engine.velocities[:] += random.choice([-1.0, 1.0], shape) * amplified * (kicks + np.abs(engine.velocities))
+    engine.velocities[:] += (
+        random.choice([-1.0, 1.0], shape) * amplified * (kicks + np.abs(engine.velocities))
+    )
     guard.make_steps(n_steps)
     growth = longest(engine.positions - returned)[1]
-    one = max(growth / AMPLIFIED, ROUNDING * way)  # two roundings may undo each other, as where nothing acts
+    # two roundings may undo each other, as where nothing acts
+    one = max(growth / AMPLIFIED, ROUNDING * way)
     rounding = one * (2.0 * n_steps) ** 0.5 if growth <= CHAOS * way else np.inf
-    return Reversibility(n_steps, longest(returned - start.positions)[1], way, rounding, engine.system.units.length)
+    return Reversibility(
+        n_steps, longest(returned - start.positions)[1], way, rounding, engine.system.units.length
+    )

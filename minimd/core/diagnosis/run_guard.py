@@ -21,12 +21,18 @@ from minimd.core.structure.observables import Array, longest
 # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
 BLOCK = 100
 # atoms times steps of a block of few atoms, and its steps, at most: its checks cost as much as 30 steps
-SMALL, LONGEST_BLOCK = 50_000, 500
-RUN_BEGAN, FAILED_AS_BLOCK = "the run began", "some steps failed together, although each of them succeeded alone"
-MOST_SNAPSHOTS, ROOM = 16, 10**6  # numbers of snapshots kept, at least one, and of atoms in all of them
+SMALL = 50_000
+LONGEST_BLOCK = 500
+RUN_BEGAN = "the run began"
+FAILED_AS_BLOCK = "some steps failed together, although each of them succeeded alone"
+# numbers of snapshots kept, at least one, and of atoms in all of them
+MOST_SNAPSHOTS = 16
+ROOM = 10**6
 SNAPSHOTS_APART = 40  # steps between two snapshots that are kept, at least
-SAME_ENERGY = 1e-3  # of K + |U|: a potential that gives another energy for the same atoms has been changed
-LEAST_REPLAY = 20  # steps from the snapshot with which a replay begins to the failure, if there were that many
+# of K + |U|: a potential that gives another energy for the same atoms has been changed
+SAME_ENERGY = 1e-3
+# steps from the snapshot with which a replay begins to the failure, if there were that many
+LEAST_REPLAY = 20
 
 
 class RunGuard:
@@ -35,13 +41,19 @@ class RunGuard:
     failed_from : Snapshot from which the last failure can be replayed."""
 
     def __init__(self, engine: Engine) -> None:
-        self.engine, self.seconds, self.observing, self.n_steps = engine, 0.0, 0.0, 0
+        self.engine = engine
+        self.seconds = 0.0
+        self.observing = 0.0
+        self.n_steps = 0
         self.failed_from: Snapshot | None = None
         self._first_volume = engine.system.volume
         self._checked_timestep = 0.0  # none yet
-        self._judged_by: tuple[Mapping[str, Any] | None, float] = None, RUNAWAY  # of every run: see judge_by
+        # of every run: see judge_by
+        self._judged_by: tuple[Mapping[str, Any] | None, float] = None, RUNAWAY
         self._first: Mapping[str, Any] | None = None  # observables at the first look of a run
-        self._growth, self._since = RUNAWAY, RUN_BEGAN  # with which energies have run away, and since when
+        # with which energies have run away, and since when
+        self._growth = RUNAWAY
+        self._since = RUN_BEGAN
         self._seen: tuple[int, float] = (0, 0.0)  # step of the last look, and the total energy then
         # why the last block failed, if something was raised
         self._reason: NonFiniteError | ConstraintError | None = None
@@ -56,7 +68,9 @@ class RunGuard:
 
     def begin_run(self) -> None:
         """Count from zero: steps, seconds, evaluations, list builds, iterations of constraints."""
-        self.seconds, self.observing, self.n_steps = 0.0, 0.0, 0
+        self.seconds = 0.0
+        self.observing = 0.0
+        self.n_steps = 0
         self._first, self._growth = self._judged_by
         self.engine.interactions.reset_counts()
         if self.engine.constraint_set.bonds is not None:
@@ -95,13 +109,19 @@ class RunGuard:
         goes_on = engine.is_as_left
         if not goes_on:
             engine.begin()
-            engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(engine.method.timestep))
+            engine.interactions.fit_skin(
+                longest(engine.velocities)[1] * abs(engine.method.timestep)
+            )
         engine.evaluate()
         engine.prepare()
         if is_same_run:
-            kinetic, potential = engine.kinetic_energy, engine.interactions.potential_energy
-            if not abs(kinetic + potential - self._seen[1]) <= SAME_ENERGY * (kinetic + abs(potential)):
-                self.forget()  # another energy than at the last look, although nothing has moved since
+            kinetic = engine.kinetic_energy
+            potential = engine.interactions.potential_energy
+            if not abs(kinetic + potential - self._seen[1]) <= SAME_ENERGY * (
+                kinetic + abs(potential)
+            ):
+                # another energy than at the last look, although nothing has moved since
+                self.forget()
         if not goes_on:
             engine.leave()
         if self._checked_timestep != engine.method.timestep:
@@ -115,7 +135,9 @@ class RunGuard:
         """Make steps, in blocks.  with_energy : as for advance.  Raises as advance and observe."""
         try:
             for done in range(0, n_steps, self.block):
-                self.advance(min(self.block, n_steps - done), with_energy and done + self.block >= n_steps)
+                self.advance(
+                    min(self.block, n_steps - done), with_energy and done + self.block >= n_steps
+                )
                 if self.is_hot():
                     self.observe()
         finally:
@@ -128,20 +150,28 @@ class RunGuard:
         KeyboardInterrupt after Ctrl-C. ValueError if the scene no longer fits the list it needs."""
         engine = self.engine
         kept = max(1, min(MOST_SNAPSHOTS, ROOM // len(engine.positions)))
-        is_due = kept == 1 or not self._snapshots or engine.step - self._snapshots[-1].step >= SNAPSHOTS_APART
+        is_due = (
+            kept == 1
+            or not self._snapshots
+            or engine.step - self._snapshots[-1].step >= SNAPSHOTS_APART
+        )
         self._before = None
         if is_due:
-            del self._snapshots[: max(0, len(self._snapshots) + 1 - kept)]  # makes room for the new one
+            # makes room for the new one
+            del self._snapshots[: max(0, len(self._snapshots) + 1 - kept)]
         self._before = before = engine.snapshot()
         if is_due:
             self._snapshots.append(before)
         is_whole, engine.is_whole = engine.is_whole, False  # until the steps are counted
-        started, compiled, self._reason = perf_counter(), compile_clock.seconds, None
+        started = perf_counter()
+        compiled = compile_clock.seconds
+        self._reason = None
         try:
             done = engine.advance(n_steps, with_energy)
         except (NonFiniteError, ConstraintError):
             self._replay(before, n_steps, FAILED_AS_BLOCK)
-        except BaseException:  # a list that does not fit, or a second Ctrl-C in the middle of a step
+        except BaseException:
+            # a list that does not fit, or a second Ctrl-C in the middle of a step
             engine.restore(before)
             raise
         self.seconds += perf_counter() - started - (compile_clock.seconds - compiled)
@@ -167,7 +197,9 @@ class RunGuard:
                     engine.evaluate()  # a method that ends with a drift has not done so
                     fault = self._fault_of_energy()
             except (NonFiniteError, ConstraintError) as reason:
-                words = str(reason) if isinstance(reason, RangeError) else "the forces are not finite"
+                words = (
+                    str(reason) if isinstance(reason, RangeError) else "the forces are not finite"
+                )
                 self._reason, fault = reason, fault_of(engine) or words
             if fault:
                 at = engine.positions.copy()
@@ -196,32 +228,46 @@ class RunGuard:
         """What is wrong with the energies, which must be current; None if they are good."""
         if not isfinite(self.engine.interactions.potential_energy):
             return "the potential energy is not finite"
-        return None if self._first is None else runaway(self.engine, self._first, self._growth, self._since)
+        return (
+            None
+            if self._first is None
+            else runaway(self.engine, self._first, self._growth, self._since)
+        )
 
     def check_kinetic_energy(self, most: float) -> None:
         """Raise NonFiniteError if the kinetic energy is larger than most [energy]; the engine is then in the last good
         state of the last block."""
-        kinetic, before = self.engine.kinetic_energy, self._before
+        kinetic = self.engine.kinetic_energy
+        before = self._before
         if not kinetic > most:
             return
         if before is not None:
             end = self.engine.snapshot()
             self.engine.restore(before)
-            self._first, self._since = observe(self.engine).observables, f"step {before.step}"
+            self._first = observe(self.engine).observables
+            self._since = f"step {before.step}"
             self._seen = before.step, 0.0
             self.engine.restore(end)
-        self._fail_if(f"the kinetic energy has gone to {kinetic:.3g} {self.engine.system.units.energy}")
+        self._fail_if(
+            f"the kinetic energy has gone to {kinetic:.3g} {self.engine.system.units.energy}"
+        )
 
     def is_hot(self) -> bool:
         """Whether the kinetic energy alone, which costs nothing, is a reason to check all energies."""
         if (first := self._first) is None:
             return False
-        return self.engine.kinetic_energy > RUNAWAY * (first["kinetic_energy"] + abs(first["potential_energy"]))
+        return self.engine.kinetic_energy > RUNAWAY * (
+            first["kinetic_energy"] + abs(first["potential_energy"])
+        )
 
     def forget(self) -> None:
         """Forget energies and snapshots: the state was changed from outside."""
-        self._snapshots, self._first_step = [], self.engine.step
-        self._first, self._growth, self._since, self._seen = None, RUNAWAY, RUN_BEGAN, (self.engine.step, 0.0)
+        self._snapshots = []
+        self._first_step = self.engine.step
+        self._first = None
+        self._growth = RUNAWAY
+        self._since = RUN_BEGAN
+        self._seen = (self.engine.step, 0.0)
 
     def drop_snapshots(self) -> None:
         """Drop the snapshots: velocities were rescaled, and a replay from one would not lead to the present state."""
@@ -234,8 +280,15 @@ class RunGuard:
         if self._before is None:
             raise self._failure(fault, self.engine.step, self.engine.positions.copy())
         # the latest stored state, since the last observation, in which no energy had run away yet
-        end, start, growth, self._growth = self.engine.step, self._before, self._growth, min(GROWTH, self._growth)
-        known = {one.step: one for one in (*self._snapshots, start) if self._seen[0] <= one.step <= start.step}
+        end = self.engine.step
+        start = self._before
+        growth = self._growth
+        self._growth = min(GROWTH, self._growth)
+        known = {
+            one.step: one
+            for one in (*self._snapshots, start)
+            if self._seen[0] <= one.step <= start.step
+        }
         for step in sorted(known, reverse=True):
             self.engine.restore(known[step])
             self.engine.evaluate()
@@ -247,29 +300,48 @@ class RunGuard:
         self.n_steps -= end - start.step
         self._replay(start, end - start.step, fault)
 
-    def _failure(self, fault: str, step: int, at: Array | None = None) -> NonFiniteError | ConstraintError:
+    def _failure(
+        self, fault: str, step: int, at: Array | None = None
+    ) -> NonFiniteError | ConstraintError:
         """The error for a run that failed in a step, with its crash report; the engine is in the last good state.
         at : (N, 3), of the failure."""
-        engine, reason = self.engine, self._reason
-        engine.is_whole = True  # a good state, worth keeping, although runs from it may be rounded differently
+        engine = self.engine
+        reason = self._reason
+        # a good state, worth keeping, although runs from it may be rounded differently
+        engine.is_whole = True
         snapshots = self._snapshots or [engine.snapshot()]
         early = [one for one in snapshots if engine.step - one.step >= LEAST_REPLAY]
         self.failed_from = start = early[-1] if early else snapshots[0]
         kind: type[NonFiniteError | ConstraintError] = NonFiniteError
         if isinstance(reason, ConstraintError | RangeError):
-            kind, fault = type(reason), str(reason)
-        report, why = None, ""
+            kind = type(reason)
+            fault = str(reason)
+        report = None
+        why = ""
         try:
             engine.interactions.compute(PER_ATOM)
         except Exception as broken:  # whatever a term of the user's own raises
             why = f"There is no crash report: {type(broken).__name__}: {broken}\n"
         else:
-            of_barostat = self._first_volume, engine.barostat is not None and isinstance(reason, RangeError)
+            of_barostat = (
+                self._first_volume,
+                engine.barostat is not None and isinstance(reason, RangeError),
+            )
             at_all = start, start.step == self._first_step, *of_barostat
-            report = examine(engine, Failure(fault, step, getattr(reason, "atoms", None), at, *at_all))
-            why = "" if isinstance(reason, RangeError) else f"Likely cause: {report.cause}; {report.advice}\n"
+            report = examine(
+                engine, Failure(fault, step, getattr(reason, "atoms", None), at, *at_all)
+            )
+            why = (
+                ""
+                if isinstance(reason, RangeError)
+                else f"Likely cause: {report.cause}; {report.advice}\n"
+            )
         pair = closest_pair(engine.system)
-        near = f"; in the last good state the closest pair is {pair.told(engine.system.units.length)}" if pair else ""
+        near = (
+            f"; in the last good state the closest pair is {pair.told(engine.system.units.length)}"
+            if pair
+            else ""
+        )
         held = f"The system holds the last good state, that of step {engine.step}"
         error = kind(f"{why}At step {step}: {fault}{near}. {held}")
         error.crash_report = report

@@ -60,25 +60,42 @@ def correction(engine: Engine) -> float:
     v·(∇²U) v [energy/time²] is the difference of dU/ds = ∂U/∂t − F·v at s = 0, d and 2d, right to d². Its times are not
     before the present one, at which a spring may begin to move."""
     of_motion, of_forces = COEFFICIENTS[engine.method.sequence()]
-    squares = float(np.einsum("ij,ij,i->", engine.forces, engine.forces, engine.constraint_set.inverse_masses))
-    duration, change, of_power = NUDGE * engine.method.timestep, -3.0 * engine.forces, -3.0 * engine.surroundings.power
+    squares = float(
+        np.einsum("ij,ij,i->", engine.forces, engine.forces, engine.constraint_set.inverse_masses)
+    )
+    duration = NUDGE * engine.method.timestep
+    change = -3.0 * engine.forces
+    of_power = -3.0 * engine.surroundings.power
     for weight, later in ((4.0, duration), (-1.0, 2.0 * duration)):
         with engine.coasted(later) as forces:
             change += weight * forces
             of_power += weight * engine.interactions.power
-    v_hessian_v = (of_power - float(np.einsum("ij,ij->", engine.velocities, change))) / (2.0 * duration)
+    v_hessian_v = (of_power - float(np.einsum("ij,ij->", engine.velocities, change))) / (
+        2.0 * duration
+    )
     return engine.method.timestep**2 * (of_motion * v_hessian_v + of_forces * squares)
 
 
 def check_has_shadow(engine: Engine) -> None:
     """Raise ValueError where the shadow energy is not known, as shadow_energy says."""
-    method, none = engine.method, "there is no shadow energy"
-    is_known, with_bath = method.sequence() in COEFFICIENTS, "which exchanges energy with the system"
+    method = engine.method
+    none = "there is no shadow energy"
+    is_known = method.sequence() in COEFFICIENTS
+    with_bath = "which exchanges energy with the system"
     refusals = (
-        (method.is_thermostat, f"{none} with a thermostat, {with_bath}; the method is {method.name}"),
+        (
+            method.is_thermostat,
+            f"{none} with a thermostat, {with_bath}; the method is {method.name}",
+        ),
         (engine.barostat is not None, f"{none} with a barostat, {with_bath}"),
-        (not is_known, f"{none} of {method.name}, only of velocity-verlet, leapfrog and position-verlet"),
-        (engine.constraint_set.bonds is not None, f"{none} with rigid bonds; leave out the bonds or the observable"),
+        (
+            not is_known,
+            f"{none} of {method.name}, only of velocity-verlet, leapfrog and position-verlet",
+        ),
+        (
+            engine.constraint_set.bonds is not None,
+            f"{none} with rigid bonds; leave out the bonds or the observable",
+        ),
     )
     for applies, why in refusals:
         if applies:

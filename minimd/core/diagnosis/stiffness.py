@@ -20,8 +20,10 @@ from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE, BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_EV
 
-DISPLACEMENT = 1e-6  # of the closest pair: central differences are then right to 1e-9, and few pairs cross their cutoff
-ROUNDINGS = 1e-9  # of the largest coordinate: the smallest displacement, with six digits left after rounding
+# of the closest pair: central differences are then right to 1e-9, and few pairs cross their cutoff
+DISPLACEMENT = 1e-6
+# of the largest coordinate: the smallest displacement, with six digits left after rounding
+ROUNDINGS = 1e-9
 ROUNDINGS_OF_FORCES = 100.0  # in a sum over some fifty neighbors and its projection
 SMALL = 90  # coordinates; up to this number the whole matrix is as cheap as iterations
 ACCURACY = 1e-4  # of ω², relative
@@ -30,10 +32,15 @@ RIGID = 1e-9  # of its bare 1/μ: a bond to which constraints leave less cannot 
 SEED = 1  # of the vector from which iterations start
 # ω of the stiffest mode of a liquid, divided by that of a pair at rest; the modes: 4.8 at T* 0.7, ρ* 0.85; 5.8 at 1.44,
 # 0.8442. (ω/ω_pair)² = cold + heat T*^(7/6) through these two; u″ ∝ u^(7/6) where a wall r⁻¹² stops an atom
-CROWDED, CROWDED_COLD, CROWDED_HEAT = 5.0, 15.0, 12.2
-COLDEST = ((CROWDED**2 - CROWDED_COLD) / CROWDED_HEAT) ** (6.0 / 7.0)  # T* below which the floor of CROWDED counts
+CROWDED = 5.0
+CROWDED_COLD = 15.0
+CROWDED_HEAT = 12.2
+# T* below which the floor of CROWDED counts
+COLDEST = ((CROWDED**2 - CROWDED_COLD) / CROWDED_HEAT) ** (6.0 / 7.0)
 # eV, eV, Å: ε of no atom that is wider than WIDE, and of no atom at all; metals: W 1.07 eV, 2.56 Å
-DEEP, DEEPEST, WIDE = 0.5, 2.0, 2.7
+DEEP = 0.5
+DEEPEST = 2.0
+WIDE = 2.7
 SHALLOW, LIKELY = 5e-4, 0.05  # eV: ε of helium is 9e-4, that of xenon 0.02
 READINGS = (  # of an ε in another unit: its name, its size in eV, and the factor in words
     ("K", BOLTZMANN_EV_PER_K, "* md.units.ASE.k_B"),
@@ -54,10 +61,16 @@ class StiffBond(NamedTuple):
 class Stiffness:
     """What is known of a scene without computing forces; each number is computed when it is first asked for."""
 
-    def __init__(self, system: System, potentials: Sequence[Any], constraint_set: ConstraintSet) -> None:
-        self.system, self._potentials, self._constraint_set = system, potentials, constraint_set
+    def __init__(
+        self, system: System, potentials: Sequence[Any], constraint_set: ConstraintSet
+    ) -> None:
+        self.system = system
+        self._potentials = potentials
+        self._constraint_set = constraint_set
         bonds = constraint_set.bonds
-        self._held: NDArray[np.int64] = np.zeros((0, 2), dtype=np.int64) if bonds is None else bonds.pairs
+        self._held: NDArray[np.int64] = (
+            np.zeros((0, 2), dtype=np.int64) if bonds is None else bonds.pairs
+        )
 
     @cached_property
     def bond(self) -> StiffBond | None:
@@ -68,18 +81,26 @@ class Stiffness:
         for potential in self._potentials:
             if isinstance(potential, HarmonicBond):
                 pairs = potential.groups_in(self.system)
-                squares = potential.numbers()["k"] * self._constraint_set.inverse_masses[pairs].sum(axis=1)
+                squares = potential.numbers()["k"] * self._constraint_set.inverse_masses[pairs].sum(
+                    axis=1
+                )
                 squares[among(pairs, self._held)] = 0.0
                 stiffest = [b for b in np.argsort(-squares)[:TRIED] if squares[b] > 0.0]
-                found += [StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b])) for b in stiffest]
+                found += [
+                    StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b]))
+                    for b in stiffest
+                ]
         if len(self._held):
             found = [one._replace(square=one.square * self._free_part(one)) for one in found]
-        return max((one for one in found if one.square > 0.0), key=lambda one: one.square, default=None)
+        return max(
+            (one for one in found if one.square > 0.0), key=lambda one: one.square, default=None
+        )
 
     def _free_part(self, bond: StiffBond) -> float:
         """The fraction of 1/μ that constraints leave to a bond: the relative velocity that a unit impulse along it
         causes, times μ. From 0 to 1."""
-        system, pair = self.system, np.array([bond.i, bond.j])
+        system = self.system
+        pair = np.array([bond.i, bond.j])
         inverse_masses = self._constraint_set.inverse_masses[pair]
         arm = direction(nearest_vectors(system.positions, system.cell, pair[None])[0])
         velocities = np.zeros_like(system.positions)
@@ -95,18 +116,22 @@ class Stiffness:
 
         This is the largest ω of all pairs of species. An atom bonded to a heavier one moves with it, and does not
         count.  at_rest : whether the velocities are left out."""
-        system, bonds = self.system, np.concatenate([self.system.bonds, self._held])
+        system = self.system
+        bonds = np.concatenate([self.system.bonds, self._held])
         masses = system.masses
         lighter = bonds[np.arange(len(bonds)), np.argmin(masses[bonds], axis=1)]
         inverse = 1.0 / masses
         inverse[lighter[masses[bonds[:, 0]] != masses[bonds[:, 1]]]] = 0.0
         fastest = np.zeros(len(system.species_names))
         np.maximum.at(fastest, system.species_index, inverse)
-        thermal, square = 0.0 if at_rest else system.units.k_B * self.temperature, 0.0
+        thermal = 0.0 if at_rest else system.units.k_B * self.temperature
+        square = 0.0
         for epsilon, sigma in self._wells():
             each = fastest if len(epsilon) > 1 else fastest.max(keepdims=True)
             with np.errstate(over="ignore"):  # in a run that has blown up
-                heat = np.divide(thermal, epsilon, out=np.zeros_like(epsilon), where=epsilon > 0.0) ** (7.0 / 6.0)
+                heat = np.divide(
+                    thermal, epsilon, out=np.zeros_like(epsilon), where=epsilon > 0.0
+                ) ** (7.0 / 6.0)
                 both = np.where((each[:, None] > 0.0) & (each > 0.0), each[:, None] + each, 0.0)
                 stiffness = curvature_at_minimum(epsilon, sigma) * both
                 crowd = np.maximum(CROWDED**2, CROWDED_COLD + CROWDED_HEAT * heat)
@@ -116,7 +141,9 @@ class Stiffness:
     @property
     def temperature(self) -> float:
         """T of the velocities relative to the center of mass, unless atoms are fixed [temperature]; 0 at rest."""
-        return self._constraint_set.temperature(self.system.velocities, self.system, conserves_momentum=True)
+        return self._constraint_set.temperature(
+            self.system.velocities, self.system, conserves_momentum=True
+        )
 
     @cached_property
     def strange_depth(self) -> tuple[str, str] | None:
@@ -137,7 +164,9 @@ class Stiffness:
     def _wells(self) -> Iterator[tuple[Array, Array]]:
         """ε and σ of each Lennard-Jones potential for pairs of species, (S, S) each."""
         for potential in self._potentials:
-            if isinstance(potential, Nonbonded) and isinstance(potential.plain_law, LennardJonesLaw):
+            if isinstance(potential, Nonbonded) and isinstance(
+                potential.plain_law, LennardJonesLaw
+            ):
                 table = potential.table(self.system.species_names)
                 yield table[..., -2], table[..., -1]
 
@@ -156,7 +185,9 @@ class Curvature:
     is_finite : whether the forces of the state are finite.  displacement : of the atom that is moved most [length]."""
 
     def __init__(self, forces: Forces, constraint_set: ConstraintSet) -> None:
-        self._forces, self._constraint_set, self._system = forces, constraint_set, forces.system
+        self._forces = forces
+        self._constraint_set = constraint_set
+        self._system = forces.system
         constraint_set.fit(self._system)
         self._root = np.sqrt(constraint_set.inverse_masses)[:, None]
         self._start = self._system.positions.copy()
@@ -175,7 +206,9 @@ class Curvature:
     @property
     def rounding(self) -> float:
         """The error of D that rounding of the forces causes [1/time²]: smaller eigenvalues mean nothing."""
-        largest = float(np.abs(self._first).max(initial=0.0)) * float(self._constraint_set.inverse_masses.max())
+        largest = float(np.abs(self._first).max(initial=0.0)) * float(
+            self._constraint_set.inverse_masses.max()
+        )
         return ROUNDINGS_OF_FORCES * EPS * largest / self.displacement
 
     def times(self, vector: Array) -> Array:
@@ -188,13 +221,16 @@ class Curvature:
         step = self.displacement / longest
         change = self._forces_at(steps, -step) - self._forces_at(steps, step)
         product = change * (0.5 * longest / self.displacement)
-        for pairs, multipliers in self._springs:  # λ r_ij is the force on j: a step u changes it by λ (u_j − u_i)
+        # λ r_ij is the force on j: a step u changes it by λ (u_j − u_i)
+        for pairs, multipliers in self._springs:
             pull = multipliers[:, None] * (steps[pairs[:, 1]] - steps[pairs[:, 0]])
             np.add.at(product, pairs[:, 1], -pull)
             np.add.at(product, pairs[:, 0], pull)
         accelerations = self._constraint_set.inverse_masses[:, None] * product
         self._constraint_set.project(accelerations, self._start)
-        return np.divide(accelerations, self._root, out=np.zeros_like(accelerations), where=self._root > 0.0).ravel()
+        return np.divide(
+            accelerations, self._root, out=np.zeros_like(accelerations), where=self._root > 0.0
+        ).ravel()
 
     def stiffest(self, guess: Array) -> tuple[float, Array]:
         """The largest eigenvalue of D [1/time²] and its vector, (N, 3), of length one.  guess : (N, 3), of a start."""
@@ -202,7 +238,8 @@ class Curvature:
             matrix = np.stack([self.times(unit) for unit in np.eye(guess.size)])
             squares, modes = np.linalg.eigh(0.5 * (matrix + matrix.T))
             return float(squares[-1]), modes[:, -1].reshape(-1, 3)
-        if not self.times(guess.ravel()).any():  # no curvature at all, which iterations do not accept
+        # no curvature at all, which iterations do not accept
+        if not self.times(guess.ravel()).any():
             return 0.0, np.zeros_like(guess)
         from scipy.sparse.linalg import LinearOperator, eigsh
 
@@ -212,14 +249,18 @@ class Curvature:
 
     def guess(self, bond: StiffBond | None) -> Array:
         """A vector that contains a part of every mode, and a large part of the stretching of a bond. (N, 3)."""
-        vector = np.random.default_rng(SEED).standard_normal(self._start.shape) / np.sqrt(self._start.size)
+        vector = np.random.default_rng(SEED).standard_normal(self._start.shape) / np.sqrt(
+            self._start.size
+        )
         return vector if bond is None else vector + self.stretching(np.array([[bond.i, bond.j]]))[0]
 
     def stretching(self, pairs: NDArray[np.int64]) -> Array:
         """The stretching mode of each pair alone: its atoms move apart, in any direction if they are at the same place.
         (B, N, 3), of length one."""
         modes = np.zeros((len(pairs), *self._start.shape))
-        for mode, (i, j), arm in zip(modes, pairs, nearest_vectors(self._start, self._system.cell, pairs), strict=True):
+        for mode, (i, j), arm in zip(
+            modes, pairs, nearest_vectors(self._start, self._system.cell, pairs), strict=True
+        ):
             mode[i], mode[j] = np.outer((-self._root[i], self._root[j]), direction(arm))
             mode /= np.linalg.norm(mode)
         return modes

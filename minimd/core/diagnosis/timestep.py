@@ -68,10 +68,14 @@ class StepAdvice(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        units, shown, none = self.units, self.units.shown, "none: nothing oscillates in this state"
+        units = self.units
+        shown = self.units.shown
+        none = "none: nothing oscillates in this state"
         if self.frequency == 0.0 and self.recommended == inf:
             return [("stiffest mode", f"{none}, so it sets no limit to the time step")]
-        recommended, of_limit, by_heat = f"{shown(self.recommended)}: ", "", "collisions of Lennard-Jones atoms"
+        recommended = f"{shown(self.recommended)}: "
+        of_limit = ""
+        by_heat = "collisions of Lennard-Jones atoms"
         rows = [("stiffest mode", none), ("recommended", f"{recommended}set by {by_heat}")]
         if self.frequency:
             omega = self.frequency / units.to_picosecond
@@ -81,22 +85,48 @@ class StepAdvice(Displayed):
             motion = f"{f'mostly of atoms {shares}, ' if shares else ''}spread over some {self.n_moving:.3g} atoms"
             if self.bond is not None:
                 motion = f"the bond of atoms {self.bond[0]} and {self.bond[1]}: {shares} of the kinetic energy"
-            blow_up = "longer steps blow up; with hot atoms, somewhat shorter steps may blow up, too"
-            rows = [("stiffest mode", f"ω = {omega:.4g} / {units.shown_time}, period {shown(self.period)}"),
-                    ("", motion), ("limit", f"{shown(self.limit)} for {self.method}: {blow_up}"),
-                    ("recommended", f"{recommended}{self.period / self.recommended:.3g} steps a period"),
-                    ("decided by", "the stiffest mode")]  # fmt: skip
+            blow_up = (
+                "longer steps blow up; with hot atoms, somewhat shorter steps may blow up, too"
+            )
+            rows = [
+                (
+                    "stiffest mode",
+                    f"ω = {omega:.4g} / {units.shown_time}, period {shown(self.period)}",
+                ),
+                ("", motion),
+                ("limit", f"{shown(self.limit)} for {self.method}: {blow_up}"),
+                (
+                    "recommended",
+                    f"{recommended}{self.period / self.recommended:.3g} steps a period",
+                ),
+                ("decided by", "the stiffest mode"),
+            ]
             if self.collision < self.harmonic:
                 heat = f"{self.temperature:.3g} {units.temperature}" if self.temperature else "rest"
                 hotter = f"or at the temperature of the velocities if that is higher (now: {heat})"
-                rows[-1] = "decided by", f"{by_heat} in a liquid at k_B T up to {COLDEST:.2g} ε, {hotter}"
-                rows.append(("", f"the stiffest mode of this state alone would allow {shown(self.harmonic)}"))
-        return rows if self.timestep is None else [*rows, ("given", f"{shown(self.timestep)}{of_limit}")]
+                rows[-1] = (
+                    "decided by",
+                    f"{by_heat} in a liquid at k_B T up to {COLDEST:.2g} ε, {hotter}",
+                )
+                rows.append(
+                    (
+                        "",
+                        f"the stiffest mode of this state alone would allow {shown(self.harmonic)}",
+                    )
+                )
+        return (
+            rows
+            if self.timestep is None
+            else [*rows, ("given", f"{shown(self.timestep)}{of_limit}")]
+        )
 
 
-def advise_timestep(system: AnySystem, potentials: Potential | Sequence[Potential],
-                    constraints: Constraint | Sequence[Constraint] | None = None,
-                    method: Splitting | type[Splitting] = VelocityVerlet) -> StepAdvice:  # fmt: skip
+def advise_timestep(
+    system: AnySystem,
+    potentials: Potential | Sequence[Potential],
+    constraints: Constraint | Sequence[Constraint] | None = None,
+    method: Splitting | type[Splitting] = VelocityVerlet,
+) -> StepAdvice:
     """How long a time step may be: by the highest frequency of the weighted Hessian M^−1/2 H M^−1/2 of this state.
 
         limit = h_max/ω, h_max = 2 for velocity Verlet; recommended = h/ω with (E_max − E_min)/(E_max + E_min) = 1/80
@@ -123,11 +153,16 @@ def advise_timestep(system: AnySystem, potentials: Potential | Sequence[Potentia
     ------
     NonFiniteError : if the forces are not finite.  TypeError, ValueError : as Simulation.
     """
-    if not (isinstance(method, Splitting) or (isinstance(method, type) and issubclass(method, Splitting))):
+    if not (
+        isinstance(method, Splitting)
+        or (isinstance(method, type) and issubclass(method, Splitting))
+    ):
         wanted = "a splitting, such as VelocityVerlet or VelocityVerlet(0.005)"
         raise TypeError(f"method must be {wanted}; got {shown(method)}")
     system = system.copy() if isinstance(system, System) else System.from_ase(system)
-    constraint_set = ConstraintSet(system, system.constraints if constraints is None else constraints)
+    constraint_set = ConstraintSet(
+        system, system.constraints if constraints is None else constraints
+    )
     return _advice(Forces(system, potentials), constraint_set, method)
 
 
@@ -145,21 +180,31 @@ def advice_at(engine: Engine, seconds: float) -> StepAdvice | None:
     return _advice(forces, ConstraintSet(system, engine.constraints), engine.method)
 
 
-def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | type[Splitting]) -> StepAdvice:
+def _advice(
+    forces: Forces, constraint_set: ConstraintSet, method: Splitting | type[Splitting]
+) -> StepAdvice:
     system = forces.system
-    stiffness, curvature = Stiffness(system, forces.potentials, constraint_set), Curvature(forces, constraint_set)
-    square, mode = nan, np.zeros_like(system.positions)
+    stiffness = Stiffness(system, forces.potentials, constraint_set)
+    curvature = Curvature(forces, constraint_set)
+    square = nan
+    mode = np.zeros_like(system.positions)
     if curvature.is_finite:
         square, mode = curvature.stiffest(curvature.guess(stiffness.bond))
     if not np.isfinite(square):
         why = why_not_finite(system, forces.potentials)
         raise NonFiniteError(f"the forces around this state are not finite: {why}")
     if not square > curvature.rounding:
-        square, mode = 0.0, np.zeros_like(mode)
-    frequency, row, shares = square**0.5, method.sequence(), np.einsum("ij,ij->i", mode, mode)
-    atoms = [int(i) for i in np.argsort(-shares, kind="stable")[:SHOWN_ATOMS] if shares[i] >= SHOWN_SHARE]
+        square = 0.0
+        mode = np.zeros_like(mode)
+    frequency = square**0.5
+    row = method.sequence()
+    shares = np.einsum("ij,ij->i", mode, mode)
+    atoms = [
+        int(i) for i in np.argsort(-shares, kind="stable")[:SHOWN_ATOMS] if shares[i] >= SHOWN_SHARE
+    ]
     collides = len(system) > 1 and (frequency > 0.0 or system.velocities.any())
-    step, colliding = accurate_step(row, OSCILLATION), stiffness.collisions() if collides else 0.0
+    step = accurate_step(row, OSCILLATION)
+    colliding = stiffness.collisions() if collides else 0.0
     harmonic, collision = (step / one if one else inf for one in (frequency, colliding))
     # the bond whose stretching by itself makes up more than half of the mode
     joined = (one.groups_in(system) for one in forces.potentials if isinstance(one, Bond))
@@ -167,11 +212,20 @@ def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | t
     near = pairs[np.isin(pairs, np.argsort(-shares)[:SHOWN_ATOMS]).all(axis=1)]
     parts = np.einsum("bij,ij->b", curvature.stretching(near), mode) ** 2
     bond = tuple(near[np.argmax(parts)].tolist()) if parts.max(initial=0.0) > HALF else None
-    return StepAdvice(frequency=frequency, period=2.0 * pi / frequency if frequency else inf,
-                      limit=stability_limit(row) / frequency if frequency else inf, harmonic=harmonic,
-                      collision=collision, recommended=min(harmonic, collision),
-                      temperature=stiffness.temperature, method=method.name,
-                      timestep=method.timestep if isinstance(method, Splitting) else None, atoms=tuple(atoms),
-                      shares=tuple(float(shares[i]) for i in atoms),
-                      n_moving=float(1.0 / (shares**2).sum()) if shares.any() else nan, bond=bond,
-                      n_evaluations=forces.n_evaluations, units=system.units)  # fmt: skip
+    return StepAdvice(
+        frequency=frequency,
+        period=2.0 * pi / frequency if frequency else inf,
+        limit=stability_limit(row) / frequency if frequency else inf,
+        harmonic=harmonic,
+        collision=collision,
+        recommended=min(harmonic, collision),
+        temperature=stiffness.temperature,
+        method=method.name,
+        timestep=method.timestep if isinstance(method, Splitting) else None,
+        atoms=tuple(atoms),
+        shares=tuple(float(shares[i]) for i in atoms),
+        n_moving=float(1.0 / (shares**2).sum()) if shares.any() else nan,
+        bond=bond,
+        n_evaluations=forces.n_evaluations,
+        units=system.units,
+    )

@@ -9,7 +9,12 @@ from minimd.core.constraints.constraint_set import ConstraintSet
 from minimd.core.constraints.groups import bodies_of
 from minimd.core.forces.forces import Forces
 from minimd.core.forces.options import FIXED_POINT
-from minimd.core.integrators.barostats import StochasticCellRescaling, ThermodynamicState, exponential, turned_back
+from minimd.core.integrators.barostats import (
+    StochasticCellRescaling,
+    ThermodynamicState,
+    exponential,
+    turned_back,
+)
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.state import Bath
 from minimd.core.structure.cell import Cell
@@ -20,7 +25,8 @@ from minimd.core.structure.system import System
 from minimd.core.structure.vectors import strained
 
 LARGEST_STRAIN = 0.2  # of the cell at once: a bath that strains it more does not act slowly
-EVAPORATED = 8.0  # times the volume at the start: a liquid grows by a factor of some 3 up to its critical point
+# times the volume at the start: a liquid grows by a factor of some 3 up to its critical point
+EVAPORATED = 8.0
 
 
 class StrainedBodies:
@@ -33,7 +39,9 @@ class StrainedBodies:
         self.bodies = bodies_of(constraints.kept[-1].pairs, constraints.inverse_masses)
         self._system = system
         self.masses = self._sums(system.masses)
-        self._translations, self._of, self._cell = np.zeros_like(system.positions), None, system.cell
+        self._translations = np.zeros_like(system.positions)
+        self._of = None
+        self._cell = system.cell
 
     def _sums(self, values: Array) -> Array:
         return np.asarray(np.bincount(self.bodies.label, values), dtype=np.float64)
@@ -41,13 +49,17 @@ class StrainedBodies:
     def centers(self, vectors: Array) -> Array:
         """Mass-weighted mean of (N, 3) vectors over each body: (B, 3)."""
         weighted = self._system.masses[:, None] * vectors
-        return np.column_stack([self._sums(weighted[:, c]) for c in range(3)]) / self.masses[:, None]
+        return (
+            np.column_stack([self._sums(weighted[:, c]) for c in range(3)]) / self.masses[:, None]
+        )
 
     def whole(self, bonds: Any) -> Array:
         """Lattice translations of the present cell, (N, 3) [length], that join the atoms of each body."""
         cell = self._system.cell
         if bonds is not self._of:
-            self._translations, self._of, self._cell = self._joined(bonds), bonds, cell
+            self._translations = self._joined(bonds)
+            self._of = bonds
+            self._cell = cell
             cell.follow(cell, self._translations)
         elif cell is not self._cell:
             self._cell.follow(cell, self._translations)
@@ -61,14 +73,18 @@ class StrainedBodies:
         translations = np.zeros_like(self._system.positions)
         if not bonds.offsets.any():
             return translations
-        number, both_ways = np.arange(1, len(bonds.pairs) + 1), np.concatenate([bonds.pairs, bonds.pairs[:, ::-1]])
-        values, shape = np.concatenate([number, -number]), (len(translations), len(translations))
+        number = np.arange(1, len(bonds.pairs) + 1)
+        both_ways = np.concatenate([bonds.pairs, bonds.pairs[:, ::-1]])
+        values = np.concatenate([number, -number])
+        shape = (len(translations), len(translations))
         graph = coo_array((values, both_ways.T), shape=shape).tocsr()
         for body in np.unique(self.bodies.label[bonds.pairs[bonds.offsets.any(axis=1), 0]]):
             order, parent = breadth_first_order(graph, int(self.bodies.last[body]), directed=True)
             for atom in order[1:]:
                 k = int(graph[parent[atom], atom])
-                translations[atom] = translations[parent[atom]] + np.sign(k) * bonds.offsets[abs(k) - 1]
+                translations[atom] = (
+                    translations[parent[atom]] + np.sign(k) * bonds.offsets[abs(k) - 1]
+                )
         return translations
 
 
@@ -86,7 +102,10 @@ class CellRescaling:
         constraints: ConstraintSet,
         method: Splitting,
     ) -> None:
-        self.barostat, self._system, self._interactions, self._constraints = barostat, system, interactions, constraints
+        self.barostat = barostat
+        self._system = system
+        self._interactions = interactions
+        self._constraints = constraints
         check(system, interactions, constraints)
         self.temperature(method)
         self._molecules = None if constraints.bonds is None else StrainedBodies(system, constraints)
@@ -94,9 +113,12 @@ class CellRescaling:
 
     def temperature(self, method: Splitting) -> float:
         """T of the bath.  Raises ValueError if neither barostat nor thermostat has it, they differ, or timestep < 0."""
-        own, theirs = self.barostat.temperature, getattr(method, "temperature", None) if method.is_thermostat else None
+        own = self.barostat.temperature
+        theirs = getattr(method, "temperature", None) if method.is_thermostat else None
         if method.timestep < 0.0:
-            raise ValueError(f"time cannot run backwards with a barostat; timestep = {method.timestep!r}")
+            raise ValueError(
+                f"time cannot run backwards with a barostat; timestep = {method.timestep!r}"
+            )
         if own is None and theirs is None:
             why = "which has no temperature, needs temperature=... for its noise"
             raise ValueError(f"a barostat with {method.name}, {why}")
@@ -110,14 +132,17 @@ class CellRescaling:
         """The first step after this one at which the cell is strained."""
         return step + self.barostat.every - step % self.barostat.every
 
-    def apply(self, method: Splitting, noise_number: int, bath: Bath, forces_follow: Callable[[], None]) -> None:
+    def apply(
+        self, method: Splitting, noise_number: int, bath: Bath, forces_follow: Callable[[], None]
+    ) -> None:
         """Strain the whole scene once; its forces, energy and virial must be current.
 
         noise_number : selects the noise.  forces_follow : called after cell and positions changed, to compute them.
 
         Raises RangeError for a strain too large, or a cell that nothing holds together; ValueError without a virial.
         """
-        duration, thermal = self.barostat.every * method.timestep, self._system.units.k_B * self.temperature(method)
+        duration = self.barostat.every * method.timestep
+        thermal = self._system.units.k_B * self.temperature(method)
         before = self._thermodynamic_state(thermal, bath)
         strain = self.barostat.strain(before, duration, noise_number)
         largest = float(np.abs(strain).max())
@@ -125,41 +150,57 @@ class CellRescaling:
             target = f"{self.barostat.pressure:.3g} {self._system.units.pressure}"
             why = f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {target}"
             cure = "equilibrate first, take a longer relaxation_time, or check the unit of the pressure"
-            raise RangeError(f"the barostat would strain the cell by {largest:.1e} at once ({why}): {cure}")
+            raise RangeError(
+                f"the barostat would strain the cell by {largest:.1e} at once ({why}): {cure}"
+            )
         if self.barostat.pressure <= 0.0 and before.volume > EVAPORATED * self._first_volume:
             raise RangeError(self._growth(before))
         back = self._move(exponential(strain), bath)
         forces_follow()
         after = self._thermodynamic_state(thermal, bath, back)
-        bath.energy += after.energy - before.energy - self.barostat.change_of_conserved(before, after, strain, duration)
+        bath.energy += (
+            after.energy
+            - before.energy
+            - self.barostat.change_of_conserved(before, after, strain, duration)
+        )
 
     def _growth(self, state: ThermodynamicState) -> str:
-        volume, pressure = self._system.units.volume, self._system.units.pressure
+        volume = self._system.units.volume
+        pressure = self._system.units.pressure
         grown = f"the cell has grown from {self._first_volume:.4g} to {state.volume:.4g} {volume}"
         why = f"at pressure {self.barostat.pressure:.3g} {pressure} a gas expands without end"
-        cure = "take a pressure above zero, at which the atoms stay together, or a lower temperature"
+        cure = (
+            "take a pressure above zero, at which the atoms stay together, or a lower temperature"
+        )
         return f"{grown}: the atoms have evaporated, and {why}; {cure}"
 
-    def _thermodynamic_state(self, thermal: float, bath: Bath, back: Array | None = None) -> ThermodynamicState:
+    def _thermodynamic_state(
+        self, thermal: float, bath: Bath, back: Array | None = None
+    ) -> ThermodynamicState:
         """The present state.  back : (3, 3) rotation applied to its tensors.
 
         If the total momentum is constant, it is no thermal motion; its degrees of freedom add k_B T/V.
         """
-        system, volume = self._system, float(self._system.volume or 0.0)
-        moving, masses = system.velocities, system.masses
+        system = self._system
+        volume = float(self._system.volume or 0.0)
+        moving = system.velocities
+        masses = system.masses
         virial = self._interactions.virial
         if not np.isfinite(virial).all() and np.isfinite(self._interactions.forces).all():
             cure = "take one that does, such as a calculator with a stress"
             raise ValueError(f"a barostat needs the virial, but a potential gives none: {cure}")
         if self._molecules is not None:
             virial = virial - self._inner_virial()
-            moving, masses = self._molecules.centers(moving), self._molecules.masses
+            moving = self._molecules.centers(moving)
+            masses = self._molecules.masses
         tensor = momentum_flux(moving, masses) + 0.5 * (virial + virial.T)
         if bath.conserves_momentum:
             total = momentum(moving, masses)
             tensor += thermal * np.eye(3) - np.outer(total, total) / masses.sum()
         tensor = tensor if back is None else back @ tensor @ back.T
-        energy = kinetic_energy(system.velocities, system.masses) + self._interactions.potential_energy
+        energy = (
+            kinetic_energy(system.velocities, system.masses) + self._interactions.potential_energy
+        )
         return ThermodynamicState(tensor / volume, volume, energy, thermal)
 
     def _inner_virial(self) -> Array:
@@ -171,7 +212,9 @@ class CellRescaling:
 
     def _move(self, stretch: Array, bath: Bath) -> Array | None:
         """Strain cell, positions, velocities by a symmetric (3, 3) matrix; returns the rotation after it, or None."""
-        system, before, rotation = self._system, self._system.cell, None
+        system = self._system
+        before = self._system.cell
+        rotation = None
         vectors = before.vectors @ stretch
         if self.barostat.coupling == "triclinic":
             vectors, rotation = turned_back(before.vectors, vectors)
@@ -181,10 +224,18 @@ class CellRescaling:
         if self._molecules is None:
             turned = np.eye(3) if rotation is None else rotation
             strained(system.positions, stretch @ turned, system.positions)
-            strained(system.velocities, inverse @ turned, system.velocities, drift - drift @ inverse @ turned)
+            strained(
+                system.velocities,
+                inverse @ turned,
+                system.velocities,
+                drift - drift @ inverse @ turned,
+            )
         else:
-            positions, velocities = self._moved_molecules(stretch, system.velocities - drift, inverse, cell, rotation)
-            system.positions[:], system.velocities[:] = positions, velocities + drift
+            positions, velocities = self._moved_molecules(
+                stretch, system.velocities - drift, inverse, cell, rotation
+            )
+            system.positions[:] = positions
+            system.velocities[:] = velocities + drift
         system.cell = cell
         self._constraints.follow(before, cell)
         return rotation
@@ -194,13 +245,21 @@ class CellRescaling:
     ) -> tuple[Array, Array]:
         """Positions and velocities, (N, 3): the centers of molecules are strained, then all is rotated."""
         molecules: Any = self._molecules
-        label, translations = molecules.bodies.label, molecules.whole(self._constraints.bonds)
+        label = molecules.bodies.label
+        translations = molecules.whole(self._constraints.bonds)
         whole = self._system.positions + translations
-        shifts = [np.einsum("ij,jk->ik", centers, matrix - np.eye(3)) for centers, matrix in (
-            (molecules.centers(whole), stretch), (molecules.centers(velocities), inverse))]  # fmt: skip
-        whole, velocities = whole + shifts[0][label], velocities + shifts[1][label]
+        shifts = [
+            np.einsum("ij,jk->ik", centers, matrix - np.eye(3))
+            for centers, matrix in (
+                (molecules.centers(whole), stretch),
+                (molecules.centers(velocities), inverse),
+            )
+        ]
+        whole = whole + shifts[0][label]
+        velocities = velocities + shifts[1][label]
         if rotation is not None:
-            whole, velocities = np.einsum("ij,jk->ik", whole, rotation), np.einsum("ij,jk->ik", velocities, rotation)
+            whole = np.einsum("ij,jk->ik", whole, rotation)
+            velocities = np.einsum("ij,jk->ik", velocities, rotation)
         translations = translations.copy()
         self._system.cell.follow(cell, translations)
         return whole - translations, velocities
@@ -242,4 +301,6 @@ def check_cell(system: System) -> None:
     """Raise ValueError for a cell without a volume."""
     if system.volume is None:
         what = "periodic in all three directions (for a slab, with empty space)"
-        raise ValueError(f"a barostat needs a cell that is {what}; pbc = {system.cell.pbc.tolist()}")
+        raise ValueError(
+            f"a barostat needs a cell that is {what}; pbc = {system.cell.pbc.tolist()}"
+        )

@@ -88,14 +88,22 @@ class Engine:
     ) -> None:
         self._method = _checked_method(method)
         self._system = system.copy() if isinstance(system, System) else System.from_ase(system)
-        self.holds_center, self.counts_center = _holds_center(system), False
-        self._step, self._clock, self._pace, self.noise_shift = 0, (0, 0.0), method.timestep, 0
-        self.equilibrated, self.is_whole, self.notes = 0, True, {"title": "", "scene": ""}
+        self.holds_center = _holds_center(system)
+        self.counts_center = False
+        self._step = 0
+        self._clock = (0, 0.0)
+        self._pace = method.timestep
+        self.noise_shift = 0
+        self.equilibrated = 0
+        self.is_whole = True
+        self.notes = {"title": "", "scene": ""}
         self.extra_observables: Sequence[str] = ()
         self.interactions = Forces(self.system, potentials, options)
         _warn_of_dropped(self.system.constraints, constraints)
         held = self.system.constraints if constraints is None else constraints
-        self.constraint_set = ConstraintSet(self.system, held, self.interactions.options.most_threads)
+        self.constraint_set = ConstraintSet(
+            self.system, held, self.interactions.options.most_threads
+        )
         self.system.constraints = self.constraint_set.kept
         _check_center(self.holds_center, self._is_still_under(method), method)
         self._state = self._laid_out()
@@ -111,18 +119,29 @@ class Engine:
 
     def _laid_out(self) -> State:
         """The state; in fixed-point arithmetic on a grid."""
-        interactions, options = self.interactions, self.interactions.options
-        parts = self.system.positions, self.system.velocities, interactions.forces, self.constraint_set.inverse_masses
+        interactions = self.interactions
+        options = self.interactions.options
+        parts = (
+            self.system.positions,
+            self.system.velocities,
+            interactions.forces,
+            self.constraint_set.inverse_masses,
+        )
         if options.precision != FIXED_POINT:
             return State(*parts)
-        interactions.lay_grid(options.grid or Grid.of_scene(self.system, self.method.timestep, interactions.depth()))
+        interactions.lay_grid(
+            options.grid or Grid.of_scene(self.system, self.method.timestep, interactions.depth())
+        )
         bonds = self.constraint_set.bonds
-        bodies = None if bonds is None else bodies_of(bonds.pairs, self.constraint_set.inverse_masses)
+        bodies = (
+            None if bonds is None else bodies_of(bonds.pairs, self.constraint_set.inverse_masses)
+        )
         return GridState(*parts, impulses=interactions.impulses, bodies=bodies)
 
     def _fit_grid(self) -> None:
         """In fixed-point arithmetic, after changes: larger steps of the grid if needed, and the state rounded to it."""
-        interactions, state = self.interactions, self._state
+        interactions = self.interactions
+        state = self._state
         if interactions.grid is None or not isinstance(state, GridState):
             return
         if interactions.options.grid is None and not interactions.grid.has_room_for(self.system):
@@ -133,7 +152,8 @@ class Engine:
 
     def _lay(self, grid: Grid | None) -> None:
         """Take a grid for the steps to come, if this engine has one."""
-        interactions, state = self.interactions, self._state
+        interactions = self.interactions
+        state = self._state
         if grid is None or not isinstance(state, GridState):
             return
         interactions.grid = state.grid = grid
@@ -142,23 +162,31 @@ class Engine:
     @property
     def _own_steps(self) -> Steps:
         """The steps of the method, made anew if anything else than the state is another one."""
-        constraints, grid = self.surroundings.constraints, self.interactions.grid
+        constraints = self.surroundings.constraints
+        grid = self.interactions.grid
         made_of = self._method, constraints, grid, *vars(self._method).values()
-        is_same = len(made_of) == len(self._steps_of) and all(map(operator.is_, made_of, self._steps_of))
+        is_same = len(made_of) == len(self._steps_of) and all(
+            map(operator.is_, made_of, self._steps_of)
+        )
         if self._steps is None or not is_same:
             forces = self.interactions
             power = (lambda: forces.power) if forces.depend_on_time else None
             work = lambda: forces.version, lambda: forces.pool
             source = ForceSource(self._forces_at, *work, self._running, power, self._taken)
-            self._steps, self._steps_of = Steps(self._method, self._state, self.surroundings, source), made_of
+            self._steps = Steps(self._method, self._state, self.surroundings, source)
+            self._steps_of = made_of
         return self._steps
 
     def _forces_at(self, with_energy: bool, unit: float, moment: Moment) -> Iterator[Operation]:
         """The operations of forces at a moment of a step."""
         interactions = self.interactions
         if interactions.depend_on_time:
-            yield in_python(lambda: setattr(interactions, "time", self._time_at(moment.time - self.noise_shift)))
-        yield from interactions.operations(interactions.target(TOTALS if with_energy else FORCES, unit))
+            yield in_python(
+                lambda: setattr(interactions, "time", self._time_at(moment.time - self.noise_shift))
+            )
+        yield from interactions.operations(
+            interactions.target(TOTALS if with_energy else FORCES, unit)
+        )
 
     @contextmanager
     def _running(self, program: Program) -> Iterator[None]:
@@ -177,11 +205,14 @@ class Engine:
         Raises NonFiniteError, ConstraintError if a step fails; then the state is invalid: restore a snapshot.
         """
         self._keep_pace()
-        rescaling, step, end = self._rescaling, self.step, self.step + n_steps
+        rescaling = self._rescaling
+        step = self.step
+        end = self.step + n_steps
         while step < end:
             due = None if rescaling is None else rescaling.next_step(step)
             at = end if due is None else min(end, due)
-            wants_energy, steps = at == due or (with_energy and at == end), self._own_steps
+            wants_energy = at == due or (with_energy and at == end)
+            steps = self._own_steps
             made = steps.advance(at - step, wants_energy, step + self.noise_shift)
             self.interactions.n_evaluations += made * steps.n_evaluations
             step += made
@@ -243,7 +274,13 @@ class Engine:
 
     def _digest(self) -> tuple[int, ...]:
         """CRC-32 of each array; a changed array has the same one with a probability of 1 in 4·10⁹."""
-        arrays = self.positions, self.velocities, self.system.cell.vectors, self.system.cell.pbc, self.system.masses
+        arrays = (
+            self.positions,
+            self.velocities,
+            self.system.cell.vectors,
+            self.system.cell.pbc,
+            self.system.masses,
+        )
         return tuple(zlib.crc32(np.ascontiguousarray(array).data) for array in arrays)
 
     def evaluate(self) -> None:
@@ -255,10 +292,12 @@ class Engine:
             return
         # the run itself needs no forces here if its next step begins with a drift
         is_aside = isinstance(next(iter(mechanical(self.method.substeps)), None), Drift)
-        before, n_builds = self.interactions.lists_built() if is_aside else (), self.interactions.n_builds
+        before = self.interactions.lists_built() if is_aside else ()
+        n_builds = self.interactions.n_builds
         self.interactions.time = self._time_at(step)
         self.interactions.compute(TOTALS, self._state.unit)
-        self._state.forces_are_current, self.surroundings.power = True, self.interactions.power
+        self._state.forces_are_current = True
+        self.surroundings.power = self.interactions.power
         if is_aside:
             self.interactions.n_evaluations -= 1  # of an observation, not of a step
         if is_aside and self.interactions.n_builds != n_builds:
@@ -272,20 +311,24 @@ class Engine:
     @contextmanager
     def coasted(self, duration: float) -> Iterator[Array]:
         """Context in which atoms, and the clock of forces, have coasted for a duration [time]; yields (N, 3) forces."""
-        here, now = self.positions.copy(), self.interactions.time
+        here = self.positions.copy()
+        now = self.interactions.time
         with self.interactions.set_aside():
             self.positions[:] += duration * self.velocities
             self.interactions.time = self.time + duration
             try:
                 yield self.interactions.compute(FORCES)
             finally:
-                self.positions[:], self.interactions.time = here, now
+                self.positions[:] = here
+                self.interactions.time = now
 
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""
         arrays = self.positions.copy(), self.velocities.copy()
         cell = None if self.barostat is None else self.system.cell
-        return Snapshot(self.step, self.time, *arrays, self.reservoir_energy, self._clock, self.work, cell)
+        return Snapshot(
+            self.step, self.time, *arrays, self.reservoir_energy, self._clock, self.work, cell
+        )
 
     def restore(self, snapshot: Snapshot) -> None:
         """Restore the state of a snapshot."""
@@ -295,13 +338,16 @@ class Engine:
         if cell is not None and cell is not self.system.cell:
             self.constraint_set.follow(self.system.cell, cell)
             self.system.cell = cell
-        self._clock, self._pace, self.is_whole = clock or (snapshot.step, time), self.method.timestep, False
+        self._clock = clock or (snapshot.step, time)
+        self._pace = self.method.timestep
+        self.is_whole = False
         if self.time != time:  # counted with the time step of another method
             self.time = time
 
     def checkpoint(self) -> Checkpoint:
         """A copy of all that determines the bits of the steps to come, for go_on_from."""
-        bonds, interactions = self.constraint_set.bonds, self.interactions
+        bonds = self.constraint_set.bonds
+        interactions = self.interactions
         images = None if bonds is None else (bonds.offsets.copy(), bonds.tolerance)
         lists = interactions.displacement, interactions.lists_built()
         return Checkpoint(self.snapshot(), *lists, images, self.equilibrated, interactions.grid)
@@ -310,7 +356,8 @@ class Engine:
         """Go on in place of the engine of a checkpoint: the next steps have the same bits as its next steps."""
         self.restore(checkpoint.state)
         self._lay(checkpoint.grid)
-        self.equilibrated, self.is_whole = checkpoint.equilibrated, True
+        self.equilibrated = checkpoint.equilibrated
+        self.is_whole = True
         if checkpoint.images is not None:
             self.constraint_set.restore(self.system, *checkpoint.images)
             self.surroundings.constraints = self.constraint_set.bonds
@@ -319,8 +366,16 @@ class Engine:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For pickle and copy: a copy makes the steps that this engine would make, to the last bit."""
-        interactions, names = self.interactions, ("noise_shift", "extra_observables", "is_whole")
-        scene = self.system, interactions.potentials, self.method, self.constraints, interactions.options, self.barostat
+        interactions = self.interactions
+        names = ("noise_shift", "extra_observables", "is_whole")
+        scene = (
+            self.system,
+            interactions.potentials,
+            self.method,
+            self.constraints,
+            interactions.options,
+            self.barostat,
+        )
         more = {name: getattr(self, name) for name in (*names, "holds_center", "counts_center")}
         more["notes"] = dict(self.notes)
         return _copied, (scene, self.checkpoint(), self.is_as_left, self.interactions.counts, more)
@@ -332,7 +387,8 @@ class Engine:
 
     @step.setter
     def step(self, step: int) -> None:
-        self._step, self._clock = step, (step, self.time)
+        self._step = step
+        self._clock = (step, self.time)
 
     @property
     def time(self) -> float:
@@ -351,7 +407,8 @@ class Engine:
     def _keep_pace(self) -> None:
         """Count further time with the time step that the method has now; it may have been changed in place."""
         if self._pace != self._method.timestep:
-            self._clock, self._pace = (self._step, self.time), self._method.timestep
+            self._clock = (self._step, self.time)
+            self._pace = self._method.timestep
 
     def count(self, n_steps: int) -> None:
         """Count n_steps more steps."""
@@ -373,7 +430,9 @@ class Engine:
 
     @method.setter
     def method(self, method: Splitting) -> None:
-        is_alone = _checked_method(method).conserves_momentum and not self.interactions.act_from_outside
+        is_alone = (
+            _checked_method(method).conserves_momentum and not self.interactions.act_from_outside
+        )
         self.constraint_set.degrees_of_freedom(is_alone)
         _check_center(self.holds_center, self._is_still_under(method), method)
         if self._rescaling is not None:
@@ -463,18 +522,25 @@ class Engine:
     def scene_in_words(self) -> Rows:
         """What makes up a simulation."""
         potentials = map(repr, self.interactions.potentials)
-        return scene_in_words(self.system, potentials, self.method.name, self.method.parameters, self.barostat)
+        return scene_in_words(
+            self.system, potentials, self.method.name, self.method.parameters, self.barostat
+        )
 
     def display_rows(self) -> Rows:
         """What makes up a simulation, and where it stands. Nothing is computed."""
-        options, units = self.interactions.options, self.system.units
+        options = self.interactions.options
+        units = self.system.units
         chosen = {"threads": options.threads, "skin": options.skin}
         words = [f"{name} {value:g}" for name, value in chosen.items() if value is not None]
         rows = self.scene_in_words()
-        rows += [("observed too", ", ".join(self.extra_observables))] if self.extra_observables else []
+        rows += (
+            [("observed too", ", ".join(self.extra_observables))] if self.extra_observables else []
+        )
         rows += [("options", ", ".join([described(options.precision), *words]))]
         if grid := self.interactions.grid:
-            rows += [("grid", f"{grid!r}: positions, lattice vectors and momenta are rounded to it")]
+            rows += [
+                ("grid", f"{grid!r}: positions, lattice vectors and momenta are rounded to it")
+            ]
         return [*rows, ("at", f"step {self.step}, {units.shown(self.time)}")]
 
 
@@ -486,31 +552,46 @@ def scene_in_words(
     barostat: StochasticCellRescaling | None,
 ) -> Rows:
     """What is simulated, the same for a simulation, a file, and the lines and the page of a run.  method : its name."""
-    units, cell = system.units, "none, open in all directions"
+    units = system.units
+    cell = "none, open in all directions"
     if system.cell.is_periodic:
-        lengths = " × ".join(f"{length:.4g}" for length in np.linalg.norm(system.cell.vectors, axis=1))
+        lengths = " × ".join(
+            f"{length:.4g}" for length in np.linalg.norm(system.cell.vectors, axis=1)
+        )
         cell = f"{lengths} {units.length}, periodic along {' '.join(np.array(list('abc'))[system.cell.pbc])}"
-    joined = "".join(f"; {len(group)} {name}" for name, group in system.groups().items() if len(group))
+    joined = "".join(
+        f"; {len(group)} {name}" for name, group in system.groups().items() if len(group)
+    )
     shown = {
         "timestep": units.shown,
         "temperature": lambda value: f"{value:.10g} {units.temperature}",
         "friction": lambda value: f"{value / units.to_picosecond:.10g} / {units.shown_time}",
         "relaxation_time": units.shown,
     }
-    told = (f"{name.replace('_', ' ')} {shown.get(name, str)(value)}" for name, value in parameters.items())
+    told = (
+        f"{name.replace('_', ' ')} {shown.get(name, str)(value)}"
+        for name, value in parameters.items()
+    )
     rows = [("system", f"{len(system)} atoms ({system.composition}){joined}"), ("cell", cell)]
-    rows += [("constraints", ", ".join(map(repr, system.constraints)))] if system.constraints else []
+    rows += (
+        [("constraints", ", ".join(map(repr, system.constraints)))] if system.constraints else []
+    )
     rows += [*(("potential", one) for one in potentials), ("method", ", ".join((method, *told)))]
     return rows + ([("barostat", repr(barostat))] if barostat is not None else [])
 
 
 def _copied(
-    scene: tuple[Any, ...], checkpoint: Checkpoint, is_as_left: bool, counts: tuple[int, int], more: dict[str, Any]
+    scene: tuple[Any, ...],
+    checkpoint: Checkpoint,
+    is_as_left: bool,
+    counts: tuple[int, int],
+    more: dict[str, Any],
 ) -> Engine:
     """The engine that __reduce__ has described. Its warnings have been given."""
     with quiet():
         engine = Engine(*scene)
-    engine.system.cell = scene[0].cell  # the first grid of a scene that has spread is coarser than that of the run
+    # the first grid of a scene that has spread is coarser than that of the run
+    engine.system.cell = scene[0].cell
     engine.go_on_from(checkpoint)
     if not is_as_left:  # its state was changed, and its next run will begin anew
         engine.moved()
@@ -522,17 +603,26 @@ def _copied(
 
 def _checked_method(method: Splitting) -> Any:
     """The method.  Raises TypeError for anything but a splitting with its time step."""
-    return checked_kind("method", method, Splitting, "an integrator with its time step, such as VelocityVerlet(0.005)")
+    return checked_kind(
+        "method",
+        method,
+        Splitting,
+        "an integrator with its time step, such as VelocityVerlet(0.005)",
+    )
 
 
-def _warn_of_dropped(those_of_system: Sequence[Constraint], given: Constraint | Sequence[Constraint] | None) -> None:
+def _warn_of_dropped(
+    those_of_system: Sequence[Constraint], given: Constraint | Sequence[Constraint] | None
+) -> None:
     """Warn if the given constraints replace those of the system and one kind of the latter is missing."""
     if given is None:
         return
     kinds = {type(one) for one in (given if isinstance(given, Sequence) else [given])}
     dropped = [repr(one) for one in those_of_system if type(one) not in kinds]
     if kinds and dropped:
-        lost = f"the constraints given replace those of the system, and {', '.join(dropped)} is lost"
+        lost = (
+            f"the constraints given replace those of the system, and {', '.join(dropped)} is lost"
+        )
         warn(lost)
 
 

@@ -19,7 +19,8 @@ class Look:
     """
 
     def __init__(self, engine: Engine) -> None:
-        self.engine, self.system = engine, engine.system
+        self.engine = engine
+        self.system = engine.system
         self.bonds: Any = engine.constraint_set.bonds
         self.motion = (engine.velocities, engine.system.masses)
         self.path = (engine.positions, *self.motion)
@@ -33,7 +34,9 @@ class Look:
     @cached_property
     def kinetic_energy(self) -> float:
         """K [energy]."""
-        return float(observables.kinetic_energy(*self.motion, self.grid.energy if self.grid else 0.0))
+        return float(
+            observables.kinetic_energy(*self.motion, self.grid.energy if self.grid else 0.0)
+        )
 
     @property
     def total_energy(self) -> float:
@@ -58,7 +61,9 @@ class Look:
     @property
     def temperature(self) -> float:
         """T, of the thermal energy."""
-        return observables.temperature(self.thermal_energy, self.engine.n_dof, self.system.units.k_B)
+        return observables.temperature(
+            self.thermal_energy, self.engine.n_dof, self.system.units.k_B
+        )
 
     @property
     def volume(self) -> float:
@@ -69,7 +74,8 @@ class Look:
     @cached_property
     def virial(self) -> Any:
         """(3, 3) [energy], of forces and constraint forces."""
-        engine, virial = self.engine, self.engine.interactions.virial
+        engine = self.engine
+        virial = self.engine.interactions.virial
         if self.bonds is None:
             return virial
         return virial + self.bonds.virial(engine.positions, engine.velocities, engine.forces)
@@ -77,7 +83,9 @@ class Look:
     @property
     def stress(self) -> Any:
         """(3, 3) [energy/length³].  Raises ValueError if the cell has no volume."""
-        return observables.stress(self.motion[0] - self.drift, self.motion[1], self.virial, self.volume)
+        return observables.stress(
+            self.motion[0] - self.drift, self.motion[1], self.virial, self.volume
+        )
 
 
 @dataclass(frozen=True)
@@ -109,10 +117,14 @@ def register(observable: Observable) -> None:
     Raises ValueError if its name is in use, or its unit is neither empty nor named by a UnitSystem.
     """
     if observable.name in OBSERVABLES:
-        raise ValueError(f"an observable must have a name of its own; {observable.name!r} is already in use")
+        raise ValueError(
+            f"an observable must have a name of its own; {observable.name!r} is already in use"
+        )
     if observable.unit and observable.unit not in UnitSystem.__dataclass_fields__:
         what = "empty or an attribute of UnitSystem, such as 'energy'"
-        raise ValueError(f"the unit of {observable.name} must be {what}; unit = {observable.unit!r}")
+        raise ValueError(
+            f"the unit of {observable.name} must be {what}; unit = {observable.unit!r}"
+        )
     OBSERVABLES[observable.name] = observable
     SERIES[observable.name] = observable.unit
 
@@ -131,10 +143,18 @@ for _observable in (
     Observable("total_energy", "energy", lambda look: look.total_energy),
     Observable("temperature", "temperature", lambda look: look.temperature),
     Observable("momentum", "momentum", lambda look: look.momentum),
-    Observable("angular_momentum", "angular_momentum", lambda look: observables.angular_momentum(*look.path)),
-    Observable("absolute_momentum", "momentum", lambda look: observables.absolute_momentum(*look.motion)),
     Observable(
-        "absolute_angular_momentum", "angular_momentum", lambda look: observables.absolute_angular_momentum(*look.path)
+        "angular_momentum",
+        "angular_momentum",
+        lambda look: observables.angular_momentum(*look.path),
+    ),
+    Observable(
+        "absolute_momentum", "momentum", lambda look: observables.absolute_momentum(*look.motion)
+    ),
+    Observable(
+        "absolute_angular_momentum",
+        "angular_momentum",
+        lambda look: observables.absolute_angular_momentum(*look.path),
     ),
     Observable(
         "pressure",
@@ -149,9 +169,21 @@ for _observable in (
         lambda look: look.total_energy - look.engine.reservoir_energy - look.engine.work,
         lambda engine: engine.has_bath,
     ),
-    Observable("work", "energy", lambda look: look.engine.work, lambda engine: engine.interactions.depend_on_time),
-    Observable("volume", "volume", lambda look: look.volume, lambda engine: engine.barostat is not None),
-    Observable("cell", "length", lambda look: look.system.cell.vectors, lambda engine: engine.barostat is not None),
+    Observable(
+        "work",
+        "energy",
+        lambda look: look.engine.work,
+        lambda engine: engine.interactions.depend_on_time,
+    ),
+    Observable(
+        "volume", "volume", lambda look: look.volume, lambda engine: engine.barostat is not None
+    ),
+    Observable(
+        "cell",
+        "length",
+        lambda look: look.system.cell.vectors,
+        lambda engine: engine.barostat is not None,
+    ),
     Observable(
         "constraint_violation",
         "",
@@ -184,7 +216,8 @@ def measure(engine: Engine, name: str) -> Any:
 
 def check_extras(engine: Engine) -> None:
     """Raise ValueError unless extra_observables of the engine names only what can be recorded besides the usual."""
-    names, known = engine.extra_observables, [name for name, one in OBSERVABLES.items() if one.demand is not None]
+    names = engine.extra_observables
+    known = [name for name, one in OBSERVABLES.items() if one.demand is not None]
     if isinstance(names, str) or not set(names) <= set(known):
         what = f"a tuple with any of {listed(known)}, or empty"
         raise ValueError(f"extra_observables must be {what}; it is {shown(names)}")
@@ -195,4 +228,6 @@ def check_extras(engine: Engine) -> None:
 
 def extras_in(record: Record) -> Sequence[str]:
     """The extra_observables of the run that made a record."""
-    return tuple(name for name, one in OBSERVABLES.items() if one.demand is not None and name in record)
+    return tuple(
+        name for name, one in OBSERVABLES.items() if one.demand is not None and name in record
+    )

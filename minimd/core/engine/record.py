@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-SERIES: dict[str, str] = {}  # name: attribute of UnitSystem that names its unit; see observation.register
+# name: attribute of UnitSystem that names its unit; see observation.register
+SERIES: dict[str, str] = {}
 
 
 class Frame(NamedTuple):
@@ -61,7 +62,9 @@ class Record(Displayed):
     """
 
     def __init__(self, units: UnitSystem, n_atoms: int, trajectory: Path | None = None) -> None:
-        self.units, self.n_atoms, self.trajectory = units, n_atoms, trajectory
+        self.units = units
+        self.n_atoms = n_atoms
+        self.trajectory = trajectory
         self._series: dict[str, list[Any]] = {"step": [], "time": []}
 
     @classmethod
@@ -103,7 +106,11 @@ class Record(Displayed):
 
     def unit(self, name: str) -> str:
         """The unit of a series, in words; empty for a pure number, or one that minimd does not know."""
-        return self.units.time if name == "time" else str(getattr(self.units, SERIES.get(name) or "", ""))
+        return (
+            self.units.time
+            if name == "time"
+            else str(getattr(self.units, SERIES.get(name) or "", ""))
+        )
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """All series as columns of numbers, (T,) each: vectors as momentum_x, …, tensors as stress_xx, stress_xy, …"""
@@ -111,7 +118,11 @@ class Record(Displayed):
         for name in self._series:
             series = getattr(self, name)
             for place in product(*(range(n) for n in series.shape[1:])):
-                suffix = "".join("xyz"[k] for k in place) if set(series.shape[1:]) == {3} else "_".join(map(str, place))
+                suffix = (
+                    "".join("xyz"[k] for k in place)
+                    if set(series.shape[1:]) == {3}
+                    else "_".join(map(str, place))
+                )
                 made[f"{name}_{suffix}" if place else name] = series[:, *place]
         return made
 
@@ -123,8 +134,12 @@ class Record(Displayed):
         try:
             from pandas import DataFrame
         except ModuleNotFoundError as error:
-            hint = "install pandas, or use record.columns(), a dict of arrays, or record.to_csv(path)"
-            raise ModuleNotFoundError(f"to_pandas needs pandas, which is not installed: {hint}") from error
+            hint = (
+                "install pandas, or use record.columns(), a dict of arrays, or record.to_csv(path)"
+            )
+            raise ModuleNotFoundError(
+                f"to_pandas needs pandas, which is not installed: {hint}"
+            ) from error
         table = DataFrame(self.columns()).set_index("step")
         table.attrs["units"] = {name: unit for name in self._series if (unit := self.unit(name))}
         return table
@@ -135,7 +150,8 @@ class Record(Displayed):
         A file or link that is replaced stays until the new one is whole. Raises FileExistsError if the file exists and
         overwrite is false; OSError if it cannot be written, or a device would be replaced.
         """
-        columns, path = self.columns(), checked_path("path", path)
+        columns = self.columns()
+        path = checked_path("path", path)
         rows = zip(*(column.tolist() for column in columns.values()), strict=True)
         text = "\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""])
         write_whole(path, text, overwrite=checked_flag("overwrite", overwrite))
@@ -146,7 +162,8 @@ class Record(Displayed):
 
         In a notebook it appears in the cell; .savefig(path) writes a file. Raises ValueError if there are no entries.
         """
-        from minimd.core.engine.record_picture import picture_of  # matplotlib takes its time to load
+        # matplotlib takes its time to load
+        from minimd.core.engine.record_picture import picture_of
 
         return picture_of(self)
 
@@ -154,7 +171,8 @@ class Record(Displayed):
         """See Displayed."""
         if not len(self):
             return [("record", "no entries")]
-        step, (first, last) = self.step, [self.units.shown(one) for one in (self.time[0], self.time[-1])]
+        step = self.step
+        first, last = [self.units.shown(one) for one in (self.time[0], self.time[-1])]
         what = f"{len(self)} entries of {self.n_atoms} atoms, step {step[0]} to {step[-1]}, {first} to {last}"
         rows = [("record", what)]
         for name in (one for one in self._series if one not in ("step", "time")):
@@ -162,7 +180,11 @@ class Record(Displayed):
             if series.ndim > 1:
                 told = f"change at most {np.abs(series - series[0]).max():.2g}"
             else:
-                mean = with_error(*mean_and_error(series)) if series.std() > 0.0 else f"{series.mean():.8g}"
+                mean = (
+                    with_error(*mean_and_error(series))
+                    if series.std() > 0.0
+                    else f"{series.mean():.8g}"
+                )
                 ends = f"first {series[0]:.8g}, last {series[-1]:.8g}"
                 told = f"{ends}, mean {mean}, standard deviation {series.std():.2g}"
             rows.append((name.replace("_", " "), f"{told} {self.unit(name)}".rstrip()))

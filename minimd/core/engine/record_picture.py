@@ -10,8 +10,15 @@ from numpy.typing import NDArray
 
 from minimd.core.structure.units import UnitSystem
 
-INCHES, DOTS_PER_INCH = (10.0, 7.0), 150
-ENERGY, TEMPERATURE, MOMENTUM, STRUCTURE, ACCENT = "#1f5fa8", "#c8501e", "#5b3f99", "#1b7f5c", "#222222"
+INCHES = (10.0, 7.0)
+DOTS_PER_INCH = 150
+ENERGY, TEMPERATURE, MOMENTUM, STRUCTURE, ACCENT = (
+    "#1f5fa8",
+    "#c8501e",
+    "#5b3f99",
+    "#1b7f5c",
+    "#222222",
+)
 Array = NDArray[np.float64]
 STYLE: dict[str, Any] = {"lw": 1.1, "solid_joinstyle": "round"}
 
@@ -42,7 +49,9 @@ class Picture(Figure):
 def four_panels(more: int = 0) -> tuple[Picture, list[Axes]]:
     """An empty picture and its panels, row by row: four, and as many more as asked for."""
     n_rows = 2 + (more + 1) // 2
-    figure = Picture(figsize=(INCHES[0], INCHES[1] / 2.0 * n_rows), dpi=DOTS_PER_INCH, layout="constrained")
+    figure = Picture(
+        figsize=(INCHES[0], INCHES[1] / 2.0 * n_rows), dpi=DOTS_PER_INCH, layout="constrained"
+    )
     *panels, last = figure.subplots(n_rows, 2).ravel()
     if more % 2:
         last.remove()
@@ -59,8 +68,11 @@ def picture_of(record: DrawnRecord) -> Picture:
     if not len(record):
         raise ValueError("there is nothing to plot: the record has no entries")
     figure, panels = four_panels()
-    times, unit = record.time * record.units.to_picosecond, record.units.shown_time
-    for draw, panel in zip((draw_energy, draw_temperature, draw_momentum, draw_pressure), panels, strict=True):
+    times = record.time * record.units.to_picosecond
+    unit = record.units.shown_time
+    for draw, panel in zip(
+        (draw_energy, draw_temperature, draw_momentum, draw_pressure), panels, strict=True
+    ):
         draw(panel, times, record)
         panel.set_xlabel(f"time  [{unit}]")
         panel.margins(x=0.01)
@@ -70,9 +82,13 @@ def picture_of(record: DrawnRecord) -> Picture:
 
 def draw_energy(panel: Axes, times: Array, record: DrawnRecord) -> Array:
     """Change of the total energy per atom since the start, minus heat of a bath; returned in the unit of the axis."""
-    energy, name, formula = record.total_energy, "total energy", "(E − E₀)"
+    energy = record.total_energy
+    name = "total energy"
+    formula = "(E − E₀)"
     if "conserved_energy" in record:
-        energy, name, formula = record.conserved_energy, "total energy − heat", "(E − Q − E₀)"
+        energy = record.conserved_energy
+        name = "total energy − heat"
+        formula = "(E − Q − E₀)"
     change, factor = scaled((energy - energy[0]) / record.n_atoms)
     panel.plot(times, change, color=ENERGY, label=name, **STYLE)
     panel.set_ylabel(f"{formula} / N  [{factor}{record.units.energy}]")
@@ -83,7 +99,8 @@ def draw_energy(panel: Axes, times: Array, record: DrawnRecord) -> Array:
 
 def draw_temperature(panel: Axes, times: Array, record: DrawnRecord) -> None:
     """The kinetic temperature, and its mean."""
-    temperature, unit = record.temperature, record.units.temperature.replace("k_B", "$k_B$")
+    temperature = record.temperature
+    unit = record.units.temperature.replace("k_B", "$k_B$")
     panel.plot(times, temperature, color=TEMPERATURE, **STYLE)
     panel.axhline(temperature.mean(), color=ACCENT, lw=1.0, ls="--")
     panel.set(ylabel=f"T  [{unit}]", title=f"temperature   (mean: {temperature.mean():.4g} {unit})")
@@ -92,18 +109,28 @@ def draw_temperature(panel: Axes, times: Array, record: DrawnRecord) -> None:
 
 def draw_momentum(panel: Axes, times: Array, record: DrawnRecord) -> None:
     """Change of the total momentum, as a fraction of Σ|mv|."""
-    changes = np.linalg.norm(record.momentum - record.momentum[0], axis=1) / (record.absolute_momentum.max() or 1.0)
+    changes = np.linalg.norm(record.momentum - record.momentum[0], axis=1) / (
+        record.absolute_momentum.max() or 1.0
+    )
     values, factor = scaled(changes)
     panel.plot(times, values, color=MOMENTUM, **STYLE)
     label = f"|P − P₀| / Σ|mv|{f'  [{factor.strip()}]' if factor else ''}"
-    panel.set(ylabel=label, title=f"total momentum   (largest change: {changes.max():.1e})", ylim=(0.0, None))
+    panel.set(
+        ylabel=label,
+        title=f"total momentum   (largest change: {changes.max():.1e})",
+        ylim=(0.0, None),
+    )
 
 
 def draw_pressure(panel: Axes, times: Array, record: DrawnRecord) -> None:
     """The pressure, or the potential energy per atom if there is no pressure."""
-    name, values, unit = "potential energy per atom", record.potential_energy / record.n_atoms, record.units.energy
+    name = "potential energy per atom"
+    values = record.potential_energy / record.n_atoms
+    unit = record.units.energy
     if "pressure" in record:
-        name, values, unit = "pressure", record.pressure, record.units.pressure
+        name = "pressure"
+        values = record.pressure
+        unit = record.units.pressure
     panel.plot(times, values, color=STRUCTURE, **STYLE)
     panel.axhline(values.mean(), color=ACCENT, lw=1.0, ls="--")
     symbol = "P" if name == "pressure" else "U / N"

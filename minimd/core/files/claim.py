@@ -35,7 +35,8 @@ from minimd.core.console.whole_file import HAS_LOCKS, locked, new_file, temporar
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 MAGIC = b"minimd journal 2\n"
 PIECE = struct.Struct("<qq")  # place in the file, number of bytes; they follow
-END = struct.Struct("<qqqI17s")  # size of the file before and after the commit, bytes of the pieces, CRC-32, MAGIC
+# size of the file before and after the commit, bytes of the pieces, CRC-32, MAGIC
+END = struct.Struct("<qqqI17s")
 BLOCK = 2**20  # bytes that are read at once for a checksum
 
 Pieces = list[tuple[int, bytes]]  # place in the file, and the new bytes
@@ -53,12 +54,22 @@ class Claim:
     """
 
     def __init__(self, path: str | Path, is_new: bool = True, overwrite: bool = False) -> None:
-        self.name, self.path, self.is_new, self._replaced = str(path), Path(os.path.realpath(path)), is_new, -1
+        self.name, self.path, self.is_new, self._replaced = (
+            str(path),
+            Path(os.path.realpath(path)),
+            is_new,
+            -1,
+        )
         self.place, is_there = self.path, self.path.exists()
         if is_new and Path(path).is_symlink() and not is_there:
-            raise OSError(errno.ENOENT, "it is a link to a file that does not exist; remove it, or choose another name")
+            raise OSError(
+                errno.ENOENT,
+                "it is a link to a file that does not exist; remove it, or choose another name",
+            )
         if is_new and is_there and not overwrite:
-            raise FileExistsError(errno.EEXIST, "it exists; choose another name, or pass overwrite=True")
+            raise FileExistsError(
+                errno.EEXIST, "it exists; choose another name, or pass overwrite=True"
+            )
         if is_new and HAS_LOCKS:
             self.place = temporary(self.path)
         self.descriptor = new_file(self.place) if is_new else locked(self.place)
@@ -83,13 +94,17 @@ class Claim:
                 os.link(self.place, self.path)  # unlike a rename, it fails if the name is taken
                 self.place.unlink()
         except FileExistsError:
-            raise FileExistsError(errno.EEXIST, "another run has taken this name; choose another name") from None
+            raise FileExistsError(
+                errno.EEXIST, "another run has taken this name; choose another name"
+            ) from None
         except OSError:  # a file system without links
             if self._replaced >= 0 or self.path.exists():
                 raise
             os.rename(self.place, self.path)
-        self.place, self.is_new = self.path, False
-        with suppress(OSError):  # not every system can write a folder to the disk, and with it new names of files
+        self.place = self.path
+        self.is_new = False
+        # not every system can write a folder to the disk, and with it new names of files
+        with suppress(OSError):
             folder = os.open(self.path.parent, os.O_RDONLY)
             try:
                 os.fsync(folder)
@@ -145,7 +160,9 @@ class JournaledFile(io.RawIOBase):
         self._claim = claim
         _finish(claim.descriptor)
         self._committed = self.size = os.fstat(claim.descriptor).st_size
-        self._tail, self._n_tail = bytearray(), 0  # beyond the committed end: the first bytes of memory that is reused
+        # beyond the committed end: the first bytes of memory that is reused
+        self._tail = bytearray()
+        self._n_tail = 0
         self._pieces: Pieces = []  # replacements of committed bytes, in order
         self._at = 0
 
@@ -157,11 +174,17 @@ class JournaledFile(io.RawIOBase):
     def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
         """Fill a buffer from the present place on; returns the number of bytes read."""
         view = memoryview(buffer).cast("B")
-        start, end = self._at, max(self._at, min(self._at + len(view), self.size))
+        start = self._at
+        end = max(self._at, min(self._at + len(view), self.size))
         found = bytearray(end - start)
         old = read_at(self._claim.descriptor, min(end, self._committed) - start, start)
-        for place, piece in ((start, old), (self._committed, memoryview(self._tail)[: self._n_tail]), *self._pieces):
-            low, high = max(place, start), min(place + len(piece), end)
+        for place, piece in (
+            (start, old),
+            (self._committed, memoryview(self._tail)[: self._n_tail]),
+            *self._pieces,
+        ):
+            low = max(place, start)
+            high = min(place + len(piece), end)
             if low < high:
                 found[low - start : high - start] = piece[low - place : high - place]
         view[: len(found)] = found
@@ -197,13 +220,18 @@ class JournaledFile(io.RawIOBase):
         Raises OSError if there is no room, or the file was removed, replaced or shortened during the run;
         it is then as it was.
         """
-        descriptor, before, pieces = self._claim.descriptor, self._committed, self._pieces
+        descriptor = self._claim.descriptor
+        before = self._committed
+        pieces = self._pieces
         self._claim.check()
         if (n_bytes := os.fstat(descriptor).st_size) < before:
-            raise OSError(errno.EIO, f"it was cut to {n_bytes} of {before} bytes while the run was writing it")
+            raise OSError(
+                errno.EIO, f"it was cut to {n_bytes} of {before} bytes while the run was writing it"
+            )
         is_changed = bool(pieces) or self.size < before
         with memoryview(self._tail)[: self._n_tail] as tail:
-            rest = bytes(max(0, self.size - before - self._n_tail))  # of the file, which HDF5 has not written
+            # of the file, which HDF5 has not written
+            rest = bytes(max(0, self.size - before - self._n_tail))
             try:
                 if is_changed:
                     body = b"".join([PIECE.pack(place, len(data)) + data for place, data in pieces])
@@ -219,7 +247,9 @@ class JournaledFile(io.RawIOBase):
         if is_changed:
             _apply(descriptor, self.size, pieces)
         self._claim.appear(is_on_disk=True)
-        self._committed, self._n_tail, self._pieces = self.size, 0, []
+        self._committed = self.size
+        self._n_tail = 0
+        self._pieces = []
 
 
 def repair(path: str | Path) -> None:
@@ -233,8 +263,12 @@ def repair(path: str | Path) -> None:
     except OSError as error:
         if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
             raise
-        why = f"the last write to it was interrupted, and cannot be finished here ({error.strerror})"
-        raise OSError(error.errno, f"{why}; copy it to a folder of your own, and make the copy writable") from None
+        why = (
+            f"the last write to it was interrupted, and cannot be finished here ({error.strerror})"
+        )
+        raise OSError(
+            error.errno, f"{why}; copy it to a folder of your own, and make the copy writable"
+        ) from None
     with open(descriptor, "rb"):
         _finish(descriptor)
 
@@ -265,11 +299,14 @@ def _read_journal(file: int) -> tuple[int, Pieces] | None:
         found = zlib.crc32(read_at(file, min(BLOCK, end - place), place), found)
     if _end(before, size, n_bytes, found) != head:
         return None
-    text, pieces, start = read_at(file, n_bytes, first), [], 0
+    text = read_at(file, n_bytes, first)
+    pieces = []
+    start = 0
     while start < n_bytes:
         place, n = PIECE.unpack_from(text, start) if n_bytes - start >= PIECE.size else (-1, 0)
         start += PIECE.size + n
-        if n < 0 or start > n_bytes or not 0 <= place <= before - n:  # nothing that a commit has written
+        # nothing that a commit has written
+        if n < 0 or start > n_bytes or not 0 <= place <= before - n:
             return None
         pieces.append((place, text[start - n : start]))
     return size, pieces
@@ -279,7 +316,8 @@ def _apply(descriptor: int, size: int, pieces: Pieces) -> None:
     for place, data in pieces:
         _write_all(descriptor, data, place)
     os.fsync(descriptor)
-    os.ftruncate(descriptor, size)  # if power fails before the disk has it, the pieces are written again
+    # if power fails before the disk has it, the pieces are written again
+    os.ftruncate(descriptor, size)
 
 
 def _write_all(descriptor: int, data: bytes | memoryview, place: int) -> None:

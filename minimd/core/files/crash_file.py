@@ -48,7 +48,9 @@ class CrashFile(NamedTuple):
     judgment: tuple[dict[str, float] | None, float]
 
 
-def crash_file_place(crash_report: Any, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
+def crash_file_place(
+    crash_report: Any, trajectories: str | Path | Sequence[str | Path]
+) -> Path | None:
     """Where a run leaves its crash file: the path given, or for True beside its first trajectory; None if there is no
     such place.  Raises ValueError for the path of a trajectory, which the crash file would replace."""
     several = named_files("trajectory", trajectories)
@@ -70,8 +72,13 @@ def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iter
     except (NonFiniteError, ConstraintError) as error:
         if path is not None and error.crash_report is not None:
             suffix = SUFFIX if path.name.endswith(SUFFIX) else path.suffix
-            numbered = (path.with_name(f"{path.name.removesuffix(suffix)}-{number}{suffix}") for number in count(2))
-            file = next(free for free in chain([path], numbered) if overwrite or not os.path.lexists(free))
+            numbered = (
+                path.with_name(f"{path.name.removesuffix(suffix)}-{number}{suffix}")
+                for number in count(2)
+            )
+            file = next(
+                free for free in chain([path], numbered) if overwrite or not os.path.lexists(free)
+            )
             try:
                 write_crash_report(file, guard, error.crash_report)
                 error.file = file
@@ -96,21 +103,32 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     from minimd.core.files.h5md_digest import checked, flattened
     from minimd.core.files.h5md_writer import H5MDWriter
 
-    engine, last = guard.engine, guard.engine.checkpoint()
-    start, (first, growth) = guard.failed_from or last.state, guard.judgment
+    engine = guard.engine
+    last = guard.engine.checkpoint()
+    start = guard.failed_from or last.state
+    first, growth = guard.judgment
     energies = {name: value for name, value in (first or {}).items() if name.endswith("energy")}
     known = {"noise_shift": engine.noise_shift, "first": energies or None, "growth": growth}
-    texts = {"findings": json.dumps(asdict(findings)), "words": str(findings), "simulation": json.dumps(known)}
-    told = {f"{REPORT}/{name}": Item(data=np.array(text.encode(), TEXT)) for name, text in texts.items()}
+    texts = {
+        "findings": json.dumps(asdict(findings)),
+        "words": str(findings),
+        "simulation": json.dumps(known),
+    }
+    told = {
+        f"{REPORT}/{name}": Item(data=np.array(text.encode(), TEXT)) for name, text in texts.items()
+    }
 
     part = temporary(path)  # so that no incomplete file has the final name
-    claim, every = Claim(part, overwrite=True), max(1, last.state.step - start.step)
+    claim = Claim(part, overwrite=True)
+    every = max(1, last.state.step - start.step)
     try:
         if claim.path.name != part.name:
             raise OSError(f"{str(part)!r} is a link to another file; remove it")
         writer = H5MDWriter(claim, engine, store_forces=True, every=every, n_frames=2)
         try:
-            writer.description |= told | checked(f"{REPORT}/start", *flattened(last._replace(state=start)))
+            writer.description |= told | checked(
+                f"{REPORT}/start", *flattened(last._replace(state=start))
+            )
             for snapshot in (start, last.state):
                 engine.restore(snapshot)
                 engine.fit_images()
@@ -141,13 +159,17 @@ def read_crash_report(path: str | Path) -> CrashFile:
     contents = read_file(path)
     with opened(path) as h5:
         if REPORT not in h5:
-            raise ValueError(f"file {str(path)!r} holds no crash report; give the {SUFFIX} file of a run that failed")
-        group, system = h5[REPORT], contents.system
+            raise ValueError(
+                f"file {str(path)!r} holds no crash report; give the {SUFFIX} file of a run that failed"
+            )
+        group = h5[REPORT]
+        system = contents.system
         with damage_told(path):
             texts = (group[name].asstr()[()] for name in ("simulation", "findings"))
             told, found = (json.loads(text, object_hook=_printable) for text in texts)
             start = unflattened(*read_group(group["start"])).state
-            system.positions, system.velocities = start.positions, start.velocities
+            system.positions = start.positions
+            system.velocities = start.velocities
             pair = found["pair"] and Contact(**found["pair"])
             closest = found["closest"] and ClosestPair(*found["closest"])
             findings = CrashReport(**found | {"pair": pair, "closest": closest})
@@ -158,14 +180,17 @@ def read_crash_report(path: str | Path) -> CrashFile:
 
 
 def _printable(found: dict[str, Any]) -> dict[str, Any]:
-    return {name: printable(value) if isinstance(value, str) else value for name, value in found.items()}
+    return {
+        name: printable(value) if isinstance(value, str) else value for name, value in found.items()
+    }
 
 
 def _check_types(part: Any, n_atoms: int) -> None:
     """Raise ValueError unless all values of a part of the findings are of the types that it declares,
     and its atoms are among n_atoms."""
     for name, declared in get_type_hints(type(part)).items() if part else ():
-        value, kinds = getattr(part, name), get_args(declared) or (declared,)
+        value = getattr(part, name)
+        kinds = get_args(declared) or (declared,)
         least, limit = (0, n_atoms) if name in ATOMS else (-COUNTS, COUNTS)
         is_of_kind = type(value) in kinds or (type(value) is int and float in kinds)
         if not is_of_kind or (type(value) is int and not least <= value < limit):

@@ -11,7 +11,8 @@ from h5py import h5a, h5d, h5g, h5o, h5p, h5r, h5s, h5t
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 TEXT = h5py.string_dtype()
-REFERENCE = "particles_group"  # the attribute that refers to a group; its value is the path of the group
+# the attribute that refers to a group; its value is the path of the group
+REFERENCE = "particles_group"
 IN_NEW_GROUPS = h5p.create(h5p.LINK_CREATE)
 IN_NEW_GROUPS.set_create_intermediate_group(True)
 IN_NEW_GROUPS.set_char_encoding(h5t.CSET_UTF8)
@@ -41,21 +42,24 @@ def put(h5: h5py.File, items: Mapping[str, Item]) -> None:
         except KeyError:
             there = _new(file, path.encode(), item)
         if item.data is not None:
-            data, place = np.asarray(item.data, order="C"), h5s.ALL
+            data = np.asarray(item.data, order="C")
+            place = h5s.ALL
             if item.rows:
                 there.set_extent((item.first + len(data), *data.shape[1:]))
                 place = there.get_space()
                 place.select_hyperslab((item.first, *(0,) * (data.ndim - 1)), data.shape)
             there.write(h5s.create_simple(data.shape), place, data)
         for name, value in item.attributes.items():
-            key, array = name.encode(), np.asarray(value)
+            key = name.encode()
+            array = np.asarray(value)
             if name == REFERENCE:
                 array = np.array(h5r.create(file, value.encode(), h5r.OBJECT), h5py.ref_dtype)
             elif array.dtype.kind == "U":
                 array = array.astype(TEXT)
             if h5a.exists(there, key):
                 h5a.delete(there, key)
-            kind, space = h5t.py_create(array.dtype, logical=True), h5s.create_simple(array.shape)
+            kind = h5t.py_create(array.dtype, logical=True)
+            space = h5s.create_simple(array.shape)
             h5a.create(there, key, kind, space).write(array)
 
 
@@ -65,9 +69,12 @@ def _new(file: h5g.GroupID, key: bytes, item: Item) -> h5g.GroupID | h5d.Dataset
         return file.links.create_hard(key, file, item.other.encode())
     if item.data is None:
         return h5g.create(file, key, IN_NEW_GROUPS)
-    made, shape = h5p.create(h5p.DATASET_CREATE), item.data.shape
+    made = h5p.create(h5p.DATASET_CREATE)
+    shape = item.data.shape
     made.set_obj_track_times(False)
     if item.rows:
         made.set_chunk((item.rows, *shape[1:]))
     space = h5s.create_simple(shape, (h5s.UNLIMITED, *shape[1:]) if item.rows else shape)
-    return h5d.create(file, key, h5t.py_create(item.data.dtype, logical=True), space, made, IN_NEW_GROUPS)
+    return h5d.create(
+        file, key, h5t.py_create(item.data.dtype, logical=True), space, made, IN_NEW_GROUPS
+    )

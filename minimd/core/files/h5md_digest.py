@@ -42,11 +42,17 @@ from minimd.core.neighbors.verlet_list import Built
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.grid import Grid
 
-RESTART, EARLIER, SPARE = "minimd/restart", "minimd/earlier_restart", "minimd/spare"
-OBSERVERS, MARK = "minimd/observers", "observer."
-BLOCKS, DIGEST = "minimd/blocks", "digest"
-FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")  # groups; but for the above, they do not change
-STATE = {"step": int, "time": float, "reservoir_energy": float}  # numbers of a state; older files have no work
+RESTART = "minimd/restart"
+EARLIER = "minimd/earlier_restart"
+SPARE = "minimd/spare"
+OBSERVERS = "minimd/observers"
+MARK = "observer."
+BLOCKS = "minimd/blocks"
+DIGEST = "digest"
+# groups; but for the above, they do not change
+FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")
+# numbers of a state; older files have no work
+STATE = {"step": int, "time": float, "reservoir_energy": float}
 
 
 class Restart(NamedTuple):
@@ -70,9 +76,15 @@ class Restart(NamedTuple):
 
 def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """A checkpoint as named arrays and numbers. Arrays that it does not have are left out."""
-    state, lists, (images, tolerance) = checkpoint.state, checkpoint.lists, checkpoint.images or (None, 0.0)
+    state = checkpoint.state
+    lists = checkpoint.lists
+    images, tolerance = checkpoint.images or (None, 0.0)
     clock = state.clock or (state.step, state.time)
-    arrays: dict[str, Any] = {"positions": state.positions, "velocities": state.velocities, "images": images}
+    arrays: dict[str, Any] = {
+        "positions": state.positions,
+        "velocities": state.velocities,
+        "images": images,
+    }
     cells = {"cell": state.cell} | {f"cell_of_list_{k}": one.cell for k, one in enumerate(lists)}
     for name, cell in cells.items():
         arrays |= {} if cell is None else {name: cell.vectors, f"{name}_reduction": cell.reduction}
@@ -82,7 +94,9 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
     numbers |= {name: getattr(checkpoint, name) for name in ("displacement", "equilibrated")}
     numbers |= {"clock_step": clock[0], "clock_time": clock[1], "tolerance": tolerance}
     numbers |= {"skins": np.array([one.skin for one in lists])}
-    numbers |= {} if checkpoint.grid is None else {"grid": np.array([*vars(checkpoint.grid).values()])}
+    numbers |= (
+        {} if checkpoint.grid is None else {"grid": np.array([*vars(checkpoint.grid).values()])}
+    )
     return {name: array for name, array in arrays.items() if array is not None}, numbers
 
 
@@ -98,7 +112,12 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
         return cell.strained(cell.vectors)  # reduced, whatever the file says
 
     def built(k: int, skin: float) -> Built:
-        return Built(skin, arrays.get(f"list_{k}"), cell(f"cell_of_list_{k}"), arrays.get(f"region_of_list_{k}"))
+        return Built(
+            skin,
+            arrays.get(f"list_{k}"),
+            cell(f"cell_of_list_{k}"),
+            arrays.get(f"region_of_list_{k}"),
+        )
 
     state = Snapshot(
         **{name: kind(numbers[name]) for name, kind in STATE.items()},
@@ -109,9 +128,13 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
         cell=cell("cell"),
     )
     lists = tuple(built(k, float(skin)) for k, skin in enumerate(numbers["skins"]))
-    images = (arrays["images"], float(numbers["tolerance"])) if len(arrays.get("images", ())) else None
+    images = (
+        (arrays["images"], float(numbers["tolerance"])) if len(arrays.get("images", ())) else None
+    )
     grid = Grid(*map(float, numbers["grid"])) if "grid" in numbers else None
-    return Checkpoint(state, float(numbers["displacement"]), lists, images, int(numbers["equilibrated"]), grid)
+    return Checkpoint(
+        state, float(numbers["displacement"]), lists, images, int(numbers["equilibrated"]), grid
+    )
 
 
 def write_restart(
@@ -124,9 +147,16 @@ def write_restart(
     """Write the newest restart; the one before becomes the earlier restart.  beside : arrays that are kept with it."""
     older = EARLIER if EARLIER in h5 else SPARE
     arrays, numbers = flattened(checkpoint)
-    arrays |= {f"{MARK}{one.name}.{key}": np.asarray(part) for one in observers for key, part in one.state().items()}
-    arrays, group = {**arrays, **beside}, h5.require_group(older)
-    for name in [name for name in group if name not in arrays or group[name].shape != arrays[name].shape]:
+    arrays |= {
+        f"{MARK}{one.name}.{key}": np.asarray(part)
+        for one in observers
+        for key, part in one.state().items()
+    }
+    arrays = {**arrays, **beside}
+    group = h5.require_group(older)
+    for name in [
+        name for name in group if name not in arrays or group[name].shape != arrays[name].shape
+    ]:
         del group[name]
     put(h5, checked(older, arrays, numbers | {"n_frames": n_frames}))
     if older != SPARE:
@@ -148,14 +178,25 @@ def damaged_restart(h5: h5py.File) -> str:
     """The damaged restart in words; empty if there is none. After a single commit a file has no earlier restart."""
     if _whole(h5, RESTART) is None:
         return "numbers of the newest restart"
-    return "numbers of the restart before the newest" if EARLIER in h5 and _whole(h5, EARLIER) is None else ""
+    return (
+        "numbers of the restart before the newest"
+        if EARLIER in h5 and _whole(h5, EARLIER) is None
+        else ""
+    )
 
 
 def set_aside_damaged(h5: h5py.File) -> None:
     """Rename damaged restarts. They are not deleted: the bytes that they claim as theirs may belong to other data."""
     for name in (RESTART, EARLIER, SPARE):
         if h5.get(name, getlink=True) is not None and _whole(h5, name) is None:
-            h5.move(name, next(free for k in count(1) if h5.get(free := f"{name}_damaged_{k}", getlink=True) is None))
+            h5.move(
+                name,
+                next(
+                    free
+                    for k in count(1)
+                    if h5.get(free := f"{name}_damaged_{k}", getlink=True) is None
+                ),
+            )
 
 
 def _whole(h5: h5py.File, name: str) -> Restart | None:
@@ -164,24 +205,34 @@ def _whole(h5: h5py.File, name: str) -> Restart | None:
         arrays, numbers = read_group(h5[name])
         if STEPS in h5 and numbers["step"] < h5[STEPS][0]:
             return None  # frames of a run begin with it
-        return Restart(unflattened(arrays, numbers), int(numbers["n_frames"]), arrays, name == EARLIER)
+        return Restart(
+            unflattened(arrays, numbers), int(numbers["n_frames"]), arrays, name == EARLIER
+        )
     except MemoryError:
         raise
     except Exception:  # HDF5 and h5py raise almost anything for bytes they do not expect
         return None
 
 
-def checked(path: str, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> dict[str, Item]:
+def checked(
+    path: str, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]
+) -> dict[str, Item]:
     """A group of arrays, numbers, and their digest."""
-    values = {name: np.asarray(one, np.int64 if isinstance(one, int) else np.float64) for name, one in numbers.items()}
+    values = {
+        name: np.asarray(one, np.int64 if isinstance(one, int) else np.float64)
+        for name, one in numbers.items()
+    }
     values[DIGEST] = np.asarray(digest_of(arrays, numbers), np.uint32)
-    return {path: Item(values)} | {f"{path}/{name}": Item(data=array) for name, array in arrays.items()}
+    return {path: Item(values)} | {
+        f"{path}/{name}": Item(data=array) for name, array in arrays.items()
+    }
 
 
 def read_group(group: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Arrays and numbers of a restart, as in checked.  Raises ValueError if their digest is wrong, or if they are not
     of the kinds that are declared."""
-    arrays, numbers = {name: group[name][()] for name in group}, dict(group.attrs)
+    arrays = {name: group[name][()] for name in group}
+    numbers = dict(group.attrs)
     if digest_of(arrays, numbers) != numbers.pop(DIGEST, None):
         raise ValueError(f"{group.name} is damaged")
     check_fields([*arrays.items(), *numbers.items()], group.file["minimd"])
@@ -195,23 +246,30 @@ def digest_of(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any] = NOT
         digest = zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), digest)
         digest = zlib.crc32(np.ascontiguousarray(array).data, digest)
     for name in sorted(set(numbers) - {DIGEST}):
-        digest = zlib.crc32(np.asarray(numbers[name], dtype=np.float64).tobytes(), zlib.crc32(name.encode(), digest))
+        digest = zlib.crc32(
+            np.asarray(numbers[name], dtype=np.float64).tobytes(), zlib.crc32(name.encode(), digest)
+        )
     return digest
 
 
 def description(observers: Sequence[StoredObserver]) -> dict[str, Item]:
     """The arguments of the observers."""
-    told = {one.name: {"kind": one.kind, "arguments": json.dumps(one.made_with())} for one in observers}
+    told = {
+        one.name: {"kind": one.kind, "arguments": json.dumps(one.made_with())} for one in observers
+    }
     return {f"{OBSERVERS}/{name}": Item(attributes) for name, attributes in told.items()}
 
 
-def restore_observers(h5: h5py.File, file: str | Path, restart: Restart, observers: Sequence[StoredObserver]) -> None:
+def restore_observers(
+    h5: h5py.File, file: str | Path, restart: Restart, observers: Sequence[StoredObserver]
+) -> None:
     """Give observers that have not looked yet the state that the file holds for them.
 
     Raises ValueError if the file holds an observer of the same name with other arguments, or in a state of another
     convention. Warns of observers in the file that the run does not have.
     """
-    known, states = h5.get(OBSERVERS, {}), restart.states()
+    known = h5.get(OBSERVERS, {})
+    states = restart.states()
     for one in observers:
         if one.name in known:
             was = json.loads(known[one.name].attrs["arguments"])
@@ -234,16 +292,21 @@ def write_answers(h5: h5py.File, observers: Sequence[StoredObserver]) -> None:
         for name in list(group):
             del group[name]
         if one.n_looks:
-            result, looks = one.result(), {"n_looks": one.n_looks, "last_step": one.last_step}
+            result = one.result()
+            looks = {"n_looks": one.n_looks, "last_step": one.last_step}
             group.attrs.update({**looks, "units": result.scene.units, **result.numbers()})
             # HDF5 allows no slash in names, that of a species may contain one
-            group.update({name.replace("/", "_"): series for name, series in result.columns().items()})
+            group.update(
+                {name.replace("/", "_"): series for name, series in result.columns().items()}
+            )
 
 
 def observers_of(h5: h5py.File, restart: Restart) -> dict[str, StoredObserver]:
     """The observers in an open file, by name, in their state at the restart;
     new ones where the convention of the state is another. A warning tells those of a kind that is not known here."""
-    states, found, unknown = restart.states(), {}, list[str]()
+    states = restart.states()
+    found = {}
+    unknown = list[str]()
     kinds = from_annex("observers by kind") if h5.get(OBSERVERS) else {}
     for name, group in h5.get(OBSERVERS, {}).items():
         arguments: dict[str, Any] = json.loads(group.attrs["arguments"])
@@ -255,7 +318,9 @@ def observers_of(h5: h5py.File, restart: Restart) -> dict[str, StoredObserver]:
             if found[name].can_restore(state := states.get(name, {})):
                 found[name].restore(state)
         except MemoryError:
-            raise ValueError(f"observer {name} asks for more memory than there is, by {shown(arguments)}") from None
+            raise ValueError(
+                f"observer {name} asks for more memory than there is, by {shown(arguments)}"
+            ) from None
     if unknown:
         known = "to read them, register their classes: minimd.observers.KINDS[kind] = ..."
         warn(f"observers of unknown kinds are left out: {', '.join(unknown[:5])}; {known}")
@@ -273,9 +338,13 @@ def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> N
 
 def damaged_frames(h5: h5py.File) -> str:
     """The frames that are not as they were written, in words; empty if there are none."""
-    series, first = {one: h5[one] for one in h5[BLOCKS].attrs["series"]}, 0
+    series = {one: h5[one] for one in h5[BLOCKS].attrs["series"]}
+    first = 0
     for last, digest in h5[BLOCKS][:].tolist():
-        if last <= first or digest_of({path: one[first:last] for path, one in series.items()}) != digest:
+        if (
+            last <= first
+            or digest_of({path: one[first:last] for path, one in series.items()}) != digest
+        ):
             return f"frames {first} to {last - 1}"
         first = last
     return ""
@@ -309,7 +378,10 @@ def check_description(h5: h5py.File) -> None:
     if h5["minimd"].attrs.get(DIGEST) != _digest_of_description(h5):
         raise ValueError("the checksum of the stored description of the run does not match")
     series = {path: h5[path] for path in FIELDS if path in h5}
-    entries = ((path, np.broadcast_to(np.zeros((), one.dtype), one.shape[1:])) for path, one in series.items())
+    entries = (
+        (path, np.broadcast_to(np.zeros((), one.dtype), one.shape[1:]))
+        for path, one in series.items()
+    )
     check_fields(entries, h5["minimd"])
     observed = [h5[f"observables/{name}/value"] for name in h5["observables"]]
     if {len(one) for one in (*observed, *series.values())} - {n_whole_frames(h5)}:
@@ -320,7 +392,8 @@ def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING)
     """CRC-32 of names, attributes and contents of everything that does not change, in order.  written : as in sign."""
     names: dict[str, bool] = {}  # False for a second name of an item that is visited under another
     for group in FIXED:
-        names[group], here = True, h5[group]  # a visit stops if the function returns anything but None
+        # a visit stops if the function returns anything but None
+        names[group], here = True, h5[group]
         here.visit_links(lambda name, group=group: names.update({f"{group}/{name}": False}))
         here.visit(lambda name, group=group: names.update({f"{group}/{name}": True}))
     digest = 0
@@ -330,16 +403,24 @@ def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING)
         item = written.get(name, Item()) if is_first else Item()
         if is_first and not written:
             read = h5[name]
-            grows, data = isinstance(read, h5py.Dataset) and read.maxshape[:1] == (None,), None
+            grows = isinstance(read, h5py.Dataset) and read.maxshape[:1] == (None,)
+            data = None
             if isinstance(read, h5py.Dataset):
-                data = np.empty((0, *read.shape[1:]), read.dtype) if grows else np.asarray(read[()], read.dtype)
+                data = (
+                    np.empty((0, *read.shape[1:]), read.dtype)
+                    if grows
+                    else np.asarray(read[()], read.dtype)
+                )
             item = Item(read.attrs, data, int(grows))
-        item, words = written.get(item.other, item), [name.encode()]
+        item = written.get(item.other, item)
+        words = [name.encode()]
         for key in sorted(set(item.attributes) - {DIGEST, REFERENCE}):
             words.append(repr((key, np.asarray(item.attributes[key]).tolist())).encode())
         if (data := item.data) is not None:
             words.append(repr((data.shape[bool(item.rows) :], data.dtype.str)).encode())
             if not item.rows:
-                words.append(repr(data.tolist()).encode() if data.dtype.kind == "O" else data.tobytes())
+                words.append(
+                    repr(data.tolist()).encode() if data.dtype.kind == "O" else data.tobytes()
+                )
         digest = zlib.crc32(b"".join(words), digest)
     return digest

@@ -33,7 +33,14 @@ from minimd.core.engine.observer import StoredObserver
 from minimd.core.engine.record import SERIES, Frame, Record
 from minimd.core.files import h5md_digest as digest
 from minimd.core.files.claim import end_with, repair
-from minimd.core.files.h5md_schema import SPACING, STEPS, TRAJECTORY, factors, read_constraints, read_method
+from minimd.core.files.h5md_schema import (
+    SPACING,
+    STEPS,
+    TRAJECTORY,
+    factors,
+    read_constraints,
+    read_method,
+)
 from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.table import METHODS
@@ -59,9 +66,11 @@ REASONS = {  # why a file cannot be opened, by the words of HDF5
     "truncated file": "it is damaged, it ends before its data do; copy it again, or run again",
 }
 # of processor time that a look may take; reading HDF5 needs a thousandth of it, and readers of texts a fifth
-SECONDS, BYTES_PER_SECOND = 10, 1_000_000
+SECONDS = 10
+BYTES_PER_SECOND = 1_000_000
 # bytes that a look may take, and besides so many times those of the file, which readers of texts need
-MEMORY, SIZES = 2**32, 64
+MEMORY = 2**32
+SIZES = 64
 
 
 def opened(path: str | Path) -> h5py.File:
@@ -75,11 +84,15 @@ def opened(path: str | Path) -> h5py.File:
     try:
         repair(path)
         if not h5py.is_hdf5(path):
-            raise ValueError(f"file {str(path)!r} is not an HDF5 file; give the .h5md file of a run")
+            raise ValueError(
+                f"file {str(path)!r} is not an HDF5 file; give the .h5md file of a run"
+            )
         h5 = h5py.File(path, "r")
     except (OSError, RuntimeError) as error:
         words = sentence(error)
-        reason = next((told for sign, told in REASONS.items() if sign in words), words.splitlines()[0])
+        reason = next(
+            (told for sign, told in REASONS.items() if sign in words), words.splitlines()[0]
+        )
         kind = BlockingIOError if isinstance(error, BlockingIOError) else OSError
         raise kind(f"file {str(path)!r} cannot be opened: {reason}") from error
     with damage_told(path):
@@ -108,18 +121,23 @@ def admitted(h5: h5py.File, path: str | Path) -> h5py.File:
 def _strange_thing(h5: h5py.File) -> str:
     """The first thing that minimd does not write, in words; empty if there is none.  No link out of the file is
     followed, and no number read."""
-    room, seen, groups = h5.id.get_filesize(), {h5o.get_info(h5.id).addr}, [("", h5.id)]
+    room = h5.id.get_filesize()
+    seen = {h5o.get_info(h5.id).addr}
+    groups = [("", h5.id)]
     while groups:
         path, group = groups.pop()
         links: list[tuple[bytes, int]] = []
         # h5py uses one info for all
-        group.links.iterate(lambda key, info, links=links: links.append((key, info.type)), info=True)
+        group.links.iterate(
+            lambda key, info, links=links: links.append((key, info.type)), info=True
+        )
         for key, kind in links:
             name = f"{path}{key.decode(errors='replace')}"
             if kind != h5l.TYPE_HARD:
                 return f"{name!r} is a link by name, which may lead into another file"
             item = h5o.open(group, key)
-            is_group, is_second = isinstance(item, h5g.GroupID), (address := h5o.get_info(item).addr) in seen
+            is_group = isinstance(item, h5g.GroupID)
+            is_second = (address := h5o.get_info(item).addr) in seen
             if is_group and (is_second or name.count("/") >= DEEPEST):
                 return f"{name!r} is a group that has a second name, or lies inside more than {DEEPEST} others"
             if is_second:
@@ -140,26 +158,34 @@ def _strange_in(item: Any, name: str) -> tuple[str, int]:
         return f"has {n} attributes", 0
     keys: list[bytes] = []
     h5a.iterate(item, keys.append)
-    n_bytes, is_data = 0, isinstance(item, h5d.DatasetID)
+    n_bytes = 0
+    is_data = isinstance(item, h5d.DatasetID)
     for key in keys:
         one = h5a.open(item, key)
-        n, kind, named = prod(one.shape), one.get_type(), f"has the attribute {key.decode(errors='replace')!r}"
+        n = prod(one.shape)
+        kind = one.get_type()
+        named = f"has the attribute {key.decode(errors='replace')!r}"
         n_bytes += n * kind.get_size()
         if kind.get_class() not in TEXTS and key != REFERENCE:
             return f"{named} that is neither numbers nor texts", 0
-        if n > MOST_TEXTS and kind.get_class() == h5t.STRING:  # each of them could be as long as the file
+        # each of them could be as long as the file
+        if n > MOST_TEXTS and kind.get_class() == h5t.STRING:
             return f"{named} of {n} texts", 0
     if not is_data:
         return "" if isinstance(item, h5g.GroupID) else "is neither a group nor a dataset", n_bytes
-    made, holds = item.get_create_plist(), item.get_type()
+    made = item.get_create_plist()
+    holds = item.get_type()
     strange = {
         "whose numbers lie in other files": made.get_external_count() > 0,
         "that consists of parts of others": made.get_layout() not in LAYOUTS,
         "whose numbers pass through filters": made.get_nfilters() > 0,
-        "of other things than numbers": holds.get_class() not in (TEXTS if name in MAY_BE_TEXTS else NUMBERS),
+        "of other things than numbers": holds.get_class()
+        not in (TEXTS if name in MAY_BE_TEXTS else NUMBERS),
     }
     words = next((f"is a dataset {words}" for words, is_so in strange.items() if is_so), "")
-    return words, n_bytes + (0 if words else prod(item.get_space().get_simple_extent_dims()) * holds.get_size())
+    return words, n_bytes + (
+        0 if words else prod(item.get_space().get_simple_extent_dims()) * holds.get_size()
+    )
 
 
 @contextmanager
@@ -171,7 +197,9 @@ def damage_told(path: str | Path) -> Iterator[None]:
         raise
     except Exception as error:  # HDF5 and h5py raise almost anything for bytes they do not expect
         reason = printable(" ".join(str(error).split())) or type(error).__name__
-        raise OSError(f"file {str(path)!r} is damaged: {reason}; copy it again, or run again") from error
+        raise OSError(
+            f"file {str(path)!r} is damaged: {reason}; copy it again, or run again"
+        ) from error
 
 
 def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
@@ -181,7 +209,8 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
     checked_path("file", path)
     if not hasattr(os, "fork"):
         return look()
-    parent, (listening, telling) = os.getpid(), os.pipe()
+    parent = os.getpid()
+    listening, telling = os.pipe()
     try:
         with quiet():  # Python warns of forks with threads; h5py holds its lock in a fork
             child = os.fork()
@@ -200,10 +229,13 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
         raise
     finally:
         status = 0
-        with suppress(ChildProcessError):  # not known, because this process ignores the ends of its children
+        # not known, because this process ignores the ends of its children
+        with suppress(ChildProcessError):
             status = os.waitpid(child, 0)[1]
     if status or not answer:
-        raise OSError(f"file {str(path)!r} is damaged: its reader crashes or finds no end; copy it again, or run again")
+        raise OSError(
+            f"file {str(path)!r} is damaged: its reader crashes or finds no end; copy it again, or run again"
+        )
     found, error, given = pickle.loads(answer)
     for one in given:
         warn(str(one.message))
@@ -222,20 +254,28 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
         faulthandler.disable()
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         n_bytes = os.path.getsize(path) if os.path.exists(path) else 0
-        limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: SECONDS + n_bytes // BYTES_PER_SECOND}
+        limits = {
+            resource.RLIMIT_CORE: 0,
+            resource.RLIMIT_CPU: SECONDS + n_bytes // BYTES_PER_SECOND,
+        }
         with suppress(OSError):  # not every system tells how much memory a process has
             pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
             limits[resource.RLIMIT_AS] = pages * resource.getpagesize() + MEMORY + SIZES * n_bytes
         for which, limit in limits.items():
             hard = resource.getrlimit(which)[1]
-            resource.setrlimit(which, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
+            resource.setrlimit(
+                which, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard)
+            )
         answer: tuple[Any, Exception | None]
         with warnings.catch_warnings(record=True) as given:
             try:
                 answer = look(), None
             except MemoryError:
                 much = f"to read it takes more memory than {MEMORY / 1e9:.2g} GB"
-                answer = None, OSError(f"file {str(path)!r} is damaged: {much}; copy it again, or run again")
+                answer = (
+                    None,
+                    OSError(f"file {str(path)!r} is damaged: {much}; copy it again, or run again"),
+                )
             except Exception as error:
                 answer = None, error
         with open(pipe, "wb") as told:
@@ -314,8 +354,12 @@ class H5MDContents(Displayed):
     def integrator(self) -> Splitting:
         """The method with its time step.  Raises ValueError if it is not a method of minimd."""
         if self.method not in METHODS:
-            made_with = f"the run was made with the method {self.method!r}, which minimd does not have"
-            raise ValueError(f"{made_with}; pass the method of that run: Simulation.resume(file, method=...)")
+            made_with = (
+                f"the run was made with the method {self.method!r}, which minimd does not have"
+            )
+            raise ValueError(
+                f"{made_with}; pass the method of that run: Simulation.resume(file, method=...)"
+            )
         made: Any = METHODS[self.method](**self.parameters)
         return made
 
@@ -334,8 +378,12 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
     """Record, restart and description of an open minimd file.  path : for messages.  Raises as read_file."""
     with damage_told(path):
         digest.check_description(h5)
-        n_frames, group, found = digest.n_whole_frames(h5), h5["minimd"], digest.read_restart(h5)
-        state, at, observers = found.checkpoint.state, group.attrs, digest.observers_of(h5, found)
+        n_frames = digest.n_whole_frames(h5)
+        group = h5["minimd"]
+        found = digest.read_restart(h5)
+        state = found.checkpoint.state
+        at = group.attrs
+        observers = digest.observers_of(h5, found)
         told = f"the newest restart in {path} is damaged; the one before it is used, of step {state.step}"
         system = _system(group, found.checkpoint)
         return H5MDContents(
@@ -372,10 +420,13 @@ def frames_of(
         places["velocities"], known = h5[TRAJECTORY]["velocity/value"], h5["observables"]
         seen = {name: known[f"{name}/value"] for name in ("cell", *observables) if name in known}
         for k in numbers:
-            arrays: dict[str, Any] = {name: None if at is None else at[k] / by[name] for name, at in places.items()}
+            arrays: dict[str, Any] = {
+                name: None if at is None else at[k] / by[name] for name, at in places.items()
+            }
             values = {name: series[k] for name, series in seen.items()}
             cell = Cell(values["cell"], np.ones(3, bool)) if "cell" in values else None
-            step, time = int(h5[STEPS][k]), float(h5["minimd/time"][k])
+            step = int(h5[STEPS][k])
+            time = float(h5["minimd/time"][k])
             yield Frame(step, time, **arrays, observables=values, cell=cell)
 
 
@@ -397,7 +448,8 @@ def _damage(path: str | Path) -> tuple[str, str]:
     """The damaged frames and the damaged restart, in words; see damage."""
     with opened(path) as h5, damage_told(path):
         digest.check_description(h5)
-        n_frames, found = digest.read_restart(h5).n_frames, digest.n_whole_frames(h5)
+        n_frames = digest.read_restart(h5).n_frames
+        found = digest.n_whole_frames(h5)
         return digest.damaged_frames(h5) or (
             f"frames from {found} on" if found < n_frames else ""
         ), digest.damaged_restart(h5)
@@ -423,8 +475,12 @@ def _record(h5: h5py.File, system: System, n_frames: int) -> Record:
     stored = h5["observables"]
     names = [name for name in SERIES if name in stored]
     names += [name for name in stored if name not in SERIES and name != SPACING]
-    paths = {"step": STEPS, "time": "minimd/time"} | {name: f"observables/{name}/value" for name in names}
-    return Record.of(system.units, len(system), {name: h5[place][:n_frames] for name, place in paths.items()})
+    paths = {"step": STEPS, "time": "minimd/time"} | {
+        name: f"observables/{name}/value" for name in names
+    }
+    return Record.of(
+        system.units, len(system), {name: h5[place][:n_frames] for name, place in paths.items()}
+    )
 
 
 def read_observers(path: str | Path) -> dict[str, StoredObserver]:

@@ -46,7 +46,9 @@ from minimd.core.structure.system import System
 from minimd.core.structure.units import UnitSystem
 
 CHUNK_BYTES = 64 * 1024  # of one series; a larger entry is a chunk of its own
-CHUNK_ROWS, FEW_ROWS = 512, 16  # the most rows, and the fewest for a file with few frames: more may be appended
+# the most rows, and the fewest for a file with few frames: more may be appended
+CHUNK_ROWS = 512
+FEW_ROWS = 16
 LARGEST_ENUMERATION = 1000  # so many labels fit into the header of a dataset, 64 KiB
 TRAJECTORY = "particles/trajectory"
 TIMES = f"{TRAJECTORY}/position/time"
@@ -65,21 +67,37 @@ class Column(NamedTuple):
     entry: Callable[[Frame], Any]
 
 
-def columns(system: System, observables: list[str], store_forces: bool, spacing: float | None) -> list[Column]:
+def columns(
+    system: System, observables: list[str], store_forces: bool, spacing: float | None
+) -> list[Column]:
     """All series of a file, positions last: for MDAnalysis their length is the number of frames.  spacing : time
     between observations [time]; None for a file that does not hold it."""
-    units, to, ps = system.units, factors(system.units), system.units.to_picosecond
+    units = system.units
+    to = factors(system.units)
+    ps = system.units.to_picosecond
     named = {name: getattr(units, SERIES.get(name) or "", "") for name in observables}
-    at_edges = (lambda at: (at.cell or system.cell).vectors * to["positions"]) if has_edges(system.cell) else None
+    at_edges = (
+        (lambda at: (at.cell or system.cell).vectors * to["positions"])
+        if has_edges(system.cell)
+        else None
+    )
     at_forces = (lambda at: at.forces * to["forces"]) if store_forces else None
-    rows: list[tuple[str, str, Callable[[Frame], Any] | None]] = [  # path, unit, entry; None: the file does not hold it
+    # path, unit, entry; None: the file does not hold it
+    rows: list[tuple[str, str, Callable[[Frame], Any] | None]] = [
         ("minimd/time", units.time, lambda at: at.time),
         (STEPS, "", lambda at: at.step),
         (TIMES, "ps", lambda at: at.time * ps),
-        *((f"observables/{name}/value", unit, partial(_observed, name)) for name, unit in named.items()),
+        *(
+            (f"observables/{name}/value", unit, partial(_observed, name))
+            for name, unit in named.items()
+        ),
         (f"observables/{SPACING}/value", "ps", None if spacing is None else lambda _: spacing * ps),
         (f"{TRAJECTORY}/box/edges/value", "Angstrom", at_edges),
-        (f"{TRAJECTORY}/velocity/value", "Angstrom ps-1", lambda at: at.velocities * to["velocities"]),
+        (
+            f"{TRAJECTORY}/velocity/value",
+            "Angstrom ps-1",
+            lambda at: at.velocities * to["velocities"],
+        ),
         (f"{TRAJECTORY}/force/value", "kJ mol-1 Angstrom-1", at_forces),
         (f"{TRAJECTORY}/position/value", "Angstrom", lambda at: at.positions * to["positions"]),
     ]
@@ -92,7 +110,8 @@ def _observed(name: str, at: Frame) -> Any:
 
 def factors(units: UnitSystem) -> dict[str, float]:
     """By what positions, velocities and forces of a system are multiplied in a file [Å, Å/ps, kJ/mol/Å]."""
-    per_time, force = units.to_angstrom / units.to_picosecond, units.to_kj_per_mol / units.to_angstrom
+    per_time = units.to_angstrom / units.to_picosecond
+    force = units.to_kj_per_mol / units.to_angstrom
     return {"positions": units.to_angstrom, "velocities": per_time, "forces": force}
 
 
@@ -108,7 +127,9 @@ def chunk_rows(entry: np.ndarray, n_frames: int | None = None) -> int:
     return max(1, min(CHUNK_BYTES // entry.nbytes, CHUNK_ROWS, expected))
 
 
-def series(columns: list[Column], entries: dict[str, np.ndarray], first: int, n_frames: int | None) -> dict[str, Item]:
+def series(
+    columns: list[Column], entries: dict[str, np.ndarray], first: int, n_frames: int | None
+) -> dict[str, Item]:
     """Series of a file from the index `first` on; what was behind it is replaced.  Series of H5MD share one step and
     one time.  entries : by path.  n_frames : as for chunk_rows."""
     found: dict[str, Item] = {}
@@ -117,19 +138,31 @@ def series(columns: list[Column], entries: dict[str, np.ndarray], first: int, n_
         found[path] = Item(about, entries[path], chunk_rows(entries[path][0], n_frames), first)
         group, _, name = path.rpartition("/")
         if name == "value" and first == 0 and not STEPS.startswith(group):
-            found |= {f"{group}/{other.rpartition('/')[2]}": Item(other=other) for other in (STEPS, TIMES)}
+            found |= {
+                f"{group}/{other.rpartition('/')[2]}": Item(other=other) for other in (STEPS, TIMES)
+            }
     return found
 
 
 def description(engine: Engine) -> dict[str, Item]:
     """All that does not change: the program, species, masses, charges, bonds, cell, method, constraints."""
-    system, names = engine.system, engine.system.species_names
+    system = engine.system
+    names = engine.system.species_names
     boundary = ["periodic" if has_edges(system.cell) else "none"] * 3
     labels = {str(name): number for number, name in enumerate(names)}
-    kind = h5py.enum_dtype(labels, basetype=np.int64) if len(labels) <= LARGEST_ENUMERATION else np.dtype(np.int64)
+    kind = (
+        h5py.enum_dtype(labels, basetype=np.int64)
+        if len(labels) <= LARGEST_ENUMERATION
+        else np.dtype(np.int64)
+    )
     texts = [name.encode() if isinstance(name, str) else name for name in names]
     title = engine.notes["title"] or f"{len(system)} atoms of {', '.join(map(str, names))}"
-    about = {"version": __version__, "units": system.units.name, "pbc": system.cell.pbc, "title": title}
+    about = {
+        "version": __version__,
+        "units": system.units.name,
+        "pbc": system.cell.pbc,
+        "title": title,
+    }
     found = {
         "h5md": Item({"version": [1, 1]}),
         "h5md/author": Item({"name": "N/A"}),
@@ -137,7 +170,9 @@ def description(engine: Engine) -> dict[str, Item]:
         f"{TRAJECTORY}/box": Item({"dimension": 3, "boundary": boundary}),
         f"{TRAJECTORY}/species": Item(data=system.species_index.astype(kind)),
         "minimd": Item(about | {"scene": engine.notes["scene"]} | of_method(engine)),
-        "minimd/species_names": Item(data=np.array(texts, dtype=TEXT if isinstance(names[0], str) else np.int64)),
+        "minimd/species_names": Item(
+            data=np.array(texts, dtype=TEXT if isinstance(names[0], str) else np.int64)
+        ),
         "minimd/cell": Item(data=system.cell.vectors),
         "minimd/species_index": Item(data=system.species_index),
     }
@@ -146,7 +181,9 @@ def description(engine: Engine) -> dict[str, Item]:
             found[f"{TRAJECTORY}/{name}"] = Item({"unit": unit}, values)
             found[f"minimd/{second}"] = Item(other=f"{TRAJECTORY}/{name}")
     if len(system.topology):
-        found["minimd/topology"] = Item(data=system.topology.astype("S").view(np.uint8).reshape(len(system), 5, -1))
+        found["minimd/topology"] = Item(
+            data=system.topology.astype("S").view(np.uint8).reshape(len(system), 5, -1)
+        )
     for name, members in system.groups().items():
         if len(members) or name == "bonds":
             found[f"connectivity/{name}"] = Item({REFERENCE: TRAJECTORY}, members)
@@ -156,7 +193,10 @@ def description(engine: Engine) -> dict[str, Item]:
             found["minimd/constraints/fixed"] = Item(data=one.atoms)
         else:
             found["minimd/constraints"] = Item({"tolerance": one.tolerance, "solver": one.solver})
-            found |= {f"minimd/constraints/{name}": Item(data=getattr(one, name)) for name in ("pairs", "lengths")}
+            found |= {
+                f"minimd/constraints/{name}": Item(data=getattr(one, name))
+                for name in ("pairs", "lengths")
+            }
     return found
 
 
@@ -166,7 +206,9 @@ def of_method(engine: Engine, before: Mapping[str, Any] = NOTHING) -> dict[str, 
     now = {name: told(engine) for name, (told, _) in METHOD.items()}
     if goes_on_otherwise(engine, before):
         now["since"] = max(engine.step, before.get("since", 0))
-    return now | {name: value for name, value in engine.method.parameters.items() if isinstance(value, float)}
+    return now | {
+        name: value for name, value in engine.method.parameters.items() if isinstance(value, float)
+    }
 
 
 def goes_on_otherwise(engine: Engine, before: Mapping[str, Any]) -> bool:
@@ -186,7 +228,9 @@ def read_constraints(group: h5py.Group) -> tuple[Constraint, ...]:
     found: list[Constraint] = [FixedAtoms(stored["fixed"][:])] if "fixed" in stored else []
     if "pairs" in stored:
         solver: Any = str(stored.attrs["solver"])
-        pairs, lengths, tolerance = stored["pairs"][:], stored["lengths"][:], float(stored.attrs["tolerance"])
+        pairs = stored["pairs"][:]
+        lengths = stored["lengths"][:]
+        tolerance = float(stored.attrs["tolerance"])
         found.append(DistanceConstraints(pairs, lengths, tolerance, solver))
     return tuple(found)
 
@@ -200,7 +244,8 @@ def _text(stored: Any) -> str:
     return printable(str(stored))
 
 
-METHOD: dict[str, tuple[Callable[[Engine], Any], Callable[[Any], Any]]] = {  # attribute: as written, and as read
+# attribute: as written, and as read
+METHOD: dict[str, tuple[Callable[[Engine], Any], Callable[[Any], Any]]] = {
     "method": (lambda of: of.method.name, _text),
     # a seed may be larger than the integers of HDF5
     "parameters": (lambda of: json.dumps(of.method.parameters), json.loads),
@@ -228,18 +273,31 @@ DECISIVE = "method", "parameters", "barostat"  # for the bits of steps
 def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
     """How the potentials in a file differ from those with which its run goes on, in words;
     empty if they are the same."""
-    before, now = (sorted(AT.sub("", one) for one in several) for several in (stored, potentials_in_words(potentials)))
+    before, now = (
+        sorted(AT.sub("", one) for one in several)
+        for several in (stored, potentials_in_words(potentials))
+    )
     if before == now:
         return ""
-    was, becomes = ([one for one in several if one not in others] for several, others in ((before, now), (now, before)))
+    was, becomes = (
+        [one for one in several if one not in others]
+        for several, others in ((before, now), (now, before))
+    )
     return f"{'; '.join(was) or 'none'} before, {'; '.join(becomes) or 'none'} now"
 
 
 def other_method(name: str, parameters: Mapping[str, Any], precision: str, engine: Engine) -> str:
     """The method, bath and precision of the last steps in a file beside those with which its run goes on, in words;
     empty if they are the same, or if only the temperature of the bath is another: who anneals means it."""
-    ours = engine.method.name, json.loads(json.dumps(engine.method.parameters)), engine.interactions.options.precision
-    annealed = {key: ours[1].get(key) if key == "temperature" else value for key, value in parameters.items()}
+    ours = (
+        engine.method.name,
+        json.loads(json.dumps(engine.method.parameters)),
+        engine.interactions.options.precision,
+    )
+    annealed = {
+        key: ours[1].get(key) if key == "temperature" else value
+        for key, value in parameters.items()
+    }
     if ours == (name, annealed, precision):
         return ""
     before, now = (
@@ -258,7 +316,8 @@ def other_constraints(
 
     positions : (N, 3) [length]; the largest coordinate sets the rounding of lengths that were measured in positions.
     """
-    was, kept = _held(file), _held(simulation)
+    was = _held(file)
+    kept = _held(simulation)
     rounding = ROUNDINGS * EPS * float(np.abs(positions).max())
     for key in sorted(was | kept):
         words, *atoms = key
@@ -275,9 +334,12 @@ def _held(constraints: Sequence[Constraint]) -> dict[tuple[Any, ...], Any]:
     found: dict[tuple[Any, ...], Any] = {}
     for one in constraints:
         if isinstance(one, FixedAtoms):
-            found |= dict.fromkeys((("atom {} is fixed", atom) for atom in one.atoms.tolist()), True)
+            found |= dict.fromkeys(
+                (("atom {} is fixed", atom) for atom in one.atoms.tolist()), True
+            )
         else:
-            pairs, lengths = np.sort(one.pairs, axis=1).tolist(), () if one.lengths is None else one.lengths.tolist()
+            pairs = np.sort(one.pairs, axis=1).tolist()
+            lengths = () if one.lengths is None else one.lengths.tolist()
             found |= {
                 ("the length of atoms {}-{} is kept", *pair): length
                 for pair, length in zip(pairs, lengths, strict=False)

@@ -25,7 +25,14 @@ from minimd.core.engine.record import Frame
 from minimd.core.files import h5md_digest as digest, h5md_schema as layout
 from minimd.core.files.claim import Claim, JournaledFile
 from minimd.core.files.h5_items import Item, put
-from minimd.core.files.h5md_reader import H5MDContents, admitted, contents_of, damage_told, looked_at, opened
+from minimd.core.files.h5md_reader import (
+    H5MDContents,
+    admitted,
+    contents_of,
+    damage_told,
+    looked_at,
+    opened,
+)
 
 SECONDS_BETWEEN_FLUSHES = 1.0
 # shortest time between flushes, in durations of a flush: 2 % of the time; less if the block of frames is full
@@ -58,12 +65,18 @@ class H5MDWriter:
         n_frames: int | None = None,
         bring_others: Callable[[Claim], list[bytes]] = lambda claim: [],
     ) -> None:
-        self.claim, self._engine, self._store_forces = claim, engine, store_forces
-        self._observers, self._n_expected, self._bring_others = observers, n_frames, bring_others
+        self.claim = claim
+        self._engine = engine
+        self._store_forces = store_forces
+        self._observers = observers
+        self._n_expected = n_frames
+        self._bring_others = bring_others
         self._every: int | None = every  # None for a continued file that does not hold it
-        self.marks: list[bytes] = []  # of other trajectories, in the restart from which a file is continued
+        # of other trajectories, in the restart from which a file is continued
+        self.marks: list[bytes] = []
         self._columns: list[layout.Column] = []
-        self.description: dict[str, Item] = {}  # what does not change; it is written with the first frame of a new file
+        # what does not change; it is written with the first frame of a new file
+        self.description: dict[str, Item] = {}
         # of frames that wait to be written, by path: it is reused, because new memory would take longer than copying
         self._room: dict[str, np.ndarray] = {}
         self._n_frames, self._n_waiting = 0, 0  # in the file, and in memory
@@ -114,11 +127,14 @@ class H5MDWriter:
 
     def _continue(self) -> None:
         """Continue the file from its restart.  Raises as append_to."""
-        h5, file = self._h5, self.claim.name
+        h5 = self._h5
+        file = self.claim.name
         contents = contents_of(h5, file)
         if words := _obstacle(contents, self._engine, self._store_forces):
             raise ValueError(f"trajectory {file!r} {words}")
-        if other := layout.other_method(contents.method, contents.parameters, contents.precision, self._engine):
+        if other := layout.other_method(
+            contents.method, contents.parameters, contents.precision, self._engine
+        ):
             goes_on = f"the run in {file!r} is continued with another method, barostat or precision: {other}"
             warn(f"{goes_on}; frames before and after belong to different runs")
         restart = digest.read_restart(h5)
@@ -129,7 +145,9 @@ class H5MDWriter:
         with self._telling("be continued"):
             self._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
             self._last_step = int(contents.record.step[self._n_frames - 1])
-            self.marks = [array.tobytes() for name, array in restart.arrays.items() if name.startswith(BESIDE)]
+            self.marks = [
+                array.tobytes() for name, array in restart.arrays.items() if name.startswith(BESIDE)
+            ]
             digest.set_aside_damaged(h5)
             digest.drop_frames(h5, self._n_frames)
             put(h5, digest.description(self._observers))
@@ -137,8 +155,12 @@ class H5MDWriter:
                 title = self._engine.notes["title"] or contents.title
                 h5["minimd"].attrs.update({"scene": scene, "title": title})
             both = (self._engine, restart.checkpoint.state)
-            if any(not np.array_equal(*(getattr(one, name) for one in both)) for name in ("positions", "velocities")):
-                h5["minimd"].attrs["since"] = self._engine.step + 1  # the frame of this step is another state
+            if any(
+                not np.array_equal(*(getattr(one, name) for one in both))
+                for name in ("positions", "velocities")
+            ):
+                # the frame of this step is another state
+                h5["minimd"].attrs["since"] = self._engine.step + 1
             self._describe_method()
 
     def write(self, frame: Frame) -> None:
@@ -148,18 +170,30 @@ class H5MDWriter:
         ValueError if it is closed.
         """
         if not self._h5:
-            raise ValueError(f"trajectory {self.claim.name!r} is closed; it cannot take the frame of step {frame.step}")
+            raise ValueError(
+                f"trajectory {self.claim.name!r} is closed; it cannot take the frame of step {frame.step}"
+            )
         if frame.step == self._last_step:
             return
         if not self._room:
             spacing = None if self._every is None else self._every * self._engine.method.timestep
-            self._columns = layout.columns(self._engine.system, list(frame.observables), self._store_forces, spacing)
+            self._columns = layout.columns(
+                self._engine.system, list(frame.observables), self._store_forces, spacing
+            )
             entries = {column.path: np.asarray(column.entry(frame)) for column in self._columns}
-            n_rows = int(np.clip(BLOCK_BYTES // sum(entry.nbytes for entry in entries.values()), 1, MOST_FRAMES))
-            self._room = {path: np.empty((n_rows, *entry.shape), entry.dtype) for path, entry in entries.items()}
+            n_rows = int(
+                np.clip(
+                    BLOCK_BYTES // sum(entry.nbytes for entry in entries.values()), 1, MOST_FRAMES
+                )
+            )
+            self._room = {
+                path: np.empty((n_rows, *entry.shape), entry.dtype)
+                for path, entry in entries.items()
+            }
         for column in self._columns:
             self._room[column.path][self._n_waiting] = column.entry(frame)
-        self._n_waiting, self._last_step = self._n_waiting + 1, frame.step
+        self._n_waiting = self._n_waiting + 1
+        self._last_step = frame.step
         if self._n_waiting == len(self._room[layout.STEPS]) or monotonic() >= self._next_flush:
             self.checkpoint()
 
@@ -175,8 +209,13 @@ class H5MDWriter:
     @contextmanager
     def _taking(self) -> Iterator[None]:
         """Give the frames that wait, and the restart, to HDF5; at the end of this context, commit them."""
-        first, n_frames = self._n_frames, self._n_frames + self._n_waiting
-        entries = {path: room[: self._n_waiting] for path, room in self._room.items()} if n_frames > first else {}
+        first = self._n_frames
+        n_frames = self._n_frames + self._n_waiting
+        entries = (
+            {path: room[: self._n_waiting] for path, room in self._room.items()}
+            if n_frames > first
+            else {}
+        )
         step = entries[layout.STEPS][0] if entries else self._engine.step
         is_restart = self._engine.is_whole or first == 0
         marks = self._bring_others(self.claim) if is_restart else []
@@ -190,11 +229,16 @@ class H5MDWriter:
             if layout.goes_on_otherwise(self._engine, self._h5["minimd"].attrs):
                 self._describe_method()
             if is_restart:
-                beside = {f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in enumerate(marks)}
-                digest.write_restart(self._h5, self._engine.checkpoint(), n_frames, self._observers, beside)
+                beside = {
+                    f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in enumerate(marks)
+                }
+                digest.write_restart(
+                    self._h5, self._engine.checkpoint(), n_frames, self._observers, beside
+                )
             yield
             self._disk.commit()
-            self._n_frames, self._n_waiting = n_frames, 0
+            self._n_frames = n_frames
+            self._n_waiting = 0
 
     def close(self) -> None:
         """Write the remaining frames, the restart of the present state and results of observers; close the file.
@@ -202,7 +246,8 @@ class H5MDWriter:
         if not self._h5:
             return
         # whole files have no marks: nothing is to be cut off
-        others, self._bring_others = self._bring_others, lambda claim: []
+        others = self._bring_others
+        self._bring_others = lambda claim: []
         try:
             others(self.claim)
         finally:
@@ -233,7 +278,9 @@ class H5MDWriter:
             self._give_up()
             failed = f"trajectory {self.claim.name!r} could not {what}"
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-            raise OSError(f"{failed}: {reason}; the {self._n_frames} earlier frames are valid") from error
+            raise OSError(
+                f"{failed}: {reason}; the {self._n_frames} earlier frames are valid"
+            ) from error
 
     def _give_up(self) -> None:
         self._h5.close()
@@ -243,7 +290,10 @@ class H5MDWriter:
 @contextmanager
 def uninterrupted() -> Iterator[None]:
     """Context that Ctrl-C does not interrupt; it takes effect at the end."""
-    if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
+    if (
+        not hasattr(signal, "pthread_sigmask")
+        or threading.current_thread() is not threading.main_thread()
+    ):
         yield
         return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
@@ -279,7 +329,8 @@ def rehearse(claim: Claim) -> None:
 
 def _obstacle(contents: H5MDContents, engine: Engine, store_forces: bool) -> str:
     """Why the simulation cannot continue a file, and what to do; empty if it can."""
-    ours, theirs = engine.system, contents.system
+    ours = engine.system
+    theirs = contents.system
     fixed = ("masses", "charges", "species", *ours.groups())
     same = {
         "units": ours.units.name == theirs.units.name,
@@ -288,11 +339,19 @@ def _obstacle(contents: H5MDContents, engine: Engine, store_forces: bool) -> str
         "the cell": ours.cell.same_as(theirs.cell),
     }
     if differ := [name for name, is_same in same.items() if not is_same]:
-        return f"holds another system: {differ[0]} of file and simulation differ; write to a new file"
+        return (
+            f"holds another system: {differ[0]} of file and simulation differ; write to a new file"
+        )
     held = layout.other_constraints(theirs.constraints, engine.constraints, theirs.positions)
-    baths = ("no barostat" if bath is None else repr(bath) for bath in (contents.barostat, engine.barostat))
-    made, has_bath = f"was written {'without' if engine.method.is_thermostat else 'with'} a thermostat", engine.has_bath
-    wanted, records, names = extras_in(contents.record), recorded(engine), contents.record.names
+    baths = (
+        "no barostat" if bath is None else repr(bath)
+        for bath in (contents.barostat, engine.barostat)
+    )
+    made = f"was written {'without' if engine.method.is_thermostat else 'with'} a thermostat"
+    has_bath = engine.has_bath
+    wanted = extras_in(contents.record)
+    records = recorded(engine)
+    names = contents.record.names
     new = [name for name in records if name not in names]
     missing = [name for name in names if name not in ("step", "time", *records)]
     begun = f"was begun without {listed(new)}, which this run records: a file has the same observables in all frames"
@@ -303,16 +362,34 @@ def _obstacle(contents: H5MDContents, engine: Engine, store_forces: bool) -> str
             f"continues from step {contents.step}, but the simulation is at step {engine.step}",
             "take the state of the file with minimd.Simulation.resume",
         ),
-        (engine.barostat != contents.barostat, "holds a run with {}; the simulation has {}".format(*baths), ""),
-        (has_bath != ("conserved_energy" in names), f"{made}; it cannot be continued with {engine.method.name}", ""),
+        (
+            engine.barostat != contents.barostat,
+            "holds a run with {}; the simulation has {}".format(*baths),
+            "",
+        ),
+        (
+            has_bath != ("conserved_energy" in names),
+            f"{made}; it cannot be continued with {engine.method.name}",
+            "",
+        ),
         (
             set(wanted) != set(engine.extra_observables),
             f"was begun with simulation.extra_observables = {wanted}",
             "set the same extra_observables",
         ),
         (new, begun, "append before you register other observables"),
-        (missing, f"holds {listed(missing)}, which this run does not record", "register these observables"),
-        (store_forces and not contents.has_forces, "was begun without forces", "continue it without store_forces"),
+        (
+            missing,
+            f"holds {listed(missing)}, which this run does not record",
+            "register these observables",
+        ),
+        (
+            store_forces and not contents.has_forces,
+            "was begun without forces",
+            "continue it without store_forces",
+        ),
     ]
     first = ((what, cure) for is_there, what, cure in obstacles if is_there)
-    return next((f"{what}; {f'{cure}, or ' if cure else ''}write to a new file" for what, cure in first), "")
+    return next(
+        (f"{what}; {f'{cure}, or ' if cure else ''}write to a new file" for what, cure in first), ""
+    )

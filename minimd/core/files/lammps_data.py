@@ -74,8 +74,11 @@ RULES: dict[str, Rule] = {
 }
 BOUNDS = ("xlo xhi", "ylo yhi", "zlo zhi")
 EDGES = ("avec", "bvec", "cvec")  # in place of bounds
-HEADER = dict.fromkeys(BOUNDS, 2) | dict.fromkeys((*EDGES, "abc origin", "xy xz yz"), 3)  # numbers; others have one
-KNOWN = re.compile("Atoms|Velocities|Masses|Bonds|Angles|Dihedrals|Impropers|.* Coeffs|.* Type Labels")
+# numbers; others have one
+HEADER = dict.fromkeys(BOUNDS, 2) | dict.fromkeys((*EDGES, "abc origin", "xy xz yz"), 3)
+KNOWN = re.compile(
+    "Atoms|Velocities|Masses|Bonds|Angles|Dihedrals|Impropers|.* Coeffs|.* Type Labels"
+)
 BOUNDARY = re.compile(r"\bboundary((?:\s+[pfsm]{1,2}){3})\b")
 
 
@@ -134,7 +137,9 @@ class DataFile:
                 self.header[keyword] = row_of(numbers, [NUMBER] * HEADER.get(keyword, 1))
                 if not self.header[keyword]:
                     wanted = "numbers and a keyword, such as '0.0 10.0 xlo xhi'"
-                    raise self.fault(place, f"a line of the header must be {wanted}; it is {shown(line.strip())}")
+                    raise self.fault(
+                        place, f"a line of the header must be {wanted}; it is {shown(line.strip())}"
+                    )
         for title, lines_of_labels in self.sections.items():
             if title.endswith(" Type Labels"):
                 kind = title.split()[0].lower()
@@ -152,7 +157,12 @@ class DataFile:
         n_types = self.header[f"{kind} types"][0]
         labels = self.labels[kind]
         rules = RULES | {
-            "t": (f"one of {n_types:.0f} {kind} types", lambda word: labels.get(word) or int(word), 1, n_types),
+            "t": (
+                f"one of {n_types:.0f} {kind} types",
+                lambda word: labels.get(word) or int(word),
+                1,
+                n_types,
+            ),
             "a": ("id of an atom", lambda word: self.places[int(word)], 0, WHOLE),
         }
         return [rules.get(letter, NUMBER) for letter in layout]
@@ -174,7 +184,10 @@ class DataFile:
             if not row or key in rows:
                 names = ", ".join(name for name, *_ in rules)
                 once = ", the first in one line only" * is_ordered
-                raise self.fault(place, f"a line of {title} must be {names}{once}; it is {shown(' '.join(words))}")
+                raise self.fault(
+                    place,
+                    f"a line of {title} must be {names}{once}; it is {shown(' '.join(words))}",
+                )
             rows[key] = row
         return [row for _, row in sorted(rows.items())]
 
@@ -196,11 +209,17 @@ class DataFile:
         """That of Atoms, by the word behind the title, the atom style given, or the only one that fits the lines."""
         (place, comment), *lines = self.sections["Atoms"].items()
         if not lines:
-            raise self.fault(place, "a file must have a section Atoms with lines; this one has none")
-        named = [word.removesuffix("/kk") for word in comment if len(comment) == 1 or word == "hybrid"]
+            raise self.fault(
+                place, "a file must have a section Atoms with lines; this one has none"
+            )
+        named = [
+            word.removesuffix("/kk") for word in comment if len(comment) == 1 or word == "hybrid"
+        ]
         styles = [style for style in (*named, given) if style in LAYOUTS]
         for flags in (FLAGS, ""):
-            styles = styles or [style for style, layout in LAYOUTS.items() if self.fits(layout + flags)]
+            styles = styles or [
+                style for style, layout in LAYOUTS.items() if self.fits(layout + flags)
+            ]
         layouts = {LAYOUTS[style] for style in styles}
         if len(layouts) != 1 or styles[0] not in READ:
             why = f"the atom style must be certain, and one of {listed(READ)}; it is {listed(styles) or None}"

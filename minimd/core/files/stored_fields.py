@@ -99,9 +99,13 @@ def check_fields(values: Iterable[tuple[str, Any]], scene: h5py.Group) -> None:
     for name, value in values:
         array, field = np.asarray(value), FIELDS.get(re.sub(r"\d+", "#", name), UNKNOWN)
         kinds = (field.kind,) if field.shape else (REAL, WHOLE)
-        shape = tuple(array.size if length == "*" else sizes.get(length, length) for length in field.shape)
+        shape = tuple(
+            array.size if length == "*" else sizes.get(length, length) for length in field.shape
+        )
         is_alike = array.dtype in kinds and array.shape == shape
         is_whole = is_alike and (field.kind == REAL or (array == np.rint(array)).all())
         is_inside = is_whole and ((array >= field.least) & (array <= field.most)).all()
         if not is_inside and not name.startswith("observer."):
-            raise ValueError(f"{name} is unknown or out of range: type {array.dtype}, shape {array.shape}")
+            raise ValueError(
+                f"{name} is unknown or out of range: type {array.dtype}, shape {array.shape}"
+            )

@@ -51,13 +51,32 @@ PACKED = (".gz", ".bz2")
 # suffixes of formats that MDAnalysis reads, and its names for them
 OF_MDANALYSIS = {
     suffix: suffix[1:].upper()
-    for suffix in (".pdb", ".gro", ".mol2", ".gsd", ".txyz", ".pqr", ".pdbqt", ".crd", ".dms", ".mmtf", ".mmcif")
+    for suffix in (
+        ".pdb",
+        ".gro",
+        ".mol2",
+        ".gsd",
+        ".txyz",
+        ".pqr",
+        ".pdbqt",
+        ".crd",
+        ".dms",
+        ".mmtf",
+        ".mmcif",
+    )
 } | {".ent": "PDB", ".arc": "TXYZ"}
-INSTEAD = {"proteindatabank": "PDB", "gromacs": "GRO", "ENT": "PDB", "DATA": LAMMPS, "CONFIG": "dlp4"}
+INSTEAD = {
+    "proteindatabank": "PDB",
+    "gromacs": "GRO",
+    "ENT": "PDB",
+    "DATA": LAMMPS,
+    "CONFIG": "dlp4",
+}
 DL_POLY = ("dlp4", "dlp-history")
 XYZ = (".xyz", ".extxyz")
 XYZ_OF_ASE = ("xyz", "extxyz", "simple-xyz")
-MASS_OF_ELEMENT = 1e-3  # relative: 12.0 and 16.0 are carbon and oxygen, but 14.027 is CH₂, not nitrogen
+# relative: 12.0 and 16.0 are carbon and oxygen, but 14.027 is CH₂, not nitrogen
+MASS_OF_ELEMENT = 1e-3
 SAME_MASS = 0.1  # u, largest difference of the masses of one atom in two files
 ATOMS = ("ATOM  ", "HETATM")  # records of a PDB file
 DECIMALS = 5  # of the box in a GRO file
@@ -172,7 +191,12 @@ def _form(path: Path, format: str | None) -> str | None:
     for packed in PACKED:
         name = name.removesuffix(packed)
     suffix = Path(name).suffix
-    form = format or SUFFIXES.get(suffix) or OF_MDANALYSIS.get(suffix) or (suffix if suffix == ".h5md" else None)
+    form = (
+        format
+        or SUFFIXES.get(suffix)
+        or OF_MDANALYSIS.get(suffix)
+        or (suffix if suffix == ".h5md" else None)
+    )
     if form is not None and form not in (*ioformats, ".h5md"):
         form = form.upper()
     return INSTEAD.get(form or "", form)
@@ -236,24 +260,34 @@ class Door(NamedTuple):
         system = read_file(self.path).system
         if self.units not in (None, system.units):
             states = f"{self.source} states units = {system.units.name!r}"
-            raise ValueError(f"{states}; it cannot be read with units = {self.units and self.units.name!r}")
+            raise ValueError(
+                f"{states}; it cannot be read with units = {self.units and self.units.name!r}"
+            )
         labels = system.species.tolist()
-        stated = Stated(self.source, [str(label) for label in labels], system.positions, None, system.masses)
+        stated = Stated(
+            self.source, [str(label) for label in labels], system.positions, None, system.masses
+        )
         weights, symbols = identified(stated, masses, self.elements, is_reduced=system.units is LJ)
         given = {"masses": weights, "species": species_of(symbols, labels)}
         return Structure(arguments_of(system) | given, stated)
 
     def _of_lammps(self, masses: Any) -> Structure:
         data = read_lammps_data(self.path, self.atom_style)
-        name, units = self._lammps_units(data.units, data.velocities is not None and bool(data.velocities.any()))
+        name, units = self._lammps_units(
+            data.units, data.velocities is not None and bool(data.velocities.any())
+        )
         if data.skipped:
-            warn(f"{self.source} has sections that LAMMPS does not have, which are skipped: {listed(data.skipped)}")
+            warn(
+                f"{self.source} has sections that LAMMPS does not have, which are skipped: {listed(data.skipped)}"
+            )
 
         def converted(values: Any, quantity: str) -> Any:
             if values is None or units is LJ:
                 return values
             if name in PER_PICOSECOND:
-                return values * (ASE.to_picosecond * PER_PICOSECOND[name] if quantity == "velocity" else 1.0)
+                return values * (
+                    ASE.to_picosecond * PER_PICOSECOND[name] if quantity == "velocity" else 1.0
+                )
             return convert(values, quantity, name, "ASE")
 
         positions = converted(data.positions, "distance")
@@ -278,7 +312,9 @@ class Door(NamedTuple):
     def _lammps_units(self, stated: str | None, has_velocities: bool) -> tuple[str, UnitSystem]:
         """LAMMPS' name of the units of a file, and minimd's units for it.  Raises ValueError if they are not known."""
         if stated and self.lammps_units and stated != self.lammps_units:
-            raise ValueError(f"{self.source} states units = {stated}; lammps_units = {self.lammps_units!r}")
+            raise ValueError(
+                f"{self.source} states units = {stated}; lammps_units = {self.lammps_units!r}"
+            )
         name = stated or self.lammps_units
         if name is None and self.units is not None and (self.units is LJ or not has_velocities):
             name = "lj" if self.units is LJ else "metal"
@@ -297,13 +333,18 @@ class Door(NamedTuple):
         return name, units
 
     def _of_mdanalysis(self, form: str, masses: Any) -> Structure:
-        from minimd.core.structure.mdanalysis_atoms import stated_of as stated_of_group, universe_arguments
+        from minimd.core.structure.mdanalysis_atoms import (
+            stated_of as stated_of_group,
+            universe_arguments,
+        )
 
         universe = universe_of_file(self.path, form)
         atoms = universe.atoms
         _check_alternatives(atoms, self.source)
         groups = dict.fromkeys(GROUPS)
-        arguments = universe_arguments(atoms, self.units or ASE, groups, None, self.source, masses, self.elements)
+        arguments = universe_arguments(
+            atoms, self.units or ASE, groups, None, self.source, masses, self.elements
+        )
         return Structure(arguments, stated_of_group(atoms, self.source, arguments["positions"]))
 
     def _of_ase(self, form: str, masses: Any, cell: Any, pbc: Any) -> Structure:
@@ -323,7 +364,9 @@ class Door(NamedTuple):
         if form in XYZ_OF_ASE:
             _check_labels(text_of(self.path), len(atoms), self.source)
         if form in DL_POLY:  # ASE takes the velocities, in Å/ps, for atomic units
-            names = map("".join, zip(atoms.get_chemical_symbols(), atoms.arrays["dlp4_labels"], strict=True))
+            names = map(
+                "".join, zip(atoms.get_chemical_symbols(), atoms.arrays["dlp4_labels"], strict=True)
+            )
             _relabel(atoms, [*names], (1.0 if units is LJ else ASE.to_picosecond) / DLP_V_ASE)
         elif form == DUMP:
             kinds = atoms.arrays.pop("type", atoms.numbers)
@@ -337,25 +380,39 @@ class Door(NamedTuple):
             placed = Cell.of(atoms.cell.array if cell is None else cell, pbc)
             atoms.cell[:] = placed.vectors
             atoms.pbc = placed.pbc
-        if "id" in atoms.arrays:  # these are all atoms of the file in its order, whatever ids they have there
+        # these are all atoms of the file in its order, whatever ids they have there
+        if "id" in atoms.arrays:
             atoms.arrays["id"] = np.arange(1, len(atoms) + 1)
         joined = Joined(dict.fromkeys(GROUPS, np.zeros((0, 2), np.int64)))
         with nullcontext() if self.takes_bonds else suppress(ValueError):
             joined = joined_in(atoms)
         stated = stated_of(atoms, self.source)
-        arguments = system_arguments(atoms, (), stated=stated, masses=masses, elements=self.elements, units=units)
+        arguments = system_arguments(
+            atoms, (), stated=stated, masses=masses, elements=self.elements, units=units
+        )
         return Structure(arguments | joined.groups, stated, joined.n_types)
 
     def _dump(self) -> tuple[str, UnitSystem, dict[str, NDArray[np.float64]]]:
         """Units of a dump, and its columns; masses in the order of ids."""
         lines = text_of(self.path).splitlines()
         starts = [k for k, line in enumerate(lines) if line.startswith("ITEM: ATOMS")]
-        stated = next((lines[k + 1].strip() for k, line in enumerate(lines) if line.startswith("ITEM: UNITS")), None)
+        stated = next(
+            (
+                lines[k + 1].strip()
+                for k, line in enumerate(lines)
+                if line.startswith("ITEM: UNITS")
+            ),
+            None,
+        )
         names = lines[starts[-1]].split()[2:]
         rows = [line.split() for line in lines[starts[-1] + 1 :] if line.strip()]
         columns: dict[str, Any] = dict.fromkeys(names)
         if "mass" in names:
-            order = np.argsort([int(row[names.index("id")]) for row in rows]) if "id" in names else slice(None)
+            order = (
+                np.argsort([int(row[names.index("id")]) for row in rows])
+                if "id" in names
+                else slice(None)
+            )
             columns["mass"] = np.array([float(row[names.index("mass")]) for row in rows])[order]
         name, units = self._lammps_units(stated, "vx" in names)
         return name, units, columns
@@ -405,7 +462,9 @@ def _last_of_pdb(text: str) -> str:
     lines = text.splitlines(keepends=True)
     for number, line in enumerate(lines, start=1):
         if line.startswith(ATOMS) and len(line.rstrip("\n")) < PDB_LINE:
-            raise ValueError(f"line {number} ends within the position of its atom: the file was cut")
+            raise ValueError(
+                f"line {number} ends within the position of its atom: the file was cut"
+            )
     if not any(line.startswith(ATOMS) for line in lines):
         raise ValueError("it has no line ATOM or HETATM")
     models = [k for k, line in enumerate(lines) if line.startswith("MODEL ")]
@@ -423,9 +482,16 @@ def _check_labels(text: str, n: int, source: str) -> None:
     that are not read."""
     rows = [line.split() for line in text.splitlines() if line.strip()][-n:]
     if "Properties" not in text and max(map(len, rows)) > 4:
-        warn(f"{source} has columns behind x, y and z, which say nothing about what they are: they are not read")
+        warn(
+            f"{source} has columns behind x, y and z, which say nothing about what they are: they are not read"
+        )
     for label in sorted({row[0] for row in rows}):
-        if len(label) == 2 and label.isupper() and is_element(label.capitalize()) and not guessed_element(label):
+        if (
+            len(label) == 2
+            and label.isupper()
+            and is_element(label.capitalize())
+            and not guessed_element(label)
+        ):
             raise ValueError(
                 f"the label {label!r} of {source} may be the element {label.capitalize()} or the name of an atom; "
                 "write chemical symbols, as 'Ca' or 'C'"
@@ -479,27 +545,41 @@ def _beside(path: Path, door: Door) -> Structure:
             masses = data.masses if (data.units or door.lammps_units) in PER_PICOSECOND else None
             stated = Stated(f"file {str(path)!r}", data.types, data.positions, None, masses)
             return Structure({**data.groups, "charges": data.charges}, stated, data.n_types)
-        from minimd.core.structure.mdanalysis_atoms import charges_of as charges_of_group, stated_of as stated_of_group
+        from minimd.core.structure.mdanalysis_atoms import (
+            charges_of as charges_of_group,
+            stated_of as stated_of_group,
+        )
 
         atoms = universe_of_file(path, None).atoms
         stated = stated_of_group(atoms, f"file {str(path)!r}", np.zeros((len(atoms), 3)))
-        groups = {name: getattr(atoms.universe, name).indices if hasattr(atoms, name) else () for name in GROUPS}
-        joined = {name: np.array(rows, np.int64).reshape(-1, GROUPS[name]) for name, rows in groups.items()}
+        groups = {
+            name: getattr(atoms.universe, name).indices if hasattr(atoms, name) else ()
+            for name in GROUPS
+        }
+        joined = {
+            name: np.array(rows, np.int64).reshape(-1, GROUPS[name])
+            for name, rows in groups.items()
+        }
         return Structure({**joined, "charges": charges_of_group(atoms)}, stated)
 
 
 def _check_same_atoms(path: Path, structure: Structure, beside: Structure) -> None:
     """Raise ValueError unless two files hold the same atoms in the same order, by names and by masses; X is no name."""
-    first, second = structure.stated, beside.stated
+    first = structure.stated
+    second = beside.stated
     n = len(structure.arguments["positions"])
     if len(second.names) != n:
-        raise ValueError(f"{second.source} with the bonds has {len(second.names)} atoms; the structure has {n}")
+        raise ValueError(
+            f"{second.source} with the bonds has {len(second.names)} atoms; the structure has {n}"
+        )
     of_residue: dict[int, set[str]] = {}
     numbers = np.zeros(n, int) if first.residue_of is None else first.residue_of
     for number, name in zip(numbers, first.names, strict=True):
         of_residue.setdefault(int(number), set()).add(name)
     for k, (name, other) in enumerate(zip(first.names, second.names, strict=True)):
-        if name not in (other, "X") and (other in of_residue[int(numbers[k])] or not _may_be_same(first, second, k)):
+        if name not in (other, "X") and (
+            other in of_residue[int(numbers[k])] or not _may_be_same(first, second, k)
+        ):
             mass = "" if second.masses is None else f" of {second.masses[k]:g} u"
             raise ValueError(
                 f"atom {k} of file {str(path)!r} is {name!r}, but {other!r}{mass} in {second.source}: both files must "
@@ -514,7 +594,9 @@ def _may_be_same(first: Stated, second: Stated, k: int) -> bool:
     mass = None if first.masses is None else float(first.masses[k])
     if mass is None or np.isnan(mass):
         mass = atomic_mass(symbol) if symbol else None
-    if symbol and symbol == guessed_element(second.names[k], second.residues[k] if second.residues else ""):
+    if symbol and symbol == guessed_element(
+        second.names[k], second.residues[k] if second.residues else ""
+    ):
         return True  # whatever its mass, which may be repartitioned
     other = None if second.masses is None else float(second.masses[k])
     return mass is None or other is None or abs(mass - other) <= SAME_MASS
@@ -534,7 +616,11 @@ def _read_as(path: Path, what: str, form: str | None) -> Iterator[None]:
         reason = " ".join(str(error).split()).rpartition("Error: ")[2]
         if form is None and isinstance(error, StopIteration | UnknownFileTypeError):
             reason = "its suffix and content do not show its format; pass it, such as format='lammps-data'"
-        elif isinstance(error, KeyError) and path.suffix.lower() in XYZ and not is_element(str(error.args[0])):
+        elif (
+            isinstance(error, KeyError)
+            and path.suffix.lower() in XYZ
+            and not is_element(str(error.args[0]))
+        ):
             reason = (
                 f"{error.args[0]!r} is not a chemical symbol, which ASE expects in this format; name the atoms X, and "
                 "give masses here and species to System, or both in the scene under [structure], or write LAMMPS data, "

@@ -34,7 +34,9 @@ class Writer(Protocol):
         try:
             os.fsync(self.claim.descriptor)
         except OSError as error:
-            words = f"trajectory {self.claim.name!r} could not be brought to the disk: {error.strerror}"
+            words = (
+                f"trajectory {self.claim.name!r} could not be brought to the disk: {error.strerror}"
+            )
             raise OSError(error.errno, words) from None
 
     def close(self) -> None:
@@ -51,12 +53,14 @@ FORMATS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), MDANALYSIS),
     **dict.fromkeys((".xyz", ".extxyz", ".traj"), ASE),
 }
-N_FIRST, N_LAST = 128, 256
+N_FIRST = 128
+N_LAST = 256
 MARK = struct.Struct(f"<QQQ{N_FIRST}s{N_LAST}s")
 """Of a file beside an H5MD file: inode of the H5MD file; inode and size of the file, its first and its last bytes.
 Its name follows."""
 COUNTERS = 16  # of the first bytes a format changes when a frame is added: it counts frames there
-SLOT = 8  # bytes of a place in the index of a .traj file, which may be at its end: zero until a frame is added
+# bytes of a place in the index of a .traj file, which may be at its end: zero until a frame is added
+SLOT = 8
 
 
 @contextmanager
@@ -121,7 +125,9 @@ def _new(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -
     except OSError as error:
         raise type(error)(f"output {str(file)!r} cannot be written: {error.strerror}") from None
     try:
-        made: Writer = getattr(import_module(module), name)(claim, engine, **{one: options[one] for one in takes})
+        made: Writer = getattr(import_module(module), name)(
+            claim, engine, **{one: options[one] for one in takes}
+        )
     except BaseException:
         claim.release()
         raise
@@ -137,9 +143,11 @@ def _brought_to_disk(writers: list[Writer], claim: Claim) -> list[bytes]:
 
     Raises OSError for a trajectory that cannot be brought to the disk; it is not tried again.
     """
-    marks, own = [], os.fstat(claim.descriptor).st_ino
+    marks = []
+    own = os.fstat(claim.descriptor).st_ino
     for one in [writer for writer in writers if not _is_h5md(writer.claim.path)]:
-        path, file = one.claim.path, one.claim.descriptor
+        path = one.claim.path
+        file = one.claim.descriptor
         try:
             one.checkpoint()
         except OSError:
@@ -171,7 +179,9 @@ def _cut_others_back(writer: Any) -> None:
         warn(sentence)
 
 
-def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: bytes, last: bytes) -> str:
+def _cut_back(
+    path: Path, h5md: int, own: int, inode: int, size: int, first: bytes, last: bytes
+) -> str:
     """Cut a trajectory to what it was at a restart; returns what was done, in words, empty if it has not grown since.
 
     h5md : descriptor of the file with the restart.  own, inode, size, first, last : as in MARK.
@@ -182,7 +192,8 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
     if suffix not in set(FORMATS) - {".h5md"}:
         raise ValueError("its suffix is not that of a trajectory")
     with open(locked(path), "r+b") as file:
-        now, restart = os.fstat(file.fileno()), os.fstat(h5md)
+        now = os.fstat(file.fileno())
+        restart = os.fstat(h5md)
         user = os.geteuid() if hasattr(os, "geteuid") else now.st_uid
         if not now.st_uid == restart.st_uid == user:
             raise ValueError("this trajectory, or the .h5md file, belongs to another user")
@@ -190,8 +201,12 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
             raise ValueError("this trajectory, or the .h5md file, is a copy or was changed")
         if now.st_size == size and read_at(file.fileno(), N_FIRST, 0) == first[:size]:
             return ""
-        if size < N_FIRST + N_LAST or not _has_grown(file.fileno(), suffix, now.st_size, size, first, last):
-            raise ValueError("this trajectory was changed, or had too few bytes to tell whether the run has written it")
+        if size < N_FIRST + N_LAST or not _has_grown(
+            file.fileno(), suffix, now.st_size, size, first, last
+        ):
+            raise ValueError(
+                "this trajectory was changed, or had too few bytes to tell whether the run has written it"
+            )
         file.write(first)
         file.truncate(size)
     return f"was cut to {size} bytes, its size at the step from which the run goes on"
@@ -207,7 +222,10 @@ def _has_grown(file: int, suffix: str, n_bytes: int, size: int, first: bytes, la
     its format changes when frames are added; a power failure may have taken the frames themselves."""
     n_changed = sum(was != now for was, now in zip(first, read_at(file, N_FIRST, 0), strict=True))
     n, begin = _last_bytes(size)
-    was, now = (np.frombuffer(part[:n] + bytes(-n % SLOT), "<u8") for part in (last, read_at(file, n, begin)))
+    was, now = (
+        np.frombuffer(part[:n] + bytes(-n % SLOT), "<u8")
+        for part in (last, read_at(file, n, begin))
+    )
     names_later_frame = (suffix == ".traj") & (was == 0) & (now >= size) & (now < n_bytes + size)
     return n_changed <= COUNTERS and bool(((was == now) | names_later_frame).all())
 
@@ -227,7 +245,9 @@ def _is_h5md(file: Path) -> bool:
 def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Path]:
     """The paths of one file or several.  name : of the argument, for messages.
     Raises ValueError for anything that is not a path."""
-    return [checked_path(name, path) for path in (paths if isinstance(paths, list | tuple) else [paths])]
+    return [
+        checked_path(name, path) for path in (paths if isinstance(paths, list | tuple) else [paths])
+    ]
 
 
 def first_h5md(paths: str | Path | Sequence[str | Path]) -> Path | None:
@@ -238,18 +258,27 @@ def first_h5md(paths: str | Path | Sequence[str | Path]) -> Path | None:
 def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:
     """The path, if a new file with one of the suffixes can be written there; no file is created.  Raises as
     open_trajectories."""
-    file, overwrite = checked_path("output", path), checked_flag("overwrite", overwrite)
+    file = checked_path("output", path)
+    overwrite = checked_flag("overwrite", overwrite)
     if file.suffix.lower() not in suffixes:
-        other = "; docs/formats.md says how other formats are made from an .h5md file" * (suffixes is FORMATS)
+        other = "; docs/formats.md says how other formats are made from an .h5md file" * (
+            suffixes is FORMATS
+        )
         wanted = f"the suffix of a trajectory must be one of {', '.join(suffixes)}"
         raise ValueError(f"{wanted}; the file is {str(file)!r}{other}")
     if file.exists() and not overwrite:
-        raise FileExistsError(f"output {str(file)!r} exists; choose another name, or pass overwrite=True")
+        raise FileExistsError(
+            f"output {str(file)!r} exists; choose another name, or pass overwrite=True"
+        )
     if not file.absolute().parent.is_dir():
-        raise FileNotFoundError(f"output folder {str(file.absolute().parent)!r} does not exist; make it first")
+        raise FileNotFoundError(
+            f"output folder {str(file.absolute().parent)!r} does not exist; make it first"
+        )
     if file.exists() and not file.is_file():
         words = "it is a folder or a device; choose another name"
         raise ValueError(f"output {str(file)!r} must be a regular file, but {words}")
     if not os.access(file if file.exists() else file.absolute().parent, os.W_OK):
-        raise PermissionError(f"output {str(file)!r} cannot be written: {os.strerror(errno.EACCES)}")
+        raise PermissionError(
+            f"output {str(file)!r} cannot be written: {os.strerror(errno.EACCES)}"
+        )
     return file

@@ -33,7 +33,8 @@ SEEN = 1e-7  # a smaller rotation is lost in the rounding of float32
 FARTHEST = 1.0 + 1e-9  # in lattice vectors: MDAnalysis misses nearest images that are farther away
 # of writers, by format; decimals of a nanometer, one more than usual, because σ = 1 of reduced units is 0.1 nm
 OPTIONS: dict[str, dict[str, Any]] = {"XTC": {"precision": 4}, "NCDF": {"velocities": True}}
-LARGEST_XTC = 0.001 * (2**31 - 2**9)  # Å: whole numbers of 0.001 Å, and their differences, have 32 bits
+# Å: whole numbers of 0.001 Å, and their differences, have 32 bits
+LARGEST_XTC = 0.001 * (2**31 - 2**9)
 ROOM = 2**18  # bytes that must be free besides those of a frame, for the buffers of C libraries
 
 
@@ -60,7 +61,11 @@ class Turn:
         if not has_edges(cell):
             can = "only a cell with three independent vectors, periodic in some direction, can be turned"
             raise ValueError(f"{can}; cell = {cell!r}")
-        self._vectors, self._to_angstrom, self._is_reduced = cell.vectors, to_angstrom, finds_all_images(cell)
+        self._vectors, self._to_angstrom, self._is_reduced = (
+            cell.vectors,
+            to_angstrom,
+            finds_all_images(cell),
+        )
         basis = np.eye(3, dtype=np.int64) if self._is_reduced else cell.reduction
         self.combination = basis * int(handedness(basis @ cell.vectors))
 
@@ -87,8 +92,11 @@ class Turn:
 
     def in_words(self, what: str, way_back: str) -> str:
         """A sentence on what is done to the positions and cell of what; way_back : where R is found."""
-        rows = np.array2string(self.of(self._vectors)[0], separator=", ", precision=6, suppress_small=True)
-        rows, reason = rows.replace("\n", ""), ""
+        rows = np.array2string(
+            self.of(self._vectors)[0], separator=", ", precision=6, suppress_small=True
+        )
+        rows = rows.replace("\n", "")
+        reason = ""
         if not self._is_reduced:
             images = "the cell is so skewed that MDAnalysis would miss nearest images"
             reason = f"; {images}, and is replaced by its shortest vectors"
@@ -108,7 +116,11 @@ def turn_of(cell: Cell, to_angstrom: float) -> Turn | None:
 
 def as_in_run(ts: Any, vectors: NDArray[Any]) -> Array:
     """Vectors (..., 3) of a frame of a universe, turned back to those of the run, in float64."""
-    return vectors @ ts.data[ROTATION].T if ROTATION in ts.data else np.asarray(vectors, dtype=np.float64)
+    return (
+        vectors @ ts.data[ROTATION].T
+        if ROTATION in ts.data
+        else np.asarray(vectors, dtype=np.float64)
+    )
 
 
 def cell_dimensions(cell: Cell, to_angstrom: float) -> NDArray[np.float32] | None:
@@ -129,8 +141,11 @@ def finds_all_images(cell: Cell) -> bool:
     from scipy.optimize import linprog  # takes its time to load
 
     neighbors = COMBINED[np.any(COMBINED != 0, axis=1)] @ cell.lattice
-    halves, parts = 0.5 * (neighbors**2).sum(axis=1), np.linalg.inv(cell.vectors)
-    return all(-linprog(-part, neighbors, halves, bounds=(None, None)).fun <= FARTHEST for part in parts.T)
+    halves = 0.5 * (neighbors**2).sum(axis=1)
+    parts = np.linalg.inv(cell.vectors)
+    return all(
+        -linprog(-part, neighbors, halves, bounds=(None, None)).fun <= FARTHEST for part in parts.T
+    )
 
 
 class MDAnalysisWriter(Writer):
@@ -149,15 +164,21 @@ class MDAnalysisWriter(Writer):
     """
 
     def __init__(self, claim: Claim, engine: Engine, every: int = 1) -> None:
-        system, suffix = engine.system, claim.path.suffix[1:].upper()
-        self.claim, self._format = claim, "NCDF" if suffix == "NC" else suffix
+        system = engine.system
+        suffix = claim.path.suffix[1:].upper()
+        self.claim = claim
+        self._format = "NCDF" if suffix == "NC" else suffix
         self._every = every
-        self._angstrom, self._picosecond = system.units.to_angstrom, system.units.to_picosecond
-        self._timestep, self._cell = engine.method.timestep * self._picosecond, system.cell
+        self._angstrom = system.units.to_angstrom
+        self._picosecond = system.units.to_picosecond
+        self._timestep = engine.method.timestep * self._picosecond
+        self._cell = system.cell
         self._waiting: list[Frame] = []
         self._writer: Any = None
         with quiet():  # MDAnalysis warns of attributes that are missing on purpose
-            self._universe = MDAnalysis.Universe.empty(len(system), trajectory=True, velocities=True)
+            self._universe = MDAnalysis.Universe.empty(
+                len(system), trajectory=True, velocities=True
+            )
         self._turn = turn_of(system.cell, self._angstrom)
         if self._turn is not None:
             back = "; write an .h5md file too: it holds them unturned"
@@ -165,7 +186,9 @@ class MDAnalysisWriter(Writer):
 
     def write(self, frame: Frame) -> None:
         """Append one frame."""
-        self._waiting.append(frame._replace(positions=frame.positions.copy(), velocities=frame.velocities.copy()))
+        self._waiting.append(
+            frame._replace(positions=frame.positions.copy(), velocities=frame.velocities.copy())
+        )
         if self._format != "DCD" or self._writer is not None or len(self._waiting) > 1:
             self._write_waiting()
 
@@ -178,35 +201,48 @@ class MDAnalysisWriter(Writer):
             self.claim.release()
 
     def _write_waiting(self) -> None:
-        waiting, self._waiting = self._waiting, []
+        waiting = self._waiting
+        self._waiting = []
         if self._format == "DCD" and len(waiting) > 1 and waiting[0].step % self._every:
             frames = f"leaves out the frame of step {waiting.pop(0).step}: its frames are {self._every} steps apart"
             warn(f"trajectory {self.claim.name!r} {frames}")
         for frame in waiting:
             try:
                 if disk_usage(self.claim.place.parent).free < frame.positions.nbytes + ROOM:
-                    raise OSError(ENOSPC, "no room on the disk")  # not every format notices that writing failed
+                    # not every format notices that writing failed
+                    raise OSError(ENOSPC, "no room on the disk")
                 with quiet():
                     if self._writer is None:
-                        spacing = {"nsavc": self._every, "dt": self._every * self._timestep, "istart": frame.step}
+                        spacing = {
+                            "nsavc": self._every,
+                            "dt": self._every * self._timestep,
+                            "istart": frame.step,
+                        }
                         options = OPTIONS | {"DCD": spacing}
-                        its = options.get(self._format, {}) | {"n_atoms": len(frame.positions), "format": self._format}
+                        its = options.get(self._format, {}) | {
+                            "n_atoms": len(frame.positions),
+                            "format": self._format,
+                        }
                         self._writer = MDAnalysis.Writer(str(self.claim.stream), **its)
                     self._place(frame)
                     self._check_range()
                     self._writer.write(self._universe)
                 if os.name == "posix":
-                    ctypes.CDLL(None).fflush(None)  # MDAnalysis keeps buffers; a killed run leaves whole frames
+                    # MDAnalysis keeps buffers; a killed run leaves whole frames
+                    ctypes.CDLL(None).fflush(None)
                 self.claim.check()
                 self.claim.appear()
             except (OSError, RuntimeError) as error:
                 with suppress(OSError, RuntimeError):
                     self._shut()
-                words = f"trajectory {self.claim.name!r} could not take the frame of step {frame.step}"
+                words = (
+                    f"trajectory {self.claim.name!r} could not take the frame of step {frame.step}"
+                )
                 raise OSError(f"{words}: {getattr(error, 'strerror', None) or error}") from error
 
     def _shut(self) -> None:
-        writer, self._writer = self._writer, None
+        writer = self._writer
+        self._writer = None
         if writer:
             writer.close()
 
@@ -218,7 +254,8 @@ class MDAnalysisWriter(Writer):
             raise OSError(EOVERFLOW, f"{holds}; write .trr or .h5md")
 
     def _place(self, frame: Frame) -> None:
-        ts, cell = self._universe.trajectory.ts, frame.cell or self._cell
+        ts = self._universe.trajectory.ts
+        cell = frame.cell or self._cell
         ts.positions = frame.positions * self._angstrom
         ts.velocities = frame.velocities * (self._angstrom / self._picosecond)
         if self._turn is None:
@@ -226,4 +263,5 @@ class MDAnalysisWriter(Writer):
         else:
             ts.data["cell"] = cell.vectors
             self._turn(ts)
-        ts.time, ts.data["step"] = frame.time * self._picosecond, frame.step
+        ts.time = frame.time * self._picosecond
+        ts.data["step"] = frame.step

@@ -13,7 +13,16 @@ from numba import types
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.fixed_point import BIAS, biased_product, in_steps, is_fixed, on_grid
 from minimd.core.compiled.kernels import by_type, called_kernel, scalar
-from minimd.core.compiled.simd import bits_from_mask, broadcast, fma, load, select, store, total, zeros
+from minimd.core.compiled.simd import (
+    bits_from_mask,
+    broadcast,
+    fma,
+    load,
+    select,
+    store,
+    total,
+    zeros,
+)
 from minimd.core.compiled.simd.vector import count, loaded, loaded_columns
 from minimd.core.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.core.neighbors.clusters import DIMENSIONS
@@ -23,7 +32,8 @@ from minimd.core.potentials.pair_loop import SameForAll, with_product
 from minimd.core.potentials.term import PER_ATOM
 
 SUMS = 7  # accumulators: an energy, and a virial as xx yy zz yz xz xy
-APART = 2  # rows of accumulators from domain to domain: so no two threads write to the same line of the cache
+# rows of accumulators from domain to domain: so no two threads write to the same line of the cache
+APART = 2
 
 
 class ByLane(ByAddress, namedtuple("ByLane", "columns species slots table of_atoms")):
@@ -128,13 +138,20 @@ def add_virial(domain, arrays, sums, steps):
         return lambda domain, arrays, sums, steps: None
 
     def add(domain, arrays, sums, steps):
-        domains, memory, lanes = arrays.domains, arrays.memory, arrays.clusters.lanes
-        n_lanes, start = count(lanes), arrays.domain_start[domain]
+        domains = arrays.domains
+        memory = arrays.memory
+        lanes = arrays.clusters.lanes
+        n_lanes = count(lanes)
+        start = arrays.domain_start[domain]
         if start == arrays.domain_start[domain + 1]:
             return
-        block, first, place = DIMENSIONS * n_lanes, domains.first[domain], domains.place[domain]
+        block = DIMENSIONS * n_lanes
+        first = domains.first[domain]
+        place = domains.place[domain]
         at = arrays.ghosts.home[start] * block
-        x0, y0, z0 = memory.coordinates[at], memory.coordinates[at + n_lanes], memory.coordinates[at + 2 * n_lanes]
+        x0 = memory.coordinates[at]
+        y0 = memory.coordinates[at + n_lanes]
+        z0 = memory.coordinates[at + 2 * n_lanes]
         xx = yy = zz = yz = xz = xy = zeros(lanes)
         for k in range(domains.window[domain + 1] - domains.window[domain]):
             x, y, z = loaded(memory.coordinates, (first + k) * block, lanes)
@@ -158,8 +175,11 @@ def _start_energies(domain, arrays, sums):
         if sums.detail != PER_ATOM:
             sums.of_rows[APART * domain] = 0.0
             return
-        n_lanes, window = count(arrays.clusters.lanes), arrays.domains.window
-        sums.of_rows[arrays.domain_start[domain] * n_lanes : arrays.domain_start[domain + 1] * n_lanes] = 0.0
+        n_lanes = count(arrays.clusters.lanes)
+        window = arrays.domains.window
+        sums.of_rows[
+            arrays.domain_start[domain] * n_lanes : arrays.domain_start[domain + 1] * n_lanes
+        ] = 0.0
         sums.of_lanes[window[domain] * SUMS * n_lanes : window[domain + 1] * SUMS * n_lanes] = 0.0
 
     return start
@@ -189,34 +209,52 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
     steps : () or, in fixed-point arithmetic, Steps.
     Indices in the inner loop are unsigned: the compiler need not check for those that count from the end.
     """
-    rows, homes, memory, lanes = arrays.rows, arrays.ghosts.home, arrays.memory, arrays.clusters.lanes
+    rows = arrays.rows
+    homes = arrays.ghosts.home
+    memory = arrays.memory
+    lanes = arrays.clusters.lanes
     n_lanes = count(lanes)
-    first, window, block = arrays.domains.first[domain], arrays.domains.window[domain], DIMENSIONS * n_lanes
+    first = arrays.domains.first[domain]
+    window = arrays.domains.window[domain]
+    block = DIMENSIONS * n_lanes
     coordinates = memory.coordinates[first * block :]  # of this window, as the forces
     forces = sums.forces[arrays.domains.place[domain] * block :]
-    nothing, zero = broadcast(0, load(forces, 0, lanes)), zeros(lanes)
-    own_share, scale = 0.5 if sums.detail == PER_ATOM else 1.0, scale_of(steps, zero)
+    nothing = broadcast(0, load(forces, 0, lanes))
+    zero = zeros(lanes)
+    own_share = 0.5 if sums.detail == PER_ATOM else 1.0
+    scale = scale_of(steps, zero)
     stops = rows.stops[rows.layers[0] - 1]
     energy = xx = yy = zz = yz = xz = xy = zero
-    for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
-        if rows.start[slot] == stops[slot] and not with_energy(sums):  # in a gas many rows are empty
+    for slot in range(
+        arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes
+    ):
+        # in a gas many rows are empty
+        if rows.start[slot] == stops[slot] and not with_energy(sums):
             continue
-        home, lane = homes[slot // n_lanes] - first, slot % n_lanes
+        home = homes[slot // n_lanes] - first
+        lane = slot % n_lanes
         place = home * DIMENSIONS * n_lanes + lane
         x, y, z = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
         at = broadcast(x, zero), broadcast(y, zero), broadcast(z, zero)
         after = rows.entries[np.uintp(rows.start[slot])]
         ahead = separations(coordinates, memory.far, after, at, lanes)
-        fx, fy, fz, size2 = nothing, nothing, nothing, zero
+        fx = nothing
+        fy = nothing
+        fz = nothing
+        size2 = zero
         for entry in range(np.uintp(rows.start[slot]), np.uintp(stops[slot])):
             if looks_ahead(nothing):
-                now, (dx, dy, dz, r2), after = after, ahead, rows.entries[entry + np.uintp(1)]
+                now = after
+                dx, dy, dz, r2 = ahead
+                after = rows.entries[entry + np.uintp(1)]
                 ahead = separations(coordinates, memory.far, after, at, lanes)
             else:
                 now = rows.entries[entry]
                 dx, dy, dz, r2 = separations(coordinates, memory.far, now, at, lanes)
             ghost = np.uintp(now & GHOST_BITS)
-            numbers = parameters_of_lanes(parameters, (first + home) * n_lanes + lane, first + np.intp(ghost), lanes)
+            numbers = parameters_of_lanes(
+                parameters, (first + home) * n_lanes + lane, first + np.intp(ghost), lanes
+            )
             near = r2 < numbers[0]
             u, f = evaluate_law(law, r2, numbers[1:])
             f = select(near, f, 0.0)
@@ -233,9 +271,15 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
                 yy, yz = plus_virial(gy, dy, yy, steps), plus_virial(gy, dz, yz, steps)
                 zz, xz = plus_virial(gz, dz, zz, steps), plus_virial(gx, dz, xz, steps)
                 if sums.detail == PER_ATOM:
-                    for c, w in enumerate((u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)):
+                    for c, w in enumerate(
+                        (u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)
+                    ):
                         at_c = ((window + np.intp(ghost)) * SUMS + c) * n_lanes
-                        store(sums.of_lanes, at_c, load(sums.of_lanes, at_c, lanes) + 0.5 * in_steps(w, steps))
+                        store(
+                            sums.of_lanes,
+                            at_c,
+                            load(sums.of_lanes, at_c, lanes) + 0.5 * in_steps(w, steps),
+                        )
         n_entries = stops[slot] - rows.start[slot]
         forces[place] -= without_bias(total(fx), n_entries, lanes)
         forces[place + n_lanes] -= without_bias(total(fy), n_entries, lanes)
@@ -269,7 +313,11 @@ def separations(coordinates, far, entry, at, lanes):
 @by_type
 def scale_of(steps, like):
     """What makes impulses of forces, in steps of momentum, in all lanes; () where forces are summed as they are."""
-    return (lambda steps, like: broadcast(steps.per_force[0], like)) if is_fixed(steps) else lambda steps, like: ()
+    return (
+        (lambda steps, like: broadcast(steps.per_force[0], like))
+        if is_fixed(steps)
+        else lambda steps, like: ()
+    )
 
 
 @by_type
@@ -282,7 +330,11 @@ def as_impulse(f, scale):
 def plus_product(f, x, to):
     """to + f x, lane by lane; where it is of int64, with the product rounded to a whole number, and BIAS added,
     see without_bias."""
-    return (lambda f, x, to: fma(f, x, to)) if to.is_float else lambda f, x, to: to + biased_product(f, x)
+    return (
+        (lambda f, x, to: fma(f, x, to))
+        if to.is_float
+        else lambda f, x, to: to + biased_product(f, x)
+    )
 
 
 @by_type
@@ -364,12 +416,15 @@ def start_sums(arrays, n_laws, first_sum, forces):
         return lambda arrays, n_laws, first_sum, forces: None
 
     def start(arrays, n_laws, first_sum, forces):
-        rows, n_lanes = arrays.rows, count(arrays.clusters.lanes)
+        rows = arrays.rows
+        n_lanes = count(arrays.clusters.lanes)
         stops = rows.stops[rows.layers[0] - 1]
         first_sum[:] = 0
         for domain in range(arrays.domains.first.size):
             window = arrays.domains.window[domain]
-            for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
+            for slot in range(
+                arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes
+            ):
                 for entry in range(rows.start[slot], stops[slot]):
                     first_sum[window + np.intp(rows.entries[entry] & GHOST_BITS)] -= n_laws * BIAS
 

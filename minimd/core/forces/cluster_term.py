@@ -41,7 +41,9 @@ from minimd.core.potentials.term import FORCES, PER_ATOM, TOTALS, PairLaw, Targe
 from minimd.core.structure.system import System
 
 
-class ClusterEvaluation(ByAddress, namedtuple("ClusterEvaluation", "arrays add prepare work forces steps")):
+class ClusterEvaluation(
+    ByAddress, namedtuple("ClusterEvaluation", "arrays add prepare work forces steps")
+):
     """What the operations work on.
 
     arrays : ClusterArrays.
@@ -90,14 +92,20 @@ def collect_domain(evaluation, domain):
 @scalar
 def _collect(domain, evaluation):
     """forces (N, 3) = those on the atoms of a domain."""
-    arrays, forces, clusters = evaluation.arrays, evaluation.forces, evaluation.arrays.clusters
+    arrays = evaluation.arrays
+    forces = evaluation.forces
+    clusters = evaluation.arrays.clusters
     n_lanes = count(clusters.lanes)
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
         x, y, z = collected(k, arrays)
         for k_lane in range(n_lanes):
             if k_lane < clusters.filled[k]:
                 i = np.uintp(clusters.atom[k * n_lanes + k_lane])
-                forces[i, 0], forces[i, 1], forces[i, 2] = lane(x, k_lane), lane(y, k_lane), lane(z, k_lane)
+                forces[i, 0], forces[i, 1], forces[i, 2] = (
+                    lane(x, k_lane),
+                    lane(y, k_lane),
+                    lane(z, k_lane),
+                )
 
 
 NONE = np.zeros(0)
@@ -109,19 +117,31 @@ class ClusterTerm(ListTerm):
     list: ClusterList
     assigns = True
 
-    def __init__(self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0) -> None:
+    def __init__(
+        self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0
+    ) -> None:
         super().__init__(system, laws)
         self.pool = pool_for(options, len(system))
         self._precision = options.precision
         skin = skin_for(system, laws, options, displacement, LAYERS)
         self.list = ClusterList(
-            len(system), laws.cutoff, skin, laws.excluded, options.precision == FIXED_POINT, self.pool
+            len(system),
+            laws.cutoff,
+            skin,
+            laws.excluded,
+            options.precision == FIXED_POINT,
+            self.pool,
         )
         members = [one.law for one in laws.members]
-        self._add_forces, self._prepare_loop = (loop_for(one, *members) for one in (add_forces_of_laws, prepare_loop))
+        self._add_forces, self._prepare_loop = (
+            loop_for(one, *members) for one in (add_forces_of_laws, prepare_loop)
+        )
         self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
         self._arranged_for = 0  # which arrays of the list
-        self._memory, self._made = Buffers(), dict[tuple[Any, ...], tuple[ClusterEvaluation, LoopWork]]()
+        self._memory, self._made = (
+            Buffers(),
+            dict[tuple[Any, ...], tuple[ClusterEvaluation, LoopWork]](),
+        )
 
     def suits(self, system: System) -> bool:
         """See ListTerm: a cell without room for the list needs another one."""
@@ -131,7 +151,9 @@ class ClusterTerm(ListTerm):
         """See Term."""
         if self._arranged_for != self.list.version:
             self._arrange(system)
-        evaluation, n, calls = self._evaluation(target), self.list.n_domains, self._calls[FORCES]
+        evaluation = self._evaluation(target)
+        n = self.list.n_domains
+        calls = self._calls[FORCES]
         yield from self.list.operations()
         if self._needs_preparation:
             yield operation(calls, prepare_laws, evaluation, is_kept=True)
@@ -142,11 +164,17 @@ class ClusterTerm(ListTerm):
         """What operations for a target work on: kept as long as the list is not arranged anew."""
         key = _key(target)
         if key not in self._made:
-            arrays, work, calls, steps = self.list.arrays, self._work_of(target.detail), self._calls[target.detail], ()
-            if target.steps:  # with the limit of forces divided by distances: all distances are below the cutoff
+            arrays = self.list.arrays
+            work = self._work_of(target.detail)
+            calls = self._calls[target.detail]
+            steps = ()
+            # with the limit of forces divided by distances: all distances are below the cutoff
+            if target.steps:
                 steps = target.steps._replace(limit2=(MOST / self._pair_laws.cutoff) ** 2)
             add = calls.address(self._add_forces, 0, arrays, work, steps)
-            prepare = calls.address(self._prepare_loop, arrays, work) if self._needs_preparation else 0
+            prepare = (
+                calls.address(self._prepare_loop, arrays, work) if self._needs_preparation else 0
+            )
             made = ClusterEvaluation(arrays, add, prepare, work.address, target.forces, steps)
             self._made[key] = made, work
         return self._made[key][0]
@@ -168,7 +196,9 @@ class ClusterTerm(ListTerm):
         """Arrays that go with those of the list."""
         members = self._pair_laws.members
         of_lanes = [self._source(k, one, system) for k, one in enumerate(members)]
-        self._laws: tuple[Any, ...] = tuple(zip((one.law for one in members), of_lanes, strict=True))
+        self._laws: tuple[Any, ...] = tuple(
+            zip((one.law for one in members), of_lanes, strict=True)
+        )
         self._needs_preparation = self._precision == FIXED_POINT or any(
             not isinstance(one, SameForAll) for one in of_lanes
         )
@@ -177,24 +207,38 @@ class ClusterTerm(ListTerm):
 
     def _work_of(self, detail: int) -> LoopWork:
         """Work with accumulators: none; of each domain; or of each slot and each lane of a ghost."""
-        forces, n_lanes = self.list.memory.forces, self.list.lanes.size
+        forces = self.list.memory.forces
+        n_lanes = self.list.lanes.size
         if detail == FORCES:
             return LoopWork(self._laws, ForceSums(forces, np.zeros((0, SUMS)), NONE, FORCES))
         if detail == TOTALS:
-            return LoopWork(self._laws, TotalSums(forces, np.zeros((APART * self.list.n_domains, SUMS)), NONE, TOTALS))
+            return LoopWork(
+                self._laws,
+                TotalSums(forces, np.zeros((APART * self.list.n_domains, SUMS)), NONE, TOTALS),
+            )
         of_lanes = np.zeros(len(self.list.ghosts.parts) * n_lanes * SUMS)
-        return LoopWork(self._laws, Sums(forces, np.zeros((len(self.list.clusters.atom), SUMS)), of_lanes, PER_ATOM))
+        return LoopWork(
+            self._laws,
+            Sums(forces, np.zeros((len(self.list.clusters.atom), SUMS)), of_lanes, PER_ATOM),
+        )
 
     def _add_each(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
         """Add the sums of slots and lanes to the energies (N,) and virials (N, 6) of their atoms."""
-        clusters, n_lanes, n = self.list.clusters, self.list.lanes.size, self.list.n_clusters
-        atom, real = clusters.atom[: n * n_lanes], (np.arange(n_lanes) < clusters.filled[:n, None]).ravel()
+        clusters = self.list.clusters
+        n_lanes = self.list.lanes.size
+        n = self.list.n_clusters
+        atom = clusters.atom[: n * n_lanes]
+        real = (np.arange(n_lanes) < clusters.filled[:n, None]).ravel()
         of_rows = sums.of_rows[: n * n_lanes][real]
         energies[atom[real]] += of_rows[:, 0]
         virials[atom[real]] += of_rows[:, 1:]
-        first, window, owner = self.list.domains.first, self.list.domains.window, self.list.ghosts.owner
+        first = self.list.domains.first
+        window = self.list.domains.window
+        owner = self.list.ghosts.owner
         of_lanes = sums.of_lanes.reshape(-1, SUMS, n_lanes)[: int(window[-1])]
-        owners = np.concatenate([owner[a : a + size] for a, size in zip(first, np.diff(window), strict=True)])
+        owners = np.concatenate(
+            [owner[a : a + size] for a, size in zip(first, np.diff(window), strict=True)]
+        )
         atoms = atom.reshape(-1, n_lanes)[owners]
         np.add.at(energies, atoms, of_lanes[:, 0])
         np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))
@@ -202,7 +246,11 @@ class ClusterTerm(ListTerm):
     @property
     def summary(self) -> str:  # type: ignore[override]
         """The list, for the report."""
-        n = min(self.pool.n_threads, self.list.n_domains) if self.list.n_builds else self.pool.n_threads
+        n = (
+            min(self.pool.n_threads, self.list.n_domains)
+            if self.list.n_builds
+            else self.pool.n_threads
+        )
         threads = f"{n} thread{'s' if n > 1 else ''}"
         vectors = f"vectors of {self.list.lanes.size} × {BITS} bits"
         return f"cluster list (skin {self.list.skin:.3g}, {threads}, {described(self._precision)}) on {vectors}"
@@ -212,14 +260,20 @@ class ClusterTerm(ListTerm):
         slots = len(self.list.ghosts.owner) * self.list.lanes.size
         source: SameForAll | ByLane = SameForAll(tuple(law.table[0, 0].tolist()))
         if (n := len(law.table)) > 1:
-            values = self._memory.array(f"parameters of law {k}", np.float64, law.table.shape[-1] * n * slots)
+            values = self._memory.array(
+                f"parameters of law {k}", np.float64, law.table.shape[-1] * n * slots
+            )
             species = self._memory.array(f"species of law {k}", np.int64, slots)
             columns = tuple(values.reshape(law.table.shape[-1], -1))
             source = ByLane(columns, species, slots, law.table, system.species_index)
         if law.charges is None:
             return source
-        return ChargesByLane(self._memory.array(f"charges of law {k}", np.float64, slots), law.charges, source)
+        return ChargesByLane(
+            self._memory.array(f"charges of law {k}", np.float64, slots), law.charges, source
+        )
 
 
 def _key(target: Target) -> tuple[Any, ...]:
-    return target.detail, *((float(target.steps.per_force[0]), *target.steps[1:]) if target.steps else ())
+    return target.detail, *(
+        (float(target.steps.per_force[0]), *target.steps[1:]) if target.steps else ()
+    )

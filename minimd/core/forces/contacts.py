@@ -23,10 +23,13 @@ from minimd.core.structure.bond_graph import checked_pairs, pairs_by_bonds_apart
 from minimd.core.structure.cell import nearest_vectors
 from minimd.core.structure.system import System
 
-NEAREST = 16  # neighbors of each atom that are examined: more than the 12 to 14 of a dense shell in a liquid
+# neighbors of each atom that are examined: more than the 12 to 14 of a dense shell in a liquid
+NEAREST = 16
 # times the distance of an atom from its nearest image: a law that keeps atoms apart pushes it there; neighbors are that
 # near, FEWEST of them in a layer of a crystal and two images
-FARTHER, AROUND, FEWEST = 1.1, 1.05, 6
+FARTHER = 1.1
+AROUND = 1.05
+FEWEST = 6
 OPEN_IT = "leave this direction open, as with pbc=(True, True, False), in a scene [structure] pbc, or make it thicker"
 STEP = 1e-5  # of a central difference, relative to the distance
 
@@ -71,13 +74,17 @@ class Contact:
 
     def apart(self, length: str) -> str:
         """The distance as text.  length : its unit."""
-        ratio = "" if self.ratio is None else f" (r/{'r₀' if self.is_bond else 'σ'} = {self.ratio:.3g})"
+        ratio = (
+            "" if self.ratio is None else f" (r/{'r₀' if self.is_bond else 'σ'} = {self.ratio:.3g})"
+        )
         limit = "" if self.longest is None else f" (longest = {self.longest:.4g} {length})"
         return f"{self.distance:.3g} {length} apart{ratio}{limit}"
 
     def without_number(self, length: str) -> str:
         """That the law gives no finite number here, as a clause.  length : as for apart."""
-        return f"the law of {self.law} gives no finite number for {self.atoms}, {self.apart(length)}"
+        return (
+            f"the law of {self.law} gives no finite number for {self.atoms}, {self.apart(length)}"
+        )
 
     @property
     def cure(self) -> str:
@@ -97,10 +104,16 @@ def why_not_finite(system: System, potentials: Sequence[Any]) -> str:
         with quiet():  # its warnings have been given
             alone = Forces(system, potential, Options(skin=0.0))
             alone.compute(PER_ATOM)
-        bad = np.flatnonzero(~(np.isfinite(alone.forces).all(axis=1) & np.isfinite(alone.energies))).tolist()
+        bad = np.flatnonzero(
+            ~(np.isfinite(alone.forces).all(axis=1) & np.isfinite(alone.energies))
+        ).tolist()
         if bad:
             found = contacts(system, [potential], np.ones(len(system)), bad[:2])
-            named = (f"{one.without_number(system.units.length)}; {one.cure}" for one in found if not one.is_finite)
+            named = (
+                f"{one.without_number(system.units.length)}; {one.cure}"
+                for one in found
+                if not one.is_finite
+            )
             return next(named, f"{shown(potential)} gives no finite number for atom {bad[0]}")
     return "each potential alone is finite, but not their sum"
 
@@ -134,7 +147,10 @@ Pair = tuple[int, int, float, float, tuple[float, ...]]
 
 
 def contacts(
-    system: System, potentials: Sequence[Any], inverse_masses: NDArray[np.float64], atoms: Iterable[int]
+    system: System,
+    potentials: Sequence[Any],
+    inverse_masses: NDArray[np.float64],
+    atoms: Iterable[int],
 ) -> list[Contact]:
     """The contacts of some atoms with their nearest neighbors, by pair potentials and bonds; others have none.
 
@@ -149,30 +165,41 @@ def contacts(
                 if isinstance(potential, Nonbonded)
                 else _bonds(potential, system, known)
             )
-            found += [_contact(potential, pair, float(inverse_masses[list(pair[:2])].sum())) for pair in pairs]
+            found += [
+                _contact(potential, pair, float(inverse_masses[list(pair[:2])].sum()))
+                for pair in pairs
+            ]
     return found
 
 
 def bonded_scales(potential: Nonbonded, system: System) -> dict[frozenset[int], float]:
     """The factor on the law for each pair of atoms up to three bonds apart, and for its exclusions."""
-    pairs_of = *pairs_by_bonds_apart(system.bonds), checked_pairs("exclusions", potential.exclusions)
+    pairs_of = (
+        *pairs_by_bonds_apart(system.bonds),
+        checked_pairs("exclusions", potential.exclusions),
+    )
     with_factors = zip(pairs_of, (*potential.bonded_scale, 0.0), strict=True)
     return {frozenset(pair): factor for pairs, factor in with_factors for pair in pairs.tolist()}
 
 
 def _near_pairs(potential: Nonbonded, system: System, atoms: list[int]) -> Iterator[Pair]:
     """Pairs of some atoms with their nearest neighbors within the cutoff, each once."""
-    table, index, seen = potential.table(system.species_names), system.species_index, set()
+    table = potential.table(system.species_names)
+    index = system.species_index
+    seen = set()
     scales = bonded_scales(potential, system)
     for atom in atoms:
         others = np.delete(np.arange(len(system)), atom)
         pairs = np.column_stack([np.full_like(others, atom), others])
         distances = np.linalg.norm(nearest_vectors(system.positions, system.cell, pairs), axis=1)
         for k in np.argsort(distances)[:NEAREST]:
-            other, r = int(others[k]), float(distances[k])
+            other = int(others[k])
+            r = float(distances[k])
             pair = frozenset((atom, other))
             scale = scales.get(pair, 1.0)
-            cutoff2, *numbers = (table[index[atom], index[other]] if len(table) > 1 else table[0, 0]).tolist()
+            cutoff2, *numbers = (
+                table[index[atom], index[other]] if len(table) > 1 else table[0, 0]
+            ).tolist()
             if pair not in seen and r * r < cutoff2 and scale != 0.0:
                 seen.add(pair)
                 yield atom, other, r, scale, tuple(numbers)
@@ -191,18 +218,37 @@ def _bonds(potential: Bond, system: System, atoms: list[int]) -> Iterator[Pair]:
 def _contact(potential: Nonbonded | Bond, pair: Pair, inverse_mass: float) -> Contact:
     first, second, r, scale, numbers = pair
     u, f = law_at(potential.law, r, numbers)
-    high, low = (-(1.0 + h) * law_at(potential.law, r * (1.0 + h), numbers)[1] for h in (STEP, -STEP))
-    curvature = (high - low) / (2.0 * STEP) if r > 0.0 else nan  # u″ by a central difference of u′ = −f r
+    high, low = (
+        -(1.0 + h) * law_at(potential.law, r * (1.0 + h), numbers)[1] for h in (STEP, -STEP)
+    )
+    # u″ by a central difference of u′ = −f r
+    curvature = (high - low) / (2.0 * STEP) if r > 0.0 else nan
     length, rest = None, nan  # σ or r₀, and u″ at the minimum
     if isinstance(potential, Nonbonded) and isinstance(potential.plain_law, LennardJonesLaw):
         epsilon, length = numbers[-2:]
         rest = curvature_at_minimum(epsilon, length)
     elif isinstance(potential.law, HarmonicLaw):
         rest, length = numbers
-    is_bond, is_users = isinstance(potential, Bond), is_user_law(potential.law) or reads_table(potential.law)
+    is_bond = isinstance(potential, Bond)
+    is_users = is_user_law(potential.law) or reads_table(potential.law)
     kind = type(potential).__name__, is_bond, is_users
-    frequency, at_rest = (sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest))
+    frequency, at_rest = (
+        sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest)
+    )
     deeper, pull = law_at(potential.law, 0.5 * r, numbers)
     sinks = scale > 0.0 and f < 0.0 and pull < 0.0 and deeper < u and not is_bond
-    ratio, longest = r / length if length else None, numbers[1] if isinstance(potential.law, FENELaw) else None
-    return Contact(first, second, *kind, r, ratio, scale * u, scale * f * r, frequency, at_rest, bool(sinks), longest)
+    ratio = r / length if length else None
+    longest = numbers[1] if isinstance(potential.law, FENELaw) else None
+    return Contact(
+        first,
+        second,
+        *kind,
+        r,
+        ratio,
+        scale * u,
+        scale * f * r,
+        frequency,
+        at_rest,
+        bool(sinks),
+        longest,
+    )

@@ -42,8 +42,11 @@ class Evaluation(Displayed):
         """See Displayed."""
         atom, force = longest(self.forces)
         virial = [" ".join(f"{x:>14.6g}" for x in row) for row in self.virial]
-        energies = f"of single atoms: least {self.energies.min():.6g}, largest {self.energies.max():.6g}"
-        energy, largest = f"{self.potential_energy:.10g}", f"{force:.4g}, on atom {atom}"
+        energies = (
+            f"of single atoms: least {self.energies.min():.6g}, largest {self.energies.max():.6g}"
+        )
+        energy = f"{self.potential_energy:.10g}"
+        largest = f"{force:.4g}, on atom {atom}"
         rows = [("energy", energy), ("", energies), ("largest force", largest)]
         return [*rows, *zip(("virial", "", ""), virial, strict=True)]
 
@@ -66,5 +69,7 @@ def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potent
         warn(f"{cause}; {OPEN_IT}")
     result = Evaluation(forces.potential_energy, forces.forces, forces.virial, forces.energies)
     if not (np.isfinite(result.forces).all() and np.isfinite(result.energies).all()):
-        raise NonFiniteError(f"forces or energies are not finite: {why_not_finite(system, forces.potentials)}")
+        raise NonFiniteError(
+            f"forces or energies are not finite: {why_not_finite(system, forces.potentials)}"
+        )
     return result

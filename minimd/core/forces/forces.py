@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import DirectCalls, announce_compilation, called_kernel
-from minimd.core.compiled.program import GO_ON, Operation, Program, in_python, n_chunks_of, operation
+from minimd.core.compiled.program import (
+    GO_ON,
+    Operation,
+    Program,
+    in_python,
+    n_chunks_of,
+    operation,
+)
 from minimd.core.console.quiet import warn
 from minimd.core.forces.cluster_term import ClusterTerm
 from minimd.core.forces.mesh_sum import charge_sum
@@ -47,7 +54,11 @@ from minimd.core.structure.system import System, check_resolution
 
 
 def plan(
-    terms_bound: Sequence[Term], system: System, options: Options, displacement: float, skins: Sequence[float] = ()
+    terms_bound: Sequence[Term],
+    system: System,
+    options: Options,
+    displacement: float,
+    skins: Sequence[float] = (),
 ) -> list[Term]:
     """The terms to run: those that add their forces themselves, one with a list for all pair laws, others for what
     the list leaves out, and for sums over waves.
@@ -66,7 +77,11 @@ def plan(
         terms.extend(special_terms(system, pair_laws, laws))
     for one in pair_laws:
         if one.split is not None and one.charges is not None:
-            how = one.method, options.precision == FIXED_POINT, pool_for(options, len(system)).n_threads
+            how = (
+                one.method,
+                options.precision == FIXED_POINT,
+                pool_for(options, len(system)).n_threads,
+            )
             terms.append(charge_sum(system, one.charges, one.split, *how))
     return terms
 
@@ -77,7 +92,8 @@ def special_terms(system: System, members: Sequence[PairLaw], laws: PairLaws) ->
         acts = (of_law != 0.0) | (one.split is not None)
         if not acts.any():
             continue
-        pairs, factors = laws.excluded[acts], of_law[acts]
+        pairs = laws.excluded[acts]
+        factors = of_law[acts]
         species = system.species_index[pairs] if len(one.table) > 1 else np.zeros_like(pairs)
         rows = one.table[species[:, 0], species[:, 1]]
         product = [] if one.charges is None else [one.charges[pairs].prod(axis=1)]
@@ -89,8 +105,10 @@ def special_terms(system: System, members: Sequence[PairLaw], laws: PairLaws) ->
             yield FixedPairs(pairs, SpecialLaw(one.split.numbers), from_table(columns))
 
 
-CHANGED_SPEED = 2.0  # the skin is chosen anew when atoms are faster or slower by this factor: its optimum is flat
-VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # places of xx yy zz yz xz xy in a (3, 3) tensor
+# the skin is chosen anew when atoms are faster or slower by this factor: its optimum is flat
+CHANGED_SPEED = 2.0
+# places of xx yy zz yz xz xy in a (3, 3) tensor
+VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
 
 
 class Clearing(ByAddress, namedtuple("Clearing", "forces n_chunks")):
@@ -133,32 +151,46 @@ class Forces:
     """
 
     def __init__(
-        self, system: System, potentials: Potential | Sequence[Potential], options: Options | None = None
+        self,
+        system: System,
+        potentials: Potential | Sequence[Potential],
+        options: Options | None = None,
     ) -> None:
         self.system = checked_kind("system", system, System, "a minimd System")
         self.options = checked_kind("options", options, Options | None, "Options") or Options()
         self.pool = pool_for(self.options, len(system))
         self.potentials = as_potentials(potentials)
         self.terms: list[Term] = []
-        self.n_evaluations, self._builds_before, self.displacement, self.time = 0, 0, 0.0, 0.0
+        self.n_evaluations = 0
+        self._builds_before = 0
+        self.displacement = 0.0
+        self.time = 0.0
         self._grid: Grid | None = None
         self.forces = np.zeros_like(system.positions)
-        self.impulses, self.unit = np.zeros((0, 3), dtype=np.int64), 1.0
+        self.impulses = np.zeros((0, 3), dtype=np.int64)
+        self.unit = 1.0
         self._images, self._calls, self._n_plans = Images.of(system.cell), DirectCalls(), 0
         self._bind()
         self.check_resolution()
         told = [term.warning for term in self._bound if term.warning]
-        if system.charges.any() and all(isinstance(one, OwnTerm) for one in self._bound):  # others may use them
+        # others may use them
+        if system.charges.any() and all(isinstance(one, OwnTerm) for one in self._bound):
             largest = f"the charges of the atoms, up to {np.abs(system.charges).max():.4g} e, are not used"
-            is_used = any(one.pair_law is not None and one.pair_law.charges is not None for one in self._bound)
+            is_used = any(
+                one.pair_law is not None and one.pair_law.charges is not None for one in self._bound
+            )
             told += [] if is_used else [f"{largest}: add Coulomb(cutoff) to the potentials"]
         for words in told:
             warn(words)
-        if self.options.skin is not None and self.options.skin > (widest := min(self.widest_skins, default=np.inf)):
+        if self.options.skin is not None and self.options.skin > (
+            widest := min(self.widest_skins, default=np.inf)
+        ):
             why = "where bonded pairs are left out or scaled, cutoff + skin can be at most half the height of the cell"
             what = f"skin {self.options.skin:g} {system.units.length} does not fit, {widest:.3g} is used"
             warn(f"{what}: {why}")
-        self._energies, self._virials, self._detail = np.zeros(0), np.zeros((0, 6)), FORCES
+        self._energies = np.zeros(0)
+        self._virials = np.zeros((0, 6))
+        self._detail = FORCES
 
     def _bind(self) -> None:
         """Bind the potentials to the system, as it is in its present cell, and plan the terms."""
@@ -166,19 +198,28 @@ class Forces:
 
     def _plan(self, terms_bound: list[Term], skins: Sequence[float] = ()) -> None:
         """Choose lists, and skins unless they are given; both depend on the cell and on how fast the atoms move."""
-        is_in_double = self.grid is None and self.options.precision == FIXED_POINT  # no splitting moves the atoms
-        options = replace(self.options, precision="double", grid=None) if is_in_double else self.options
+        # no splitting moves the atoms
+        is_in_double = self.grid is None and self.options.precision == FIXED_POINT
+        options = (
+            replace(self.options, precision="double", grid=None) if is_in_double else self.options
+        )
         terms = plan(terms_bound, self.system, options, self.displacement, skins)
         self._builds_before += _n_builds(self.terms) - _n_builds(terms)
-        self.terms, self._bound, self._planned_for = terms, terms_bound, self.system.cell
+        self.terms = terms
+        self._bound = terms_bound
+        self._planned_for = self.system.cell
         self._timed = [term for term in terms if term.depends_on_time]
         self._images.take(self.system.cell)
         linked = [term for term in terms if isinstance(term, LinkedTerm)]
-        of_pairs = sorted((term for term in terms if term.list is not None), key=lambda term: not term.assigns)
+        of_pairs = sorted(
+            (term for term in terms if term.list is not None), key=lambda term: not term.assigns
+        )
         others = [term for term in terms if term not in linked and term not in of_pairs]
         self._in_order = of_pairs, linked, others
         self._slots, n_chunks = Slots(linked), n_chunks_of(len(self.system))
-        self._slot_forces = np.zeros(3 * self._slots.size, dtype=np.float64 if self.grid is None else np.int64)
+        self._slot_forces = np.zeros(
+            3 * self._slots.size, dtype=np.float64 if self.grid is None else np.int64
+        )
         self._clearing = Clearing(self.forces if self.grid is None else self.impulses, n_chunks)
         self._targets: dict[tuple[int, float], Target] = {}
         self._programs: dict[int, Program] = {}  # by the id of their target
@@ -192,18 +233,23 @@ class Forces:
     @grid.setter
     def grid(self, grid: Grid) -> None:
         if grid != self._grid:
-            self._grid, self._targets, self._programs = grid, {}, {}
+            self._grid = grid
+            self._targets = {}
+            self._programs = {}
             self._n_plans += 1
 
     def lay_grid(self, grid: Grid) -> None:
         """Compute impulses on a grid from now on.  Raises ValueError for a term that cannot."""
-        self._grid, self.impulses = grid, np.zeros(self.forces.shape, dtype=np.int64)
+        self._grid = grid
+        self.impulses = np.zeros(self.forces.shape, dtype=np.int64)
         self._plan(self._bound)
         for term in self.terms:
             if not term.fits_grid:
                 kinds = "laws u(r) of pairs and bonds, angles, dihedrals, and fields that are constant in time"
                 why = f"{type(term).__name__} cannot round its forces"
-                raise ValueError(f"precision='fixed-point' is for {kinds}; {why}: take precision='double'")
+                raise ValueError(
+                    f"precision='fixed-point' is for {kinds}; {why}: take precision='double'"
+                )
 
     def depth(self) -> float:
         """Depth of the deepest well of all pair laws [energy], see pair_laws.deepest."""
@@ -213,9 +259,13 @@ class Forces:
     def check_resolution(self) -> None:
         """Raise ValueError if atoms are so far from the origin that their separations are lost in rounding."""
         cell = self.system.cell
-        check_resolution(self.system, float(cell.heights[cell.pbc].min(initial=np.inf)), "the height of the cell")
+        check_resolution(
+            self.system, float(cell.heights[cell.pbc].min(initial=np.inf)), "the height of the cell"
+        )
         for term in self._bound:
-            check_resolution(self.system, term.shortest_length, "the shortest length of a potential")
+            check_resolution(
+                self.system, term.shortest_length, "the shortest length of a potential"
+            )
 
     def check_forces(self, time: float) -> None:
         """Raise ValueError if the force of a user's term is not minus the gradient of its energy, at a time."""
@@ -226,7 +276,8 @@ class Forces:
     def fit_skin(self, displacement: float) -> None:
         """Choose the skin anew if the displacement of the fastest atom in a step [length] has changed much,
         unless the user gave a skin."""
-        slow, fast = self.displacement / CHANGED_SPEED, self.displacement * CHANGED_SPEED
+        slow = self.displacement / CHANGED_SPEED
+        fast = self.displacement * CHANGED_SPEED
         if self.options.skin is None and not slow <= displacement <= fast:
             self.displacement = displacement
             self._plan(self._bound)
@@ -270,7 +321,8 @@ class Forces:
 
     @counts.setter
     def counts(self, counts: tuple[int, int]) -> None:
-        self.n_evaluations, self._builds_before = counts[0], self._builds_before + counts[1] - self.n_builds
+        self.n_evaluations = counts[0]
+        self._builds_before = self._builds_before + counts[1] - self.n_builds
 
     def compute(self, detail: int = FORCES, unit: float | None = None) -> NDArray[np.float64]:
         """Evaluate the forces at system.positions and return them; TOTALS and PER_ATOM also evaluate energy and virial.
@@ -306,8 +358,14 @@ class Forces:
         key = detail, unit if self.grid is not None else 1.0
         if key in self._targets:
             return self._targets[key]
-        n = 1 if detail == TOTALS and all(term.needs_one_accumulator for term in self.terms) else len(self.system)
-        energies, virials = (np.empty(0), np.empty((0, 6))) if detail == FORCES else (np.empty(n), np.empty((n, 6)))
+        n = (
+            1
+            if detail == TOTALS and all(term.needs_one_accumulator for term in self.terms)
+            else len(self.system)
+        )
+        energies, virials = (
+            (np.empty(0), np.empty((0, 6))) if detail == FORCES else (np.empty(n), np.empty((n, 6)))
+        )
         steps = () if self.grid is None else steps_of(self.grid, (unit,))
         forces = self.forces if self.grid is None else self.impulses
         target = Target(detail, forces, energies, virials, self._slot_forces, self._images, steps)
@@ -360,7 +418,9 @@ class Forces:
         """After the operations of an evaluation: take energies and virials, and forces of impulses."""
         for term in self.terms:
             term.collect(target)
-        self._energies, self._virials, self._detail = target.energies, target.virials, target.detail
+        self._energies = target.energies
+        self._virials = target.virials
+        self._detail = target.detail
         if self.grid is not None:
             np.divide(self.impulses, target.steps.per_force[0], out=self.forces)
 
@@ -376,21 +436,28 @@ class Forces:
             with announce_compilation():
                 yield
         except NumbaError as error:
-            laws, reason = ", ".join(map(repr, self.potentials)), why_not_compiled(str(error))
+            laws = ", ".join(map(repr, self.potentials))
+            reason = why_not_compiled(str(error))
             needed = "laws must be arithmetic on numbers that numba.njit accepts"
             raise TypeError(f"a law of {laws} does not compile; {needed}: {reason}") from error
 
     @contextmanager
     def set_aside(self) -> Iterator[None]:
         """Context for calls of compute at displaced positions; then forces, energies and virials are restored."""
-        forces, energies, virials, detail = self.forces.copy(), self._energies, self._virials, self._detail
-        self._programs, self._targets, before = {}, {}, (self._programs, self._targets)  # with other accumulators
+        forces = self.forces.copy()
+        energies = self._energies
+        virials = self._virials
+        detail = self._detail
+        # with other accumulators
+        self._programs, self._targets, before = {}, {}, (self._programs, self._targets)
         try:
             yield
         finally:
             self._programs, self._targets = before
             self.forces[:] = forces
-            self._energies, self._virials, self._detail = energies, virials, detail
+            self._energies = energies
+            self._virials = virials
+            self._detail = detail
 
     @property
     def has_energy(self) -> bool:
@@ -421,7 +488,9 @@ class Forces:
     @property
     def largest_cutoff(self) -> float:
         """The largest finite cutoff [length]: an atom moving farther in a step may pass another without interacting."""
-        return max((term.cutoff for term in self._bound if np.isfinite(term.cutoff)), default=np.inf)
+        return max(
+            (term.cutoff for term in self._bound if np.isfinite(term.cutoff)), default=np.inf
+        )
 
     @property
     def act_from_outside(self) -> bool:
@@ -451,7 +520,11 @@ class Forces:
     @property
     def widest_skins(self) -> list[float]:
         """The widest that each of them could be in this cell [length]."""
-        return [term.widest_skin for term in self.terms if term.list is not None and np.isfinite(term.list.cutoff)]
+        return [
+            term.widest_skin
+            for term in self.terms
+            if term.list is not None and np.isfinite(term.list.cutoff)
+        ]
 
     @property
     def pair_search(self) -> str:
@@ -472,7 +545,8 @@ class Forces:
 
 def clear(target: Target) -> None:
     """Energies and virials = 0."""
-    target.energies[:], target.virials[:] = 0.0, 0.0
+    target.energies[:] = 0.0
+    target.virials[:] = 0.0
 
 
 def _refuse(_answer: int) -> None:

@@ -32,7 +32,10 @@ from minimd.core.structure.system import System
 
 MOST_SLABS = 16  # of planes
 # measured [ns]: of an atom, for each row that it sees, and for a vector of eight points; of a point of the mesh; of all
-PER_ATOM, PER_ROW, PER_POINT, PER_SUM = 30.0, 2.0, 7.0, 40_000.0
+PER_ATOM = 30.0
+PER_ROW = 2.0
+PER_POINT = 7.0
+PER_SUM = 40_000.0
 PER_WAVE = 0.18  # of an atom, in a sum wave by wave
 ROOM = 1.02  # for a cell that becomes larger
 MOST_POINTS = 2**27  # of a mesh: some gigabytes
@@ -63,7 +66,10 @@ class Mesh(
 @called_kernel
 def see_points(mesh, chunk):
     """Which points the atoms of a chunk see, and how."""
-    n, n_chunks, shape, width = mesh.charges.size, mesh.sums.shape[0], mesh.shape, np.uintp(count(mesh.width))
+    n = mesh.charges.size
+    n_chunks = mesh.sums.shape[0]
+    shape = mesh.shape
+    width = np.uintp(count(mesh.width))
     for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
         x, y, z = mesh.positions[i, 0], mesh.positions[i, 1], mesh.positions[i, 2]
         for d in range(3):
@@ -105,15 +111,19 @@ def sort_atoms(mesh, _chunk):
 @called_kernel
 def put_charges(mesh, chunk):
     """Charges on the points of some planes, from all atoms that see them."""
-    shape, n_planes, n_chunks = mesh.shape, mesh.shape[0], plane_chunks(mesh.shape)
-    first, last = chunk * n_planes // n_chunks, (chunk + 1) * n_planes // n_chunks
+    shape = mesh.shape
+    n_planes = mesh.shape[0]
+    n_chunks = plane_chunks(mesh.shape)
+    first = chunk * n_planes // n_chunks
+    last = (chunk + 1) * n_planes // n_chunks
     size = shape[1] * shape[3]
     for k in range(first * size, last * size):
         mesh.points[k] = 0.0
     is_alone = n_chunks == 1
     for start in range(first if is_alone else first - shape[4] + 1, last):
         plane = start if start >= 0 else start + n_planes
-        begin, end = max(0, first - start), shape[4] if is_alone else min(shape[4], last - start)
+        begin = max(0, first - start)
+        end = shape[4] if is_alone else min(shape[4], last - start)
         for k in range(mesh.begins[plane], mesh.begins[plane + 1]):
             _put_one(mesh, mesh.order[k], begin, end)
     for row in range(first * shape[1], last * shape[1]):
@@ -132,7 +142,9 @@ def plane_chunks(shape):
 @scalar
 def _put_one(mesh, i, begin, end):
     """The charge of an atom on the planes begin to end of those that it sees."""
-    shape, width, seen = mesh.shape, np.uintp(count(mesh.width)), mesh.seen
+    shape = mesh.shape
+    width = np.uintp(count(mesh.width))
+    seen = mesh.seen
     at = np.uintp(6 * i) * width
     window = mesh.charges[i] * load(seen, at + np.uintp(4) * width, mesh.width)
     for k in range(begin, end):
@@ -149,16 +161,26 @@ def _put_one(mesh, i, begin, end):
 @called_kernel
 def push_from_points(mesh, chunk):
     """forces += those of the mesh on a chunk of atoms."""
-    n, n_chunks, shape, seen = mesh.charges.size, mesh.sums.shape[0], mesh.shape, mesh.seen
-    width, inverse, nothing = np.uintp(count(mesh.width)), mesh.inverse, zeros(mesh.width)
+    n = mesh.charges.size
+    n_chunks = mesh.sums.shape[0]
+    shape = mesh.shape
+    seen = mesh.seen
+    width = np.uintp(count(mesh.width))
+    inverse = mesh.inverse
+    nothing = zeros(mesh.width)
     for d in range(3):
         mesh.sums[chunk, d] = 0.0
     for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
         at = np.uintp(6 * i) * width
-        at_y, along_x, along_y, along_z = at + width + width, nothing, nothing, nothing
+        at_y = at + width + width
+        along_x = nothing
+        along_y = nothing
+        along_z = nothing
         for k in range(shape[4]):
             plane = (mesh.starts[i, 0] + k) % shape[0]
-            row, value, slope = mesh.starts[i, 1], nothing, nothing
+            row = mesh.starts[i, 1]
+            value = nothing
+            slope = nothing
             for j in range(shape[4]):
                 place = np.uintp((plane * shape[1] + row) * shape[3] + mesh.starts[i, 2])
                 points = load(mesh.points, place, mesh.width)
@@ -166,12 +188,11 @@ def push_from_points(mesh, chunk):
                 slope = fma(points, seen[at_y + width + np.uintp(j)], slope)
                 row = row + 1 if row + 1 < shape[1] else 0
             here = seen[at + np.uintp(k)]
-            along_x, along_y = fma(value, seen[at + width + np.uintp(k)], along_x), fma(slope, here, along_y)
+            along_x = fma(value, seen[at + width + np.uintp(k)], along_x)
+            along_y = fma(slope, here, along_y)
             along_z = fma(value, here, along_z)
-        window, bend = (
-            load(seen, at_y + width + width, mesh.width),
-            load(seen, at_y + width + width + width, mesh.width),
-        )
+        window = load(seen, at_y + width + width, mesh.width)
+        bend = load(seen, at_y + width + width + width, mesh.width)
         q2 = 2.0 * mesh.charges[i]  # the slope of t is −2
         fa, fb = q2 * shape[0] * total(along_x * window), q2 * shape[1] * total(along_y * window)
         fc = q2 * shape[2] * total(along_z * bend)
@@ -185,7 +206,8 @@ def push_from_points(mesh, chunk):
 @called_kernel
 def hold_center(mesh, chunk):
     """forces −= the share of each atom of a chunk in their sum."""
-    n, n_chunks = mesh.charges.size, mesh.sums.shape[0]
+    n = mesh.charges.size
+    n_chunks = mesh.sums.shape[0]
     for d in range(3):
         rest = 0.0
         for k in range(n_chunks):
@@ -196,7 +218,12 @@ def hold_center(mesh, chunk):
 
 
 def charge_sum(
-    system: System, charges: NDArray[np.float64], split: Split, method: str, is_fixed: bool, n_threads: int
+    system: System,
+    charges: NDArray[np.float64],
+    split: Split,
+    method: str,
+    is_fixed: bool,
+    n_threads: int,
 ) -> ChargeSum:
     """The sum that a method names: "waves", "mesh", or "ewald", the one that takes less time.
 
@@ -213,11 +240,13 @@ def charge_sum(
         for window in (windows(split) if method == "mesh" or wave_by_wave > PER_SUM else [])
     }
     best = min(times, key=times.__getitem__, default=None)
-    if best is not None and prod(shape_for(system, best)) > MOST_POINTS:
-        needs = (
-            f"needs a mesh of {' x '.join(map(str, shape_for(system, best)))} points; at most {MOST_POINTS} are allowed"
-        )
-        raise ValueError(f"cutoff of Coulomb must be larger; {split.cutoff:.3g} {needs}")
+    if best is not None:
+        shape = shape_for(system, best)
+        if prod(shape) > MOST_POINTS:
+            raise ValueError(
+                f"cutoff of Coulomb must be larger; {split.cutoff:.3g} needs a mesh of "
+                f"{' x '.join(map(str, shape))} points; at most {MOST_POINTS} are allowed"
+            )
     if method == "mesh" and (best is None or is_fixed):
         limit = "in fixed-point arithmetic" if is_fixed else f"at an accuracy of {split.bound:.1g}"
         raise ValueError(f'method of Coulomb must be "waves" or "ewald" {limit}; method = "mesh"')
@@ -231,7 +260,9 @@ def shape_for(system: System, window: Window) -> tuple[int, int, int]:
     from scipy.fft import next_fast_len
 
     lengths = np.linalg.norm(system.cell.lattice, axis=1)
-    a, b, c = (next_fast_len(int(np.ceil(ROOM * length / window.spacing)), real=True) for length in lengths)
+    a, b, c = (
+        next_fast_len(int(np.ceil(ROOM * length / window.spacing)), real=True) for length in lengths
+    )
     return a, b, c
 
 
@@ -239,19 +270,32 @@ class MeshSum(ChargeSum):
     """The sum of the charges of a system on a mesh.  window : one of windows(split).  n_threads : for transforms."""
 
     def __init__(
-        self, system: System, charges: NDArray[np.float64], split: Split, window: Window, n_threads: int
+        self,
+        system: System,
+        charges: NDArray[np.float64],
+        split: Split,
+        window: Window,
+        n_threads: int,
     ) -> None:
         super().__init__(system, charges, split)
         self._window, self.shape = window, shape_for(system, window)
         self._workers = n_threads if np.prod(self.shape) > ALONE else 1
         self._width = Lanes8() if window.points <= Lanes8.size else Lanes16()
-        n, width, (a, b, c) = len(system), self._width.size, self.shape
+        n = len(system)
+        width = self._width.size
+        a, b, c = self.shape
         self._pieces = window.pieces(split.bound, width)
         self._sizes = np.array([a, b, c, c + width, window.points])
-        self._starts, self._order = np.zeros((n, 3), dtype=np.int64), np.zeros(n, dtype=np.int64)
-        self._seen, self._begins = np.zeros(6 * n * width), np.zeros(a + 1, dtype=np.int64)
-        self._points, self._shares = np.zeros((a, b, c + width)), system.masses / system.masses.sum()
-        self._sums, self._repeated = np.zeros((self._n_chunks, 3)), np.arange(width) % c
+        self._starts = np.zeros((n, 3), dtype=np.int64)
+        self._order = np.zeros(n, dtype=np.int64)
+        self._seen = np.zeros(6 * n * width)
+        self._begins = np.zeros(a + 1, dtype=np.int64)
+        self._points, self._shares = (
+            np.zeros((a, b, c + width)),
+            system.masses / system.masses.sum(),
+        )
+        self._sums = np.zeros((self._n_chunks, 3))
+        self._repeated = np.arange(width) % c
         most = int(split.largest_wave * window.spacing * c / (2.0 * pi))
         waves = [np.fft.fftfreq(a, 1.0 / a), np.fft.fftfreq(b, 1.0 / b), np.arange(most + 1.0)]
         self._waves = np.stack(np.meshgrid(*waves, indexing="ij"), axis=-1)
@@ -265,7 +309,9 @@ class MeshSum(ChargeSum):
     def summary(self) -> str:  # type: ignore[override]
         """The sum, for the report."""
         points = " x ".join(map(str, self.shape))
-        return f"mesh of {points} points, of which a charge sees {self._window.points}³ ({self._said})"
+        return (
+            f"mesh of {points} points, of which a charge sees {self._window.points}³ ({self._said})"
+        )
 
     def follow(self, system: System) -> bool:
         """See Term."""
@@ -277,8 +323,22 @@ class MeshSum(ChargeSum):
 
     def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
-        atoms = system.positions, self._charges, self._shares, self._inverse, self._sizes, self._pieces
-        tables = self._starts, self._seen, self._order, self._begins, self._points.reshape(-1), self._sums
+        atoms = (
+            system.positions,
+            self._charges,
+            self._shares,
+            self._inverse,
+            self._sizes,
+            self._pieces,
+        )
+        tables = (
+            self._starts,
+            self._seen,
+            self._order,
+            self._begins,
+            self._points.reshape(-1),
+            self._sums,
+        )
         mesh = Mesh(*atoms, *tables, target.forces, self._width)
         yield operation(self._calls, see_points, mesh, self._n_chunks)
         yield operation(self._calls, sort_atoms, mesh)
@@ -298,7 +358,10 @@ class MeshSum(ChargeSum):
         if detail != FORCES:
             self._kept = self._amplitudes[self._used]
             half = 0.5 * self._twice * np.abs(self._kept) ** 2
-            self._totals[0, 0], self._totals[0, 1:] = half @ self._weights[self._used], half @ self._virials
+            self._totals[0, 0], self._totals[0, 1:] = (
+                half @ self._weights[self._used],
+                half @ self._virials,
+            )
         self._amplitudes *= self._weights
         self._fill()
 
@@ -307,7 +370,9 @@ class MeshSum(ChargeSum):
         from scipy.fft import ifftn
 
         length = self.shape[2]
-        ifftn(self._amplitudes, axes=(0, 1), norm="forward", overwrite_x=True, workers=self._workers)
+        ifftn(
+            self._amplitudes, axes=(0, 1), norm="forward", overwrite_x=True, workers=self._workers
+        )
         np.fft.irfft(self._amplitudes, length, norm="forward", out=self._points[:, :, :length])
         self._points[:, :, length:] = self._points[:, :, self._repeated]
 
@@ -326,7 +391,10 @@ class MeshSum(ChargeSum):
         seen = self._seen.reshape(len(self._charges), 3, 2, -1)[:, :, 0, : self._window.points]
         found = np.empty(len(seen))
         for some in np.array_split(np.arange(len(seen)), len(seen) // IN_A_BLOCK + 1):
-            a, b, c = ((self._starts[some, d, None] + np.arange(seen.shape[2])) % self.shape[d] for d in range(3))
+            a, b, c = (
+                (self._starts[some, d, None] + np.arange(seen.shape[2])) % self.shape[d]
+                for d in range(3)
+            )
             points = self._points[a[:, :, None, None], b[:, None, :, None], c[:, None, None, :]]
             found[some] = np.einsum("nijk,ni,nj,nk->n", points, *seen[some].swapaxes(0, 1))
         return found
@@ -337,8 +405,11 @@ class MeshSum(ChargeSum):
         k = 2.0 * pi * self._waves @ self._inverse.T
         k2 = (k**2).sum(axis=-1)
         self._used = np.nonzero((k2 > 0.0) & (k2 <= self._split.largest_wave**2))
-        k, k2 = k[self._used], k2[self._used]
-        weights, bends = (one / (self._volume * self._seen2[self._used]) for one in self._split.spectrum(k2))
+        k = k[self._used]
+        k2 = k2[self._used]
+        weights, bends = (
+            one / (self._volume * self._seen2[self._used]) for one in self._split.spectrum(k2)
+        )
         self._weights = np.zeros(self._waves.shape[:3])
         self._weights[self._used] = weights
         self._virials = virials_of(k, weights, bends)

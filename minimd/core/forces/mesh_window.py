@@ -26,7 +26,9 @@ from minimd.core.potentials.prolates import Split, prolate
 
 POINTS = (4, 5, 6, 7, 8, 10, 12, 14, 16)  # that an atom sees in each direction
 SHARE = 0.5  # of the mesh in the error, in units of that of the waves left out
-LONGEST, DENSITY = 1.0, 20.0  # of the waves, 1/r_c, and atoms in r_c³: in the estimate, whatever the scene
+# of the waves, 1/r_c, and atoms in r_c³: in the estimate, whatever the scene
+LONGEST = 1.0
+DENSITY = 20.0
 FITTED = 0.01  # error of the polynomials, in units of the accuracy
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(64)
 
@@ -45,13 +47,19 @@ class Window(NamedTuple):
 
     def transform(self, f: Any) -> Any:
         """φ̂ of frequencies in units of 1/h."""
-        return 0.5 * self.points * (np.cos(pi * self.points * np.multiply.outer(f, NODES)) @ (self(NODES) * WEIGHTS))
+        return (
+            0.5
+            * self.points
+            * (np.cos(pi * self.points * np.multiply.outer(f, NODES)) @ (self(NODES) * WEIGHTS))
+        )
 
     def pieces(self, accuracy: float, width: int) -> NDArray[np.float64]:
         """φ of each of the P points, as polynomials of t: the first point is (t + 1)/2 from the edge; (D, width)."""
 
         def at(t: NDArray[np.float64]) -> NDArray[np.float64]:
-            return self((np.add.outer(0.5 * (t + 1.0), np.arange(self.points))) * 2.0 / self.points - 1.0)
+            return self(
+                (np.add.outer(0.5 * (t + 1.0), np.arange(self.points))) * 2.0 / self.points - 1.0
+            )
 
         t = np.linspace(-1.0, 1.0, 33)
         for degree in range(4, 24):
@@ -67,7 +75,8 @@ class Window(NamedTuple):
 @cache
 def windows(split: Split) -> list[Window]:
     """A window for each number of points that does for a split; the spacing is the largest that does."""
-    enough, found = SHARE * _left_out(split), []
+    enough = SHARE * _left_out(split)
+    found = []
     for points in POINTS:
         for finer in np.arange(1.1, 2.5, 0.05):  # times the points that the shortest wave needs
             bandwidth = pi * points * (1.0 - 0.5 / finer) * (1.1 + 0.9 / points)
@@ -80,7 +89,8 @@ def windows(split: Split) -> list[Window]:
 
 def _left_out(split: Split) -> float:
     """The error by the waves that are left out, for q = 1."""
-    wave, x = prolate(split.bandwidth), 0.5 * (NODES + 1.0)
+    wave = prolate(split.bandwidth)
+    x = 0.5 * (NODES + 1.0)
     chi = 0.5 * WEIGHTS * (legendre.legval(x, wave.series) - wave.at_end) / (1.0 - wave.at_end)
     kappa = split.bandwidth * (2.0 + NODES)
     spectrum = 4.0 * pi * (np.cos(np.outer(kappa, x)) @ chi)  # times k²
@@ -92,13 +102,19 @@ def _error(split: Split, window: Window) -> float:
     """The error of a mesh, for q = 1."""
     lowest = LONGEST / split.cutoff
     half = 0.5 * (split.largest_wave - lowest)
-    k, u = lowest + half * (NODES[:, None] + 1.0), NODES
+    k = lowest + half * (NODES[:, None] + 1.0)
+    u = NODES
     part = half * WEIGHTS[:, None] * WEIGHTS * (k / (2.0 * pi)) ** 2
-    spectrum, step, table = split.spectrum(k**2)[0], 2.0 * pi / window.spacing, np.linspace(0.0, 1.5, 600)
-    transform, f = window.transform(table), window.spacing / (2.0 * pi) * k * u
+    spectrum = split.spectrum(k**2)[0]
+    step = 2.0 * pi / window.spacing
+    table = np.linspace(0.0, 1.5, 600)
+    transform = window.transform(table)
+    f = window.spacing / (2.0 * pi) * k * u
     of_pairs = of_itself = 0.0
     for sign in (-1.0, 1.0):
-        ratio = np.interp(np.abs(f + sign), table, transform) / np.interp(np.abs(f), table, transform)
+        ratio = np.interp(np.abs(f + sign), table, transform) / np.interp(
+            np.abs(f), table, transform
+        )
         aliased = k**2 + 2.0 * sign * step * k * u + step**2
         of_pairs += 3.0 * float((part * (spectrum * ratio) ** 2 * (k**2 + aliased)).sum())
         of_itself += step * float((part * spectrum * ratio).sum())

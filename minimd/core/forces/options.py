@@ -34,12 +34,19 @@ class Options:
 
     def __post_init__(self) -> None:
         checked_choice("precision", self.precision, get_args(Precision))
-        if checked_kind("grid", self.grid, Grid | None, "a minimd.Grid") is not None and self.precision != FIXED_POINT:
-            raise ValueError(f"a grid is for precision='fixed-point'; precision = {self.precision!r}")
+        if (
+            checked_kind("grid", self.grid, Grid | None, "a minimd.Grid") is not None
+            and self.precision != FIXED_POINT
+        ):
+            raise ValueError(
+                f"a grid is for precision='fixed-point'; precision = {self.precision!r}"
+            )
         if self.threads is not None:
             object.__setattr__(self, "threads", checked_count("threads", self.threads))
         if self.skin is not None:
-            object.__setattr__(self, "skin", checked_number("skin", self.skin, "finite and not negative"))
+            object.__setattr__(
+                self, "skin", checked_number("skin", self.skin, "finite and not negative")
+            )
 
     @property
     def most_threads(self) -> int:

@@ -30,19 +30,27 @@ class PairLaws:
 
     def __init__(self, system: System, members: Sequence[PairLaw]) -> None:
         by_bonds = pairs_by_bonds_apart(system.bonds)
-        pairs = np.unique(np.sort(np.concatenate([*by_bonds, *(one.exclusions for one in members)])), axis=0)
+        pairs = np.unique(
+            np.sort(np.concatenate([*by_bonds, *(one.exclusions for one in members)])), axis=0
+        )
         factors = np.ones((len(members), len(pairs)))
         for of_law, one in zip(factors, members, strict=True):
-            for factor, some in zip((*one.bonded_scale, 0.0), (*by_bonds, one.exclusions), strict=True):
+            for factor, some in zip(
+                (*one.bonded_scale, 0.0), (*by_bonds, one.exclusions), strict=True
+            ):
                 of_law[among(pairs, some)] = factor
         is_special = (factors != 1.0).any(axis=0)
-        self.excluded, self.factors = pairs[is_special], factors[:, is_special]
-        self.members, self.cutoff = merged(members), max(one.cutoff for one in members)
+        self.excluded = pairs[is_special]
+        self.factors = factors[:, is_special]
+        self.members = merged(members)
+        self.cutoff = max(one.cutoff for one in members)
 
     def skipped(self) -> list[str]:
         """See Term."""
         is_alike = all(len(one.table) == 1 for one in self.members)
-        return (["parameter table"] if is_alike else []) + ([] if len(self.excluded) else ["exclusions"])
+        return (["parameter table"] if is_alike else []) + (
+            [] if len(self.excluded) else ["exclusions"]
+        )
 
     def fit_clusters(self, system: System, options: Options, displacement: float) -> bool:
         """Whether clusters are used: for CLUSTERS_FROM atoms or more, a finite cutoff, heights ≥ cutoff + skin,
@@ -51,16 +59,28 @@ class PairLaws:
             return False
         reach = self.cutoff + skin_for(system, self, options, displacement, LAYERS)
         high_enough = bool(np.all(system.cell.heights[system.cell.pbc] >= reach))
-        return high_enough and all(runs_on_vectors(one.law, one.n_parameters) for one in self.members)
+        return high_enough and all(
+            runs_on_vectors(one.law, one.n_parameters) for one in self.members
+        )
 
 
 def merged(members: Sequence[PairLaw]) -> list[PairLaw]:
     """The laws, that of charges put together with another one: a pass over the pairs less."""
     charged = next((one for one in members if one.charges is not None), None)
-    other = next((one for one in members if one.charges is None and charged and one.cutoff <= charged.cutoff), None)
+    other = next(
+        (
+            one
+            for one in members
+            if one.charges is None and charged and one.cutoff <= charged.cutoff
+        ),
+        None,
+    )
     if charged is None or other is None:
         return [*members]
-    return [with_charges(other, charged), *(one for one in members if one is not charged and one is not other)]
+    return [
+        with_charges(other, charged),
+        *(one for one in members if one is not charged and one is not other),
+    ]
 
 
 class ListTerm(OwnTerm):
@@ -93,17 +113,24 @@ def deepest(one: PairLaw) -> float:
     """The depth of the deepest well of a law, for any pair of species, at some distances below the cutoff [energy]."""
     product = () if one.charges is None else (-(float(np.abs(one.charges).max()) ** 2),)
     rows = [row for row in one.table.reshape(-1, one.table.shape[-1]).tolist() if row[0] < np.inf]
-    sought = ((x * cutoff2**0.5, (*product, *numbers)) for cutoff2, *numbers in rows for x in SOUGHT_AT)
+    sought = (
+        (x * cutoff2**0.5, (*product, *numbers)) for cutoff2, *numbers in rows for x in SOUGHT_AT
+    )
     energies = [law_at(one.law, r, numbers)[0] for r, numbers in sought]
     return max((-u for u in energies if isfinite(u)), default=0.0)
 
 
-def skin_for(system: System, laws: PairLaws, options: Options, displacement: float, layers: int = 1) -> float:
+def skin_for(
+    system: System, laws: PairLaws, options: Options, displacement: float, layers: int = 1
+) -> float:
     """The skin that the user gave, or the best one, but not more than fits into the cell [length].
 
     displacement : of the fastest atom in a step [length], 0 if unknown.  layers : of the list.
     """
-    cutoff, cell, widest, skin = laws.cutoff, system.cell, widest_skin(system, laws), options.skin
+    cutoff = laws.cutoff
+    cell = system.cell
+    widest = widest_skin(system, laws)
+    skin = options.skin
     if skin is None:
         density = local_density(system.positions, cell, cutoff)
         skin = best_skin(cutoff, density, displacement, len(system), layers)

@@ -17,7 +17,8 @@ from minimd.core.potentials.pair_loop import PairWork, add_pair_forces, source_f
 from minimd.core.potentials.term import PER_ATOM, TOTALS, Target
 from minimd.core.structure.system import System
 
-ALL_PAIRS_UP_TO = 100  # atoms: up to this, an open scene is faster without a list that has to be rebuilt
+# atoms: up to this, an open scene is faster without a list that has to be rebuilt
+ALL_PAIRS_UP_TO = 100
 
 
 class Local(ByAddress, namedtuple("Local", "positions forces order offsets own_positions sums")):
@@ -56,17 +57,25 @@ class PairListTerm(ListTerm):
 
     list: PairList
 
-    def __init__(self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0) -> None:
+    def __init__(
+        self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0
+    ) -> None:
         super().__init__(system, laws)
-        n, cutoff = len(system), laws.cutoff
+        n = len(system)
+        cutoff = laws.cutoff
         if not system.cell.is_periodic and n <= ALL_PAIRS_UP_TO:
             cutoff = np.inf
         skin = skin_for(system, laws, options, displacement) if cutoff < np.inf else 0.0
         check_size(system, cutoff, skin)
         self.summary = "all pairs" if cutoff == np.inf else f"pair list (skin {skin:.3g})"
-        self.list, self._options = PairList(n, cutoff, skin, laws.excluded), replace(options, skin=skin)
+        self.list, self._options = (
+            PairList(n, cutoff, skin, laws.excluded),
+            replace(options, skin=skin),
+        )
         self._loops = [loop_for(add_pair_forces, one.law) for one in laws.members]
-        self._positions, self._energies, self._virials = np.empty((n, 3)), np.empty(n), np.empty((n, 6))
+        self._positions = np.empty((n, 3))
+        self._energies = np.empty(n)
+        self._virials = np.empty((n, 6))
         self._calls = [DirectCalls() for _ in self._loops]
 
     def suits(self, system: System) -> bool:
@@ -82,9 +91,19 @@ class PairListTerm(ListTerm):
             self._update(system)
 
         sums = np.zeros_like(target.forces), self._energies, self._virials
-        local = Local(system.positions, target.forces, self.list.order, self.list.offsets, self._positions, sums)
-        laws = [(one.law, source_for(one, system, self.list.order)) for one in self._pair_laws.members]
-        pairs, output = (self._positions, self.list.pairs), (target.steps, target.detail, sums)
+        local = Local(
+            system.positions,
+            target.forces,
+            self.list.order,
+            self.list.offsets,
+            self._positions,
+            sums,
+        )
+        laws = [
+            (one.law, source_for(one, system, self.list.order)) for one in self._pair_laws.members
+        ]
+        pairs = (self._positions, self.list.pairs)
+        output = (target.steps, target.detail, sums)
         works = [PairWork(*pairs, *law, *output) for law in laws]
         first = self._calls[0]
         yield operation(first, is_in_reach, self.list.reach, python=update)
@@ -108,4 +127,7 @@ class PairListTerm(ListTerm):
 
     def skipped(self) -> Iterable[str]:
         """See Term."""
-        return [*(["neighbor list (all pairs)"] if self.list.cutoff == np.inf else []), *super().skipped()]
+        return [
+            *(["neighbor list (all pairs)"] if self.list.cutoff == np.inf else []),
+            *super().skipped(),
+        ]

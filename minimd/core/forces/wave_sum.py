@@ -23,7 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
-from minimd.core.compiled.fixed_point import force_along, on_grid, plus_rounded, rounder_for, sum_in_any_order
+from minimd.core.compiled.fixed_point import (
+    force_along,
+    on_grid,
+    plus_rounded,
+    rounder_for,
+    sum_in_any_order,
+)
 from minimd.core.compiled.kernels import DirectCalls, called_kernel, scalar
 from minimd.core.compiled.program import GO_ON, Operation, n_chunks_of, operation
 from minimd.core.compiled.simd import broadcast, fma, load, store, total, zeros
@@ -34,12 +40,15 @@ from minimd.core.structure.system import System
 
 BLOCK = 128  # atoms whose tables are made at once
 MOST_SUMS = 16  # chunks of atoms, each with sums of its own
-CUT = 0.618  # of fractional coordinates: atoms are wrapped at a place where those of crystals are not
+# of fractional coordinates: atoms are wrapped at a place where those of crystals are not
+CUT = 0.618
 MOST_CELLS = 100_000  # of four waves each: their sums take half a gigabyte
 ROOM = 1.2  # for waves that come when the cell becomes larger
-SIGNS = np.array([(1, 1, 1), (1, 1, -1), (1, -1, 1), (1, -1, -1)])  # of a, b, c, for the four waves of a cell
+# of a, b, c, for the four waves of a cell
+SIGNS = np.array([(1, 1, 1), (1, 1, -1), (1, -1, 1), (1, -1, -1)])
 SUMS, AMPLITUDES = 8, 8  # numbers for each cell
-A, B, FIRST, N_CELLS = range(4)  # columns of rows: a, b, the number of the first cell, how many cells c = 0, 1, …
+# columns of rows: a, b, the number of the first cell, how many cells c = 0, 1, …
+A, B, FIRST, N_CELLS = range(4)
 # sizes: of rows, cells; places of tables: X, Y, Z, XY, forces
 N_ROWS, N_ALL, X, Y, Z, XY, F = range(7)
 
@@ -67,7 +76,8 @@ class Waves(
 @called_kernel
 def choose_atom(waves, _chunk):
     """The atom on which the other forces are largest along x; of those with equal forces its position decides."""
-    f, r = waves.forces, waves.positions
+    f = waves.forces
+    r = waves.positions
     best = 0
     for i in range(1, waves.charges.size):
         if (f[i, 0], r[i, 0], r[i, 1], r[i, 2]) > (f[best, 0], r[best, 0], r[best, 1], r[best, 2]):
@@ -79,11 +89,16 @@ def choose_atom(waves, _chunk):
 @called_kernel
 def sum_waves(waves, chunk):
     """The sums S of a chunk of atoms, lane by lane, in parts: see _signs."""
-    n, n_chunks, lanes = waves.charges.size, waves.sums.shape[0], waves.lanes
-    table, sums, n_lanes = waves.tables[chunk], waves.sums[chunk], np.uintp(count(waves.lanes))
+    n = waves.charges.size
+    n_chunks = waves.sums.shape[0]
+    lanes = waves.lanes
+    table = waves.tables[chunk]
+    sums = waves.sums[chunk]
+    n_lanes = np.uintp(count(waves.lanes))
     for k in range(np.uintp(0), np.uintp(waves.sizes[N_ALL] * SUMS), np.uintp(1)):
         store(sums, k * n_lanes, zeros(lanes))
-    first, last = chunk * n // n_chunks, (chunk + 1) * n // n_chunks
+    first = chunk * n // n_chunks
+    last = (chunk + 1) * n // n_chunks
     for start in range(first, last, BLOCK):
         _fill_tables(waves, table, start, min(start + BLOCK, last))
         for row in range(waves.sizes[N_ROWS]):
@@ -96,23 +111,32 @@ def sum_waves(waves, chunk):
 @scalar
 def _fill_tables(waves, table, first, last):
     """q exp(2πi a s₁), exp(2πi b s₂), exp(2πi c s₃) of the atoms of a block, in fractional coordinates s."""
-    lattice, inverse, sizes, n_lanes = waves.lattice, waves.inverse, waves.sizes, np.uintp(count(waves.lanes))
-    place, r, o = np.uintp(sizes[F]), waves.positions, np.uintp(waves.chosen[0])
+    lattice = waves.lattice
+    inverse = waves.inverse
+    sizes = waves.sizes
+    n_lanes = np.uintp(count(waves.lanes))
+    place = np.uintp(sizes[F])
+    r = waves.positions
+    o = np.uintp(waves.chosen[0])
     for k in range(BLOCK):
         i = np.uintp(min(first + k, last - 1))
         x, y, z = r[i, 0] - r[o, 0], r[i, 1] - r[o, 1], r[i, 2] - r[o, 2]
         for d in range(3):
             cells = np.floor(x * inverse[0, d] + y * inverse[1, d] + z * inverse[2, d] + CUT)
-            x, y, z = x - cells * lattice[d, 0], y - cells * lattice[d, 1], z - cells * lattice[d, 2]
+            x = x - cells * lattice[d, 0]
+            y = y - cells * lattice[d, 1]
+            z = z - cells * lattice[d, 2]
         for d in range(3):
             s = x * inverse[0, d] + y * inverse[1, d] + z * inverse[2, d]
             table[place + np.uintp(d * BLOCK + k)] = 2.0 * pi * s
         table[np.uintp(sizes[X] + k)] = waves.charges[i] if first + k < last else 0.0
     for d in range(3):
-        begin, end = sizes[X + d], sizes[X + d + 1]
+        begin = sizes[X + d]
+        end = sizes[X + d + 1]
         for k in range(np.uintp(0), np.uintp(BLOCK), n_lanes):
             angle = load(table, place + np.uintp(d * BLOCK) + k, waves.lanes)
-            c, s = np.cos(angle), np.sin(angle)
+            c = np.cos(angle)
+            s = np.sin(angle)
             x = load(table, np.uintp(begin) + k, waves.lanes) if d == 0 else broadcast(1.0, c)
             y = 0.0 * x
             for at in range(np.uintp(begin), np.uintp(end), np.uintp(2 * BLOCK)):
@@ -124,14 +148,21 @@ def _fill_tables(waves, table, first, last):
 @scalar
 def _multiply(waves, table, row):
     """X_a Y_b and X_a Y_b* of a row."""
-    sizes, n_lanes, block = waves.sizes, np.uintp(count(waves.lanes)), np.uintp(BLOCK)
+    sizes = waves.sizes
+    n_lanes = np.uintp(count(waves.lanes))
+    block = np.uintp(BLOCK)
     at_x = np.uintp(sizes[X] + 2 * BLOCK * waves.rows[row, A])
     at_y = np.uintp(sizes[Y] + 2 * BLOCK * waves.rows[row, B])
     at = np.uintp(sizes[XY])
     for k in range(np.uintp(0), block, n_lanes):
-        xr, xi = load(table, at_x + k, waves.lanes), load(table, at_x + block + k, waves.lanes)
-        yr, yi = load(table, at_y + k, waves.lanes), load(table, at_y + block + k, waves.lanes)
-        rr, ii, ri, ir = xr * yr, xi * yi, xr * yi, xi * yr
+        xr = load(table, at_x + k, waves.lanes)
+        xi = load(table, at_x + block + k, waves.lanes)
+        yr = load(table, at_y + k, waves.lanes)
+        yi = load(table, at_y + block + k, waves.lanes)
+        rr = xr * yr
+        ii = xi * yi
+        ri = xr * yi
+        ir = xi * yr
         store(table, at + k, rr - ii)
         store(table, at + block + k, ri + ir)
         store(table, at + block + block + k, rr + ii)
@@ -141,21 +172,36 @@ def _multiply(waves, table, row):
 @scalar
 def _add_cell(waves, table, sums, cell, c):
     """The products of X Y with Z_c, real and imaginary parts each with each, summed over the atoms of a block."""
-    lanes, n_lanes, block, rounder = waves.lanes, np.uintp(count(waves.lanes)), np.uintp(BLOCK), waves.rounder
-    at, at_z = np.uintp(waves.sizes[XY]), np.uintp(waves.sizes[Z] + 2 * BLOCK * c)
+    lanes = waves.lanes
+    n_lanes = np.uintp(count(waves.lanes))
+    block = np.uintp(BLOCK)
+    rounder = waves.rounder
+    at = np.uintp(waves.sizes[XY])
+    at_z = np.uintp(waves.sizes[Z] + 2 * BLOCK * c)
     place = np.uintp(cell * SUMS) * n_lanes
-    p_rc, p_is = load(sums, place, lanes), load(sums, place + n_lanes, lanes)
-    p_rs, p_ic = load(sums, place + np.uintp(2) * n_lanes, lanes), load(sums, place + np.uintp(3) * n_lanes, lanes)
-    m_rc, m_is = load(sums, place + np.uintp(4) * n_lanes, lanes), load(sums, place + np.uintp(5) * n_lanes, lanes)
-    m_rs, m_ic = load(sums, place + np.uintp(6) * n_lanes, lanes), load(sums, place + np.uintp(7) * n_lanes, lanes)
+    p_rc = load(sums, place, lanes)
+    p_is = load(sums, place + n_lanes, lanes)
+    p_rs = load(sums, place + np.uintp(2) * n_lanes, lanes)
+    p_ic = load(sums, place + np.uintp(3) * n_lanes, lanes)
+    m_rc = load(sums, place + np.uintp(4) * n_lanes, lanes)
+    m_is = load(sums, place + np.uintp(5) * n_lanes, lanes)
+    m_rs = load(sums, place + np.uintp(6) * n_lanes, lanes)
+    m_ic = load(sums, place + np.uintp(7) * n_lanes, lanes)
     for k in range(np.uintp(0), block, n_lanes):
-        zc, zs = load(table, at_z + k, lanes), load(table, at_z + block + k, lanes)
-        pr, pi_ = load(table, at + k, lanes), load(table, at + block + k, lanes)
-        mr, mi = load(table, at + block + block + k, lanes), load(table, at + block + block + block + k, lanes)
-        p_rc, p_is = plus_rounded(pr, zc, p_rc, rounder), plus_rounded(pi_, zs, p_is, rounder)
-        p_rs, p_ic = plus_rounded(pr, zs, p_rs, rounder), plus_rounded(pi_, zc, p_ic, rounder)
-        m_rc, m_is = plus_rounded(mr, zc, m_rc, rounder), plus_rounded(mi, zs, m_is, rounder)
-        m_rs, m_ic = plus_rounded(mr, zs, m_rs, rounder), plus_rounded(mi, zc, m_ic, rounder)
+        zc = load(table, at_z + k, lanes)
+        zs = load(table, at_z + block + k, lanes)
+        pr = load(table, at + k, lanes)
+        pi_ = load(table, at + block + k, lanes)
+        mr = load(table, at + block + block + k, lanes)
+        mi = load(table, at + block + block + block + k, lanes)
+        p_rc = plus_rounded(pr, zc, p_rc, rounder)
+        p_is = plus_rounded(pi_, zs, p_is, rounder)
+        p_rs = plus_rounded(pr, zs, p_rs, rounder)
+        p_ic = plus_rounded(pi_, zc, p_ic, rounder)
+        m_rc = plus_rounded(mr, zc, m_rc, rounder)
+        m_is = plus_rounded(mi, zs, m_is, rounder)
+        m_rs = plus_rounded(mr, zs, m_rs, rounder)
+        m_ic = plus_rounded(mi, zc, m_ic, rounder)
     for part in (p_rc, p_is, p_rs, p_ic, m_rc, m_is, m_rs, m_ic):
         store(sums, place, part)
         place += n_lanes
@@ -173,24 +219,42 @@ def weigh_waves(waves, _chunk):
         for c in range(waves.rows[row, N_CELLS]):
             cell = waves.rows[row, FIRST] + c
             for side in range(2):
-                rc, im = _added(waves, cell, 4 * side), _added(waves, cell, 4 * side + 1)
-                rs, ic = _added(waves, cell, 4 * side + 2), _added(waves, cell, 4 * side + 3)
-                up, down = waves.weights[cell, 2 * side], waves.weights[cell, 2 * side + 1]
+                rc = _added(waves, cell, 4 * side)
+                im = _added(waves, cell, 4 * side + 1)
+                rs = _added(waves, cell, 4 * side + 2)
+                ic = _added(waves, cell, 4 * side + 3)
+                up = waves.weights[cell, 2 * side]
+                down = waves.weights[cell, 2 * side + 1]
                 ur, ui, dr, di = rc - im, rs + ic, rc + im, ic - rs  # S for c and for −c
                 a = waves.amplitudes[cell]
-                a[4 * side], a[4 * side + 1] = up * ur + down * dr, -(up * ui + down * di)
-                a[4 * side + 2], a[4 * side + 3] = up * ur - down * dr, down * di - up * ui
+                a[4 * side] = up * ur + down * dr
+                a[4 * side + 1] = -(up * ui + down * di)
+                a[4 * side + 2] = up * ur - down * dr
+                a[4 * side + 3] = down * di - up * ui
                 if waves.detail != FORCES:
                     b = waves.rows[row, B] * (1 - 2 * side)
-                    _count(waves, (waves.rows[row, A], b, c), up, waves.bends[cell, 2 * side], ur * ur + ui * ui)
-                    _count(waves, (waves.rows[row, A], b, -c), down, waves.bends[cell, 2 * side + 1], dr * dr + di * di)
+                    _count(
+                        waves,
+                        (waves.rows[row, A], b, c),
+                        up,
+                        waves.bends[cell, 2 * side],
+                        ur * ur + ui * ui,
+                    )
+                    _count(
+                        waves,
+                        (waves.rows[row, A], b, -c),
+                        down,
+                        waves.bends[cell, 2 * side + 1],
+                        dr * dr + di * di,
+                    )
     return GO_ON
 
 
 @scalar
 def _added(waves, cell, part):
     """One of the sums of a cell, of all chunks [√(energy · length)]."""
-    n_lanes, added = np.uintp(count(waves.lanes)), 0.0
+    n_lanes = np.uintp(count(waves.lanes))
+    added = 0.0
     for chunk in range(waves.sums.shape[0]):
         added += total(load(waves.sums[chunk], np.uintp(cell * SUMS + part) * n_lanes, waves.lanes))
     return added
@@ -199,23 +263,33 @@ def _added(waves, cell, part):
 @scalar
 def _count(waves, wave, weight, bend, size2):
     """totals += energy and virial of one wave:  u = w |S|²,  W = u 1 + 2 (dw/dk²) |S|² k ⊗ k."""
-    inverse, totals, two_pi = waves.inverse, waves.totals, 2.0 * pi
+    inverse = waves.inverse
+    totals = waves.totals
+    two_pi = 2.0 * pi
     kx = two_pi * (inverse[0, 0] * wave[0] + inverse[0, 1] * wave[1] + inverse[0, 2] * wave[2])
     ky = two_pi * (inverse[1, 0] * wave[0] + inverse[1, 1] * wave[1] + inverse[1, 2] * wave[2])
     kz = two_pi * (inverse[2, 0] * wave[0] + inverse[2, 1] * wave[1] + inverse[2, 2] * wave[2])
-    u, g = weight * size2, 2.0 * bend * size2
+    u = weight * size2
+    g = 2.0 * bend * size2
     totals[0, 0] += u
-    for c, w in enumerate((u + g * kx * kx, u + g * ky * ky, u + g * kz * kz, g * ky * kz, g * kx * kz, g * kx * ky)):
+    for c, w in enumerate(
+        (u + g * kx * kx, u + g * ky * ky, u + g * kz * kz, g * ky * kz, g * kx * kz, g * kx * ky)
+    ):
         totals[0, 1 + c] += w
 
 
 @called_kernel
 def push_atoms(waves, chunk):
     """forces += those of all waves on a chunk of atoms."""
-    n, n_chunks, lanes = waves.charges.size, waves.tables.shape[0], waves.lanes
-    table, at = waves.tables[chunk], np.uintp(waves.sizes[F])
-    n_lanes, block = np.uintp(count(lanes)), np.uintp(BLOCK)
-    first, last = chunk * n // n_chunks, (chunk + 1) * n // n_chunks
+    n = waves.charges.size
+    n_chunks = waves.tables.shape[0]
+    lanes = waves.lanes
+    table = waves.tables[chunk]
+    at = np.uintp(waves.sizes[F])
+    n_lanes = np.uintp(count(lanes))
+    block = np.uintp(BLOCK)
+    first = chunk * n // n_chunks
+    last = (chunk + 1) * n // n_chunks
     for d in range(3):
         waves.rest[chunk, d] = 0
     for start in range(first, last, BLOCK):
@@ -228,7 +302,8 @@ def push_atoms(waves, chunk):
             for k in range(np.uintp(0), block, n_lanes):
                 _add_row(waves, table, row, k)
         for i in range(start, stop):
-            k, inverse = at + np.uintp(i - start), waves.inverse
+            k = at + np.uintp(i - start)
+            inverse = waves.inverse
             fa, fb, fc = table[k], table[k + block], table[k + block + block]
             for d in range(3):
                 f = 4.0 * pi * (inverse[d, 0] * fa + inverse[d, 1] * fb + inverse[d, 2] * fc)
@@ -241,24 +316,39 @@ def push_atoms(waves, chunk):
 @scalar
 def _add_row(waves, table, row, k):
     """Fractional forces of the waves of a row on as many atoms as a vector has lanes, from k on in the block."""
-    lanes, block = waves.lanes, np.uintp(BLOCK)
-    at, at_z, at_f = np.uintp(waves.sizes[XY]) + k, np.uintp(waves.sizes[Z]) + k, np.uintp(waves.sizes[F]) + k
+    lanes = waves.lanes
+    block = np.uintp(BLOCK)
+    at = np.uintp(waves.sizes[XY]) + k
+    at_z = np.uintp(waves.sizes[Z]) + k
+    at_f = np.uintp(waves.sizes[F]) + k
     pr = pi_ = mr = mi = pzr = pzi = mzr = mzi = zeros(lanes)  # Σ A Z, and Σ c A Z
     n = zeros(lanes)
     first = np.uintp(waves.rows[row, FIRST])
     for cell in range(first, first + np.uintp(waves.rows[row, N_CELLS])):
         a = waves.amplitudes[cell]
-        zc, zs = load(table, at_z, lanes), load(table, at_z + block, lanes)
-        nc, ns = n * zc, n * zs
-        pr, pi_ = fma(zc, a[0], fma(zs, -a[3], pr)), fma(zc, a[1], fma(zs, a[2], pi_))
-        pzr, pzi = fma(nc, a[2], fma(ns, -a[1], pzr)), fma(nc, a[3], fma(ns, a[0], pzi))
-        mr, mi = fma(zc, a[4], fma(zs, -a[7], mr)), fma(zc, a[5], fma(zs, a[6], mi))
-        mzr, mzi = fma(nc, a[6], fma(ns, -a[5], mzr)), fma(nc, a[7], fma(ns, a[4], mzi))
-        n, at_z = n + 1.0, at_z + block + block
-    xr, xi = load(table, at, lanes), load(table, at + block, lanes)
-    yr, yi = load(table, at + block + block, lanes), load(table, at + block + block + block, lanes)
-    of_p, of_m = fma(xr, pi_, xi * pr), fma(yr, mi, yi * mr)
-    fa, fb, fc = load(table, at_f, lanes), load(table, at_f + block, lanes), load(table, at_f + block + block, lanes)
+        zc = load(table, at_z, lanes)
+        zs = load(table, at_z + block, lanes)
+        nc = n * zc
+        ns = n * zs
+        pr = fma(zc, a[0], fma(zs, -a[3], pr))
+        pi_ = fma(zc, a[1], fma(zs, a[2], pi_))
+        pzr = fma(nc, a[2], fma(ns, -a[1], pzr))
+        pzi = fma(nc, a[3], fma(ns, a[0], pzi))
+        mr = fma(zc, a[4], fma(zs, -a[7], mr))
+        mi = fma(zc, a[5], fma(zs, a[6], mi))
+        mzr = fma(nc, a[6], fma(ns, -a[5], mzr))
+        mzi = fma(nc, a[7], fma(ns, a[4], mzi))
+        n = n + 1.0
+        at_z = at_z + block + block
+    xr = load(table, at, lanes)
+    xi = load(table, at + block, lanes)
+    yr = load(table, at + block + block, lanes)
+    yi = load(table, at + block + block + block, lanes)
+    of_p = fma(xr, pi_, xi * pr)
+    of_m = fma(yr, mi, yi * mr)
+    fa = load(table, at_f, lanes)
+    fb = load(table, at_f + block, lanes)
+    fc = load(table, at_f + block + block, lanes)
     store(table, at_f, fma(of_p + of_m, float(waves.rows[row, A]), fa))
     store(table, at_f + block, fma(of_p - of_m, float(waves.rows[row, B]), fb))
     store(table, at_f + block + block, fma(xr, pzi, xi * pzr) + fma(yr, mzi, yi * mzr) + fc)
@@ -273,7 +363,9 @@ def balance_impulses(waves, _chunk):
     return GO_ON
 
 
-def virials_of(k: NDArray[np.float64], weights: NDArray[np.float64], bends: NDArray[np.float64]) -> NDArray[np.float64]:
+def virials_of(
+    k: NDArray[np.float64], weights: NDArray[np.float64], bends: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """W/|S|² = w 1 + 2 (dw/dk²) k ⊗ k of waves k (M, 3), as xx yy zz yz xz xy, (M, 6)."""
     virials = 2.0 * bends[:, None] * k[:, VOIGT[0]] * k[:, VOIGT[1]]
     virials[:, :3] += weights[:, None]
@@ -290,7 +382,9 @@ class ChargeSum(OwnTerm):
         self._net = float(sum_in_any_order(charges))
         self._lattice, self._inverse = np.zeros((2, 3, 3))
         self._totals = np.zeros((1, 7))
-        self._said = f"error of forces at most {split.bound:.1g} of their rms, or of that between neighbors"
+        self._said = (
+            f"error of forces at most {split.bound:.1g} of their rms, or of that between neighbors"
+        )
 
     def _keep(self, system: System) -> None:
         """Take the present cell, without LAPACK, whose rounding depends on the processor."""
@@ -298,7 +392,8 @@ class ChargeSum(OwnTerm):
         normals = np.cross(lattice[[1, 2, 0]], lattice[[2, 0, 1]])
         volume = float((lattice[0] * normals[0]).sum())
         self._lattice[:] = lattice
-        self._inverse[:], self._volume = (normals / volume).T, abs(volume)
+        self._inverse[:] = (normals / volume).T
+        self._volume = abs(volume)
 
     def _of_atoms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Each atom's share of energy and virial, (N,) and (N, 6)."""
@@ -311,7 +406,8 @@ class ChargeSum(OwnTerm):
         # the uniform background fills what S leaves of a net charge
         background = -0.5 * self._net**2 / self._volume * self._split.moment
         if target.detail == PER_ATOM:
-            shares = -0.5 * self._charges * self._net / self._volume * self._split.moment  # of each charge q: q Q
+            # of each charge q: q Q
+            shares = -0.5 * self._charges * self._net / self._volume * self._split.moment
             energies, virials = self._of_atoms()
             target.energies[:] += energies + self._energy + shares
             target.virials[:] += virials
@@ -336,7 +432,9 @@ class WaveSum(ChargeSum):
         self._chosen = np.zeros(1, np.int64)
         rows, weights, bends = self._waves(system)
         room = int(ROOM * len(weights)) + 8
-        self._rows, self._weights, self._bends = np.zeros((room, 4), np.int64), np.zeros((room, 4)), np.zeros((room, 4))
+        self._rows = np.zeros((room, 4), np.int64)
+        self._weights = np.zeros((room, 4))
+        self._bends = np.zeros((room, 4))
         self._room = int(ROOM * self._places(rows)[-1]) + 8 * BLOCK + 3 * BLOCK
         self._tables = np.zeros((self._n_chunks, self._room))
         self._sums = np.zeros((self._n_chunks, room * SUMS * self._lanes.size))
@@ -356,7 +454,10 @@ class WaveSum(ChargeSum):
     def follow(self, system: System) -> bool:
         """See Term."""
         waves = self._waves(system)
-        if len(waves[1]) > len(self._weights) or self._places(waves[0])[-1] + 3 * BLOCK > self._room:
+        if (
+            len(waves[1]) > len(self._weights)
+            or self._places(waves[0])[-1] + 3 * BLOCK > self._room
+        ):
             return False
         self._take(system, *waves)
         return True
@@ -365,8 +466,25 @@ class WaveSum(ChargeSum):
         """See Term."""
         rounder = rounder_for(self._charges) if target.steps else ()
         rest = np.zeros_like(target.forces[: self._n_chunks])
-        where = system.positions, self._charges, rounder, self._lattice, self._inverse, self._chosen, self._sizes
-        what = self._rows, self._weights, self._bends, self._tables, self._sums, self._amplitudes, self._totals, rest
+        where = (
+            system.positions,
+            self._charges,
+            rounder,
+            self._lattice,
+            self._inverse,
+            self._chosen,
+            self._sizes,
+        )
+        what = (
+            self._rows,
+            self._weights,
+            self._bends,
+            self._tables,
+            self._sums,
+            self._amplitudes,
+            self._totals,
+            rest,
+        )
         waves = Waves(*where, *what, target.forces, target.steps, target.detail, self._lanes)
         if target.steps:
             yield operation(self._calls, choose_atom, waves)
@@ -376,30 +494,46 @@ class WaveSum(ChargeSum):
         if target.steps:
             yield operation(self._calls, balance_impulses, waves)
 
-    def _waves(self, system: System) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    def _waves(
+        self, system: System
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
         """rows, weights and bends for the present cell."""
-        lattice, largest = system.cell.lattice, self._split.largest_wave
+        lattice = system.cell.lattice
+        largest = self._split.largest_wave
         self._keep(system)
         ends = np.floor(largest * np.linalg.norm(lattice, axis=1) / (2.0 * pi))
         if (n := float(np.prod(ends + 1.0))) > MOST_CELLS:
             needs = f"needs some {2.0 * n:.1g} waves in this cell, but at most {2 * MOST_CELLS} are allowed"
             raise ValueError(f"cutoff of Coulomb must be larger; {self._split.cutoff:.3g} {needs}")
         most = ends.astype(np.int64)
-        cells = np.stack(np.meshgrid(*(np.arange(n + 1) for n in most), indexing="ij"), axis=-1).reshape(-1, 3)
-        k2 = (np.einsum("csi,di->csd", cells[:, None] * SIGNS, 2.0 * pi * self._inverse) ** 2).sum(axis=-1)  # (C, 4)
+        cells = np.stack(
+            np.meshgrid(*(np.arange(n + 1) for n in most), indexing="ij"), axis=-1
+        ).reshape(-1, 3)
+        # (C, 4)
+        k2 = (np.einsum("csi,di->csd", cells[:, None] * SIGNS, 2.0 * pi * self._inverse) ** 2).sum(
+            axis=-1
+        )
         a, b, c = (cells[:, None, d] for d in range(3))
-        is_new = (SIGNS[:, 1] > 0) | ((a > 0) & (b > 0))  # of ±b, and below of ±c, the same waves once
+        # of ±b, and below of ±c, the same waves once
+        is_new = (SIGNS[:, 1] > 0) | ((a > 0) & (b > 0))
         is_new = is_new & ((SIGNS[:, 2] > 0) | ((c > 0) & ((a > 0) | (b > 0))))
         counts = is_new & (k2 > 0.0) & (k2 <= largest**2)
         height = np.where(counts.any(axis=1), cells[:, 2] + 1, 0)
-        firsts, place = np.flatnonzero(cells[:, 2] == 0), cells[:, 0] * (most[1] + 1) + cells[:, 1]
+        firsts = np.flatnonzero(cells[:, 2] == 0)
+        place = cells[:, 0] * (most[1] + 1) + cells[:, 1]
         n_cells = np.maximum.reduceat(height, firsts)
         kept = cells[:, 2] < n_cells[place]
         n_cells, firsts = n_cells[n_cells > 0], firsts[n_cells > 0]
         rows = np.column_stack([cells[firsts, :2], np.cumsum(n_cells) - n_cells, n_cells])
-        self._cells, counts, k2 = cells[kept], counts[kept], k2[kept]
+        self._cells = cells[kept]
+        counts = counts[kept]
+        k2 = k2[kept]
         spectrum, bend = self._split.spectrum(np.where(counts, k2, 1.0))
-        return rows, np.where(counts, spectrum, 0.0) / self._volume, np.where(counts, bend, 0.0) / self._volume
+        return (
+            rows,
+            np.where(counts, spectrum, 0.0) / self._volume,
+            np.where(counts, bend, 0.0) / self._volume,
+        )
 
     def _places(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         """Where the tables X, Y, Z, XY and those of forces begin."""
@@ -408,7 +542,9 @@ class WaveSum(ChargeSum):
 
     def _take(self, system: System, rows: NDArray, weights: NDArray, bends: NDArray) -> None:
         """Write waves to memory that stays in its place."""
-        self._rows[: len(rows)], self._weights[: len(weights)], self._bends[: len(bends)] = rows, weights, bends
+        self._rows[: len(rows)] = rows
+        self._weights[: len(weights)] = weights
+        self._bends[: len(bends)] = bends
         self._sizes[:] = len(rows), len(weights), *self._places(rows)
         self._positions = system.positions
 
@@ -416,11 +552,13 @@ class WaveSum(ChargeSum):
         """Each atom's share of energy and virial: q Re(Σ w S* exp(i k·r)), and so on; (N,) and (N, 6)."""
         n_all = self._sizes[N_ALL]
         used = self._weights[:n_all] != 0.0
-        weights, bends = self._weights[:n_all][used], self._bends[:n_all][used]
+        weights = self._weights[:n_all][used]
+        bends = self._bends[:n_all][used]
         k = 2.0 * pi * (self._cells[:, None] * SIGNS)[used] @ self._inverse.T
         blocks = np.array_split(np.arange(len(self._charges)), -(-len(self._charges) // BLOCK))
         conjugate = np.conj(sum(self._phases(block, k).sum(axis=0) for block in blocks))
-        energies, virials = [], []
+        energies = []
+        virials = []
         for block in blocks:
             share = (self._phases(block, k) * conjugate).real
             energies.append(share @ weights)

@@ -102,15 +102,21 @@ class StochasticCellRescaling(Displayed):
             checked_number("temperature", self.temperature, "finite and not negative")
         checked_choice("coupling", self.coupling, COUPLINGS)
         axes = np.array([axis in self.coupling for axis in AXES], dtype=np.float64)
-        object.__setattr__(self, "mask", np.ones((3, 3)) if self.coupling == "triclinic" else np.diag(axes))
+        object.__setattr__(
+            self, "mask", np.ones((3, 3)) if self.coupling == "triclinic" else np.diag(axes)
+        )
 
     def __repr__(self) -> str:
-        given = (f"{name}={value!r}" for name, value in self.parameters.items() if value is not None)
+        given = (
+            f"{name}={value!r}" for name, value in self.parameters.items() if value is not None
+        )
         return f"StochasticCellRescaling({', '.join(given)})"
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        given = [(name, as_text(value)) for name, value in self.parameters.items() if value is not None]
+        given = [
+            (name, as_text(value)) for name, value in self.parameters.items() if value is not None
+        ]
         return [("barostat", "stochastic cell rescaling"), *given]
 
     @property
@@ -122,15 +128,21 @@ class StochasticCellRescaling(Displayed):
         """ε, (3, 3).  duration : h [time].  number : of the step; it selects the noise."""
         white = philox(self.seed, 0, number, OWN_STREAM).standard_normal((3, 3))
         if self.coupling == "isotropic":
-            spread = sqrt(0.5 * state.thermal * self.compressibility * duration / self.relaxation_time)
-            larger = 1.0 + (self._drift_of_root(state, duration) + spread * white[0, 0]) / sqrt(state.volume)  # λ′/λ
+            spread = sqrt(
+                0.5 * state.thermal * self.compressibility * duration / self.relaxation_time
+            )
+            # λ′/λ
+            larger = 1.0 + (self._drift_of_root(state, duration) + spread * white[0, 0]) / sqrt(
+                state.volume
+            )
             return np.diag(np.full(3, 2.0 / 3.0 * log(larger) if larger > 0.0 else -inf))
         slowness = 3.0 * state.volume * self.relaxation_time
         spread = sqrt(2.0 * state.thermal * self.compressibility * duration / slowness)
         return self._drift_of_strain(state, duration) + spread * self.mask * 0.5 * (white + white.T)
 
-    def change_of_conserved(self, before: ThermodynamicState, after: ThermodynamicState, strain: Array,
-                            duration: float) -> float:  # fmt: skip
+    def change_of_conserved(
+        self, before: ThermodynamicState, after: ThermodynamicState, strain: Array, duration: float
+    ) -> float:
         """ΔH [energy] of one strain, as above.
 
         It is k_B T ln of the ratio of two probabilities: of the strain and of its reverse,
@@ -140,7 +152,8 @@ class StochasticCellRescaling(Displayed):
         rate = self.relaxation_time / (self.compressibility * duration)
         if self.coupling == "isotropic":
             change = sqrt(after.volume) - sqrt(before.volume)
-            back, there = change + self._drift_of_root(after, duration), change - self._drift_of_root(before, duration)
+            back = change + self._drift_of_root(after, duration)
+            there = change - self._drift_of_root(before, duration)
             return work - 0.5 * entropy + rate * (back**2 - there**2)
         returned = strain + self._drift_of_strain(after, duration)
         gone = strain - self._drift_of_strain(before, duration)
@@ -150,8 +163,19 @@ class StochasticCellRescaling(Displayed):
 
     def _drift_of_root(self, state: ThermodynamicState, duration: float) -> float:
         """b = −(βλh/2τ) (P₀ − P − k_B T/2V) [√volume]."""
-        excess = float(np.trace(state.pressure)) / 3.0 - self.pressure + 0.5 * state.thermal / state.volume
-        return 0.5 * self.compressibility * sqrt(state.volume) * duration / self.relaxation_time * excess
+        excess = (
+            float(np.trace(state.pressure)) / 3.0
+            - self.pressure
+            + 0.5 * state.thermal / state.volume
+        )
+        return (
+            0.5
+            * self.compressibility
+            * sqrt(state.volume)
+            * duration
+            / self.relaxation_time
+            * excess
+        )
 
     def _drift_of_strain(self, state: ThermodynamicState, duration: float) -> Array:
         """m = −(βh/3τ) 𝒫[P₀ 1 − P], (3, 3)."""
@@ -171,6 +195,8 @@ def turned_back(before: Array, strained: Array) -> tuple[Array, Array]:
     """Strained lattice vectors (3, 3), rows, rotated so that the first has its old direction and the first two their
     old plane; and the rotation."""
     (frame, _), (own, triangle) = (np.linalg.qr(vectors.T) for vectors in (before, strained))
-    signs = np.sign(np.einsum("ij,ij->j", frame, own))  # of the axes: a strain turns them only slightly
-    own, triangle = own * signs, triangle * signs[:, None]
+    # of the axes: a strain turns them only slightly
+    signs = np.sign(np.einsum("ij,ij->j", frame, own))
+    own = own * signs
+    triangle = triangle * signs[:, None]
     return triangle.T @ frame.T, own @ frame.T

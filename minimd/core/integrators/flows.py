@@ -55,11 +55,17 @@ def drifted_on_grid(position, momentum, inverse_mass, unit, times, steps):
     """r + times · (unit · p/m), with the displacement in brackets rounded to a multiple of steps.length;
     −p gives the opposite displacement."""
     rounder = MAGIC * steps.length
-    return position + times * (fma(momentum, steps.momentum * unit * inverse_mass, rounder) - rounder)
+    return position + times * (
+        fma(momentum, steps.momentum * unit * inverse_mass, rounder) - rounder
+    )
 
 
-class Moving(ByAddress, namedtuple("Moving", "positions velocities forces inverse_masses flows steps n_chunks "
-                                   "are_alike")):  # fmt: skip
+class Moving(
+    ByAddress,
+    namedtuple(
+        "Moving", "positions velocities forces inverse_masses flows steps n_chunks are_alike"
+    ),
+):
     """What kicks and drifts work on.
     positions, velocities, forces : (3 N,) flat [length], [length/time], [energy/length].
     inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.  are_alike : whether all are the same.
@@ -72,10 +78,15 @@ class Moving(ByAddress, namedtuple("Moving", "positions velocities forces invers
 def move_atoms(moving, chunk):
     """Kicks and drifts of the atoms of a chunk, all of them in one pass over memory.
     OUT_OF_RANGE if a momentum or a position leaves its range, in fixed-point arithmetic."""
-    n, n_chunks, is_out = moving.inverse_masses.size, moving.n_chunks, False
-    first, last = np.uintp(chunk * n // n_chunks), np.uintp((chunk + 1) * n // n_chunks)
+    n = moving.inverse_masses.size
+    n_chunks = moving.n_chunks
+    is_out = False
+    first = np.uintp(chunk * n // n_chunks)
+    last = np.uintp((chunk + 1) * n // n_chunks)
     for k in range(moving.flows.shape[0]):
-        kind, duration, unit = moving.flows[k, 0], moving.flows[k, 1], moving.flows[k, 2]
+        kind = moving.flows[k, 0]
+        duration = moving.flows[k, 1]
+        unit = moving.flows[k, 2]
         if kind == KICK:
             is_out |= _kick(moving, first, last, duration, unit, moving.steps)
         else:
@@ -90,22 +101,27 @@ def _kick(moving, first, last, duration, unit, steps):
 
 
 def _kick_floats(moving, first, last, duration, unit, steps):
-    v, f, inverse_masses = moving.velocities, moving.forces, moving.inverse_masses
+    v = moving.velocities
+    f = moving.forces
+    inverse_masses = moving.inverse_masses
     if moving.are_alike:
         w = inverse_masses[0]
         for k in range(np.uintp(3) * first, np.uintp(3) * last):
             v[k] = kicked(v[k], f[k], w, duration)
         return False
     for i in range(first, last):
-        w, k = inverse_masses[i], np.uintp(3) * i
+        w = inverse_masses[i]
+        k = np.uintp(3) * i
         for x in range(np.uintp(3)):
             v[k + x] = kicked(v[k + x], f[k + x], w, duration)
     return False
 
 
 def _kick_on_grid(moving, first, last, duration, unit, steps):
-    v, impulses = moving.velocities, moving.forces
-    times, is_out = np.rint(duration / unit), False
+    v = moving.velocities
+    impulses = moving.forces
+    times = np.rint(duration / unit)
+    is_out = False
     for i in range(first, last):
         w = moving.inverse_masses[i]
         for k in range(np.uintp(3) * i, np.uintp(3) * i + np.uintp(3)):
@@ -122,15 +138,19 @@ def _drift(moving, first, last, duration, unit, steps):
 
 
 def _drift_floats(moving, first, last, duration, unit, steps):
-    r, v = moving.positions, moving.velocities
+    r = moving.positions
+    v = moving.velocities
     for k in range(np.uintp(3) * first, np.uintp(3) * last):
         r[k] = drifted(r[k], v[k], duration)
     return False
 
 
 def _drift_on_grid(moving, first, last, duration, unit, steps):
-    r, v = moving.positions, moving.velocities
-    times, farthest, is_out = np.rint(duration / unit), FARTHEST * steps.length, False
+    r = moving.positions
+    v = moving.velocities
+    times = np.rint(duration / unit)
+    farthest = FARTHEST * steps.length
+    is_out = False
     for i in range(first, last):
         w = moving.inverse_masses[i]
         for k in range(np.uintp(3) * i, np.uintp(3) * i + np.uintp(3)):

@@ -95,12 +95,28 @@ class Method(Displayed):
     @property
     def parameters(self) -> dict[str, float]:
         """The constructor arguments that recreate this method, by name: its attributes with the names of arguments."""
-        return {name: getattr(self, name) for name in signature(type(self)).parameters if hasattr(self, name)}
+        return {
+            name: getattr(self, name)
+            for name in signature(type(self)).parameters
+            if hasattr(self, name)
+        }
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        kind = [word for word, holds in (("symmetric", self.is_symmetric), ("symplectic", self.is_symplectic)) if holds]
-        rows = [("method", f"{type(self).__name__}, order {self.order}{''.join(f', {word}' for word in kind)}")]
+        kind = [
+            word
+            for word, holds in (
+                ("symmetric", self.is_symmetric),
+                ("symplectic", self.is_symplectic),
+            )
+            if holds
+        ]
+        rows = [
+            (
+                "method",
+                f"{type(self).__name__}, order {self.order}{''.join(f', {word}' for word in kind)}",
+            )
+        ]
         rows += [(name, as_text(value)) for name, value in self.parameters.items()]
         return rows + ([("source", self.source)] if hasattr(self, "source") else [])
 
@@ -118,5 +134,10 @@ class Method(Displayed):
 
 def methods_of(*modules: ModuleType) -> dict[str, Any]:
     """The methods that modules define, by name: their public classes that have an attribute `name`."""
-    classes = [value for module in modules for name, value in vars(module).items() if name in module.__all__]
+    classes = [
+        value
+        for module in modules
+        for name, value in vars(module).items()
+        if name in module.__all__
+    ]
     return {method.name: method for method in classes if hasattr(method, "name")}

@@ -28,7 +28,13 @@ from numpy.polynomial import Polynomial
 from minimd.core.integrators.method import Array
 from minimd.core.integrators.substeps import Drift, Kick, Substep, Substeps, mechanical
 
-__all__ = ["accurate_step", "energy_oscillation", "nystrom_order", "separable_order", "stability_limit"]
+__all__ = [
+    "accurate_step",
+    "energy_oscillation",
+    "nystrom_order",
+    "separable_order",
+    "stability_limit",
+]
 
 HIGHEST_ORDER = 10  # conditions are evaluated up to this order
 TOLERANCE = 1e-12  # coefficients of 14 digits pass; a condition that fails leaves 1e-6 and more
@@ -62,7 +68,9 @@ def separable_residuals(substeps: Substeps, order: int) -> list[float]:
     letters T, V has the coefficient 1/n!. Both series are group-like, and such series agree if they agree on the Lyndon
     words, the words that come before all their rotations. For n = 1, …, 8 there are 2, 1, 2, 3, 6, 9, 18, 30 of them,
     as many as there are independent conditions (C. Reutenauer, Free Lie Algebras (1993), chapter 6)."""
-    return [word_coefficient(substeps, word) - 1.0 / factorial(order) for word in lyndon_words(order)]
+    return [
+        word_coefficient(substeps, word) - 1.0 / factorial(order) for word in lyndon_words(order)
+    ]
 
 
 @cache
@@ -75,10 +83,12 @@ def lyndon_words(length: int) -> tuple[Word, ...]:
 
 def word_coefficient(substeps: Substeps, word: Word) -> float:
     """Coefficient of a word in exp(c₁X₁) exp(c₂X₂) …; the factor exp(cX) appends k letters X with the weight cᵏ/k!."""
-    prefix = [1.0] + [0.0] * len(word)  # coefficient of the first j letters of the word in the product so far
+    # coefficient of the first j letters of the word in the product so far
+    prefix = [1.0] + [0.0] * len(word)
     for substep in substeps:
         for j in range(len(word), 0, -1):
-            weight, k = 1.0, 1
+            weight = 1.0
+            k = 1
             while k <= j and word[j - k] is type(substep):
                 weight *= substep.coefficient / k
                 prefix[j] += weight * prefix[j - k]
@@ -105,11 +115,17 @@ def nystrom_residuals(substeps: Substeps, order: int) -> list[float]:
     b = np.array([substeps[k].coefficient for k in kicks])
     c = np.array([drifts_sum(substeps[:k]) for k in kicks])
     a = np.tril(b * (c[:, None] - c), -1)
-    one, branches = np.ones_like(c), [Branch(1, c, 1.0)]
+    one = np.ones_like(c)
+    branches = [Branch(1, c, 1.0)]
     for power in range(1, order + 1):
         found = bunches(branches, power - 1)
-        trees = [(np.prod([one, *(t.values for t in tree)], axis=0), prod(t.kappa for t in tree)) for tree in found]
-        branches += [Branch(power + 1, a @ values, kappa / (power * (power + 1))) for values, kappa in trees]
+        trees = [
+            (np.prod([one, *(t.values for t in tree)], axis=0), prod(t.kappa for t in tree))
+            for tree in found
+        ]
+        branches += [
+            Branch(power + 1, a @ values, kappa / (power * (power + 1))) for values, kappa in trees
+        ]
     residuals = [float(b @ values - kappa / order) for values, kappa in trees]
     return residuals if order > 1 else [*residuals, drifts_sum(substeps) - 1.0]
 
@@ -130,7 +146,8 @@ def bunches(branches: list[Branch], power: int, first: int = 0) -> Iterator[tupl
 
 
 ROUNDING = 1e-12  # of tr M: a product of some forty matrices with entries of order one
-REAL = 1e-6  # relative imaginary part that rounding may leave of a double root: about the square root of rounding
+# relative imaginary part that rounding may leave of a double root: about the square root of rounding
+REAL = 1e-6
 SCANNED = 101  # lengths of a step, scanned for the first that is too long
 BISECTIONS = 50  # halvings of an interval, down to rounding
 
@@ -140,7 +157,12 @@ def propagation(substeps: Substeps, h: float) -> Array:
     matrix = np.eye(2)
     for substep in mechanical(substeps):
         c = substep.coefficient * h
-        matrix = np.array([[1.0, 0.0], [-c, 1.0]] if isinstance(substep, Kick) else [[1.0, c], [0.0, 1.0]]) @ matrix
+        matrix = (
+            np.array(
+                [[1.0, 0.0], [-c, 1.0]] if isinstance(substep, Kick) else [[1.0, c], [0.0, 1.0]]
+            )
+            @ matrix
+        )
     return matrix
 
 
@@ -151,7 +173,8 @@ def stability_limit(substeps: Substeps) -> float:
     tr M is a polynomial in x = h², from M = (a hb; −hc d), where a, b, c and d are polynomials in x. It is evaluated
     once between each two neighboring roots of tr M = ±2, so that no window of instability is too narrow to be found. A
     root at which tr M only touches ±2 is no limit."""
-    (a, b), (c, d) = (Polynomial([1.0]), Polynomial([0.0])), (Polynomial([0.0]), Polynomial([1.0]))
+    a, b = (Polynomial([1.0]), Polynomial([0.0]))
+    c, d = (Polynomial([0.0]), Polynomial([1.0]))
     x = Polynomial([0.0, 1.0])
     for substep in mechanical(substeps):
         if isinstance(substep, Kick):
@@ -190,8 +213,11 @@ def accurate_step(substeps: Substeps, oscillation: float) -> float:
     too_long = [energy_oscillation(substeps, h) > oscillation for h in steps[1:]]
     if not any(too_long):
         return float(steps[-1])
-    low, high = steps[np.argmax(too_long)], steps[np.argmax(too_long) + 1]
+    low = steps[np.argmax(too_long)]
+    high = steps[np.argmax(too_long) + 1]
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if energy_oscillation(substeps, middle) <= oscillation else (low, middle)
+        low, high = (
+            (middle, high) if energy_oscillation(substeps, middle) <= oscillation else (low, middle)
+        )
     return float(low)

@@ -20,8 +20,14 @@ class RowInPython(Row, Protocol):
         """A contact with the bath."""
 
 
-def advance(method: Row, state: State, compute_forces: Callable[[State, bool], None], n_steps: int,
-            with_energy: bool, surroundings: Surroundings | None) -> int:  # fmt: skip
+def advance(
+    method: Row,
+    state: State,
+    compute_forces: Callable[[State, bool], None],
+    n_steps: int,
+    with_energy: bool,
+    surroundings: Surroundings | None,
+) -> int:
     """See Splitting.advance."""
 
     def evaluation(with_energy: bool, _unit: float, _moment: Moment) -> Iterable[Operation]:
@@ -29,19 +35,24 @@ def advance(method: Row, state: State, compute_forces: Callable[[State, bool], N
 
     around = Surroundings() if surroundings is None else surroundings
     first = 0 if around.bath is None else around.bath.step
-    made = Steps(method, state, around, ForceSource(evaluation)).advance(n_steps, with_energy, first)
+    made = Steps(method, state, around, ForceSource(evaluation)).advance(
+        n_steps, with_energy, first
+    )
     if around.bath is not None:
         around.bath.step += made
     return made
 
 
-def contact(method: RowInPython, state: State, duration: float, around: Surroundings, moment: Moment
-            ) -> Iterable[Operation]:  # fmt: skip
+def contact(
+    method: RowInPython, state: State, duration: float, around: Surroundings, moment: Moment
+) -> Iterable[Operation]:
     """A contact made once, by the method's thermalize.  See Splitting.contact."""
 
     def thermalize() -> None:
         bath = Bath() if around.bath is None else around.bath
-        bath.step, bath.contact, given = moment.step, moment.contact, bath.energy
+        bath.step = moment.step
+        bath.contact = moment.contact
+        given = bath.energy
         around.project(state)
         before = kinetic_energy(state.velocities, state.masses)
         method.thermalize(state, duration, around)

@@ -26,8 +26,24 @@ from minimd.core.integrators.substeps import (
     scaled,
 )
 
-__all__ = ["PEFRL", "SE1", "SE2", "BlanesMoan4", "CandyRozmus4", "KahanLi6", "KahanLi8", "Leapfrog", "McLachlanAtela4",
-           "PositionVerlet", "Ruth3", "Suzuki4", "VelocityVerlet", "Yoshida6", "adjoint", "compose"]  # fmt: skip
+__all__ = [
+    "PEFRL",
+    "SE1",
+    "SE2",
+    "BlanesMoan4",
+    "CandyRozmus4",
+    "KahanLi6",
+    "KahanLi8",
+    "Leapfrog",
+    "McLachlanAtela4",
+    "PositionVerlet",
+    "Ruth3",
+    "Suzuki4",
+    "VelocityVerlet",
+    "Yoshida6",
+    "adjoint",
+    "compose",
+]
 
 
 class VelocityVerlet(Splitting):
@@ -113,7 +129,9 @@ def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitt
     ValueError : if there are no parts, or not as many weights as parts.
     """
     for part in parts:
-        if not isinstance(part, (Kick, Drift)) and not (isinstance(part, type) and issubclass(part, Splitting)):
+        if not isinstance(part, (Kick, Drift)) and not (
+            isinstance(part, type) and issubclass(part, Splitting)
+        ):
             kinds = "methods, such as VelocityVerlet, or flows, such as Kick(0.5)"
             raise TypeError(f"parts must be {kinds}; got {shown(part)}")
         _refuse_bath(part)
@@ -125,7 +143,9 @@ def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitt
         weights = [1.0 / n_methods if n_methods else 1.0] * len(parts)
     if len(weights) != len(parts) or not parts:
         given = f"{len(parts)} parts, {len(weights)} weights"
-        raise ValueError(f"there must be at least one part, and as many weights as parts; got {given}")
+        raise ValueError(
+            f"there must be at least one part, and as many weights as parts; got {given}"
+        )
     rows = (part.sequence() if isinstance(part, type) else (part,) for part in parts)
     sequences = [scaled(row, weight) for row, weight in zip(rows, weights, strict=True)]
     title = " ∘ ".join(part.name if isinstance(part, type) else repr(part) for part in parts)
@@ -145,12 +165,18 @@ def adjoint(method: type[Splitting]) -> type[Splitting]:
     if not (isinstance(method, type) and issubclass(method, Splitting)):
         raise TypeError(f"method must be a class, such as VelocityVerlet; method = {shown(method)}")
     _refuse_bath(method)
-    return _method(f"adjoint({method.name})", mirrored(method.sequence()), f"adjoint of {method.name}: {method.source}")
+    return _method(
+        f"adjoint({method.name})",
+        mirrored(method.sequence()),
+        f"adjoint of {method.name}: {method.source}",
+    )
 
 
 def _refuse_bath(part: Part) -> None:
     if isinstance(part, type) and part.is_thermostat:
-        raise TypeError(f"{part.name} is a thermostat: its steps can be neither inverted nor divided into fractions")
+        raise TypeError(
+            f"{part.name} is a thermostat: its steps can be neither inverted nor divided into fractions"
+        )
 
 
 def _method(name: str, substeps: Substeps, source: str) -> type[Splitting]:
@@ -177,8 +203,10 @@ class CandyRozmus4(Splitting):
     name = "candy-rozmus-4"
     _a1, _a2 = (2.0 + CBRT2 + 1.0 / CBRT2) / 6.0, (1.0 - CBRT2 - 1.0 / CBRT2) / 6.0
     substeps = alternating(Drift, palindrome((_a1, 1.0 / (2.0 - CBRT2), _a2, 1.0 / (1.0 - CBRT4))))
-    source = ("J. Candy, W. Rozmus, J. Comput. Phys. 92, 230 (1991); E. Forest, R. D. Ruth, Physica D 43, 105 (1990); "
-              "H. Yoshida, Phys. Lett. A 150, 262 (1990)")  # fmt: skip
+    source = (
+        "J. Candy, W. Rozmus, J. Comput. Phys. 92, 230 (1991); E. Forest, R. D. Ruth, Physica D 43, 105 (1990); "
+        "H. Yoshida, Phys. Lett. A 150, 262 (1990)"
+    )
 
 
 class Suzuki4(Splitting):
@@ -198,8 +226,14 @@ class McLachlanAtela4(Splitting):
     For other T(p) it has only order 3: it relies on a kinetic energy p²/2m, as it is here."""
 
     name = "mclachlan-atela-4"
-    _b1, _b2, _b3, _b4 = 0.1344961992774310892, -0.2248198030794208058, 0.7563200005156682911, 0.3340036032863214255
-    _a1, _a2, _a3, _a4 = 0.5153528374311229364, -0.085782019412973646, 0.4415830236164665242, 0.1288461583653841854
+    _b1 = 0.1344961992774310892
+    _b2 = -0.2248198030794208058
+    _b3 = 0.7563200005156682911
+    _b4 = 0.3340036032863214255
+    _a1 = 0.5153528374311229364
+    _a2 = -0.085782019412973646
+    _a3 = 0.4415830236164665242
+    _a4 = 0.1288461583653841854
     substeps = alternating(Kick, (_b1, _a1, _b2, _a2, _b3, _a3, _b4, _a4))
     source = "R. I. McLachlan, P. Atela, Nonlinearity 5, 541 (1992)"
 
@@ -210,7 +244,9 @@ class PEFRL(Splitting):
     drifts ξ, χ, 1 − 2(χ + ξ), χ, ξ;  kicks (1 − 2λ)/2, λ, λ, (1 − 2λ)/2"""
 
     name = "pefrl"
-    _xi, _lambda, _chi = 0.1786178958448091, -0.2123418310626054, -0.06626458266981849
+    _xi = 0.1786178958448091
+    _lambda = -0.2123418310626054
+    _chi = -0.06626458266981849
     _half = (_xi, (1.0 - 2.0 * _lambda) / 2.0, _chi, _lambda, 1.0 - 2.0 * (_chi + _xi))
     substeps = alternating(Drift, palindrome(_half))
     source = "I. P. Omelyan, I. M. Mryglod, R. Folk, Comput. Phys. Commun. 146, 188 (2002)"
@@ -235,7 +271,9 @@ class Yoshida6(Splitting):
 
     name = "yoshida-6"
     _w3, _w2, _w1 = 0.78451361047755726382, 0.23557321335935813368, -1.17767998417887100695
-    substeps = repeated(VelocityVerlet.substeps, palindrome((_w3, _w2, _w1, 1.0 - 2.0 * (_w1 + _w2 + _w3))))
+    substeps = repeated(
+        VelocityVerlet.substeps, palindrome((_w3, _w2, _w1, 1.0 - 2.0 * (_w1 + _w2 + _w3)))
+    )
     source = "H. Yoshida, Phys. Lett. A 150, 262 (1990), table 1, solution A"
 
 
@@ -243,8 +281,13 @@ class KahanLi6(Splitting):
     """Kahan and Li's s9odr6a: order 6 from nine steps of velocity Verlet, smaller errors than with seven."""
 
     name = "kahan-li-6"
-    _w = (0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981,
-          0.08221359629355080023, 0.79854399093482996340)  # fmt: skip
+    _w = (
+        0.39216144400731413928,
+        0.33259913678935943860,
+        -0.70624617255763935981,
+        0.08221359629355080023,
+        0.79854399093482996340,
+    )
     substeps = repeated(VelocityVerlet.substeps, palindrome(_w))
     source = "W. Kahan, R.-C. Li, Math. Comput. 66, 1089 (1997), s9odr6a"
 
@@ -253,8 +296,16 @@ class KahanLi8(Splitting):
     """Kahan and Li's s17odr8a: order 8 from seventeen steps of velocity Verlet."""
 
     name = "kahan-li-8"
-    _w = (0.13020248308889008088, 0.56116298177510838456, -0.38947496264484728641,
-          0.15884190655515560090, -0.39590389413323757734, 0.18453964097831570709,
-          0.25837438768632204729, 0.29501172360931029887, -0.60550853383003451170)  # fmt: skip
+    _w = (
+        0.13020248308889008088,
+        0.56116298177510838456,
+        -0.38947496264484728641,
+        0.15884190655515560090,
+        -0.39590389413323757734,
+        0.18453964097831570709,
+        0.25837438768632204729,
+        0.29501172360931029887,
+        -0.60550853383003451170,
+    )
     substeps = repeated(VelocityVerlet.substeps, palindrome(_w))
     source = "W. Kahan, R.-C. Li, Math. Comput. 66, 1089 (1997), s17odr8a"

@@ -77,10 +77,20 @@ class Splitting(Method):
     @classmethod
     def order_on(cls, problem: Problem) -> int:
         """See Method."""
-        return problem.sequence_order(cls.sequence()) if hasattr(problem, "sequence_order") else cls.order
+        return (
+            problem.sequence_order(cls.sequence())
+            if hasattr(problem, "sequence_order")
+            else cls.order
+        )
 
-    def advance(self, state: State, compute_forces: Callable[[State, bool], None], n_steps: int,
-                with_energy: bool = True, surroundings: Surroundings | None = None) -> int:  # fmt: skip
+    def advance(
+        self,
+        state: State,
+        compute_forces: Callable[[State, bool], None],
+        n_steps: int,
+        with_energy: bool = True,
+        surroundings: Surroundings | None = None,
+    ) -> int:
         """Make n_steps steps, or fewer (at least one) if surroundings.stop_requested becomes true;
         return how many were made.
 
@@ -92,11 +102,14 @@ class Splitting(Method):
         ConstraintError : if a constrained length cannot be kept.  ValueError : from a thermostat without a bath.
         """
 
-        from minimd.core.integrators import python_steps  # Numba is slow to load, and who names a method needs none
+        # Numba is slow to load, and who names a method needs none
+        from minimd.core.integrators import python_steps
 
         return python_steps.advance(self, state, compute_forces, n_steps, with_energy, surroundings)
 
-    def contact(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterable[Operation]:
+    def contact(
+        self, state: State, duration: float, around: Surroundings, moment: Moment
+    ) -> Iterable[Operation]:
         """Contact with the bath over a duration, at a moment: the operations of a substep Thermalize."""
 
         from minimd.core.integrators import python_steps

@@ -127,7 +127,9 @@ class Place:
     """A number that is an element of an array, which kernels read.  array : its name.  kind : of the number."""
 
     def __init__(self, array: str, index: int, kind: type) -> None:
-        self._array, self._index, self._kind = array, index, kind
+        self._array = array
+        self._index = index
+        self._kind = kind
 
     def __get__(self, instance: Any, _owner: type) -> Any:
         return self if instance is None else self._kind(getattr(instance, self._array)[self._index])
@@ -145,11 +147,18 @@ class Bath:
     energy : given to the system since the start, the reservoir energy [energy].
     heat, thermal : (1,) energy, and (2,) int, n_dof and conserves_momentum, for kernels."""
 
-    n_dof, conserves_momentum, energy = Place("thermal", 0, int), Place("thermal", 1, bool), Place("heat", 0, float)
+    n_dof = Place("thermal", 0, int)
+    conserves_momentum = Place("thermal", 1, bool)
+    energy = Place("heat", 0, float)
 
-    def __init__(self, k_B: float = 1.0, n_dof: int = 0, conserves_momentum: bool = False, step: int = 0) -> None:
-        self.k_B, self.step, self.contact = k_B, step, 0
-        self.heat, self.thermal = np.zeros(1), np.array([n_dof, conserves_momentum], dtype=np.int64)
+    def __init__(
+        self, k_B: float = 1.0, n_dof: int = 0, conserves_momentum: bool = False, step: int = 0
+    ) -> None:
+        self.k_B = k_B
+        self.step = step
+        self.contact = 0
+        self.heat = np.zeros(1)
+        self.thermal = np.array([n_dof, conserves_momentum], dtype=np.int64)
 
 
 @dataclass

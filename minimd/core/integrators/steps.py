@@ -20,7 +20,16 @@ from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import DirectCalls, called_kernel
-from minimd.core.compiled.program import BREATHE, GO_ON, JUMP, Operation, Program, in_python, n_chunks_of, operation
+from minimd.core.compiled.program import (
+    BREATHE,
+    GO_ON,
+    JUMP,
+    Operation,
+    Program,
+    in_python,
+    n_chunks_of,
+    operation,
+)
 from minimd.core.compiled.threads import ThreadPool, thread_pool
 from minimd.core.integrators.flows import DRIFT, KICK, Moving, move_atoms
 from minimd.core.integrators.state import GridState, State, Surroundings
@@ -69,7 +78,9 @@ class Row(Protocol):
     timestep: float
     substeps: ClassVar[Any]
 
-    def contact(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterable[Operation]:
+    def contact(
+        self, state: State, duration: float, around: Surroundings, moment: Moment
+    ) -> Iterable[Operation]:
         """The operations of a contact with a bath."""
 
 
@@ -138,17 +149,27 @@ def unit_of(row: Substeps, one: Kick | Drift) -> float:
 def first_unit(method: Row) -> float:
     """Of the first kick of a step [time]."""
     row = merged(method.substeps)
-    return unit_of(row, next((one for one in row if isinstance(one, Kick)), Kick(1.0))) * method.timestep
+    return (
+        unit_of(row, next((one for one in row if isinstance(one, Kick)), Kick(1.0)))
+        * method.timestep
+    )
 
 
 class Steps:
     """The steps of a method on a state.  around : Surroundings.  forces : Evaluation."""
 
-    def __init__(self, method: Row, state: State, around: Surroundings, forces: ForceSource) -> None:
+    def __init__(
+        self, method: Row, state: State, around: Surroundings, forces: ForceSource
+    ) -> None:
         if not all(part.flags.carray for part in (state.positions, state.velocities, state.pushes)):
-            raise ValueError("positions, velocities and forces of a State must be contiguous arrays that can be "
-                             "written")  # fmt: skip
-        self._method, self._state, self._around, self._forces = method, state, around, forces
+            raise ValueError(
+                "positions, velocities and forces of a State must be contiguous arrays that can be "
+                "written"
+            )
+        self._method = method
+        self._state = state
+        self._around = around
+        self._forces = forces
         self.counts, self._calls = np.zeros(5, dtype=np.int64), DirectCalls()
         self._counting, self._row = StepCounting(self.counts), merged(method.substeps)
         self._first_unit = first_unit(method)
@@ -162,11 +183,17 @@ class Steps:
         first : number of the first of them."""
         if n_steps <= 0:
             return 0
-        state, last, unit = self._state, self._last, self._first_unit
-        if isinstance(state, GridState) and state.unit != unit:  # impulses over another time are none for these kicks
-            state.forces_are_current, state.unit = False, unit
+        state = self._state
+        last = self._last
+        unit = self._first_unit
+        # impulses over another time are none for these kicks
+        if isinstance(state, GridState) and state.unit != unit:
+            state.forces_are_current = False
+            state.unit = unit
         self.counts[:UNTIL_BREATH] = 0, 1 if self._around.stop_requested else n_steps, first
-        needs_forces = not state.forces_are_current and any(isinstance(one, Kick) for one in self._head)
+        needs_forces = not state.forces_are_current and any(
+            isinstance(one, Kick) for one in self._head
+        )
         with_energy &= isinstance(last, Force)
         program = self._program(needs_forces, with_energy)
         state.forces_are_current = False
@@ -192,7 +219,9 @@ class Steps:
         row: list[Event] = list(self._method.substeps)
         if self._around.constraints is not None and not isinstance(row[-1], Thermalize):
             row.append(Projection())
-        unit, is_current, events = 0.0, False, list[Event]()
+        unit = 0.0
+        is_current = False
+        events = list[Event]()
         for _ in range(2):  # the second time the first kick may have the forces of the step before
             events.clear()
             for one in row:
@@ -200,7 +229,8 @@ class Steps:
                     own = unit_of(self._row, one)
                     if not is_current or (own != unit and isinstance(self._state, GridState)):
                         events.append(Force(own))
-                    unit, is_current = own, True
+                    unit = own
+                    is_current = True
                 is_current &= not isinstance(one, Drift)
                 events.append(one)
         n = next((k for k, one in enumerate(events) if isinstance(one, Force)), len(events))
@@ -210,22 +240,31 @@ class Steps:
         """See _operations."""
         key = needs_forces, with_energy
         if key not in self._programs:
-            self._programs[key] = Program(partial(self._operations, *key), self._forces.version, self._forces.pool())
+            self._programs[key] = Program(
+                partial(self._operations, *key), self._forces.version, self._forces.pool()
+            )
         return self._programs[key]
 
     def _operations(self, needs_forces: bool, with_energy: bool) -> Iterator[Operation]:
         """Head, loop, and the rest of the last step.  needs_forces : whether the first kick needs new forces.
         with_energy : whether the last forces come with the energy."""
-        start, in_rest, rest, head = Moment(self.counts), Moment(self.counts, -1), self._rest, self._head
+        start = Moment(self.counts)
+        in_rest = Moment(self.counts, -1)
+        rest = self._rest
+        head = self._head
         for one in head:
             in_rest = in_rest.after(one)
         first = next((k for k, one in enumerate(head) if isinstance(one, Kick)), 0)
         new = (Force(unit_of(self._row, head[first])),) if needs_forces else ()  # type: ignore[arg-type]
         again = list(self._made_of((*rest, Beginning(), *head), in_rest))
         is_slow = any(one.code == 0 for one in again)  # there may be much time in a call of Python
-        self.counts[UNTIL_BREATH:] = 1 if is_slow else max(1, ATOM_STEPS // max(1, len(self._state.positions)))
+        self.counts[UNTIL_BREATH:] = (
+            1 if is_slow else max(1, ATOM_STEPS // max(1, len(self._state.positions)))
+        )
         yield from self._made_of((*head[:first], *new, *head[first:]), start)
-        yield operation(self._calls, count_step, self._counting, otherwise=1 + len(again), python=self._breathe)
+        yield operation(
+            self._calls, count_step, self._counting, otherwise=1 + len(again), python=self._breathe
+        )
         yield from again[:-1]
         yield again[-1]._replace(then=-len(again))
         if with_energy:
@@ -240,12 +279,17 @@ class Steps:
 
     def _made_of(self, events: Events, moment: Moment) -> Iterator[Operation]:
         """The operations of events, from a moment on; kicks and drifts in a row are one of them."""
-        state, around, forces, timestep = self._state, self._around, self._forces, self._method.timestep
+        state = self._state
+        around = self._around
+        forces = self._forces
+        timestep = self._method.timestep
         flows: list[tuple[float, float, float]] = []
         for one in events:
             if isinstance(one, Kick) or (isinstance(one, Drift) and around.constraints is None):
                 unit = unit_of(self._row, one) * timestep
-                flows.append((KICK if isinstance(one, Kick) else DRIFT, one.coefficient * timestep, unit))
+                flows.append(
+                    (KICK if isinstance(one, Kick) else DRIFT, one.coefficient * timestep, unit)
+                )
             elif flows and not isinstance(one, Beginning):
                 yield self._passed(flows)
                 flows = []
@@ -259,7 +303,9 @@ class Steps:
                 if isinstance(state, GridState):
                     yield in_python(partial(around.drift, state, one.coefficient * timestep))
                 else:
-                    yield from around.constraints.drifts(state.positions, state.velocities, one.coefficient * timestep)
+                    yield from around.constraints.drifts(
+                        state.positions, state.velocities, one.coefficient * timestep
+                    )
             elif isinstance(one, Projection):
                 yield from projected(state, around)
             elif isinstance(one, Thermalize):
@@ -270,10 +316,13 @@ class Steps:
 
     def _passed(self, flows: list[tuple[float, float, float]]) -> Operation:
         """Kicks and drifts in one pass over memory."""
-        state, n_chunks = self._state, n_chunks_of(len(self._state.positions))
+        state = self._state
+        n_chunks = n_chunks_of(len(self._state.positions))
         r, v, f = (part.reshape(-1) for part in (state.positions, state.velocities, state.pushes))
         are_alike = int((state.inverse_masses == state.inverse_masses[0]).all())
-        moving = Moving(r, v, f, state.inverse_masses, np.array(flows), state.steps, n_chunks, are_alike)
+        moving = Moving(
+            r, v, f, state.inverse_masses, np.array(flows), state.steps, n_chunks, are_alike
+        )
         return operation(self._calls, move_atoms, moving, n_chunks, python=self._check_range)
 
     def _check_range(self, _answer: int) -> None:

@@ -69,7 +69,9 @@ def mirrored(substeps: Substeps) -> Substeps:
 def alternating(kind: type[Substep], coefficients: Iterable[float]) -> Substeps:
     """Kicks and drifts in turn, beginning with one kind."""
     other = Drift if kind is Kick else Kick
-    return tuple((other if k % 2 else kind)(coefficient) for k, coefficient in enumerate(coefficients))
+    return tuple(
+        (other if k % 2 else kind)(coefficient) for k, coefficient in enumerate(coefficients)
+    )
 
 
 def palindrome(half: Sequence[float]) -> tuple[float, ...]:
@@ -81,7 +83,9 @@ def are_alike(one: Substeps, other: Substeps) -> bool:
     """Whether two sequences are equal, to rounding."""
     return len(one) == len(other) and all(
         type(a) is type(b)
-        and isclose(a.coefficient, b.coefficient, rel_tol=COEFFICIENT_ROUNDING, abs_tol=COEFFICIENT_ROUNDING)
+        and isclose(
+            a.coefficient, b.coefficient, rel_tol=COEFFICIENT_ROUNDING, abs_tol=COEFFICIENT_ROUNDING
+        )
         for a, b in zip(one, other, strict=True)
     )
 

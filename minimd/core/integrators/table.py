@@ -5,5 +5,6 @@ from minimd.core.integrators.method import methods_of
 
 __all__ = ["SPLITTINGS", "THERMOSTATS"]
 
-SPLITTINGS, THERMOSTATS = methods_of(rows), methods_of(thermostats)
+SPLITTINGS = methods_of(rows)
+THERMOSTATS = methods_of(thermostats)
 METHODS = {**SPLITTINGS, **THERMOSTATS}

@@ -17,7 +17,13 @@ import numpy as np
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.fixed_point import in_steps, is_fixed, on_grid
 from minimd.core.compiled.kernels import DirectCalls, by_type, called_kernel, filling_kernel, scalar
-from minimd.core.compiled.normal_numbers import new_stream, normal, start_stream, sum_of_squares, three_normals
+from minimd.core.compiled.normal_numbers import (
+    new_stream,
+    normal,
+    start_stream,
+    sum_of_squares,
+    three_normals,
+)
 from minimd.core.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation
 from minimd.core.compiled.threads import thread_pool
 from minimd.core.integrators.flows import mixed, momentum_in_steps, velocity_of
@@ -31,7 +37,8 @@ from minimd.core.structure.observables import AT_REST, SEEDS, kinetic_energy_of
 
 __all__ = ["LangevinBAOAB", "StochasticVelocityRescaling"]
 
-STEPS = 2**64  # numbers of steps are taken modulo this; those of an equilibration, before step 0, are negative
+# numbers of steps are taken modulo this; those of an equilibration, before step 0, are negative
+STEPS = 2**64
 CALLS = {False: DirectCalls(), True: DirectCalls()}  # by whether there is a grid
 
 
@@ -67,12 +74,16 @@ class Thermostat(Splitting):
     def __init__(self, timestep: float, temperature: float, seed: int) -> None:
         super().__init__(timestep)
         if self.timestep < 0.0:
-            raise ValueError(f"time cannot run backwards with a thermostat; timestep = {timestep!r}")
+            raise ValueError(
+                f"time cannot run backwards with a thermostat; timestep = {timestep!r}"
+            )
         self.temperature = checked_number("temperature", temperature, "finite and not negative")
         self.seed = checked_count("seed", seed, 0, SEEDS)
 
     @classmethod
-    def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
+    def with_relaxation_time(
+        cls, timestep: float, temperature: float, relaxation_time: float, seed: int
+    ) -> Self:
         """The thermostat with this relaxation time, τ > 0 [time]; scene files know no other parameter.
         Other arguments : see Thermostat."""
         why = f"{cls.name} cannot be used in a scene, because it has no with_relaxation_time"
@@ -85,7 +96,9 @@ class Thermostat(Splitting):
             f"{cls.name} cannot solve a bare problem, which has no unit of temperature; use it in a Simulation"
         )
 
-    def contact(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
+    def contact(
+        self, state: State, duration: float, around: Surroundings, moment: Moment
+    ) -> Iterator[Operation]:
         """See Splitting; a derived class that has another thermalize is asked for that."""
         if type(self).thermalize is Thermostat.thermalize:
             yield from self.touch(state, duration, around, moment)
@@ -96,7 +109,9 @@ class Thermostat(Splitting):
         """The operations of touch, at once."""
         bath = bath_of(around)
         moment = Moment(np.array([0, 0, bath.step]), contact=bath.contact)
-        Program(lambda: self.touch(state, duration, around, moment), lambda: 0, thread_pool(1)).run()
+        Program(
+            lambda: self.touch(state, duration, around, moment), lambda: 0, thread_pool(1)
+        ).run()
         bath.contact += 1
 
     def noise_at(self, moment: Moment) -> "Noise":
@@ -104,7 +119,9 @@ class Thermostat(Splitting):
         key = np.array([self.seed % 2**64, self.seed >> 64], dtype=np.uint64)
         return Noise(key, moment.counts, moment.begun, moment.contact)
 
-    def touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
+    def touch(
+        self, state: State, duration: float, around: Surroundings, moment: Moment
+    ) -> Iterator[Operation]:
         """The operations of a contact with the bath over a duration."""
         raise NotImplementedError(f"{self.name} has neither touch nor thermalize")
 
@@ -148,20 +165,29 @@ class LangevinBAOAB(Thermostat):
         self.friction = checked_number("friction", friction, "finite and not negative")
 
     @classmethod
-    def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
+    def with_relaxation_time(
+        cls, timestep: float, temperature: float, relaxation_time: float, seed: int
+    ) -> Self:
         """See Thermostat; γ = 1/τ."""
         tau = checked_number("relaxation_time", relaxation_time, "positive and finite", SHORTEST)
         return cls(timestep, temperature, 1.0 / tau, seed)
 
-    def touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
+    def touch(
+        self, state: State, duration: float, around: Surroundings, moment: Moment
+    ) -> Iterator[Operation]:
         """The Ornstein-Uhlenbeck process over a duration, between two projections onto the constraints.
 
         The noise of an atom depends on seed, step, contact and the number of the atom."""
-        bath, n_chunks, is_held = bath_of(around), n_chunks_of(len(state.velocities)), around.constraints is not None
+        bath = bath_of(around)
+        n_chunks = n_chunks_of(len(state.velocities))
+        is_held = around.constraints is not None
         kept = exp(-self.friction * duration)
         spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
-        atoms, noise = (state.velocities, state.inverse_masses, state.masses), self.noise_at(moment)
-        touch = Touch(*atoms, kept, spread, noise, np.zeros(n_chunks), bath.heat, int(is_held), state.steps)
+        atoms = (state.velocities, state.inverse_masses, state.masses)
+        noise = self.noise_at(moment)
+        touch = Touch(
+            *atoms, kept, spread, noise, np.zeros(n_chunks), bath.heat, int(is_held), state.steps
+        )
         calls = CALLS[bool(state.steps)]
         yield from projected(state, around)
         yield operation(calls, touch_atoms, touch, n_chunks)
@@ -171,8 +197,12 @@ class LangevinBAOAB(Thermostat):
         yield operation(calls, count_heat, touch)
 
 
-class Touch(ByAddress, namedtuple("Touch", "velocities inverse_masses masses kept spread noise parts heat is_held "
-                                  "steps")):  # fmt: skip
+class Touch(
+    ByAddress,
+    namedtuple(
+        "Touch", "velocities inverse_masses masses kept spread noise parts heat is_held steps"
+    ),
+):
     """The contact of atoms with a bath, see LangevinBAOAB.
     velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
     kept, spread : e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy].  noise : Noise.
@@ -183,8 +213,13 @@ class Touch(ByAddress, namedtuple("Touch", "velocities inverse_masses masses kep
 @filling_kernel
 def touch_atoms(touch, chunk):
     """v ← kept · v + spread √(1/m) ξ."""
-    velocities, masses, n_chunks = touch.velocities, touch.masses, touch.parts.size
-    n, stream, noise, given = masses.size, new_stream(touch.noise.key), touch.noise, 0.0
+    velocities = touch.velocities
+    masses = touch.masses
+    n_chunks = touch.parts.size
+    n = masses.size
+    stream = new_stream(touch.noise.key)
+    noise = touch.noise
+    given = 0.0
     step = step_of(noise)
     for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
         if touch.inverse_masses[i] > 0.0:
@@ -202,7 +237,8 @@ def touch_atoms(touch, chunk):
 @called_kernel
 def add_kinetic(touch, chunk):
     """The heat of a chunk += its kinetic energy now."""
-    n, n_chunks = touch.masses.size, touch.parts.size
+    n = touch.masses.size
+    n_chunks = touch.parts.size
     for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
         touch.parts[chunk] += kinetic_energy_at(touch.velocities, touch.masses, i, touch.steps)
     return GO_ON
@@ -221,7 +257,9 @@ def count_heat(touch, _chunk):
 @scalar
 def kinetic_energy_at(velocities, masses, i, steps):
     """½ m v² of atom i [energy]; on a grid rounded to it."""
-    return in_steps(kinetic_energy_of(masses[i], velocities[i, 0], velocities[i, 1], velocities[i, 2]), steps)
+    return in_steps(
+        kinetic_energy_of(masses[i], velocities[i, 0], velocities[i, 1], velocities[i, 2]), steps
+    )
 
 
 @by_type
@@ -267,29 +305,52 @@ class StochasticVelocityRescaling(Thermostat):
     substeps = (Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(1.0))
     source = "G. Bussi, D. Donadio, M. Parrinello, J. Chem. Phys. 126, 014101 (2007)"
 
-    def __init__(self, timestep: float, temperature: float, relaxation_time: float, seed: int) -> None:
+    def __init__(
+        self, timestep: float, temperature: float, relaxation_time: float, seed: int
+    ) -> None:
         super().__init__(timestep, temperature, seed)
-        self.relaxation_time = checked_number("relaxation_time", relaxation_time, "positive and finite", SHORTEST)
+        self.relaxation_time = checked_number(
+            "relaxation_time", relaxation_time, "positive and finite", SHORTEST
+        )
 
     @classmethod
-    def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
+    def with_relaxation_time(
+        cls, timestep: float, temperature: float, relaxation_time: float, seed: int
+    ) -> Self:
         """See Thermostat."""
         return cls(timestep, temperature, relaxation_time, seed)
 
-    def touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
+    def touch(
+        self, state: State, duration: float, around: Surroundings, moment: Moment
+    ) -> Iterator[Operation]:
         """The exact change of the kinetic energy over a duration."""
-        bath, n_chunks, calls = bath_of(around), n_chunks_of(len(state.velocities)), CALLS[bool(state.steps)]
-        numbers = exp(-duration / self.relaxation_time), bath.k_B * self.temperature, float(state.masses.sum())
-        atoms, memory = (state.velocities, state.inverse_masses, state.masses), (np.zeros((n_chunks, 4)), np.zeros(4))
-        rescaling = Rescaling(*atoms, *numbers, bath.thermal, self.noise_at(moment), *memory, bath.heat, state.steps)
+        bath = bath_of(around)
+        n_chunks = n_chunks_of(len(state.velocities))
+        calls = CALLS[bool(state.steps)]
+        numbers = (
+            exp(-duration / self.relaxation_time),
+            bath.k_B * self.temperature,
+            float(state.masses.sum()),
+        )
+        atoms = (state.velocities, state.inverse_masses, state.masses)
+        memory = (np.zeros((n_chunks, 4)), np.zeros(4))
+        rescaling = Rescaling(
+            *atoms, *numbers, bath.thermal, self.noise_at(moment), *memory, bath.heat, state.steps
+        )
         yield from projected(state, around)
         yield operation(calls, sum_motion, rescaling, n_chunks)
         yield operation(calls, draw_scale, rescaling)
         yield operation(calls, rescale_atoms, rescaling, n_chunks)
 
 
-class Rescaling(ByAddress, namedtuple("Rescaling", "velocities inverse_masses masses kept thermal_energy mass "
-                                      "thermal noise parts motion heat steps")):  # fmt: skip
+class Rescaling(
+    ByAddress,
+    namedtuple(
+        "Rescaling",
+        "velocities inverse_masses masses kept thermal_energy mass "
+        "thermal noise parts motion heat steps",
+    ),
+):
     """The contact of all atoms with a bath, see StochasticVelocityRescaling.
     velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
     kept : e^(−Δt/τ).  thermal_energy : k_B T [energy].  mass : of all atoms.  thermal : of Bath.  noise : Noise.
@@ -300,11 +361,15 @@ class Rescaling(ByAddress, namedtuple("Rescaling", "velocities inverse_masses ma
 @called_kernel
 def sum_motion(rescaling, chunk):
     """Momentum and kinetic energy of a chunk."""
-    v, masses, steps, n_chunks = rescaling.velocities, rescaling.masses, rescaling.steps, rescaling.parts.shape[0]
+    v = rescaling.velocities
+    masses = rescaling.masses
+    steps = rescaling.steps
+    n_chunks = rescaling.parts.shape[0]
     x = y = z = energy = 0.0
     for i in range(chunk * masses.size // n_chunks, (chunk + 1) * masses.size // n_chunks):
         x, y = x + on_steps(masses[i] * v[i, 0], steps), y + on_steps(masses[i] * v[i, 1], steps)
-        z, energy = z + on_steps(masses[i] * v[i, 2], steps), energy + kinetic_energy_at(v, masses, i, steps)
+        z = z + on_steps(masses[i] * v[i, 2], steps)
+        energy = energy + kinetic_energy_at(v, masses, i, steps)
     for c, part in enumerate((x, y, z, energy)):
         rescaling.parts[chunk, c] = part
     return GO_ON
@@ -313,7 +378,9 @@ def sum_motion(rescaling, chunk):
 @filling_kernel
 def draw_scale(rescaling, _chunk):
     """V, and the factor for the velocities relative to it; and the heat."""
-    (n_dof, leaves_out_center), motion, kept = rescaling.thermal, rescaling.motion, rescaling.kept
+    n_dof, leaves_out_center = rescaling.thermal
+    motion = rescaling.motion
+    kept = rescaling.kept
     for c in range(4):
         motion[c] = 0.0
         for part in rescaling.parts[:, c]:
@@ -339,7 +406,10 @@ def draw_scale(rescaling, _chunk):
 @called_kernel
 def rescale_atoms(rescaling, chunk):
     """velocities = V + scale · (velocities − V)."""
-    v, motion, n, n_chunks = rescaling.velocities, rescaling.motion, rescaling.masses.size, rescaling.parts.shape[0]
+    v = rescaling.velocities
+    motion = rescaling.motion
+    n = rescaling.masses.size
+    n_chunks = rescaling.parts.shape[0]
     scale = motion[3]
     for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks if scale != 1.0 else 0):
         for c in range(3):

@@ -162,7 +162,9 @@ def minimized(
     evaluated = forces.n_evaluations
     energy_before = _potential_energy(forces)
     constraint_set.fit(system)
-    descent = Descent(forces, constraint_set.with_equal_masses(system), max_step_length, tolerance, max_steps)
+    descent = Descent(
+        forces, constraint_set.with_equal_masses(system), max_step_length, tolerance, max_steps
+    )
     with progress_of(max_steps, "minimizing", progress) as tell, stop_on_signals(descent):
         largest_before = descent.run(tell)
         constraint_set.project(system.velocities, system.positions)
@@ -193,7 +195,9 @@ def overlap(first, second):
     """Σ a·b of two (N, 3) arrays."""
     total = 0.0
     for i in range(first.shape[0]):
-        total += first[i, 0] * second[i, 0] + first[i, 1] * second[i, 1] + first[i, 2] * second[i, 2]
+        total += (
+            first[i, 0] * second[i, 0] + first[i, 1] * second[i, 1] + first[i, 2] * second[i, 2]
+        )
     return total
 
 
@@ -203,7 +207,8 @@ def steer(velocities, forces, timestep, mixing, most):
 
     v, F : (N, 3).
     """
-    v2, f2 = 0.0, 0.0
+    v2 = 0.0
+    f2 = 0.0
     for i in range(velocities.shape[0]):
         for c in range(3):
             velocities[i, c] += timestep * forces[i, c]
@@ -228,7 +233,12 @@ class Descent:
     """
 
     def __init__(
-        self, forces: Forces, constraint_set: ConstraintSet, longest_step: float, tolerance: float, max_steps: int
+        self,
+        forces: Forces,
+        constraint_set: ConstraintSet,
+        longest_step: float,
+        tolerance: float,
+        max_steps: int,
     ) -> None:
         self._engine = forces
         self._constraint_set = constraint_set
@@ -242,7 +252,10 @@ class Descent:
         self._velocities = np.zeros_like(self._positions)
         self._probe = np.random.default_rng(SEED).standard_normal(self._positions.shape)
         # minimd's own laws have no finite force where they have no energy
-        own = (isinstance(one, OwnPotential) and not is_user_law(getattr(one, "law", ())) for one in forces.potentials)
+        own = (
+            isinstance(one, OwnPotential) and not is_user_law(getattr(one, "law", ()))
+            for one in forces.potentials
+        )
         self._detail = FORCES if all(own) else TOTALS
         self.n_steps = 0
         self.largest_force = np.inf
@@ -271,7 +284,11 @@ class Descent:
         return before
 
     def _goes_on(self) -> bool:
-        return self.largest_force > self._tolerance and self.n_steps < self._max_steps and not self.stop_requested
+        return (
+            self.largest_force > self._tolerance
+            and self.n_steps < self._max_steps
+            and not self.stop_requested
+        )
 
     def _steepest(self, tell: Callable[[int], Any]) -> None:
         """Steepest descent, as long as the largest force decreases; its atom moves by the longest step."""
@@ -331,7 +348,10 @@ class Descent:
             self._positions[:] = before
             self._velocities[:] = 0.0
             if refused > REFUSALS:
-                kinds = (ConstraintError, "keeps the constraints"), (NonFiniteError, "leads to a finite energy")
+                kinds = (
+                    (ConstraintError, "keeps the constraints"),
+                    (NonFiniteError, "leads to a finite energy"),
+                )
                 kind, wanted = kinds[has_moved]
                 raise kind(
                     f"the minimization found no step that {wanted}, down to one of "
@@ -386,7 +406,9 @@ class Descent:
         except RangeError:
             return False
         largest = max(forces.max(), -forces.min())
-        if not np.isfinite(largest) or (self._engine.has_energy and not np.isfinite(self._engine.potential_energy)):
+        if not np.isfinite(largest) or (
+            self._engine.has_energy and not np.isfinite(self._engine.potential_energy)
+        ):
             return False
         self._forces[:] = self._engine.forces * min(1.0, LARGEST / max(largest, 1.0))
         self._constraint_set.project(self._forces, self._positions)
@@ -404,7 +426,12 @@ class Descent:
         positions = self._positions
         cell = self._system.cell
         words = "energy or forces are not finite: "
-        if pair is None or pair.distance > self._longest or n_pushes > PUSHES or not np.isfinite(positions).all():
+        if (
+            pair is None
+            or pair.distance > self._longest
+            or n_pushes > PUSHES
+            or not np.isfinite(positions).all()
+        ):
             raise NonFiniteError(words + why_not_finite(self._system, self._engine.potentials))
         arm = nearest_vectors(positions, cell, np.array([pair[:2]]))[0]
         velocities = np.zeros_like(positions)
@@ -412,7 +439,9 @@ class Descent:
             arm /= np.abs(arm).max()  # squares of tiny numbers may be zero
             velocities[[pair.first, pair.second]] = -arm, arm
         else:
-            _, place, n_there = np.unique(cell.wrapped(positions), axis=0, return_inverse=True, return_counts=True)
+            _, place, n_there = np.unique(
+                cell.wrapped(positions), axis=0, return_inverse=True, return_counts=True
+            )
             shared = np.union1d(pair[:2], np.flatnonzero(n_there[place.ravel()] > 1))
             velocities[shared] = self._probe[shared]
         velocities /= longest(velocities)[1]

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-SPARE = 1.05  # room for this much more than was asked for: from build to build of a liquid sizes change by less
+# room for this much more than was asked for: from build to build of a liquid sizes change by less
+SPARE = 1.05
 CACHE_LINE = 64  # bytes; vectors that straddle two cost twice
 # bytes
 PAGE = 4096
@@ -31,7 +32,9 @@ class Buffers:
     def __init__(self) -> None:
         self._all: dict[str, NDArray[Any]] = {}
 
-    def array(self, name: str, dtype: type, n: int, *more: int, in_page: int = 0, spare: float = SPARE) -> NDArray[Any]:
+    def array(
+        self, name: str, dtype: type, n: int, *more: int, in_page: int = 0, spare: float = SPARE
+    ) -> NDArray[Any]:
         """An array of shape (n, *more); the next one of the same name takes its place.
         in_page : where in a page it begins, a multiple of 64.  spare : memory in units of what was asked for, at first.
         """
@@ -53,8 +56,13 @@ class Buffers:
         found = list[list[NDArray[Any]]]()
         for fields in uses:
             starts = accumulate((_padded(*field) for field in fields), initial=0)
-            each = [(start, start + _bytes(*field), *field) for start, field in zip(starts, fields, strict=False)]
-            found.append([piece[start:end].view(dtype).reshape(shape) for start, end, dtype, shape in each])
+            each = [
+                (start, start + _bytes(*field), *field)
+                for start, field in zip(starts, fields, strict=False)
+            ]
+            found.append(
+                [piece[start:end].view(dtype).reshape(shape) for start, end, dtype, shape in each]
+            )
         return found
 
 

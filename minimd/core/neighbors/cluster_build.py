@@ -11,15 +11,35 @@ from minimd.core.compiled.program import GO_ON, JUMP, NEEDS_ROOM, NOT_FINITE
 from minimd.core.compiled.simd import bits_from_mask
 from minimd.core.compiled.simd.vector import count, gathered, loaded
 from minimd.core.neighbors.cluster_memory import place
-from minimd.core.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, exclude, find_rows, make_work
+from minimd.core.neighbors.cluster_search import (
+    BUILDS,
+    IN_USE,
+    LAYERS,
+    exclude,
+    find_rows,
+    make_work,
+)
 from minimd.core.neighbors.clusters import DIMENSIONS, columns_fit, fill_column
-from minimd.core.neighbors.domains import BLOCKS, GHOSTS, cut_into_domains, fill_ghosts, fill_shifts, sort_ghosts
+from minimd.core.neighbors.domains import (
+    BLOCKS,
+    GHOSTS,
+    cut_into_domains,
+    fill_ghosts,
+    fill_shifts,
+    sort_ghosts,
+)
 from minimd.core.neighbors.search import counting_sort
 from minimd.core.neighbors.verlet_list import count_not_finite
 
 
-class Building(ByAddress, namedtuple("Building", "positions arrays binned layout n_blocks n_chunks goes_along "
-                                     "entry_start needed excluded slot_of images")):  # fmt: skip
+class Building(
+    ByAddress,
+    namedtuple(
+        "Building",
+        "positions arrays binned layout n_blocks n_chunks goes_along "
+        "entry_start needed excluded slot_of images",
+    ),
+):
     """What the operations work on.
     positions : (N, 3) [length].  Outputs: arrays : ClusterArrays, binned : Binned, and layout : Layout but its columns.
     n_blocks : of forces, as there is room.  n_chunks : of columns.  goes_along : see cut_into_domains.
@@ -34,16 +54,23 @@ def place_atoms(building, domain):
     """Positions of the atoms of a domain to all their ghosts; memory.layers[domain] = how many layers of the rows are
     needed, LAYERS + 1 if the list is no longer valid, as for a position that is not a number."""
     arrays = building.arrays
-    clusters, rows, n_lanes = arrays.clusters, arrays.rows, count(arrays.clusters.lanes)
+    clusters = arrays.clusters
+    rows = arrays.rows
+    n_lanes = count(arrays.clusters.lanes)
     n_layers = 1
     if rows.layers[IN_USE] == 0:  # there is no list
         return GO_ON
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
         at = gathered(building.positions, clusters.atom, k * n_lanes, clusters.lanes)
-        was = loaded(clusters.positions, np.uintp(k) * np.uintp(DIMENSIONS * n_lanes), clusters.lanes)
+        was = loaded(
+            clusters.positions, np.uintp(k) * np.uintp(DIMENSIONS * n_lanes), clusters.lanes
+        )
         dx, dy, dz = at[0] - was[0], at[1] - was[1], at[2] - was[2]
         moved2 = dx * dx + dy * dy + dz * dz  # padding moves with the last atom
-        while n_layers <= LAYERS and bits_from_mask(moved2 <= rows.limits2[n_layers - 1]) != (1 << n_lanes) - 1:
+        while (
+            n_layers <= LAYERS
+            and bits_from_mask(moved2 <= rows.limits2[n_layers - 1]) != (1 << n_lanes) - 1
+        ):
             n_layers += 1
         place(k, arrays, at)
     arrays.memory.layers[domain] = n_layers
@@ -73,8 +100,12 @@ def find_columns(building, _chunk):
 @called_kernel
 def sort_atoms(building, _chunk):
     """Atoms into the bins of all columns; the first cluster of each, the second lattice direction running faster."""
-    columns, clusters, binned = building.layout.columns, building.layout.clusters, building.binned
-    counts, column_start, n_lanes = columns.counts, clusters.column_start, count(clusters.lanes)
+    columns = building.layout.columns
+    clusters = building.layout.clusters
+    binned = building.binned
+    counts = columns.counts
+    column_start = clusters.column_start
+    n_lanes = count(clusters.lanes)
     for a in range(DIMENSIONS):  # the cell of the clusters is the one in which they are made
         for b in range(DIMENSIONS):
             clusters.wrapping.inverse[a, b] = columns.inverse[a, b]
@@ -90,9 +121,13 @@ def sort_atoms(building, _chunk):
 @called_kernel
 def cut_columns(building, chunk):
     """Columns into clusters: a chunk is some rows of them along the second lattice vector."""
-    columns, clusters, n = building.layout.columns, building.layout.clusters, building.n_chunks
+    columns = building.layout.columns
+    clusters = building.layout.clusters
+    n = building.n_chunks
     counts = columns.counts
-    for column in range(chunk * counts[0] // n * counts[1], (chunk + 1) * counts[0] // n * counts[1]):
+    for column in range(
+        chunk * counts[0] // n * counts[1], (chunk + 1) * counts[0] // n * counts[1]
+    ):
         fill_column(column, building.positions, columns, building.binned, clusters)
     return GO_ON
 
@@ -106,10 +141,12 @@ def find_domains(building, _chunk):
     fill_shifts(columns, shifts)
     for layer in range(LAYERS):
         rows.limits2[layer] = rows.limits2_at_build[layer]
-    has_room = (domains.numbers[GHOSTS] <= ghosts.owner.size
-                and domains.window[domains.window.size - 1] <= ghosts.parts.size
-                and domains.numbers[BLOCKS] <= building.n_blocks
-                and building.entry_start.size == domains.column.size)  # fmt: skip
+    has_room = (
+        domains.numbers[GHOSTS] <= ghosts.owner.size
+        and domains.window[domains.window.size - 1] <= ghosts.parts.size
+        and domains.numbers[BLOCKS] <= building.n_blocks
+        and building.entry_start.size == domains.column.size
+    )
     return GO_ON if has_room else NEEDS_ROOM
 
 
@@ -125,7 +162,9 @@ def list_rows(building, domain):
     """The rows of a domain.  NEEDS_ROOM if there is too little: how much is needed is then in needed."""
     first = building.entry_start[domain]
     last = building.entry_start[domain + 1]
-    needed = find_rows(domain, building.layout, building.arrays.rows, (first, last), make_work(building.layout))
+    needed = find_rows(
+        domain, building.layout, building.arrays.rows, (first, last), make_work(building.layout)
+    )
     building.needed[domain] = needed
     return GO_ON if needed <= last - first else NEEDS_ROOM
 
@@ -142,7 +181,8 @@ def finish_list(building, _chunk):
 @called_kernel
 def number_slots(building, domain):
     """The slot of each atom of a domain."""
-    clusters, domain_start = building.layout.clusters, building.layout.domains.cluster
+    clusters = building.layout.clusters
+    domain_start = building.layout.domains.cluster
     n_lanes = count(clusters.lanes)
     for slot in range(domain_start[domain] * n_lanes, domain_start[domain + 1] * n_lanes):
         if slot % n_lanes < clusters.filled[slot // n_lanes]:
@@ -153,12 +193,19 @@ def number_slots(building, domain):
 @called_kernel
 def exclude_pairs(building, domain):
     """Clear the lane of each excluded partner, at its nearest image, in the row of a domain that has it."""
-    layout, slot_of, (start, values) = building.layout, building.slot_of, building.excluded
-    clusters, (lattice, inverse, pbc, safe_distance2) = layout.clusters, building.images
-    image, n_lanes = (lattice, inverse, pbc, safe_distance2[0]), count(clusters.lanes)
+    layout = building.layout
+    slot_of = building.slot_of
+    start, values = building.excluded
+    clusters = layout.clusters
+    lattice, inverse, pbc, safe_distance2 = building.images
+    image = (lattice, inverse, pbc, safe_distance2[0])
+    n_lanes = count(clusters.lanes)
     for k in range(layout.domains.cluster[domain], layout.domains.cluster[domain + 1]):
         for slot in range(k * n_lanes, k * n_lanes + clusters.filled[k]):
             i = clusters.atom[slot]
-            for p in range(np.uintp(start[i]), np.uintp(start[i + 1])):  # unsigned: none counts from the end
-                exclude(domain, slot, slot_of[np.uintp(values[p])], layout, image, building.arrays.rows)
+            # unsigned: none counts from the end
+            for p in range(np.uintp(start[i]), np.uintp(start[i + 1])):
+                exclude(
+                    domain, slot, slot_of[np.uintp(values[p])], layout, image, building.arrays.rows
+                )
     return GO_ON

@@ -15,7 +15,14 @@ from minimd.core.neighbors.buffers import HALF_A_PAGE, SPARE, Buffers, with_room
 from minimd.core.neighbors.cluster_build import Building
 from minimd.core.neighbors.cluster_memory import ClusterArrays, ClusterMemory
 from minimd.core.neighbors.cluster_search import AHEAD, BUILDS, GHOST_BITS, IN_USE, LAYERS, Rows
-from minimd.core.neighbors.clusters import DIMENSIONS, Clusters, Columns, make_clusters, make_columns, region_of
+from minimd.core.neighbors.clusters import (
+    DIMENSIONS,
+    Clusters,
+    Columns,
+    make_clusters,
+    make_columns,
+    region_of,
+)
 from minimd.core.neighbors.domains import (
     BLOCKS,
     IMAGES,
@@ -56,12 +63,20 @@ class ClusterList(VerletList):
     _bins: Binned
     _entries: NDArray[np.uint32]
 
-    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_fixed: bool,
-                 pool: ThreadPool) -> None:  # fmt: skip
+    def __init__(
+        self,
+        n_atoms: int,
+        cutoff: float,
+        skin: float,
+        excluded: NDArray[np.int64],
+        is_fixed: bool,
+        pool: ThreadPool,
+    ) -> None:
         super().__init__(cutoff, skin)
         self._excluded = partners(excluded, n_atoms) if len(excluded) else None
         self._slot_of = np.zeros(n_atoms if len(excluded) else 0, dtype=np.int64)
-        self._widths = self.skin * np.arange(1, LAYERS + 1) / LAYERS  # by which the layers reach beyond the cutoff
+        # by which the layers reach beyond the cutoff
+        self._widths = self.skin * np.arange(1, LAYERS + 1) / LAYERS
         self._n_atoms = n_atoms
         self._reach = cutoff + skin
         self._is_fixed = is_fixed
@@ -184,7 +199,9 @@ class ClusterList(VerletList):
         n = self.n_clusters
         positions = np.empty((self._n_atoms, DIMENSIONS))
         real = np.arange(n_lanes) < clusters.filled[:n, None]
-        positions[clusters.atom[: n * n_lanes][real.ravel()]] = self._blocks(clusters.origins).transpose(0, 2, 1)[real]
+        positions[clusters.atom[: n * n_lanes][real.ravel()]] = self._blocks(
+            clusters.origins
+        ).transpose(0, 2, 1)[real]
         return positions
 
     def _blocks(self, flat: Array) -> Array:
@@ -230,13 +247,19 @@ class ClusterList(VerletList):
                 f"this scene is too large for a cluster list: it needs {widest} clusters of atoms and images in one "
                 f"part of the cell, and {GHOST_BITS} fit; simulate fewer atoms"
             )
-        room = tuple(room if n <= room else with_room(n) for n, room in zip(needed, self._room, strict=True))
+        room = tuple(
+            room if n <= room else with_room(n) for n, room in zip(needed, self._room, strict=True)
+        )
         is_enough = room == self._room
         self._room = room
         if len(self._entry_start) != self.n_domains + 1:
             self._make_entries(np.diff(self.domains.cluster) * self.lanes.size * ENTRIES_GUESSED)
         elif is_enough:
-            self._make_entries(np.maximum(np.diff(self._entry_start), [with_room(n) for n in self._needed.tolist()]))
+            self._make_entries(
+                np.maximum(
+                    np.diff(self._entry_start), [with_room(n) for n in self._needed.tolist()]
+                )
+            )
         self._arrange()
         self._columns_of = columns_of
 
@@ -250,7 +273,8 @@ class ClusterList(VerletList):
                 "simulate fewer atoms"
             )
         self._entry_start = start
-        del self._entries, self._bins, self.rows, self.arrays, self.building  # they hold the old memory
+        # they hold the old memory
+        del self._entries, self._bins, self.rows, self.arrays, self.building
 
     def _arrange(self) -> None:
         """All arrays, with the room that there is now. Atoms are sorted where the entries are written afterwards."""
@@ -260,12 +284,15 @@ class ClusterList(VerletList):
         n_ghosts, n_in_windows, n_forces = self._room
         n_lanes = self.lanes.size
         n_block = n_lanes * DIMENSIONS
-        n_columns = int(self._columns.counts[0] * self._columns.counts[1])  # each may have a cluster that is not full
+        # each may have a cluster that is not full
+        n_columns = int(self._columns.counts[0] * self._columns.counts[1])
         n_clusters = (self._n_atoms + n_columns * (n_lanes - 1)) // n_lanes
         heights = (np.float64, (n_clusters,))
         boxes = (np.float64, (n_clusters, 6))
         ((bottom, top, boxes_now, *for_search),) = memory.overlaid(
-            "scratch", (heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows)), spare=spare
+            "scratch",
+            (heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows)),
+            spare=spare,
         )
         self._coordinates = memory.array("coordinates", np.float64, n_ghosts * n_block, spare=1.0)
         n_entries = max(int(self._entry_start[-1]), n_clusters * n_lanes * ENTRIES_GUESSED) + AHEAD
@@ -273,10 +300,14 @@ class ClusterList(VerletList):
         entries = ((np.uint32, (n_entries,)),)
         bins, (self._entries,) = memory.overlaid("entries", sort, entries, spare=1.0)
         self._bins = Binned(*bins)
-        self.clusters = make_clusters(n_clusters, self._columns, self.lanes, (bottom, top, boxes_now), memory, spare)
+        self.clusters = make_clusters(
+            n_clusters, self._columns, self.lanes, (bottom, top, boxes_now), memory, spare
+        )
         self.ghosts = make_ghosts(n_clusters, n_ghosts, n_in_windows, for_search, memory)
         start = memory.array("row start", np.int32, len(self.clusters.atom), spare=spare)
-        stops = memory.array("row stops", np.int32, LAYERS * len(start), spare=spare).reshape(LAYERS, -1)
+        stops = memory.array("row stops", np.int32, LAYERS * len(start), spare=spare).reshape(
+            LAYERS, -1
+        )
         self.rows = Rows(
             start,
             stops,
@@ -290,7 +321,11 @@ class ClusterList(VerletList):
             self._coordinates,
             self._shifts,
             memory.array(
-                "forces", np.int64 if self._is_fixed else np.float64, n_forces * n_block, in_page=HALF_A_PAGE, spare=1.0
+                "forces",
+                np.int64 if self._is_fixed else np.float64,
+                n_forces * n_block,
+                in_page=HALF_A_PAGE,
+                spare=1.0,
             ),
             memory.array("first sum", np.int64, n_in_windows if self._is_fixed else 0),
             self._far,
@@ -309,7 +344,14 @@ class ClusterList(VerletList):
             self._positions,
             self.arrays,
             self._bins,
-            Layout(self._columns, self.clusters, self.domains, self.ghosts, self._coordinates, self._shifts),
+            Layout(
+                self._columns,
+                self.clusters,
+                self.domains,
+                self.ghosts,
+                self._coordinates,
+                self._shifts,
+            ),
             self._room[2],
             min(int(self._columns.counts[0]), MOST_CHUNKS),
             int(goes_along),

@@ -12,7 +12,9 @@ from minimd.core.compiled.simd.vector import count, loaded
 from minimd.core.neighbors.clusters import DIMENSIONS, offsets_of
 
 
-class ClusterMemory(ByAddress, namedtuple("ClusterMemory", "coordinates shifts forces first_sum far is_out layers")):
+class ClusterMemory(
+    ByAddress, namedtuple("ClusterMemory", "coordinates shifts forces first_sum far is_out layers")
+):
     """What the loop reads and writes.
     coordinates, forces : flat, a block for each ghost, and for each ghost in a window.
     shifts : (IMAGES, 3), translations of images [length].
@@ -22,7 +24,9 @@ class ClusterMemory(ByAddress, namedtuple("ClusterMemory", "coordinates shifts f
     layers : (K,) int, how many layers of the rows the atoms of each domain need."""
 
 
-class ClusterArrays(ByAddress, namedtuple("ClusterArrays", "clusters domain_start domains ghosts rows memory")):
+class ClusterArrays(
+    ByAddress, namedtuple("ClusterArrays", "clusters domain_start domains ghosts rows memory")
+):
     """What the loop over clusters gets from the list.  domain_start : (K + 1,) int, first cluster of each domain."""
 
 
@@ -30,7 +34,9 @@ class ClusterArrays(ByAddress, namedtuple("ClusterArrays", "clusters domain_star
 def place(k, arrays, at):
     """Positions of the atoms of cluster k, vectors x, y, z [length], to all its ghosts.
     Indices are unsigned: none counts from the end."""
-    ghosts, memory, lanes = arrays.ghosts, arrays.memory, arrays.clusters.lanes
+    ghosts = arrays.ghosts
+    memory = arrays.memory
+    lanes = arrays.clusters.lanes
     n_lanes = np.uintp(count(lanes))
     block = np.uintp(DIMENSIONS) * n_lanes
     x, y, z = offsets_of(np.uintp(k) * block, arrays.clusters)
@@ -47,10 +53,14 @@ def place(k, arrays, at):
 def clear(domain, arrays):
     """Set the forces on all ghosts in the window of a domain to 0; in fixed-point arithmetic to first_sum.
     The thread that adds to them calls it, and so has them in its cache."""
-    lanes, forces, domains = arrays.clusters.lanes, arrays.memory.forces, arrays.domains
+    lanes = arrays.clusters.lanes
+    forces = arrays.memory.forces
+    domains = arrays.domains
     first = domains.place[domain]
     for block in range(first, first + domains.window[domain + 1] - domains.window[domain]):
-        nothing = broadcast(_first_sum(block, arrays.memory.first_sum, forces), load(forces, 0, lanes))
+        nothing = broadcast(
+            _first_sum(block, arrays.memory.first_sum, forces), load(forces, 0, lanes)
+        )
         for c in range(DIMENSIONS):
             store(forces, (block * DIMENSIONS + c) * count(lanes), nothing)
 
@@ -66,8 +76,11 @@ def _first_sum(block, first_sum, forces):
 @scalar
 def collected(k, arrays):
     """The forces on the atoms of cluster k, sums over its ghosts in all windows: vectors x, y, z, float64 or int64."""
-    ghosts, forces, lanes = arrays.ghosts, arrays.memory.forces, arrays.clusters.lanes
-    block, first = np.uintp(DIMENSIONS * count(lanes)), np.uintp(ghosts.part_start[k])
+    ghosts = arrays.ghosts
+    forces = arrays.memory.forces
+    lanes = arrays.clusters.lanes
+    block = np.uintp(DIMENSIONS * count(lanes))
+    first = np.uintp(ghosts.part_start[k])
     x, y, z = loaded(forces, np.uintp(ghosts.parts[first]) * block, lanes)
     for p in range(first + np.uintp(1), np.uintp(ghosts.part_start[k + 1])):
         more_x, more_y, more_z = loaded(forces, np.uintp(ghosts.parts[p]) * block, lanes)

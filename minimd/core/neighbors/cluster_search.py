@@ -19,13 +19,22 @@ import numpy as np
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import inlined, scalar
-from minimd.core.compiled.simd import bits_from_mask, broadcast, fma, load, select, store, trailing_zeros
+from minimd.core.compiled.simd import (
+    bits_from_mask,
+    broadcast,
+    fma,
+    load,
+    select,
+    store,
+    trailing_zeros,
+)
 from minimd.core.compiled.simd.vector import count, loaded
 from minimd.core.neighbors.clusters import DIMENSIONS
 from minimd.core.neighbors.domains import BOXES, HOME, SIDES, first_run
 from minimd.core.structure.cell import minimum_image
 
-LANES_FROM = 24  # the bits of an entry below this one number a ghost, those above it stand for lanes
+# the bits of an entry below this one number a ghost, those above it stand for lanes
+LANES_FROM = 24
 GHOST_BITS = (1 << LANES_FROM) - 1
 LAYERS = 2  # of each row; with more, a build costs as much more as steps cost less
 # places in Rows.layers
@@ -35,13 +44,17 @@ PREPARED_FOR = 2
 AHEAD = 2 * BOXES  # see Rows
 WORD = 64  # candidates, one for each bit of a number
 AT_A_TIME = 4  # entries written without a branch
-SETS = np.arange(1 << BOXES)[:, None] >> np.arange(BOXES) & 1 == 1  # of boxes, row k those whose bits are set in k
+# of boxes, row k those whose bits are set in k
+SETS = np.arange(1 << BOXES)[:, None] >> np.arange(BOXES) & 1 == 1
 HOW_MANY = SETS.sum(axis=1)
-SET_BITS = np.argsort(~SETS, axis=1, kind="stable").astype(np.int32).ravel()  # their numbers, and then the others
+# their numbers, and then the others
+SET_BITS = np.argsort(~SETS, axis=1, kind="stable").astype(np.int32).ravel()
 ROUNDED_UP = 1.0 + 1e-6  # the squared reach, in units of itself, by the rounding of float32
 
 
-class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 limits2_at_build layers")):
+class Rows(
+    ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 limits2_at_build layers")
+):
     """Clusters near each atom, in layers: entries[start[s] : stops[l, s]] have an atom within reach l of the one in s.
     start : (slots,) int.  stops : (LAYERS, slots) int.
     entries : (E,) uint32, the number of a ghost in the window of the domain, and above its 24 bits one for each lane.
@@ -80,8 +93,12 @@ def make_work(layout):
 @scalar
 def find_rows(domain, layout, rows, room, work):
     """Write the rows of a domain; return how many entries there are, more if there is no room (first, last)."""
-    columns, domains, column_start = layout.columns, layout.domains, layout.clusters.column_start
-    depth, ahead, (first, last) = columns.reach[1], work.ahead, room
+    columns = layout.columns
+    domains = layout.domains
+    column_start = layout.clusters.column_start
+    depth = columns.reach[1]
+    ahead = work.ahead
+    first, last = room
     n_entries = first
     for x in range(domains.column[domain], domains.column[domain + 1]):
         for y in range(columns.counts[1]):
@@ -90,7 +107,10 @@ def find_rows(domain, layout, rows, room, work):
             for run_x in range(columns.reach[0] + 1):
                 for run_y in range(-depth if run_x > 0 else 0, depth + 1):
                     run = first_run(x + run_x, columns) + y + run_y + depth
-                    ahead[n_ahead, 0], ahead[n_ahead, 1] = domains.ghost[run], domains.ghost[run + 1]
+                    ahead[n_ahead, 0], ahead[n_ahead, 1] = (
+                        domains.ghost[run],
+                        domains.ghost[run + 1],
+                    )
                     n_ahead += ahead[n_ahead, 0] < ahead[n_ahead, 1]
             for k in range(column_start[column], column_start[column + 1]):
                 ahead[0, 0] = layout.ghosts.home[k] + 1
@@ -104,16 +124,29 @@ def find_rows(domain, layout, rows, room, work):
 @scalar
 def _candidates(k, n_ahead, layout, work):
     """Ghosts ahead of cluster k whose boxes are within reach; how many. The first of each run moves up with k."""
-    ghosts, ahead, candidates = layout.ghosts, work.ahead, work.candidates
-    along, limit2 = layout.columns.along[2], np.float32(ROUNDED_UP)
-    boxes, bottom, top, i = ghosts.boxes, ghosts.bottom, ghosts.top, ghosts.home[k]
-    low, high = bottom[i] - along, top[i] + along
-    n, stride, like = 0, boxes.size // SIDES, load(boxes, 0, BOXES)
-    x_low, x_high = broadcast(boxes[i], like), broadcast(boxes[i + 3 * stride], like)
-    y_low, y_high = broadcast(boxes[i + stride], like), broadcast(boxes[i + 4 * stride], like)
-    z_low, z_high = broadcast(boxes[i + 2 * stride], like), broadcast(boxes[i + 5 * stride], like)
+    ghosts = layout.ghosts
+    ahead = work.ahead
+    candidates = work.candidates
+    along = layout.columns.along[2]
+    limit2 = np.float32(ROUNDED_UP)
+    boxes = ghosts.boxes
+    bottom = ghosts.bottom
+    top = ghosts.top
+    i = ghosts.home[k]
+    low = bottom[i] - along
+    high = top[i] + along
+    n = 0
+    stride = boxes.size // SIDES
+    like = load(boxes, 0, BOXES)
+    x_low = broadcast(boxes[i], like)
+    x_high = broadcast(boxes[i + 3 * stride], like)
+    y_low = broadcast(boxes[i + stride], like)
+    y_high = broadcast(boxes[i + 4 * stride], like)
+    z_low = broadcast(boxes[i + 2 * stride], like)
+    z_high = broadcast(boxes[i + 5 * stride], like)
     for run in range(n_ahead):
-        j, last = ahead[run, 0], ahead[run, 1]
+        j = ahead[run, 0]
+        last = ahead[run, 1]
         while j < last and top[j] < low:
             j += 1
         ahead[run, 0] = j
@@ -121,7 +154,10 @@ def _candidates(k, n_ahead, layout, work):
             x = _gap(boxes, j, stride, x_low, x_high)
             y = _gap(boxes, j + stride, stride, y_low, y_high)
             z = _gap(boxes, j + 2 * stride, stride, z_low, z_high)
-            near = bits_from_mask(fma(x, x, fma(y, y, z * z)) < limit2) & (1 << min(BOXES, last - j)) - 1
+            near = (
+                bits_from_mask(fma(x, x, fma(y, y, z * z)) < limit2)
+                & (1 << min(BOXES, last - j)) - 1
+            )
             numbers = load(SET_BITS, near * BOXES, BOXES)
             store(candidates, n, numbers + j)
             n += HOW_MANY[near]
@@ -139,13 +175,18 @@ def _gap(boxes, j, stride, low, high):
 def _prune(k, n, domain, layout, rows, room, work):
     """Write the rows of the atoms of cluster k: k itself, then those of the n candidates that are within reach.
     room : first and last of the entries that are left.  Returns the end of the entries."""
-    n_lanes, filled, (n_entries, last) = count(layout.clusters.lanes), layout.clusters.filled[k], room
+    n_lanes = count(layout.clusters.lanes)
+    filled = layout.clusters.filled[k]
+    n_entries, last = room
     most = n_lanes * (n + 1) + AT_A_TIME
     if n_entries + most >= last:  # no room: an upper bound tells how much is missing
         return n_entries + most + 1
     _find_near(k, n, domain, layout, rows.reaches2, work)
-    home, end = layout.ghosts.home[k], np.uintp(n_entries)  # unsigned: no check for indices that count from the end
-    own, is_compact = home - layout.domains.first[domain], _is_compact(layout.ghosts.boxes, home)
+    # unsigned: no check for indices that count from the end
+    home = layout.ghosts.home[k]
+    end = np.uintp(n_entries)
+    own = home - layout.domains.first[domain]
+    is_compact = _is_compact(layout.ghosts.boxes, home)
     for lane in range(n_lanes):
         rows.start[k * n_lanes + lane] = end
         later = layout.ghosts.lanes[home] >> (lane + 1) << (lane + 1)
@@ -164,7 +205,8 @@ def _prune(k, n, domain, layout, rows, room, work):
 @scalar
 def _is_compact(boxes, i):
     """Whether the atoms of a cluster are certainly within reach of each other."""
-    stride, square = boxes.size // SIDES, np.float32(0.0)
+    stride = boxes.size // SIDES
+    square = np.float32(0.0)
     for c in range(DIMENSIONS):
         side = boxes[i + (c + DIMENSIONS) * stride] - boxes[i + c * stride]
         square += side * side
@@ -174,7 +216,8 @@ def _is_compact(boxes, i):
 @scalar
 def _own_lanes_near(home, lane, layout, reach2):
     """The lanes of a cluster, as bits, whose atoms are within reach of the atom in one of them."""
-    lanes, n_lanes = layout.clusters.lanes, count(layout.clusters.lanes)
+    lanes = layout.clusters.lanes
+    n_lanes = count(layout.clusters.lanes)
     start = home * DIMENSIONS * n_lanes
     x, y, z = loaded(layout.coordinates, np.uintp(start), lanes)
     at = start + lane
@@ -188,7 +231,8 @@ def _append(work, first, near, entries, end):
     """Append those of WORD candidates, from the first on, whose bits in near are set; the end of the entries."""
     bits = np.uint64(near)
     while True:
-        for _ in range(AT_A_TIME):  # without a branch: what is one too many is overwritten by the next
+        # without a branch: what is one too many is overwritten by the next
+        for _ in range(AT_A_TIME):
             entries[end] = work.entries[np.uintp(first) + trailing_zeros(bits)]
             end += np.uintp(bits != np.uint64(0))
             bits &= bits - np.uint64(1)
@@ -199,17 +243,24 @@ def _append(work, first, near, entries, end):
 @scalar
 def _find_near(k, n, domain, layout, reaches2, work):
     """work.near : which of the n candidates stand in which layers of the rows of cluster k; work.entries : of them."""
-    ghosts, coordinates, lanes = layout.ghosts, layout.coordinates, layout.clusters.lanes
-    n_lanes, first_seen = count(lanes), np.uintp(layout.domains.first[domain])
-    block, window = np.uintp(DIMENSIONS * n_lanes), np.uintp(layout.domains.window[domain])
+    ghosts = layout.ghosts
+    coordinates = layout.coordinates
+    lanes = layout.clusters.lanes
+    n_lanes = count(lanes)
+    first_seen = np.uintp(layout.domains.first[domain])
+    block = np.uintp(DIMENSIONS * n_lanes)
+    window = np.uintp(layout.domains.window[domain])
     x, y, z = loaded(coordinates, np.uintp(ghosts.home[k]) * block, lanes)
     none = broadcast(0, load(work.near, 0, lanes))
     for first in range(0, n, WORD):
-        bit, a, b = broadcast(1, none), none, none
+        bit = broadcast(1, none)
+        a = none
+        b = none
         for p in range(np.uintp(first), np.uintp(min(first + WORD, n))):
             ghost = np.uintp(work.candidates[p])
             nearest = broadcast(np.inf, x)
-            for lane in range(np.uintp(n_lanes)):  # all atoms of k at a time against one of the candidate's
+            # all atoms of k at a time against one of the candidate's
+            for lane in range(np.uintp(n_lanes)):
                 at_x = ghost * block + lane
                 at_y, at_z = at_x + np.uintp(n_lanes), at_x + np.uintp(2 * n_lanes)
                 dx, dy, dz = x - coordinates[at_x], y - coordinates[at_y], z - coordinates[at_z]
@@ -218,7 +269,9 @@ def _find_near(k, n, domain, layout, reaches2, work):
             a, b = a | select(nearest < reaches2[0], bit, none), b | select(within, bit, none)
             bit = bit + bit
             ghosts.is_used[window + ghost - first_seen] |= bits_from_mask(within) != 0
-            work.entries[p] = ghost - first_seen | np.uintp(ghosts.lanes[ghost]) << np.uintp(LANES_FROM)
+            work.entries[p] = ghost - first_seen | np.uintp(ghosts.lanes[ghost]) << np.uintp(
+                LANES_FROM
+            )
         for layer, near in enumerate((a, b - a)):  # each layer holds those before it
             store(work.near, (first // WORD * LAYERS + layer) * n_lanes, near)
 
@@ -226,11 +279,17 @@ def _find_near(k, n, domain, layout, reaches2, work):
 @scalar
 def exclude(domain, slot, other, layout, image, rows):
     """Clear the lane of the atom in slot other in the row of a slot, if it is there.  image : see minimum_image."""
-    ghosts, coordinates, n_lanes = layout.ghosts, layout.coordinates, count(layout.clusters.lanes)
-    cluster, lane = other // n_lanes, np.uint32(other % n_lanes)
-    own, home = ghosts.home[slot // n_lanes], ghosts.home[cluster]
-    at, place = own * DIMENSIONS * n_lanes + slot % n_lanes, home * DIMENSIONS * n_lanes + lane
-    x, y = coordinates[place] - coordinates[at], coordinates[place + n_lanes] - coordinates[at + n_lanes]
+    ghosts = layout.ghosts
+    coordinates = layout.coordinates
+    n_lanes = count(layout.clusters.lanes)
+    cluster = other // n_lanes
+    lane = np.uint32(other % n_lanes)
+    own = ghosts.home[slot // n_lanes]
+    home = ghosts.home[cluster]
+    at = own * DIMENSIONS * n_lanes + slot % n_lanes
+    place = home * DIMENSIONS * n_lanes + lane
+    x = coordinates[place] - coordinates[at]
+    y = coordinates[place + n_lanes] - coordinates[at + n_lanes]
     z = coordinates[place + 2 * n_lanes] - coordinates[at + 2 * n_lanes]
     a, b, c = minimum_image(x, y, z, *image)
     ghost = _ghost_of(domain, cluster, HOME + int(9.0 * a + 3.0 * b + c), layout)
@@ -244,8 +303,10 @@ def exclude(domain, slot, other, layout, image, rows):
 @scalar
 def _ghost_of(domain, cluster, image, layout):
     """The ghost of a cluster in the window of a domain; −1 if there is none."""
-    ghosts, domains = layout.ghosts, layout.domains
-    first, home = domains.first[domain], ghosts.home[cluster]
+    ghosts = layout.ghosts
+    domains = layout.domains
+    first = domains.first[domain]
+    home = ghosts.home[cluster]
     last = first + domains.window[domain + 1] - domains.window[domain]
     if image == HOME and first <= home < last:
         return home
@@ -259,7 +320,8 @@ def _ghost_of(domain, cluster, image, layout):
 @scalar
 def _find_entry(rows, slot, ghost):
     """Where a ghost stands in the row of a slot, −1 if nowhere. Many entries are compared at a time."""
-    start, stop = np.uintp(rows.start[slot]), np.uintp(rows.stops[LAYERS - 1, slot])
+    start = np.uintp(rows.start[slot])
+    stop = np.uintp(rows.stops[LAYERS - 1, slot])
     while start < stop:
         first = load(rows.entries, start, BOXES) & GHOST_BITS
         second = load(rows.entries, start + np.uintp(BOXES), BOXES) & GHOST_BITS

@@ -30,11 +30,15 @@ from minimd.core.structure.system import local_density
 from minimd.core.structure.vectors import Array
 
 N_FIXED = 5  # fields of Columns that stay as the cell is strained
-DIMENSIONS = 3  # numbers of an atom; a cluster of n atoms is a block of 3 n numbers in memory: n x, n y, n z
+# numbers of an atom; a cluster of n atoms is a block of 3 n numbers in memory: n x, n y, n z
+DIMENSIONS = 3
 
 
 class Columns(
-    ByAddress, namedtuple("Columns", "counts distance reach pbc is_crossed along origin extent lattice inverse")
+    ByAddress,
+    namedtuple(
+        "Columns", "counts distance reach pbc is_crossed along origin extent lattice inverse"
+    ),
 ):
     """The part of a cell where there are atoms, divided into columns along the third lattice vector.
 
@@ -59,7 +63,10 @@ class Columns(
 
 
 class Clusters(
-    ByAddress, namedtuple("Clusters", "lanes atom filled positions origins wrapping column_start bottom top boxes")
+    ByAddress,
+    namedtuple(
+        "Clusters", "lanes atom filled positions origins wrapping column_start bottom top boxes"
+    ),
 ):
     """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n.
 
@@ -85,10 +92,20 @@ class Wrapping(namedtuple("Wrapping", "inverse periodic lattice origin")):
 @scalar
 def offsets_of(start, clusters):
     """Lattice vectors that bring the atoms of the block at start into the cell: vectors x, y, z [length]."""
-    (inverse, periodic, lattice, origin), (x, y, z) = clusters.wrapping, loaded(clusters.origins, start, clusters.lanes)
-    a = -np.floor(x * inverse[0, 0] + y * inverse[1, 0] + z * inverse[2, 0] - origin[0]) * periodic[0]
-    b = -np.floor(x * inverse[0, 1] + y * inverse[1, 1] + z * inverse[2, 1] - origin[1]) * periodic[1]
-    c = -np.floor(x * inverse[0, 2] + y * inverse[1, 2] + z * inverse[2, 2] - origin[2]) * periodic[2]
+    inverse, periodic, lattice, origin = clusters.wrapping
+    x, y, z = loaded(clusters.origins, start, clusters.lanes)
+    a = (
+        -np.floor(x * inverse[0, 0] + y * inverse[1, 0] + z * inverse[2, 0] - origin[0])
+        * periodic[0]
+    )
+    b = (
+        -np.floor(x * inverse[0, 1] + y * inverse[1, 1] + z * inverse[2, 1] - origin[1])
+        * periodic[1]
+    )
+    c = (
+        -np.floor(x * inverse[0, 2] + y * inverse[1, 2] + z * inverse[2, 2] - origin[2])
+        * periodic[2]
+    )
     x = a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0]
     y = a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1]
     return x, y, a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
@@ -101,7 +118,8 @@ def region_of(cell: Cell, positions: Array, reach: float) -> Array:
     origin = np.zeros(3)
     extent = np.ones(3)
     margin = WIDER * reach / cell.heights
-    for k, s in enumerate(np.einsum("ij,jk->ki", positions, cell.inverse)):  # not @: see observables
+    # not @: see observables
+    for k, s in enumerate(np.einsum("ij,jk->ki", positions, cell.inverse)):
         s = np.sort(s - np.floor(s) if cell.pbc[k] else s)
         gaps = np.diff(s, append=s[0] + 1.0 if cell.pbc[k] else np.inf)
         widest = int(np.argmax(gaps)) if cell.pbc[k] else len(s) - 1
@@ -123,7 +141,8 @@ def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: A
     widths = cell.heights * extent
     n_lanes = lanes.size
     cube = (n_lanes * widths.prod() / filled) ** (1.0 / 3.0)
-    most = max(1.0, min(filled, n_atoms) / n_lanes)  # a flat scene has few; many that are empty would cost time
+    # a flat scene has few; many that are empty would cost time
+    most = max(1.0, min(filled, n_atoms) / n_lanes)
     across = np.clip(widths[:2] / cube, 1.0, most)
     across = np.maximum(1.0, np.rint(across * min(1.0, (most / across.prod()) ** 0.5)))
     bins = max(1.0, min(filled, n_atoms / ATOMS_PER_BIN) / across.prod())
@@ -152,10 +171,15 @@ def columns_fit(positions, columns):
     for d in range(DIMENSIONS):
         if columns.is_crossed[d]:
             continue
-        low, high, origin, extent, margin = np.inf, -np.inf, columns.origin[d], columns.extent[d], columns.along[d]
+        low = np.inf
+        high = -np.inf
+        origin = columns.origin[d]
+        extent = columns.extent[d]
+        margin = columns.along[d]
         for i in range(positions.shape[0]):
             s, _ = into_cell(positions, i, columns.inverse, columns.pbc, columns.origin, d)
-            low, high = min(low, s - origin), max(high, s - origin)
+            low = min(low, s - origin)
+            high = max(high, s - origin)
         if not (0.0 <= low <= margin and extent - margin <= high <= extent):
             return False
         if columns.pbc[d] and extent + margin > 1.0:
@@ -163,8 +187,14 @@ def columns_fit(positions, columns):
     return True
 
 
-def make_clusters(n_clusters: int, columns: Columns, lanes: Lanes, for_build: Sequence[NDArray], memory: Buffers,
-                  spare: float) -> Clusters:  # fmt: skip
+def make_clusters(
+    n_clusters: int,
+    columns: Columns,
+    lanes: Lanes,
+    for_build: Sequence[NDArray],
+    memory: Buffers,
+    spare: float,
+) -> Clusters:
     """Arrays with room for so many.  for_build : bottom, top, boxes.  spare : see Buffers.array."""
     n_slots = n_clusters * lanes.size
     array = partial(memory.array, spare=spare)
@@ -175,7 +205,12 @@ def make_clusters(n_clusters: int, columns: Columns, lanes: Lanes, for_build: Se
         array("filled", np.int32, n_clusters),
         at,
         at,
-        Wrapping(columns.inverse.copy(), columns.pbc.astype(np.float64), columns.lattice.copy(), columns.origin),
+        Wrapping(
+            columns.inverse.copy(),
+            columns.pbc.astype(np.float64),
+            columns.lattice.copy(),
+            columns.origin,
+        ),
         array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1),
         *for_build,
     )
@@ -184,11 +219,15 @@ def make_clusters(n_clusters: int, columns: Columns, lanes: Lanes, for_build: Se
 @scalar
 def fill_column(column, positions, columns, binned, clusters):
     """Sort the atoms of a column by height (they nearly are, being in bins), and cut them into clusters."""
-    counts, order, height = columns.counts, binned.order, binned.height
+    counts = columns.counts
+    order = binned.order
+    height = binned.height
     n_lanes = count(clusters.lanes)
-    first, last = binned.bin_start[column * counts[2]], binned.bin_start[(column + 1) * counts[2]]
+    first = binned.bin_start[column * counts[2]]
+    last = binned.bin_start[(column + 1) * counts[2]]
     for p in range(first, last):
-        i, q = order[p], p
+        i = order[p]
+        q = p
         while q > first and height[order[q - 1]] > height[i]:
             order[q] = order[q - 1]
             q -= 1
@@ -208,6 +247,8 @@ def fill_column(column, positions, columns, binned, clusters):
         for c, x in enumerate((at[0] + offsets[0], at[1] + offsets[1], at[2] + offsets[2])):
             low = high = lane(x, 0)
             for k in range(1, n_lanes):
-                low, high = min(low, lane(x, k)), max(high, lane(x, k))
-            clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = low, high
+                low = min(low, lane(x, k))
+                high = max(high, lane(x, k))
+            clusters.boxes[cluster, c] = low
+            clusters.boxes[cluster, c + 3] = high
         cluster += 1

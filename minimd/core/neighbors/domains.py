@@ -53,7 +53,8 @@ HOME = 13
 LATE = 0
 BLOCKS = 1
 GHOSTS = 2
-ATOMS_PER_DOMAIN = 800  # at least, on average: with fewer, handing out the work costs more than a second thread gains
+# at least, on average: with fewer, handing out the work costs more than a second thread gains
+ATOMS_PER_DOMAIN = 800
 
 
 class Domains(ByAddress, namedtuple("Domains", "column cluster first window place numbers ghost")):
@@ -65,8 +66,12 @@ class Domains(ByAddress, namedtuple("Domains", "column cluster first window plac
     ghost : (runs + 1,) int, the first ghost of each run; the last number is M."""
 
 
-class GhostClusters(ByAddress, namedtuple("GhostClusters", "owner image bottom top boxes lanes home is_used of start "
-                                          "parts part_start")):  # fmt: skip
+class GhostClusters(
+    ByAddress,
+    namedtuple(
+        "GhostClusters", "owner image bottom top boxes lanes home is_used of start parts part_start"
+    ),
+):
     """M ghosts of C clusters, and W of them in windows. Arrays have room for more.
     owner : (M,) int, the cluster.  image : (M,) int, code of its image (a, b, c): 9 (a + 1) + 3 (b + 1) + c + 1.
     bottom, top : (M,) fractional coordinates along the third lattice vector.
@@ -90,7 +95,9 @@ def make_domains(columns: Columns, n_atoms: int) -> Domains:
     """As many domains, for any number of threads, as have enough atoms and are as wide as their rows look ahead."""
     across = int(columns.counts[0]) // max(1, int(columns.reach[0]))
     n_domains = max(1, min(n_atoms // ATOMS_PER_DOMAIN, across, MOST_CHUNKS))
-    n_runs = int((columns.counts[0] + columns.reach[0]) * (columns.counts[1] + 2 * columns.reach[1]))
+    n_runs = int(
+        (columns.counts[0] + columns.reach[0]) * (columns.counts[1] + 2 * columns.reach[1])
+    )
     sizes = n_domains + 1, n_domains + 1, n_domains, n_domains + 1, n_domains, 3, n_runs + 1
     return Domains(*(np.zeros(size, dtype=np.int64) for size in sizes))
 
@@ -102,8 +109,13 @@ def ghosts_for_search(n_ghosts: int, n_in_windows: int) -> Fields:
     return heights, heights, boxes, (np.uint8, (n_ghosts,)), (np.bool_, (n_in_windows + n_ghosts,))
 
 
-def make_ghosts(n_clusters: int, n_ghosts: int, n_in_windows: int, for_search: Sequence[NDArray],
-                memory: Buffers) -> GhostClusters:  # fmt: skip
+def make_ghosts(
+    n_clusters: int,
+    n_ghosts: int,
+    n_in_windows: int,
+    for_search: Sequence[NDArray],
+    memory: Buffers,
+) -> GhostClusters:
     """Arrays with room for so many, for fill_ghosts and sort_ghosts.  for_search : those of ghosts_for_search."""
     room = functools.partial(memory.array, spare=1.0)
     bottom, top, boxes, lanes, is_used = for_search
@@ -127,12 +139,19 @@ def make_ghosts(n_clusters: int, n_ghosts: int, n_in_windows: int, for_search: S
 def cut_into_domains(clusters, columns, domains, goes_along):
     """Fill Domains: which columns and clusters each has, and which ghosts it sees.
     goes_along : whether one thread goes from domain to domain: forces then take the place of those no longer needed."""
-    counts, reach, column_start = columns.counts, columns.reach, clusters.column_start
-    n_domains, n_clusters = domains.column.size - 1, column_start[counts[0] * counts[1]]
+    counts = columns.counts
+    reach = columns.reach
+    column_start = clusters.column_start
+    n_domains = domains.column.size - 1
+    n_clusters = column_start[counts[0] * counts[1]]
     x = 0
     for d in range(n_domains + 1):
         share = 2 * d * n_clusters if d > 0 else -1
-        while x < counts[0] and (column_start[x * counts[1]] + column_start[(x + 1) * counts[1]]) * n_domains <= share:
+        while (
+            x < counts[0]
+            and (column_start[x * counts[1]] + column_start[(x + 1) * counts[1]]) * n_domains
+            <= share
+        ):
             x += 1  # to the border nearest to d equal shares
         domains.column[d] = counts[0] if d == n_domains else x
         domains.cluster[d] = column_start[domains.column[d] * counts[1]]
@@ -157,8 +176,13 @@ def cut_into_domains(clusters, columns, domains, goes_along):
 @scalar
 def _place_windows(columns, domains, goes_along):
     """Where the forces of each window stand: each by itself, or all but the late ones where others are done."""
-    n, column, reach = domains.first.size, domains.column, columns.reach[0]
-    n_late, n_open, widest, behind = 0, 1, 0, 0
+    n = domains.first.size
+    column = domains.column
+    reach = columns.reach[0]
+    n_late = 0
+    n_open = 1
+    widest = 0
+    behind = 0
     for d in range(n):
         n_late += column[d] < reach  # the last domains see it
         widest = max(widest, domains.window[d + 1] - domains.window[d])
@@ -183,13 +207,19 @@ def first_run(x, columns):
 @scalar
 def _seen(run_x, run_y, image_z, clusters, columns):
     """Clusters first to last of a column, in the cell or beyond its faces, whose image it can see; the image's code."""
-    counts, is_crossed = columns.counts, columns.is_crossed
+    counts = columns.counts
+    is_crossed = columns.is_crossed
     image_x, image_y = run_x // counts[0], run_y // counts[1]
     image = (image_x + 1) * 9 + (image_y + 1) * 3 + image_z + 1
-    if (image_x and not is_crossed[0]) or (image_y and not is_crossed[1]) or (image_z and not is_crossed[2]):
+    if (
+        (image_x and not is_crossed[0])
+        or (image_y and not is_crossed[1])
+        or (image_z and not is_crossed[2])
+    ):
         return 0, 0, image
     column = (run_x - image_x * counts[0]) * counts[1] + run_y - image_y * counts[1]
-    first, last = clusters.column_start[column], clusters.column_start[column + 1]
+    first = clusters.column_start[column]
+    last = clusters.column_start[column + 1]
     while image_z > 0 and last > first and clusters.bottom[last - 1] > columns.along[2]:
         last -= 1
     while image_z < 0 and last > first and clusters.top[first] < 1.0 - columns.along[2]:
@@ -202,10 +232,14 @@ def fill_ghosts(domain, layout):
     """Write the ghosts of the columns of a domain, of the last one also those behind the last column.
     In its window is_used is then true for the domain's own clusters only; find_rows sets it for the others."""
     columns, clusters, domains, ghosts, coordinates, shifts = layout
-    stride, unit = ghosts.boxes.size // SIDES, columns.distance
-    lanes, n_lanes = clusters.lanes, count(clusters.lanes)
+    stride = ghosts.boxes.size // SIDES
+    unit = columns.distance
+    lanes = clusters.lanes
+    n_lanes = count(clusters.lanes)
     run = first_run(domains.column[domain], columns)
-    last_x = domains.column[domain + 1] + (columns.reach[0] if domain == domains.first.size - 1 else 0)
+    last_x = domains.column[domain + 1] + (
+        columns.reach[0] if domain == domains.first.size - 1 else 0
+    )
     for place in range(domains.window[domain], domains.window[domain + 1]):
         ghosts.is_used[place] = False
     for run_x in range(domains.column[domain], last_x):
@@ -217,21 +251,28 @@ def fill_ghosts(domain, layout):
             for image_z in range(-1, 2):
                 first, last, image = _seen(run_x, run_y, image_z, clusters, columns)
                 for k in range(first, last):
-                    ghosts.owner[ghost], ghosts.image[ghost] = k, image
+                    ghosts.owner[ghost] = k
+                    ghosts.image[ghost] = image
                     ghosts.lanes[ghost] = (1 << clusters.filled[k]) - 1
-                    ghosts.bottom[ghost], ghosts.top[ghost] = clusters.bottom[k] + image_z, clusters.top[k] + image_z
+                    ghosts.bottom[ghost], ghosts.top[ghost] = (
+                        clusters.bottom[k] + image_z,
+                        clusters.top[k] + image_z,
+                    )
                     start = k * DIMENSIONS * n_lanes
                     x, y, z = loaded(clusters.positions, start, lanes)
                     to_x, to_y, to_z = offsets_of(start, clusters)
                     for d, at in enumerate((x + to_x, y + to_y, z + to_z)):
                         shift = shifts[image, d]
-                        low, high = (clusters.boxes[k, d] + shift) / unit, (clusters.boxes[k, d + 3] + shift) / unit
+                        low = (clusters.boxes[k, d] + shift) / unit
+                        high = (clusters.boxes[k, d + 3] + shift) / unit
                         ghosts.boxes[d * stride + ghost] = low - OUTWARD * abs(low)
                         ghosts.boxes[(d + 3) * stride + ghost] = high + OUTWARD * abs(high)
                         store(coordinates, (ghost * DIMENSIONS + d) * n_lanes, at + shift)
                     if image == HOME:
                         ghosts.home[k] = ghost
-                        ghosts.is_used[domains.window[domain] + ghost - domains.first[domain]] = True
+                        ghosts.is_used[domains.window[domain] + ghost - domains.first[domain]] = (
+                            True
+                        )
                     ghost += 1
 
 
@@ -240,15 +281,19 @@ def fill_shifts(columns, shifts):
     """The lattice vector of each image: Layout.shifts."""
     for image in range(IMAGES):
         for d in range(3):
-            along, across = (image // 9 - 1) * columns.lattice[0, d], (image // 3 % 3 - 1) * columns.lattice[1, d]
+            along = (image // 9 - 1) * columns.lattice[0, d]
+            across = (image // 3 % 3 - 1) * columns.lattice[1, d]
             shifts[image, d] = along + across + (image % 3 - 1) * columns.lattice[2, d]
 
 
 @scalar
 def sort_ghosts(domains, ghosts):
     """Fill ghosts.of, start, parts, part_start: what is used, by cluster, by window, in the order of their numbers."""
-    owner, window, is_used = ghosts.owner, domains.window, ghosts.is_used
-    n_ghosts, n_domains = domains.numbers[GHOSTS], domains.first.size
+    owner = ghosts.owner
+    window = domains.window
+    is_used = ghosts.is_used
+    n_ghosts = domains.numbers[GHOSTS]
+    n_domains = domains.first.size
     somewhere = window[n_domains]  # behind the windows: whether a ghost is used in any of them
     for m in range(n_ghosts):
         is_used[somewhere + m] = False
@@ -263,7 +308,8 @@ def sort_ghosts(domains, ghosts):
     for k in range(1, ghosts.start.size):
         ghosts.start[k] += ghosts.start[k - 1]
         ghosts.part_start[k] += ghosts.part_start[k - 1]
-    for m in range(n_ghosts - 1, -1, -1):  # what starts as the end of each cluster ends as its start
+    # what starts as the end of each cluster ends as its start
+    for m in range(n_ghosts - 1, -1, -1):
         if is_used[somewhere + m]:
             ghosts.start[owner[m]] -= 1
             ghosts.of[ghosts.start[owner[m]]] = m

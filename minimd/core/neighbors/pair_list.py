@@ -10,7 +10,13 @@ from minimd.core.compiled.kernels import called_kernel
 from minimd.core.compiled.program import GO_ON, NEEDS_ROOM
 from minimd.core.neighbors.buffers import SPARE
 from minimd.core.neighbors.search import bins_of, find_pairs, make_grid, sort_into_bins
-from minimd.core.neighbors.verlet_list import VerletList, any_moved, partners, raise_not_finite, starts
+from minimd.core.neighbors.verlet_list import (
+    VerletList,
+    any_moved,
+    partners,
+    raise_not_finite,
+    starts,
+)
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.system import System, local_density
 from minimd.core.structure.vectors import Array, strained
@@ -46,11 +52,14 @@ class PairList(VerletList):
 
     _second = _image = np.empty(0, dtype=np.uint32)
 
-    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]) -> None:
+    def __init__(
+        self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]
+    ) -> None:
         super().__init__(cutoff, skin)
         self._excluded = partners(excluded, n_atoms)
         self._reference = np.empty((n_atoms, 3))
-        self._original: Array | None = None  # positions at the last build, if the cell was strained since
+        # positions at the last build, if the cell was strained since
+        self._original: Array | None = None
         self.reach = Reach(np.zeros((n_atoms, 3)), self._reference, np.full(1, NEVER))
 
     def ready(self, positions: Array, cell: Cell) -> None:
@@ -90,7 +99,9 @@ class PairList(VerletList):
             return self._list_all_pairs(positions)
         reach = self.cutoff + self.skin
         grid = make_grid(cell, positions, reach)
-        self.order, self.offsets, bin_start = sort_into_bins(positions, cell.lattice, cell.inverse, cell.pbc, grid)
+        self.order, self.offsets, bin_start = sort_into_bins(
+            positions, cell.lattice, cell.inverse, cell.pbc, grid
+        )
         local = positions[self.order] + self.offsets
         bins = bins_of(cell, grid, bin_start)
         start = np.empty(len(positions) + 1, dtype=np.int64)
@@ -110,7 +121,12 @@ class PairList(VerletList):
         is_listed = np.triu(np.ones((n, n), dtype=bool), k=1)
         is_listed[np.repeat(self.order, np.diff(self._excluded[0])), self._excluded[1]] = False
         first, second = np.nonzero(is_listed)
-        self.pairs = Pairs(starts(first, n), second.astype(np.uint32), np.empty(0, dtype=np.uint32), np.zeros((0, 3)))
+        self.pairs = Pairs(
+            starts(first, n),
+            second.astype(np.uint32),
+            np.empty(0, dtype=np.uint32),
+            np.zeros((0, 3)),
+        )
 
 
 def check_size(system: System, cutoff: float, skin: float) -> None:
@@ -120,12 +136,30 @@ def check_size(system: System, cutoff: float, skin: float) -> None:
     cell = system.cell
     n_pairs = 0.5 * n_atoms**2
     if reach < np.inf:
-        in_reach = 0.5 * n_atoms * local_density(system.positions, cell, reach) * 4.0 / 3.0 * np.pi * reach**3
+        in_reach = (
+            0.5
+            * n_atoms
+            * local_density(system.positions, cell, reach)
+            * 4.0
+            / 3.0
+            * np.pi
+            * reach**3
+        )
         n_pairs = in_reach if cell.is_periodic else min(n_pairs, in_reach)
     n_images = np.prod(2.0 * np.ceil(reach / cell.heights[cell.pbc]) + 1.0)
     of_an_atom = ("pairs of an atom", n_pairs / max(n_atoms, 1), MOST_OF_AN_ATOM)
-    sizes = ("images of the cell", float(n_images), MOST_IMAGES), of_an_atom, ("pairs", n_pairs, MOST_PAIRS)
+    sizes = (
+        ("images of the cell", float(n_images), MOST_IMAGES),
+        of_an_atom,
+        ("pairs", n_pairs, MOST_PAIRS),
+    )
     for name, number, most in sizes:
         if number > most:
-            hint = f"reduce the cutoff ({cutoff:g})" if skin < cutoff else f"reduce the skin ({skin:g})"
-            raise ValueError(f"pair lists hold up to {most:.1e} {name}, this scene needs about {number:.1e}: {hint}")
+            hint = (
+                f"reduce the cutoff ({cutoff:g})"
+                if skin < cutoff
+                else f"reduce the skin ({skin:g})"
+            )
+            raise ValueError(
+                f"pair lists hold up to {most:.1e} {name}, this scene needs about {number:.1e}: {hint}"
+            )

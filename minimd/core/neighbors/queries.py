@@ -29,7 +29,9 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
     ValueError : for an unknown letter or a cutoff that is not positive and finite.
     """
     if not (isinstance(quantities, str) and quantities and set(quantities) <= set(QUANTITIES)):
-        raise ValueError(f"quantities must be letters of {QUANTITIES!r}; quantities = {shown(quantities)}")
+        raise ValueError(
+            f"quantities must be letters of {QUANTITIES!r}; quantities = {shown(quantities)}"
+        )
     checked_kind("system", system, System, "a minimd System")
     cutoff = checked_number("cutoff", cutoff, "positive and finite")
     check_size(system, cutoff, 0.0)
@@ -92,7 +94,8 @@ def closest_pair(system: System) -> ClosestPair | None:
         i = int(np.argmin(distances[:, 1]))
         j = int(partners[i, 0] if partners[i, 0] != i else partners[i, 1])
         best = ClosestPair(min(i, j), max(i, j), distances[i, 1])
-    own = np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf)  # an atom and its own image
+    # an atom and its own image
+    own = np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf)
     reach = BEYOND * min(best.distance, own)
     from_faces = (np.minimum(fractional, 1.0 - fractional) * cell.heights)[:, cell.pbc]
     near = np.flatnonzero((from_faces <= reach).any(axis=1))

@@ -13,9 +13,11 @@ from minimd.core.structure.bond_graph import Indices
 from minimd.core.structure.cell import Cell, minimum_image
 from minimd.core.structure.vectors import Array
 
-ATOMS_PER_BIN = 0.25  # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
+# a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
+ATOMS_PER_BIN = 0.25
 FLATTEST = 1e-9  # of the reach: a thinner scene counts as this thick, so that no width is zero
-WIDER = 1.0 + 1e-9  # bins are this much wider than the reach, so that rounding never asks for one bin more
+# bins are this much wider than the reach, so that rounding never asks for one bin more
+WIDER = 1.0 + 1e-9
 
 
 class BinGrid(namedtuple("BinGrid", "counts reach origin extent")):
@@ -28,7 +30,9 @@ def make_grid(cell: Cell, positions: Array, reach: float) -> BinGrid:
     """A grid whose bins are about half the reach wide, wider where there would be many more bins than atoms."""
     fractional = np.einsum("ij,jk->ik", positions, cell.inverse)  # not @: see observables
     origin = np.where(cell.pbc, 0.0, fractional.min(axis=0))
-    extent = np.where(cell.pbc, 1.0, np.maximum(fractional.max(axis=0) - origin, np.finfo(float).tiny))
+    extent = np.where(
+        cell.pbc, 1.0, np.maximum(fractional.max(axis=0) - origin, np.finfo(float).tiny)
+    )
     widths = cell.heights * extent
     counts = np.maximum(1.0, np.floor(2.0 * widths / (reach * WIDER)))
     while counts.prod() > max(64.0, len(positions) / ATOMS_PER_BIN) and counts.max() > 1.0:
@@ -57,7 +61,11 @@ def bins_for_sort(n_atoms: int, counts: Indices) -> Fields:
 def into_cell(positions, i, inverse, pbc, origin, d):
     """Fractional coordinate of atom i along lattice vector d, wrapped into the cell that begins at origin (3,) where
     pbc[d]; and how many lattice vectors that has added."""
-    s = positions[i, 0] * inverse[0, d] + positions[i, 1] * inverse[1, d] + positions[i, 2] * inverse[2, d]
+    s = (
+        positions[i, 0] * inverse[0, d]
+        + positions[i, 1] * inverse[1, d]
+        + positions[i, 2] * inverse[2, d]
+    )
     cells = -np.floor(s - origin[d]) if pbc[d] else 0.0
     return s + cells, cells
 
@@ -66,19 +74,22 @@ def into_cell(positions, i, inverse, pbc, origin, d):
 def counting_sort(positions, inverse, pbc, grid, binned):
     """Fill Binned: atoms into the bins of a grid (counts, origin, extent), the last direction running fastest. Atoms
     outside what is covered are in the outermost bins."""
-    counts, origin = grid.counts, grid.origin
+    counts = grid.counts
+    origin = grid.origin
     per_bin = counts[0] / grid.extent[0], counts[1] / grid.extent[1], counts[2] / grid.extent[2]
     for b in range(binned.bin_start.size):
         binned.bin_start[b] = 0
     for i in range(positions.shape[0]):
-        index, s = 0, 0.0
+        index = 0
+        s = 0.0
         for d in range(3):
             s, cells = into_cell(positions, i, inverse, pbc, origin, d)
             if binned.cells.shape[0] > 0:
                 binned.cells[i, d] = cells
             along = (s - origin[d]) * per_bin[d]
             index = index * counts[d] + int(max(0.0, min(counts[d] - 1.0, along)))
-        binned.bins[i], binned.height[i] = index, s
+        binned.bins[i] = index
+        binned.height[i] = s
         binned.bin_start[index + 1] += 1
     for b in range(binned.bin_start.size - 1):
         binned.place[b] = binned.bin_start[b]
@@ -92,20 +103,37 @@ def counting_sort(positions, inverse, pbc, grid, binned):
 @kernel
 def sort_into_bins(positions, lattice, inverse, pbc, grid):
     """order and bin_start, see Binned, and offsets: (N, 3), offsets[k] [length] brings atom order[k] into the cell."""
-    n_atoms, n_bins = positions.shape[0], grid.counts[0] * grid.counts[1] * grid.counts[2]
-    order, bins = np.empty(n_atoms, dtype=np.int64), np.empty(n_atoms, dtype=np.int64)
-    bin_start, place = np.empty(n_bins + 1, dtype=np.int64), np.empty(n_bins + 1, dtype=np.int64)
+    n_atoms = positions.shape[0]
+    n_bins = grid.counts[0] * grid.counts[1] * grid.counts[2]
+    order = np.empty(n_atoms, dtype=np.int64)
+    bins = np.empty(n_atoms, dtype=np.int64)
+    bin_start = np.empty(n_bins + 1, dtype=np.int64)
+    place = np.empty(n_bins + 1, dtype=np.int64)
     cells = np.empty((n_atoms, 3))
-    counting_sort(positions, inverse, pbc, grid, Binned(order, bins, bin_start, place, cells, np.empty(n_atoms)))
+    counting_sort(
+        positions,
+        inverse,
+        pbc,
+        grid,
+        Binned(order, bins, bin_start, place, cells, np.empty(n_atoms)),
+    )
     offsets = np.empty((n_atoms, 3))
     for k in range(n_atoms):
         i = order[k]
         for c in range(3):
-            offsets[k, c] = cells[i, 0] * lattice[0, c] + cells[i, 1] * lattice[1, c] + cells[i, 2] * lattice[2, c]
+            offsets[k, c] = (
+                cells[i, 0] * lattice[0, c]
+                + cells[i, 1] * lattice[1, c]
+                + cells[i, 2] * lattice[2, c]
+            )
     return order, offsets, bin_start
 
 
-class Bins(namedtuple("Bins", "bin_start counts forward crossed translations pbc lattice inverse safe_distance2")):
+class Bins(
+    namedtuple(
+        "Bins", "bin_start counts forward crossed translations pbc lattice inverse safe_distance2"
+    )
+):
     """Where the search looks for the neighbors of the atoms of a bin, and through which images.
     bin_start, counts : see Binned, Grid.
     forward : (K, 3) int, offsets of one half of the bins within reach, (0, 0, 0) left out: every pair is met once.
@@ -137,7 +165,9 @@ def bins_of(cell: Cell, grid: BinGrid, bin_start: Indices) -> Bins:
 
 def _steps(most: Indices) -> Indices:
     """(K, 3) int: all triples from −most to most, the last number running fastest."""
-    return np.stack(np.meshgrid(*(np.arange(-n, n + 1) for n in most), indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.stack(
+        np.meshgrid(*(np.arange(-n, n + 1) for n in most), indexing="ij"), axis=-1
+    ).reshape(-1, 3)
 
 
 @kernel
@@ -147,11 +177,16 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
     bins : Bins.  reach2 : squared reach [length²].
     partners : see verlet_list; the nearest image of a pair of partners, numbered as by the user, is left out.
     pairs : output, see Pairs; its atoms count in the order of the bins."""
-    n_pairs, room = 0, pairs.second.size
-    counts, bin_start, crossed, translations = bins.counts, bins.bin_start, bins.crossed, bins.translations
+    n_pairs = 0
+    room = pairs.second.size
+    counts = bins.counts
+    bin_start = bins.bin_start
+    crossed = bins.crossed
+    translations = bins.translations
     shifted = translations.shape[0] > 0
     rows_y, rows_z = 2 * crossed[1] + 1, 2 * crossed[2] + 1
-    has_excluded, image = partners[1].size > 0, (bins.lattice, bins.inverse, bins.pbc, bins.safe_distance2)
+    has_excluded = partners[1].size > 0
+    image = (bins.lattice, bins.inverse, bins.pbc, bins.safe_distance2)
     ranges = np.empty((bins.forward.shape[0] + 1, 3), dtype=np.int64)
     for bin_x in range(counts[0]):
         for bin_y in range(counts[1]):
@@ -164,16 +199,23 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
                     pairs.start[i] = n_pairs
                     x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
                     for k in range(n_ranges):
-                        first_atom, row = i + 1 if k == 0 else ranges[k, 0], ranges[k, 2]
+                        first_atom = i + 1 if k == 0 else ranges[k, 0]
+                        row = ranges[k, 2]
                         tx = ty = tz = 0.0
                         if shifted:
-                            tx, ty, tz = translations[row, 0], translations[row, 1], translations[row, 2]
+                            tx = translations[row, 0]
+                            ty = translations[row, 1]
+                            tz = translations[row, 2]
                         for j in range(first_atom, ranges[k, 1]):
-                            dx, dy, dz = positions[j, 0] - x + tx, positions[j, 1] - y + ty, positions[j, 2] - z + tz
+                            dx = positions[j, 0] - x + tx
+                            dy = positions[j, 1] - y + ty
+                            dz = positions[j, 2] - z + tz
                             if dx * dx + dy * dy + dz * dz < reach2:
                                 if has_excluded and _is_partner(order[i], order[j], partners):
                                     a, b, c = minimum_image(dx - tx, dy - ty, dz - tz, *image)
-                                    nearest_xy = (int(a) + crossed[0]) * rows_y + int(b) + crossed[1]
+                                    nearest_xy = (
+                                        (int(a) + crossed[0]) * rows_y + int(b) + crossed[1]
+                                    )
                                     if nearest_xy * rows_z + int(c) + crossed[2] == row:
                                         continue
                                 if n_pairs < room:
@@ -189,7 +231,11 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
 def atoms_in_reach(bin_x, bin_y, bin_z, bins, ranges):
     """Ranges of atoms in the bins ahead of one bin, as rows (first, last, image) of ranges; returns how many.
     The first row is the bin itself and what follows it without a gap. Neighboring bins of one image are one range."""
-    bin_start, counts, forward, crossed, pbc = bins.bin_start, bins.counts, bins.forward, bins.crossed, bins.pbc
+    bin_start = bins.bin_start
+    counts = bins.counts
+    forward = bins.forward
+    crossed = bins.crossed
+    pbc = bins.pbc
     rows_y, rows_z = 2 * crossed[1] + 1, 2 * crossed[2] + 1
     own = (bin_x * counts[1] + bin_y) * counts[2] + bin_z
     ranges[0, 0], ranges[0, 1] = bin_start[own], bin_start[own + 1]
@@ -198,16 +244,26 @@ def atoms_in_reach(bin_x, bin_y, bin_z, bins, ranges):
     for k in range(forward.shape[0]):
         to_x, to_y, to_z = bin_x + forward[k, 0], bin_y + forward[k, 1], bin_z + forward[k, 2]
         cell_x, cell_y, cell_z = to_x // counts[0], to_y // counts[1], to_z // counts[2]
-        if (cell_x != 0 and not pbc[0]) or (cell_y != 0 and not pbc[1]) or (cell_z != 0 and not pbc[2]):
+        if (
+            (cell_x != 0 and not pbc[0])
+            or (cell_y != 0 and not pbc[1])
+            or (cell_z != 0 and not pbc[2])
+        ):
             continue
-        to_x, to_y, to_z = to_x - cell_x * counts[0], to_y - cell_y * counts[1], to_z - cell_z * counts[2]
+        to_x = to_x - cell_x * counts[0]
+        to_y = to_y - cell_y * counts[1]
+        to_z = to_z - cell_z * counts[2]
         neighbor = (to_x * counts[1] + to_y) * counts[2] + to_z
         row = ((cell_x + crossed[0]) * rows_y + cell_y + crossed[1]) * rows_z + cell_z + crossed[2]
         if bin_start[neighbor] == ranges[n, 1] and row == ranges[n, 2]:
             ranges[n, 1] = bin_start[neighbor + 1]
         else:
             n += 1
-            ranges[n, 0], ranges[n, 1], ranges[n, 2] = bin_start[neighbor], bin_start[neighbor + 1], row
+            ranges[n, 0], ranges[n, 1], ranges[n, 2] = (
+                bin_start[neighbor],
+                bin_start[neighbor + 1],
+                row,
+            )
     return n + 1
 
 

@@ -14,12 +14,15 @@ from minimd.core.structure.vectors import Array
 DEFAULT_SKIN = 0.12  # of the cutoff, if nothing is known about the speed of the atoms
 LEAST_SKIN = 0.02  # of the cutoff
 SKINS = np.geomspace(LEAST_SKIN, 1.0, 100)  # of the cutoff, to choose from
-STEP_COST = (16.0, 3.0)  # ns per atom: a constant, and per atom in a cube as wide as the list reaches
+# ns per atom: a constant, and per atom in a cube as wide as the list reaches
+STEP_COST = (16.0, 3.0)
 BUILD_COST = (56.0, 7.0)  # ns per atom, likewise
 CALLS_COST = 10_000.0  # ns of each build, however small the scene is
 
 
-def best_skin(cutoff: float, density: float, displacement: float, n_atoms: int, layers: int = 1) -> float:
+def best_skin(
+    cutoff: float, density: float, displacement: float, n_atoms: int, layers: int = 1
+) -> float:
     """The skin that makes a step cheapest [length].
 
         cost(s) = step(c̄) + build(c) / n,   c = ρ (r_c + s)³,   n = s/2 / d steps between two builds
@@ -31,7 +34,9 @@ def best_skin(cutoff: float, density: float, displacement: float, n_atoms: int, 
         return DEFAULT_SKIN * cutoff
     skins = SKINS * cutoff
     crowd = density * (cutoff + skins) ** 3
-    in_use = density * np.mean([(cutoff + skins * (layer / layers)) ** 3 for layer in range(1, layers + 1)], axis=0)
+    in_use = density * np.mean(
+        [(cutoff + skins * (layer / layers)) ** 3 for layer in range(1, layers + 1)], axis=0
+    )
     builds = np.minimum(1.0, 2.0 * displacement / skins)  # in each step
     build = BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms
     cost = STEP_COST[0] + STEP_COST[1] * in_use + build * builds
@@ -116,7 +121,9 @@ class VerletList(ABC):
     def built(self) -> Built:
         """What build_again needs to make the same list."""
         built_in = None if self._cell is None or self._cell is self._built_in else self._built_in
-        return Built(self.skin, None if self._cell is None else self._built_at(), built_in, self._region)
+        return Built(
+            self.skin, None if self._cell is None else self._built_at(), built_in, self._region
+        )
 
     def build_again(self, built: Built, cell: Cell) -> None:
         """Build a list again; it must have the same skin."""
@@ -152,7 +159,8 @@ def any_moved(positions, reference, limit2):
 @kernel
 def count_not_finite(positions):
     """How many atoms have a position that is not finite, (N, 3), and the first of them."""
-    n_bad, first = 0, -1
+    n_bad = 0
+    first = -1
     for i in range(positions.shape[0]):
         if not np.isfinite(positions[i, 0] + positions[i, 1] + positions[i, 2]):
             first = i if n_bad == 0 else first
@@ -164,7 +172,9 @@ def raise_not_finite(positions: Array) -> None:
     """Raise NonFiniteError if positions (N, 3) are not all finite."""
     n_bad, first = count_not_finite(positions)
     if n_bad:
-        raise NonFiniteError(f"positions of {n_bad} atoms are not finite; the first of them is atom {first}")
+        raise NonFiniteError(
+            f"positions of {n_bad} atoms are not finite; the first of them is atom {first}"
+        )
 
 
 def partners(pairs: Indices, n_atoms: int) -> tuple[Indices, Indices]:

@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.core.potentials import declared as kind, laws
-from minimd.core.potentials.declared import NOT_NEGATIVE, POSITIVE, Array, Declared, LammpsStyle, declared
+from minimd.core.potentials.declared import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    Array,
+    Declared,
+    LammpsStyle,
+    declared,
+)
 from minimd.core.potentials.law import check_law_of_angles, check_user_law, checked_law, on_vectors
 from minimd.core.potentials.links import Bend, FixedPairs, LinkedTerm, Torsion
 from minimd.core.potentials.term import NoTerm, Term, no_bonds
@@ -19,7 +26,8 @@ from minimd.core.structure.system import System
 
 STRETCH = "u = −k longest² ln(1 − (r/longest)²)/2, plus the repulsion"
 REPULSION = "ε of the repulsion, a Lennard-Jones law cut at its minimum; 0 for none"
-TRIED_AT = (0.9, 0.97, 1.06)  # of the length of the first bond: where a user's law of bonds is tried
+# of the length of the first bond: where a user's law of bonds is tried
+TRIED_AT = (0.9, 0.97, 1.06)
 ARGUMENTS = {2: "pairs", 3: "triples", 4: "quadruples"}
 
 
@@ -34,8 +42,14 @@ class Bonded(Declared):
     def groups_in(self, system: System) -> NDArray[np.int64]:
         """(G, n) int, those on which it acts in a system.  Raises ValueError if they name atoms that do not exist."""
         name = ARGUMENTS[size := GROUPS[self.acts_on]]
-        own: NDArray[np.int64] = getattr(system, self.acts_on) if (given := getattr(self, name)) is None else given
-        return checked_pairs(name, own, len(system)) if size == 2 else checked_groups(name, own, size, len(system))
+        own: NDArray[np.int64] = (
+            getattr(system, self.acts_on) if (given := getattr(self, name)) is None else given
+        )
+        return (
+            checked_pairs(name, own, len(system))
+            if size == 2
+            else checked_groups(name, own, size, len(system))
+        )
 
     def bind(self, system: System) -> Term:
         """The term of these groups in a system.
@@ -48,7 +62,9 @@ class Bonded(Declared):
         is_told = getattr(self, ARGUMENTS[GROUPS[self.acts_on]]) is None
         return NoTerm(no_bonds(repr(self), self.acts_on) if is_told else "")
 
-    def check_law(self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]) -> None:
+    def check_law(
+        self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]
+    ) -> None:
         """Compare a user's law with its slope, for the first group.  Raises ValueError if it is wrong."""
 
 
@@ -69,7 +85,9 @@ class BondPotential(Bond):
     parameters: Sequence[ArrayLike] = declared(kind.own_parameters, default=())
     pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
 
-    def check_law(self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]) -> None:
+    def check_law(
+        self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]
+    ) -> None:
         """See Bonded."""
         r = float(np.linalg.norm(nearest_vectors(system.positions, system.cell, group[None])))
         check_user_law(checked_law(self.law), numbers, [x * r for x in TRIED_AT] if r > 0.0 else ())
@@ -78,7 +96,8 @@ class BondPotential(Bond):
 class HarmonicBond(Bond):
     """Harmonic bond u(r) = ½ k (r − r₀)²."""
 
-    law, lammps = laws.HarmonicLaw(), LammpsStyle("harmonic", lambda k, length: (0.5 * k, length))
+    law = laws.HarmonicLaw()
+    lammps = LammpsStyle("harmonic", lambda k, length: (0.5 * k, length))
     k: ArrayLike = declared(kind.each, "u = k (r − length)²/2", "stiffness", NOT_NEGATIVE)
     length: ArrayLike = declared(kind.each, "rest length", "length", NOT_NEGATIVE)
     pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
@@ -87,8 +106,11 @@ class HarmonicBond(Bond):
 class MorseBond(Bond):
     """Morse bond u(r) = D (1 − exp[−a (r − r₀)])², which breaks when it is pulled; its stiffness at rest is 2 a² D."""
 
-    law, lammps = laws.MorseLaw(), LammpsStyle("morse")
-    depth: ArrayLike = declared(kind.each, "u = depth (1 − exp(−a (r − length)))²", "energy", NOT_NEGATIVE)
+    law = laws.MorseLaw()
+    lammps = LammpsStyle("morse")
+    depth: ArrayLike = declared(
+        kind.each, "u = depth (1 − exp(−a (r − length)))²", "energy", NOT_NEGATIVE
+    )
     a: ArrayLike = declared(kind.each, "inverse width", "inverse length", POSITIVE)
     length: ArrayLike = declared(kind.each, "rest length", "length", NOT_NEGATIVE)
     pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
@@ -102,7 +124,8 @@ class FENEBond(Bond):
     fene` does. The energy of a bond of length R or more is not finite: the run ends with NonFiniteError.
     """
 
-    law, lammps = laws.FENELaw(), LammpsStyle("fene")
+    law = laws.FENELaw()
+    lammps = LammpsStyle("fene")
     k: ArrayLike = declared(kind.each, STRETCH, "stiffness", NOT_NEGATIVE)
     longest: ArrayLike = declared(kind.each, "length that a bond cannot reach", "length", POSITIVE)
     epsilon: ArrayLike = declared(kind.each, REPULSION, "energy", NOT_NEGATIVE, default=1.0)
@@ -116,7 +139,8 @@ class HarmonicAngle(Bonded):
     Where θ is exactly 0 or π, the force has no direction; it is then zero.
     """
 
-    acts_on, lammps = "angles", LammpsStyle("harmonic", lambda k, angle: (0.5 * k, np.degrees(angle)))
+    acts_on = "angles"
+    lammps = LammpsStyle("harmonic", lambda k, angle: (0.5 * k, np.degrees(angle)))
     k: ArrayLike = declared(kind.each, "u = k (θ − angle)²/2", "angular stiffness", NOT_NEGATIVE)
     angle: ArrayLike = declared(kind.each, "rest angle", "angle", kind.ANGLE)
     triples: ArrayLike | None = declared(kind.groups, "the middle one second", of=3, default=None)
@@ -149,7 +173,9 @@ class DihedralPotential(Dihedral):
     parameters: Sequence[ArrayLike] = declared(kind.own_parameters, default=())
     quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
 
-    def check_law(self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]) -> None:
+    def check_law(
+        self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]
+    ) -> None:
         """See Bonded."""
         check_law_of_angles(checked_law(self.law), numbers)
 
@@ -161,7 +187,8 @@ class PeriodicDihedral(Dihedral):
     LAMMPS' `dihedral_style harmonic`, K [1 + d cos(nφ)], is k = K with the phase 0 for d = 1 and π for d = −1.
     """
 
-    law, lammps = laws.PeriodicLaw(), LammpsStyle("fourier", lambda k, n, phase: (1, k, n, np.degrees(phase)))
+    law = laws.PeriodicLaw()
+    lammps = LammpsStyle("fourier", lambda k, n, phase: (1, k, n, np.degrees(phase)))
     k: ArrayLike = declared(kind.each, "u = k (1 + cos(n φ − phase))", "energy")
     n: ArrayLike = declared(kind.each, "number of minima in a turn", "", kind.WHOLE)
     phase: ArrayLike = declared(kind.each, "phase of u, see k", "angle", kind.PHASE, default=0.0)
@@ -175,8 +202,12 @@ class RyckaertBellemans(Dihedral):
     """
 
     law = laws.RyckaertBellemansLaw()
-    lammps = LammpsStyle("nharmonic", lambda *c: (len(c), *(-one if n % 2 else one for n, one in enumerate(c))))
-    coefficients: Sequence[ArrayLike] = declared(kind.coefficients, "c₀ to c₅ of u = Σ cₙ cosⁿ(φ − 180°)", "energy")
+    lammps = LammpsStyle(
+        "nharmonic", lambda *c: (len(c), *(-one if n % 2 else one for n, one in enumerate(c)))
+    )
+    coefficients: Sequence[ArrayLike] = declared(
+        kind.coefficients, "c₀ to c₅ of u = Σ cₙ cosⁿ(φ − 180°)", "energy"
+    )
     quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
 
     def numbers(self) -> dict[str, Array]:
@@ -192,7 +223,8 @@ class OPLSDihedral(Dihedral):
     W. L. Jorgensen, D. S. Maxwell, J. Tirado-Rives, J. Am. Chem. Soc. 118, 11225 (1996).
     """
 
-    law, lammps = RyckaertBellemans.law, RyckaertBellemans.lammps
+    law = RyckaertBellemans.law
+    lammps = RyckaertBellemans.lammps
     k1: ArrayLike = declared(kind.each, "u = k1 (1 + cos φ)/2 + …", "energy")
     k2: ArrayLike = declared(kind.each, "… + k2 (1 − cos 2φ)/2 + …", "energy")
     k3: ArrayLike = declared(kind.each, "… + k3 (1 + cos 3φ)/2 + …", "energy")
@@ -208,7 +240,14 @@ class OPLSDihedral(Dihedral):
     def numbers(self) -> dict[str, Array]:
         """See Declared."""
         one, two, three, four = super().numbers().values()
-        c = (two + 0.5 * (one + three), 0.5 * (3.0 * three - one), 4.0 * four - two, -2.0 * three, -4.0 * four, 0.0)
+        c = (
+            two + 0.5 * (one + three),
+            0.5 * (3.0 * three - one),
+            4.0 * four - two,
+            -2.0 * three,
+            -4.0 * four,
+            0.0,
+        )
         return {f"c{k}": np.asarray(one) for k, one in enumerate(c)}
 
 
@@ -220,7 +259,10 @@ class HarmonicImproper(Dihedral):
     LAMMPS' `improper_style harmonic` takes the same angle without its sign, and K = k/2.
     """
 
-    acts_on, law = "impropers", laws.HarmonicTorsionLaw()
+    acts_on = "impropers"
+    law = laws.HarmonicTorsionLaw()
     k: ArrayLike = declared(kind.each, "u = k (φ − angle)²/2", "angular stiffness", NOT_NEGATIVE)
-    angle: ArrayLike = declared(kind.each, "rest angle, with its sign", "angle", kind.SIGNED_ANGLE, default=0.0)
+    angle: ArrayLike = declared(
+        kind.each, "rest angle, with its sign", "angle", kind.SIGNED_ANGLE, default=0.0
+    )
     quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)

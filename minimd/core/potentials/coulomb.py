@@ -14,7 +14,15 @@ from minimd.core.compiled.kernels import scalar, type_of
 from minimd.core.compiled.simd import fma, select
 from minimd.core.compiled.simd.functions import polynomial
 from minimd.core.console.words import shown
-from minimd.core.potentials.declared import POSITIVE, Declared, choice, declared, factors, number, pairs
+from minimd.core.potentials.declared import (
+    POSITIVE,
+    Declared,
+    choice,
+    declared,
+    factors,
+    number,
+    pairs,
+)
 from minimd.core.potentials.law import evaluate_law
 from minimd.core.potentials.prolates import LEAST_ACCURATE, MOST_ACCURATE, Numbers, Split, split_for
 from minimd.core.potentials.term import OwnTerm, PairLaw
@@ -22,7 +30,11 @@ from minimd.core.structure.bond_graph import checked_pairs
 from minimd.core.structure.system import System
 
 MethodName = Literal["ewald", "waves", "mesh", "reaction-field", "shifted-force"]
-SUMS = {"ewald": "pairs and waves, by the quicker of two sums", "waves": "wave by wave", "mesh": "on a mesh"}
+SUMS = {
+    "ewald": "pairs and waves, by the quicker of two sums",
+    "waves": "wave by wave",
+    "mesh": "on a mesh",
+}
 METHODS = {**SUMS, "reaction-field": "pairs only", "shifted-force": "pairs only"}
 NO_REST: Numbers = (0.0, (0.0, 0.0), (0.0, 0.0))  # of a split whose L is zero
 
@@ -37,7 +49,8 @@ def coulomb(r2, split, parameters):
     split : numbers of a Split.  parameters : (q, …), the product of two charges [energy · length].
     """
     scale, values, slopes = split
-    t, inverse2 = scale * r2 - 1.0, 1.0 / r2
+    t = scale * r2 - 1.0
+    inverse2 = 1.0 / r2
     inverse = sqrt(inverse2)
     u = inverse - polynomial(t, values)
     return parameters[0] * u, parameters[0] * fma(inverse, inverse2, polynomial(t, slopes))
@@ -71,11 +84,15 @@ def special(r2, split, parameters):
     parameters : (q, s, r_c²)."""
     scale, values, slopes = split
     q, s, cutoff2 = parameters
-    t, inverse2 = scale * r2 - 1.0, 1.0 / r2
-    inverse, is_near = sqrt(inverse2), r2 < cutoff2
+    t = scale * r2 - 1.0
+    inverse2 = 1.0 / r2
+    inverse = sqrt(inverse2)
+    is_near = r2 < cutoff2
     inverse3 = inverse * inverse2
     rest = select(is_near, polynomial(t, values), inverse)
-    return q * (s * inverse - rest), q * (s * inverse3 + select(is_near, polynomial(t, slopes), -inverse3))
+    return q * (s * inverse - rest), q * (
+        s * inverse3 + select(is_near, polynomial(t, slopes), -inverse3)
+    )
 
 
 CoulombLaw, SpecialLaw, ShiftedForceLaw, ChargedLaw = (
@@ -104,7 +121,11 @@ class Coulomb(Declared):
     """
 
     cutoff: float | None = declared(
-        number, "r_c of the pairs; a small r_c needs many waves; required if periodic", "length", POSITIVE, default=None
+        number,
+        "r_c of the pairs; a small r_c needs many waves; required if periodic",
+        "length",
+        POSITIVE,
+        default=None,
     )
     accuracy: float = declared(
         number,
@@ -113,13 +134,24 @@ class Coulomb(Declared):
         default=1e-5,
     )
     method: MethodName = declared(
-        choice, "how charges are summed; the last two are approximations", of=METHODS, default="ewald", kw_only=True
+        choice,
+        "how charges are summed; the last two are approximations",
+        of=METHODS,
+        default="ewald",
+        kw_only=True,
     )
     dielectric: float = declared(
-        number, "ε of the reaction field, 1 or more; default: infinite, a conductor", of=inf, default=inf, kw_only=True
+        number,
+        "ε of the reaction field, 1 or more; default: infinite, a conductor",
+        of=inf,
+        default=inf,
+        kw_only=True,
     )
     bonded_scale: Sequence[float] = declared(
-        factors, "factors for pairs one, two and three bonds apart", default=(0.0, 0.0, 1.0), kw_only=True
+        factors,
+        "factors for pairs one, two and three bonds apart",
+        default=(0.0, 0.0, 1.0),
+        kw_only=True,
     )
     exclusions: ArrayLike | None = declared(
         pairs, "pairs that do not interact, whatever bonded_scale says", default=None, kw_only=True
@@ -138,40 +170,66 @@ class Coulomb(Declared):
         """The term of this potential in a system.  Raises ValueError as the class."""
         if not system.charges.any():
             hint = "System(..., charges=q), atoms.set_initial_charges(q) of ASE, or in a scene file structure.charges"
-            raise ValueError(f"Coulomb needs charges; those of the system are all zero: give them as {hint}")
-        pbc, is_sum = system.cell.pbc, self.method in SUMS
+            raise ValueError(
+                f"Coulomb needs charges; those of the system are all zero: give them as {hint}"
+            )
+        pbc = system.cell.pbc
+        is_sum = self.method in SUMS
         if is_sum and pbc.any() and not pbc.all():
             hint = 'make the cell periodic in all three, with empty space, or take method="shifted-force"'
-            raise ValueError(f"Coulomb needs a cell that is periodic in all directions or in none; pbc = {pbc}: {hint}")
-        cutoff, is_split = self.cutoff or inf, is_sum and pbc.all()
+            raise ValueError(
+                f"Coulomb needs a cell that is periodic in all directions or in none; pbc = {pbc}: {hint}"
+            )
+        cutoff = self.cutoff or inf
+        is_split = is_sum and pbc.all()
         if cutoff == inf and (pbc.any() or not is_sum):
             where = "in a periodic cell" if is_sum else f"with method {self.method!r}"
             raise ValueError(f"cutoff of Coulomb must be given {where}; it is None")
-        return CoulombTerm(self, system, cutoff, split_for(cutoff, self.accuracy) if is_split else None)
+        return CoulombTerm(
+            self, system, cutoff, split_for(cutoff, self.accuracy) if is_split else None
+        )
 
 
 class CoulombTerm(OwnTerm):
     """Charges in a system: a law for the planner to run on a list of neighbors, and perhaps with a sum over waves."""
 
-    def __init__(self, potential: Coulomb, system: System, cutoff: float, split: Split | None) -> None:
-        self.cutoff = self.shortest_length = inf if split is None and potential.method in SUMS else cutoff
+    def __init__(
+        self, potential: Coulomb, system: System, cutoff: float, split: Split | None
+    ) -> None:
+        self.cutoff = self.shortest_length = (
+            inf if split is None and potential.method in SUMS else cutoff
+        )
         numbers = NO_REST if split is None else split.numbers
         if potential.method == "reaction-field":
             part = 1.0 / (2.0 + 1.0 / potential.dielectric)
-            k, c = (1.0 - 1.0 / potential.dielectric) * part / self.cutoff, 3.0 * part / self.cutoff
-            numbers = (2.0 / self.cutoff**2, (c - 0.5 * k, -0.5 * k), (-2.0 * k / self.cutoff**2, 0.0))
+            k = (1.0 - 1.0 / potential.dielectric) * part / self.cutoff
+            c = 3.0 * part / self.cutoff
+            numbers = (
+                2.0 / self.cutoff**2,
+                (c - 0.5 * k, -0.5 * k),
+                (-2.0 * k / self.cutoff**2, 0.0),
+            )
         charges = system.charges * sqrt(system.units.coulomb)
         if split is not None and (net := system.net_charge):
-            self.warning = f"the net charge of the cell is {net:.6g} e: a uniform background balances it"
-        name, table = type(potential).__name__, np.full((1, 1, 1), self.cutoff**2)
-        law = ShiftedForceLaw(cutoff) if potential.method == "shifted-force" else CoulombLaw(numbers)
+            self.warning = (
+                f"the net charge of the cell is {net:.6g} e: a uniform background balances it"
+            )
+        name = type(potential).__name__
+        table = np.full((1, 1, 1), self.cutoff**2)
+        law = (
+            ShiftedForceLaw(cutoff) if potential.method == "shifted-force" else CoulombLaw(numbers)
+        )
         left_out = checked_pairs("exclusions", potential.exclusions, len(system))
         scale = tuple(potential.bonded_scale)
-        self.pair_law = PairLaw(name, law, table, self.cutoff, scale, charges, split, potential.method, left_out)
+        self.pair_law = PairLaw(
+            name, law, table, self.cutoff, scale, charges, split, potential.method, left_out
+        )
 
 
 def with_charges(law: PairLaw, charges: PairLaw) -> PairLaw:
     """A law, and that of charges, which reaches as far or farther, as one law."""
-    table = np.concatenate([np.full((*law.table.shape[:2], 1), charges.cutoff**2), law.table], axis=-1)
+    table = np.concatenate(
+        [np.full((*law.table.shape[:2], 1), charges.cutoff**2), law.table], axis=-1
+    )
     name = f"{law.name}, {charges.name}"
     return charges._replace(name=name, law=ChargedLaw(law.law, charges.law), table=table)

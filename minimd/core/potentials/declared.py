@@ -37,8 +37,12 @@ from minimd.core.structure.checks import (
 )
 
 Array = NDArray[np.float64]
-FINITE, NOT_NEGATIVE, POSITIVE, WHOLE = "finite", "finite and not negative", "positive and finite", "whole numbers"
-ANGLE, SIGNED_ANGLE = "between 0 and pi (radians)", "between -pi and pi (radians)"
+FINITE = "finite"
+NOT_NEGATIVE = "finite and not negative"
+POSITIVE = "positive and finite"
+WHOLE = "whole numbers"
+ANGLE = "between 0 and pi (radians)"
+SIGNED_ANGLE = "between -pi and pi (radians)"
 PHASE = "between -2 pi and 2 pi (radians)"
 DEMANDS: Mapping[str, Callable[[Array], Any]] = {  # of finite numbers
     FINITE: lambda _: True,
@@ -78,8 +82,11 @@ class Parameter(NamedTuple):
 
     def told(self, name: str) -> str:
         """A line of a docstring."""
-        unit, choices = UNITS.get(self.dimension, ""), self.of
-        what = self.kind.words.format(of=" or ".join(map(repr, choices)) if isinstance(choices, Mapping) else choices)
+        unit = UNITS.get(self.dimension, "")
+        choices = self.of
+        what = self.kind.words.format(
+            of=" or ".join(map(repr, choices)) if isinstance(choices, Mapping) else choices
+        )
         return f"{name} : {what}{unit and f' [{unit}]'}{self.words and '; '}{self.words}."
 
 
@@ -137,7 +144,10 @@ class Declared(OwnPotential):
 
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
-        return {name: getattr(type(one := getattr(self, name)), "python", one) for name in self.parameters_of()}
+        return {
+            name: getattr(type(one := getattr(self, name)), "python", one)
+            for name in self.parameters_of()
+        }
 
     def columns(self, things: str, n: int) -> tuple[Array, ...]:
         """The numbers of the law for each of n things, as contiguous (n,) arrays.
@@ -146,32 +156,46 @@ class Declared(OwnPotential):
             if array.shape not in ((), (n,)):
                 wanted = f"one number, or {n} numbers, one for each of the {things}"
                 raise ValueError(f"{name} must be {wanted}; its shape is {array.shape}")
-        return tuple(np.array(np.broadcast_to(one, n)) for one in self.numbers().values())  # of one type, for kernels
+        # of one type, for kernels
+        return tuple(np.array(np.broadcast_to(one, n)) for one in self.numbers().values())
 
     def numbers(self) -> dict[str, Array]:
         """The numbers of the law by name, each one for all, or one for each."""
-        found = {name: getattr(self, name) for name, one in self.parameters_of().items() if one.kind is each}
+        found = {
+            name: getattr(self, name)
+            for name, one in self.parameters_of().items()
+            if one.kind is each
+        }
         own: tuple[Array, ...] = getattr(self, "parameters", ())
         return found | {f"parameter {k}": values for k, values in enumerate(own)}
 
 
-def checked_values(name: str, values: Any, words: str, fits: Callable[[tuple], bool], demand: str = FINITE) -> Array:
+def checked_values(
+    name: str, values: Any, words: str, fits: Callable[[tuple], bool], demand: str = FINITE
+) -> Array:
     """Numbers of a shape that fits.  words : what they must be.  demand : one of DEMANDS.
     Raises ValueError for anything else."""
     array = checked_numbers(name, values, words)
     if not fits(array.shape):
-        raise ValueError(f"{name} must be {words}; its shape is {array.shape}, {name} = {shown(values)}")
+        raise ValueError(
+            f"{name} must be {words}; its shape is {array.shape}, {name} = {shown(values)}"
+        )
     if not (np.isfinite(array) & DEMANDS[demand](array)).all():
         raise ValueError(f"{name} must be {demand}; {name} = {shown(array.tolist())}")
     return array
 
 
 def shaped(
-    words: str, fits: Callable[[tuple], bool], become: Callable[[str, Array], Any] = lambda _, same: same
+    words: str,
+    fits: Callable[[tuple], bool],
+    become: Callable[[str, Array], Any] = lambda _, same: same,
 ) -> Kind:
     """The kind of arrays with a shape that fits.  become : makes what is kept, from the name and the array."""
     return Kind(
-        words, lambda name, values, asked: become(name, checked_values(name, values, words, fits, asked.demand))
+        words,
+        lambda name, values, asked: become(
+            name, checked_values(name, values, words, fits, asked.demand)
+        ),
     )
 
 
@@ -180,7 +204,9 @@ def _unit(name: str, array: Array) -> Array:
     # no square leaves the range of floats
     length = largest * float(np.linalg.norm(array / largest)) if largest > 0.0 else 0.0
     if not 0.0 < length < inf:
-        raise ValueError(f"{name} must not be zero, nor of infinite length; {name} = {array.tolist()}")
+        raise ValueError(
+            f"{name} must not be zero, nor of infinite length; {name} = {array.tolist()}"
+        )
     return array / length
 
 
@@ -193,7 +219,9 @@ def _of_atoms(shape: tuple) -> bool:
 
 
 def _coefficients(name: str, values: Any, asked: Parameter) -> tuple[Array, ...]:
-    is_list = isinstance(values, list | tuple) or (isinstance(values, np.ndarray) and values.ndim > 0)
+    is_list = isinstance(values, list | tuple) or (
+        isinstance(values, np.ndarray) and values.ndim > 0
+    )
     if not (is_list and 0 < len(values) <= MOST_COEFFICIENTS):
         wanted = f"a list of 1 to {MOST_COEFFICIENTS} numbers, c0 to c5"
         raise ValueError(f"{name} must be {wanted}; {name} = {shown(values)}")
@@ -216,7 +244,9 @@ def _atoms(name: str, values: Any, _asked: Parameter) -> NDArray[np.int64] | Non
         return None
     found = checked_indices(name, values, "a list of atoms")
     if found.ndim != 1 or found.min(initial=0) < 0 or len(np.unique(found)) < len(found):
-        raise ValueError(f"{name} must be a list of different atoms, from 0 on; {name} = {shown(found.tolist())}")
+        raise ValueError(
+            f"{name} must be a list of different atoms, from 0 on; {name} = {shown(found.tolist())}"
+        )
     return found
 
 
@@ -228,20 +258,31 @@ def _groups(name: str, values: Any, asked: Parameter) -> NDArray[np.int64] | Non
 
 each = shaped("one number, or one for each", lambda shape: len(shape) < 2)
 stiffness = shaped("one number, or three", ((), (3,)).__contains__)
-vector, direction = shaped("three numbers", (3,).__eq__), shaped("three numbers", (3,).__eq__, _unit)
+vector = shaped("three numbers", (3,).__eq__)
+direction = shaped("three numbers", (3,).__eq__, _unit)
 vectors = shaped("three numbers, or three for each atom", _of_atoms)
 points = shaped("three numbers, or three for each atom", _of_atoms)  # a scene file lists them
 weight = shaped("one number, downwards along z, or three", ((), (3,)).__contains__, _downwards)
 factors = shaped("three numbers", (3,).__eq__, lambda _, same: tuple(same.tolist()))
-coefficients = Kind("up to six, each one number for all or one for each; missing ones are 0", _coefficients)
+coefficients = Kind(
+    "up to six, each one number for all or one for each; missing ones are 0", _coefficients
+)
 own_law = Kind("a user's function, or a law type", lambda _name, law, _asked: checked_law(law))
 own_parameters = Kind("a tuple, each entry one number for all or one for each", _own_parameters)
 number = Kind("one number", _number)
-pairs = Kind("pairs of atoms", lambda name, given, _: None if given is None else checked_pairs(name, given))
+pairs = Kind(
+    "pairs of atoms", lambda name, given, _: None if given is None else checked_pairs(name, given)
+)
 flag = Kind("True or False", lambda name, value, _: checked_flag(name, value))
 given = Kind(  # its class checks it
     "{of}",
-    lambda _name, one, _: dict(one) if isinstance(one, Mapping) else one.item() if isinstance(one, np.generic) else one,
+    lambda _name, one, _: (
+        dict(one)
+        if isinstance(one, Mapping)
+        else one.item()
+        if isinstance(one, np.generic)
+        else one
+    ),
 )
 choice = Kind("one of {of}", lambda name, value, asked: checked_choice(name, value, asked.of))
 atoms = Kind("indices of different atoms; all if not given", _atoms)

@@ -17,11 +17,25 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.fixed_point import force_along, in_steps, is_too_large
 from minimd.core.compiled.kernels import DirectCalls, by_type, called_kernel
-from minimd.core.compiled.program import GO_ON, OUT_OF_RANGE, Operation, in_python, n_chunks_of, operation
+from minimd.core.compiled.program import (
+    GO_ON,
+    OUT_OF_RANGE,
+    Operation,
+    in_python,
+    n_chunks_of,
+    operation,
+)
 from minimd.core.potentials import declared as kind
 from minimd.core.potentials.declared import NOT_NEGATIVE, POSITIVE, Array, Declared, declared
 from minimd.core.potentials.law import ACCURACY, STEP, agree, evaluate_law, law_at, loop_for
-from minimd.core.potentials.laws import ConstantLaw, Curved, LennardJones93Law, LennardJonesLaw, Planar, RestraintLaw
+from minimd.core.potentials.laws import (
+    ConstantLaw,
+    Curved,
+    LennardJones93Law,
+    LennardJonesLaw,
+    Planar,
+    RestraintLaw,
+)
 from minimd.core.potentials.pair_loop import row_of
 from minimd.core.potentials.term import FORCES, PER_ATOM, TOTALS, OwnTerm, Target, Term
 from minimd.core.potentials.truncation import Shifted
@@ -39,10 +53,14 @@ WALL_LAWS: dict[str, Any] = {"9-3": LennardJones93Law(), "12-6": LennardJonesLaw
 WallLaw = Literal["9-3", "12-6"]  # the keys of WALL_LAWS
 REACH = "distance beyond which the wall exerts no force; no cutoff if not given"
 OF_DISTANCE = "energy at the distance d: ε [2/15 (σ/d)⁹ − (σ/d)³], or 4ε [(σ/d)¹² − (σ/d)⁶]; shifted to 0 at the cutoff"
-ALONG = 1e-9  # of a lattice vector: one that leaves the plane of a wall by less counts as parallel to it
+# of a lattice vector: one that leaves the plane of a wall by less counts as parallel to it
+ALONG = 1e-9
 
 
-class Sites(ByAddress, namedtuple("Sites", "positions images atoms anchors law columns time forces steps detail sums")):
+class Sites(
+    ByAddress,
+    namedtuple("Sites", "positions images atoms anchors law columns time forces steps detail sums"),
+):
     """Where a field acts, and what on.
 
     positions : (N, 3) [length].  images : Images.  atoms : (n,) int, all different.
@@ -62,9 +80,24 @@ def _rate(found):
 def add_field(sites, chunk):
     """Add the forces and energies of a field u(x, y, z, t).  OUT_OF_RANGE if a force is beyond the range of a grid.
     The virial is left out: fields act from outside."""
-    positions, images, atoms, anchors, law, columns, time, forces, steps, detail, (totals, powers, energies) = sites
+    (
+        positions,
+        images,
+        atoms,
+        anchors,
+        law,
+        columns,
+        time,
+        forces,
+        steps,
+        detail,
+        (totals, powers, energies),
+    ) = sites
     lattice, inverse, pbc, safe_distance2 = images
-    n_chunks, total, power, is_out = totals.size, 0.0, 0.0, False
+    n_chunks = totals.size
+    total = 0.0
+    power = 0.0
+    is_out = False
     for n in range(chunk * atoms.size // n_chunks, (chunk + 1) * atoms.size // n_chunks):
         i = atoms[n]
         x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
@@ -79,12 +112,15 @@ def add_field(sites, chunk):
         forces[i, 1] += force_along(found[2], 1.0, steps)
         forces[i, 2] += force_along(found[3], 1.0, steps)
         power += _rate(found)
-        is_out |= is_too_large(found[1] * found[1] + found[2] * found[2] + found[3] * found[3], steps)
+        is_out |= is_too_large(
+            found[1] * found[1] + found[2] * found[2] + found[3] * found[3], steps
+        )
         if detail != FORCES:
             total += in_steps(found[0], steps)
         if detail == PER_ATOM:
             energies[i] += in_steps(found[0], steps)
-    totals[chunk], powers[chunk] = total, power
+    totals[chunk] = total
+    powers[chunk] = power
     return OUT_OF_RANGE if is_out else GO_ON
 
 
@@ -95,16 +131,34 @@ class FieldTerm(OwnTerm):
     acts_from_outside = fits_grid = True
     prepare: Callable[[], None] | None = None
 
-    def __init__(self, acting: NDArray[np.int64], law: tuple, columns: tuple, anchors: Array = NOWHERE) -> None:
-        self._atoms, self._law, self.anchors, self.columns = acting, law, np.ascontiguousarray(anchors), columns
-        self._time, (self._totals, self._powers) = np.zeros(1), np.zeros((2, n_chunks_of(len(acting))))
+    def __init__(
+        self, acting: NDArray[np.int64], law: tuple, columns: tuple, anchors: Array = NOWHERE
+    ) -> None:
+        self._atoms, self._law, self.anchors, self.columns = (
+            acting,
+            law,
+            np.ascontiguousarray(anchors),
+            columns,
+        )
+        self._time, (self._totals, self._powers) = (
+            np.zeros(1),
+            np.zeros((2, n_chunks_of(len(acting)))),
+        )
         self._loop, self._calls = loop_for(add_field, law), DirectCalls()
 
     def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
         if self.prepare is not None:
             yield in_python(self.prepare)
-        acting = self._atoms, self.anchors, self._law, self.columns, self._time, target.forces, target.steps
+        acting = (
+            self._atoms,
+            self.anchors,
+            self._law,
+            self.columns,
+            self._time,
+            target.forces,
+            target.steps,
+        )
         sums = self._totals, self._powers, target.energies
         sites = Sites(system.positions, target.images, *acting, target.detail, sums)
         yield operation(self._calls, self._loop, sites, len(self._totals))
@@ -138,8 +192,11 @@ class OnAtoms(Declared):
         if own is None:
             return np.arange(len(system))
         if own.max(initial=-1) >= len(system):
-            name, last = type(self).__name__, len(system) - 1
-            raise ValueError(f"atoms of {name} must be atoms 0 to {last}; they name atom {own.max()}")
+            name = type(self).__name__
+            last = len(system) - 1
+            raise ValueError(
+                f"atoms of {name} must be atoms 0 to {last}; they name atom {own.max()}"
+            )
         return own
 
 
@@ -172,7 +229,11 @@ class Gravity(OnAtoms):
     def bind(self, system: System) -> Term:
         """The term of the weight of a system.  Raises ValueError if atoms do not exist."""
         acting = self.atoms_in(system)
-        return FieldTerm(acting, ConstantLaw(), (*np.outer(np.asarray(self.acceleration), system.masses[acting]),))
+        return FieldTerm(
+            acting,
+            ConstantLaw(),
+            (*np.outer(np.asarray(self.acceleration), system.masses[acting]),),
+        )
 
 
 class Springs(OnAtoms):
@@ -180,10 +241,13 @@ class Springs(OnAtoms):
 
     def bind(self, system: System) -> FieldTerm:
         """The term of these springs in a system.  Raises ValueError if atoms, or their points, are missing."""
-        acting, given = self.atoms_in(system), self.arguments()
+        acting = self.atoms_in(system)
+        given = self.arguments()
         numbers = (*np.broadcast_to(given["k"], 3), 0.0, 0.0, 0.0)  # the points are at rest
         columns = tuple(np.full(len(acting), one) for one in numbers)
-        return FieldTerm(acting, RestraintLaw(), columns, rows_of("points", given["points"], len(acting)))
+        return FieldTerm(
+            acting, RestraintLaw(), columns, rows_of("points", given["points"], len(acting))
+        )
 
 
 class Restraint(Springs):
@@ -193,7 +257,9 @@ class Restraint(Springs):
     """
 
     k: ArrayLike = declared(kind.stiffness, "u = k (r − point)²/2", "stiffness", NOT_NEGATIVE)
-    points: ArrayLike = declared(kind.points, "anchor points, one for all atoms or one for each", "length")
+    points: ArrayLike = declared(
+        kind.points, "anchor points, one for all atoms or one for each", "length"
+    )
     atoms: ArrayLike | None = declared(kind.atoms, default=None)
 
 
@@ -205,11 +271,17 @@ class SteeredSpring(Springs):
     """
 
     k: ArrayLike = declared(kind.stiffness, "u = k (r − point)²/2", "stiffness", NOT_NEGATIVE)
-    points: ArrayLike = declared(kind.points, "points at the start, one for all atoms or one for each", "length")
+    points: ArrayLike = declared(
+        kind.points, "points at the start, one for all atoms or one for each", "length"
+    )
     velocity: ArrayLike = declared(kind.vector, "velocity of the points", "velocity")
     atoms: ArrayLike | None = declared(kind.atoms, default=None)
-    start: float = declared(kind.number, "start of the motion of the points", "time", default=0.0, kw_only=True)
-    end: float = declared(kind.number, "end of the motion; default: never", "time", default=inf, kw_only=True)
+    start: float = declared(
+        kind.number, "start of the motion of the points", "time", default=0.0, kw_only=True
+    )
+    end: float = declared(
+        kind.number, "end of the motion; default: never", "time", default=inf, kw_only=True
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -218,13 +290,16 @@ class SteeredSpring(Springs):
 
     def points_at(self, time: float) -> Array:
         """p(t), of the shape of points [length]."""
-        moved: Array = np.asarray(self.velocity) * (min(max(time, self.start), self.end) - self.start)
+        moved: Array = np.asarray(self.velocity) * (
+            min(max(time, self.start), self.end) - self.start
+        )
         return np.asarray(self.points) + moved
 
     def bind(self, system: System) -> FieldTerm:
         """See Restraint."""
         term = super().bind(system)
-        term.prepare, term.depends_on_time = partial(self._move_points, term), True
+        term.prepare = partial(self._move_points, term)
+        term.depends_on_time = True
         term.fits_grid = False  # its work is no whole number of steps
         return term
 
@@ -257,11 +332,15 @@ class Field(OnAtoms):
 
     def bind(self, system: System) -> Term:
         """The term of this field in a system.  Raises ValueError, TypeError as the class says."""
-        acting, law = self.atoms_in(system), self.law
+        acting = self.atoms_in(system)
+        law = self.law
         columns = self.columns("atoms", len(acting))
         some = np.unique(np.linspace(0, len(acting) - 1, TRIED).astype(int)) if len(acting) else ()
         tried = [
-            _Tried(law, system.positions[acting[k]] + BESIDE, tuple(one[k].item() for one in columns)) for k in some
+            _Tried(
+                law, system.positions[acting[k]] + BESIDE, tuple(one[k].item() for one in columns)
+            )
+            for k in some
         ]
         compared: list[tuple[int, str]] = []
         for one in tried:
@@ -291,26 +370,38 @@ class _Tried(NamedTuple):
 
     def at(self, time: float, shift: Array | float = 0.0) -> tuple[float, ...]:
         """What the law returns.  Raises TypeError unless that is four or five numbers."""
-        name, (x, y, z) = type(self.law).python.__name__, (self.place + shift).tolist()
+        name = type(self.law).python.__name__
+        x, y, z = (self.place + shift).tolist()
         try:
-            found = tuple(float(one) for one in evaluate_law(self.law, x, (y, z, time, *self.numbers)))
+            found = tuple(
+                float(one) for one in evaluate_law(self.law, x, (y, z, time, *self.numbers))
+            )
         except ArithmeticError:
             return (nan,) * 4
         except Exception as error:  # whatever a law of the user's raises
             taken = f"x, y, z, t and {len(self.numbers)} parameters"
-            raise TypeError(f"the law {name} must take {taken}, and return {RETURNED}: {error}") from None
+            raise TypeError(
+                f"the law {name} must take {taken}, and return {RETURNED}: {error}"
+            ) from None
         if len(found) not in (4, TIMED):
-            raise TypeError(f"the law {name} must return {RETURNED}; it returns {len(found)} numbers")
+            raise TypeError(
+                f"the law {name} must return {RETURNED}; it returns {len(found)} numbers"
+            )
         return found
 
     def compared(self, time: float) -> Iterator[tuple[int, str]]:
         """The index of each number after u that is not zero, or should not be, by central differences; and what is
         wrong with it, or nothing."""
-        steps, (u, *told) = [(h, 0.0) for h in STEP * np.eye(3)] + [(np.zeros(3), STEP)], self.at(time)
+        steps = [(h, 0.0) for h in STEP * np.eye(3)] + [(np.zeros(3), STEP)]
+        (u, *told) = self.at(time)
         ends = ((self.at(time - dt, h)[0], self.at(time + dt, -h)[0]) for h, dt in steps)
         slopes = [(u_plus - u_minus) / (-2.0 * STEP) for u_plus, u_minus in ends]  # −∇u and ∂u/∂t
         for k, (said, slope) in enumerate(zip((*told, 0.0)[:4], slopes, strict=True)):
-            if isfinite(said) and isfinite(slope) and not (agree(said, 0.0, u) and agree(slope, 0.0, u)):
+            if (
+                isfinite(said)
+                and isfinite(slope)
+                and not (agree(said, 0.0, u) and agree(slope, 0.0, u))
+            ):
                 at = f"at ({', '.join(f'{c:.4g}' for c in self.place)}), t = {time:g}"
                 what = f"-∂u/∂{'xyz'[k]}" if k < len("xyz") else "∂u/∂t"
                 if agree(said, slope, u):
@@ -346,10 +437,12 @@ class OwnWall(OnAtoms):
     def bind(self, system: System) -> Term:
         """The term of this wall in a system.  Raises ValueError if atoms are missing or lie on the wall or behind it,
         or if the wall crosses a periodic direction."""
-        acting, given = self.atoms_in(system), self.arguments()
+        acting = self.atoms_in(system)
+        given = self.arguments()
         normal, place, distances = self.place(system, system.positions[acting])
         if (behind := np.flatnonzero(~(distances > 0.0))).size:
-            atom, d = int(acting[behind[0]]), float(distances[behind[0]])
+            atom = int(acting[behind[0]])
+            d = float(distances[behind[0]])
             others = f", and {behind.size - 1} more" if behind.size > 1 else ""
             how = f"{-d:.3g} {system.units.length} behind" if d < 0.0 else "on"
             where = f"atom {atom} lies {how} the wall{others}"
@@ -357,9 +450,12 @@ class OwnWall(OnAtoms):
             wanted = f"atoms must be {side} a {type(self).__name__}"
             raise ValueError(f"{wanted}; {where}: move the atom or the wall")
         own = self.columns("atoms", len(acting))
-        law, reach = WALL_LAWS[given["law"]], inf if given["cutoff"] is None else given["cutoff"]
+        law = WALL_LAWS[given["law"]]
+        reach = inf if given["cutoff"] is None else given["cutoff"]
         rows, of_each = np.unique(np.stack(own, axis=-1), axis=0, return_inverse=True)
-        at_cutoff = np.array([0.0 if reach == inf else law_at(law, reach, tuple(row.tolist()))[0] for row in rows])
+        at_cutoff = np.array(
+            [0.0 if reach == inf else law_at(law, reach, tuple(row.tolist()))[0] for row in rows]
+        )
         numbers = (np.full(len(acting), one) for one in (*normal.tolist(), place, reach))
         columns = (*numbers, np.ascontiguousarray(at_cutoff[of_each.reshape(-1)]), *own)
         anchors = np.tile(given["point"], (len(acting), 1)) if self.around is Curved else NOWHERE
@@ -374,8 +470,12 @@ class Wall(OwnWall):
 
     around = Planar
     point: ArrayLike = declared(kind.vector, "point of the plane", "length")
-    normal: ArrayLike = declared(kind.direction, "normal of the plane, towards the atoms, of any length")
-    epsilon: ArrayLike = declared(kind.each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
+    normal: ArrayLike = declared(
+        kind.direction, "normal of the plane, towards the atoms, of any length"
+    )
+    epsilon: ArrayLike = declared(
+        kind.each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0
+    )
     sigma: ArrayLike = declared(kind.each, "range of the wall", "length", POSITIVE, default=1.0)
     cutoff: float | None = declared(kind.number, REACH, "length", POSITIVE, default=None)
     law: WallLaw = declared(kind.choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
@@ -383,13 +483,20 @@ class Wall(OwnWall):
 
     def place(self, system: System, positions: Array) -> tuple[Any, float, Array]:
         """See OwnWall."""
-        vectors, normal = system.cell.vectors[system.cell.pbc], np.asarray(self.normal)
+        vectors = system.cell.vectors[system.cell.pbc]
+        normal = np.asarray(self.normal)
         crossed = np.abs((vectors * normal).sum(axis=1)) > ALONG * np.linalg.norm(vectors, axis=1)
         if crossed.any():
             name = "abc"[np.flatnonzero(system.cell.pbc)[np.argmax(crossed)]]
             hint = "set pbc to False there, or turn the wall"
-            raise ValueError(f"a Wall must lie along all periodic directions; it crosses {name}: {hint}")
-        return normal, float((normal * self.point).sum()), ((positions - np.asarray(self.point)) * normal).sum(axis=1)
+            raise ValueError(
+                f"a Wall must lie along all periodic directions; it crosses {name}: {hint}"
+            )
+        return (
+            normal,
+            float((normal * self.point).sum()),
+            ((positions - np.asarray(self.point)) * normal).sum(axis=1),
+        )
 
 
 class RoundWall(OwnWall):
@@ -399,9 +506,15 @@ class RoundWall(OwnWall):
 
     def place(self, system: System, positions: Array) -> tuple[Any, float, Array]:
         """See OwnWall; without an axis, distances are those from the center."""
-        cell, given, axis = system.cell, self.arguments(), getattr(self, "axis", np.zeros(3))
+        cell = system.cell
+        given = self.arguments()
+        axis = getattr(self, "axis", np.zeros(3))
         away = positions - given["point"]
-        away = away - np.where(cell.pbc, np.rint(np.einsum("ij,jk->ik", away, cell.inverse)), 0.0) @ cell.lattice
+        away = (
+            away
+            - np.where(cell.pbc, np.rint(np.einsum("ij,jk->ik", away, cell.inverse)), 0.0)
+            @ cell.lattice
+        )
         across = away - (away * axis).sum(axis=1)[:, None] * axis
         return axis, given["radius"], given["radius"] - np.linalg.norm(across, axis=1)
 
@@ -414,8 +527,12 @@ class CylinderWall(RoundWall):
 
     point: ArrayLike = declared(kind.vector, "point on the axis", "length")
     axis: ArrayLike = declared(kind.direction, "direction of the axis, of any length")
-    radius: float = declared(kind.number, "radius of the cylinder; atoms are inside", "length", POSITIVE)
-    epsilon: ArrayLike = declared(kind.each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
+    radius: float = declared(
+        kind.number, "radius of the cylinder; atoms are inside", "length", POSITIVE
+    )
+    epsilon: ArrayLike = declared(
+        kind.each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0
+    )
     sigma: ArrayLike = declared(kind.each, "range of the wall", "length", POSITIVE, default=1.0)
     cutoff: float | None = declared(kind.number, REACH, "length", POSITIVE, default=None)
     law: WallLaw = declared(kind.choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
@@ -426,8 +543,12 @@ class SphereWall(RoundWall):
     """The wall of a sphere with atoms inside: u(d) of the distance d = R − |r − p| from it."""
 
     point: ArrayLike = declared(kind.vector, "center of the sphere", "length")
-    radius: float = declared(kind.number, "radius of the sphere; atoms are inside", "length", POSITIVE)
-    epsilon: ArrayLike = declared(kind.each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
+    radius: float = declared(
+        kind.number, "radius of the sphere; atoms are inside", "length", POSITIVE
+    )
+    epsilon: ArrayLike = declared(
+        kind.each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0
+    )
     sigma: ArrayLike = declared(kind.each, "range of the wall", "length", POSITIVE, default=1.0)
     cutoff: float | None = declared(kind.number, REACH, "length", POSITIVE, default=None)
     law: WallLaw = declared(kind.choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")

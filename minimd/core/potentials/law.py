@@ -99,7 +99,9 @@ def __getattr__(name: str) -> type[UserLaw]:
 
 def _class_named(name: str) -> type[UserLaw]:
     """The law type of this name, always the same one."""
-    return _classes.setdefault(name, type(name, (UserLaw,), {"__slots__": (), "__module__": __name__}))
+    return _classes.setdefault(
+        name, type(name, (UserLaw,), {"__slots__": (), "__module__": __name__})
+    )
 
 
 def user_law(function: Callable) -> UserLaw:
@@ -116,7 +118,9 @@ def user_law(function: Callable) -> UserLaw:
     named = _class_named(CLASS_NAME.format(snapshot.digest or uuid4().hex))
     if not hasattr(named, "formula"):
         formula: Any = snapshot.function
-        type_of(formula if isinstance(formula, Dispatcher) else scalar(formula), snapshot.python)(named)
+        type_of(formula if isinstance(formula, Dispatcher) else scalar(formula), snapshot.python)(
+            named
+        )
     if not snapshot.digest:
         named.is_recognized = False
         _unrecognized[named.formula] = named  # type: ignore[attr-defined]
@@ -162,14 +166,20 @@ def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, 
     return _tried(law, r * r, parameters, "r²", "-u'(r)/r")
 
 
-def _tried(law: tuple, x: float, parameters: tuple[float, ...], taken: str, force: str) -> tuple[float, float]:
+def _tried(
+    law: tuple, x: float, parameters: tuple[float, ...], taken: str, force: str
+) -> tuple[float, float]:
     name = type(law).python.__name__ if isinstance(law, UserLaw) else type(law).__name__
     try:
         u, f = evaluate_law(law, x, parameters)
-        return (nan, nan) if isinstance(u, complex) or isinstance(f, complex) else (float(u), float(f))
+        return (
+            (nan, nan) if isinstance(u, complex) or isinstance(f, complex) else (float(u), float(f))
+        )
     except (ArithmeticError, ValueError) as error:
         if "unpack" in str(error):
-            raise TypeError(f"the law {name} must return two numbers, u and {force}: {error}") from None
+            raise TypeError(
+                f"the law {name} must return two numbers, u and {force}: {error}"
+            ) from None
         return nan, nan
     except (TypeError, NameError, AttributeError, LookupError) as error:
         wanted = f"take {taken} and {len(parameters)} parameters and return u and {force}"
@@ -188,15 +198,22 @@ def check_law_of_angles(law: tuple, parameters: tuple[float, ...]) -> None:
     _compare(at, lambda phi: 1.0, ANGLES, ("phi", "u'(phi)"))
 
 
-def _compare(at: Callable, factor: Callable, places: Iterable[float], words: tuple[str, str]) -> None:
-    tried, wrong, (symbol, force) = 0, list[str](), words
+def _compare(
+    at: Callable, factor: Callable, places: Iterable[float], words: tuple[str, str]
+) -> None:
+    tried = 0
+    wrong = list[str]()
+    symbol, force = words
     for x in places:
-        (u, f), (low, high) = at(x), (at(x * (1.0 + h))[0] for h in (-STEP, STEP))
+        u, f = at(x)
+        low, high = (at(x * (1.0 + h))[0] for h in (-STEP, STEP))
         slope = factor(x) * (high - low) / (2.0 * STEP * x)
         if isfinite(u) and isfinite(f) and isfinite(slope):
             tried += 1
             if not agree(f, slope, factor(x) * u / x):
-                wrong.append(f"at {symbol} = {x:.4g} it returns {f:.6g} where {force} is {slope:.6g}")
+                wrong.append(
+                    f"at {symbol} = {x:.4g} it returns {f:.6g} where {force} is {slope:.6g}"
+                )
     if 2 * len(wrong) > tried:
         raise ValueError(f"the law must return u and {force}; {wrong[-1]}")
 
@@ -246,7 +263,9 @@ def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
     lanes = lanes_for()
     column = np.ones(lanes.size)
     try:
-        loop_for(sum_over_lanes, law)(law, column, (1.0,) * n_parameters, (column,) * n_parameters, lanes)
+        loop_for(sum_over_lanes, law)(
+            law, column, (1.0,) * n_parameters, (column,) * n_parameters, lanes
+        )
     except (NumbaError, AttributeError):  # the latter for a constant, which is no vector
         return False
     return True

@@ -181,7 +181,11 @@ def planar(x, law, rest):
     x : first coordinate [length].  law : of d.  rest : (y, z, t, n, p, reach, *parameters of law); n is a unit vector,
         three numbers.
     """
-    y, z, nx, ny, nz = rest[0], rest[1], rest[3], rest[4], rest[5]
+    y = rest[0]
+    z = rest[1]
+    nx = rest[3]
+    ny = rest[4]
+    nz = rest[5]
     u, f = _in_front(nx * x + ny * y + nz * z - rest[6], law, rest)
     return u, f * nx, f * ny, f * nz, 0.0
 
@@ -196,7 +200,11 @@ def curved(x, law, rest):
     x : first coordinate relative to the point [length].  law : of d.  rest : (y, z, t, a, R, reach,
         *parameters of law); a is a unit vector or 0.
     """
-    y, z, ax, ay, az = rest[0], rest[1], rest[3], rest[4], rest[5]
+    y = rest[0]
+    z = rest[1]
+    ax = rest[3]
+    ay = rest[4]
+    az = rest[5]
     along = ax * x + ay * y + az * z
     px, py, pz = x - along * ax, y - along * ay, z - along * az
     rho = sqrt(px * px + py * py + pz * pz)
@@ -205,11 +213,16 @@ def curved(x, law, rest):
     return u, g * px, g * py, g * pz, 0.0
 
 
-LennardJonesLaw, HarmonicLaw = law_type("LennardJonesLaw", lennard_jones), law_type("HarmonicLaw", harmonic)
-MorseLaw, FENELaw = law_type("MorseLaw", morse), law_type("FENELaw", fene)
+LennardJonesLaw = law_type("LennardJonesLaw", lennard_jones)
+HarmonicLaw = law_type("HarmonicLaw", harmonic)
+MorseLaw = law_type("MorseLaw", morse)
+FENELaw = law_type("FENELaw", fene)
 LennardJones93Law = law_type("LennardJones93Law", lennard_jones_93)
 Scaled = law_type("Scaled", scaled)
-PeriodicLaw, HarmonicTorsionLaw = law_type("PeriodicLaw", periodic), law_type("HarmonicTorsionLaw", harmonic_torsion)
+PeriodicLaw = law_type("PeriodicLaw", periodic)
+HarmonicTorsionLaw = law_type("HarmonicTorsionLaw", harmonic_torsion)
 RyckaertBellemansLaw = law_type("RyckaertBellemansLaw", ryckaert_bellemans)
-ConstantLaw, RestraintLaw = law_type("ConstantLaw", constant), law_type("RestraintLaw", restraint)
-Planar, Curved = law_type("Planar", planar), law_type("Curved", curved)
+ConstantLaw = law_type("ConstantLaw", constant)
+RestraintLaw = law_type("RestraintLaw", restraint)
+Planar = law_type("Planar", planar)
+Curved = law_type("Curved", curved)

@@ -21,10 +21,24 @@ from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.fixed_point import as_force, force_along, in_steps, is_too_large
-from minimd.core.compiled.kernels import DirectCalls, by_type, called_kernel, inlined, scalar, type_of
+from minimd.core.compiled.kernels import (
+    DirectCalls,
+    by_type,
+    called_kernel,
+    inlined,
+    scalar,
+    type_of,
+)
 from minimd.core.compiled.program import GO_ON, OUT_OF_RANGE, Operation, n_chunks_of, operation
 from minimd.core.compiled.simd import bits_from_mask, fma, lane, select
-from minimd.core.compiled.simd.vector import count, gathered, lanes_for, loaded, loaded_columns, stored
+from minimd.core.compiled.simd.vector import (
+    count,
+    gathered,
+    lanes_for,
+    loaded,
+    loaded_columns,
+    stored,
+)
 from minimd.core.neighbors.clusters import DIMENSIONS
 from minimd.core.potentials.law import evaluate_law, loop_for, on_vectors
 from minimd.core.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, OwnTerm, Target
@@ -85,7 +99,11 @@ def _minor(a, b, c, d):
 @inlined
 def _normal(a, b, lost_a, lost_b):
     """(a + lost_a) × (b + lost_b), to a few roundings however small the angle between them is."""
-    n = _minor(a[1], b[2], a[2], b[1]), _minor(a[2], b[0], a[0], b[2]), _minor(a[0], b[1], a[1], b[0])
+    n = (
+        _minor(a[1], b[2], a[2], b[1]),
+        _minor(a[2], b[0], a[0], b[2]),
+        _minor(a[0], b[1], a[1], b[0]),
+    )
     return combined(1.0, n, 1.0, combined(1.0, cross(lost_a, b), 1.0, cross(a, lost_b)))
 
 
@@ -98,14 +116,19 @@ def _bend(links, block, _law, numbers):
 
     numbers : k [energy/rad²], sin θ₀, cos θ₀. θ near 0 and π, and θ − θ₀ if θ₀ is 0 or π, have all their digits.
     """
-    (a, lost_a), (b, lost_b), (k, sine, cosine) = arm(links, 0, block), arm(links, 1, block), numbers
+    a, lost_a = arm(links, 0, block)
+    b, lost_b = arm(links, 1, block)
+    k, sine, cosine = numbers
     n = _normal(a, b, lost_a, lost_b)
-    size, ab = dot(n, n) ** 0.5, dot(a, b)
+    size = dot(n, n) ** 0.5
+    ab = dot(a, b)
     stretch = np.arctan2(size * cosine - ab * sine, ab * cosine + size * sine)
     slope = k * stretch
     s = select(size > 0.0, slope / size, 0.0)
     is_beyond = push(links, 0, block, times(s / dot(a, a), cross(n, a)))
-    return 0.5 * slope * stretch, push(links, 1, block, times(s / dot(b, b), cross(b, n))) or is_beyond
+    return 0.5 * slope * stretch, push(
+        links, 1, block, times(s / dot(b, b), cross(b, n))
+    ) or is_beyond
 
 
 @scalar
@@ -119,18 +142,27 @@ def _turn(links, block, law, numbers):
 
     A. Blondel, M. Karplus, J. Comput. Chem. 17, 1132 (1996), eq. 6, 27.
     """
-    (f, _), (g, _), (h, _) = arm(links, 0, block), arm(links, 1, block), arm(links, 2, block)
+    f, _ = arm(links, 0, block)
+    g, _ = arm(links, 1, block)
+    h, _ = arm(links, 2, block)
     a, b = cross(f, g), cross(h, g)
-    g2, fg, hg, a2, b2 = dot(g, g), dot(f, g), dot(h, g), dot(a, a), dot(b, b)
+    g2 = dot(g, g)
+    fg = dot(f, g)
+    hg = dot(h, g)
+    a2 = dot(a, a)
+    b2 = dot(b, b)
     length = g2**0.5
     u, slope = evaluate_law(law, np.arctan2(dot(g, cross(b, a)) / length, dot(a, b)), numbers)
     a2, b2 = max(a2, STRAIGHT2 * g2 * dot(f, f)), max(b2, STRAIGHT2 * g2 * dot(h, h))
     on_i = push(links, 0, block, times(slope * length / a2, a))
-    between = push(links, 1, block, combined(-slope * fg / (a2 * length), a, slope * hg / (b2 * length), b))
+    between = push(
+        links, 1, block, combined(-slope * fg / (a2 * length), a, slope * hg / (b2 * length), b)
+    )
     return u, push(links, 2, block, times(-slope * length / b2, b)) or on_i or between
 
 
-Stretch, Bend = link_shape("Stretch", _stretch, (0, 1)), link_shape("Bend", _bend, (1, 0), (1, 2))
+Stretch = link_shape("Stretch", _stretch, (0, 1))
+Bend = link_shape("Bend", _bend, (1, 0), (1, 2))
 Torsion = link_shape("Torsion", _turn, (1, 0), (2, 1), (2, 3))
 
 
@@ -144,11 +176,15 @@ def block_of(links, l, b):
 def arm(links, l, b):
     """r_l to the nearest image, rounded, and what rounding has left out [length]."""
     x, y, z = _difference(links, l, b)
-    is_near = bits_from_mask(x[0] * x[0] + y[0] * y[0] + z[0] * z[0] <= links.images.safe_distance2[0])
+    is_near = bits_from_mask(
+        x[0] * x[0] + y[0] * y[0] + z[0] * z[0] <= links.images.safe_distance2[0]
+    )
     if is_near != (1 << count(links.lanes)) - 1:
         for k in range(count(links.lanes)):
             if not is_near >> k & 1:
-                _find_image(links, l, b * count(links.lanes) + k, block_of(links, l, b) + np.uintp(k))
+                _find_image(
+                    links, l, b * count(links.lanes) + k, block_of(links, l, b) + np.uintp(k)
+                )
         x, y, z = _difference(links, l, b)
     return (x[0], y[0], z[0]), (x[1], y[1], z[1])
 
@@ -156,7 +192,8 @@ def arm(links, l, b):
 @scalar
 def push(links, l, b, force):
     """f_l to its slots; returns whether one is beyond the range of a grid."""
-    (x, y, z), steps = force, links.steps
+    x, y, z = force
+    steps = links.steps
     on_ends = force_along(x, 1.0, steps), force_along(y, 1.0, steps), force_along(z, 1.0, steps)
     stored(links.slots, block_of(links, l, b), on_ends)
     return is_too_large(x * x + y * y + z * z, steps)
@@ -166,7 +203,9 @@ def push(links, l, b, force):
 def add_links(links, chunk):
     """Forces to slots; energies and virials.  OUT_OF_RANGE if a force is beyond the range of a grid."""
     n_lanes = count(links.lanes)
-    n_blocks, n_chunks, is_out = links.first.shape[1] // n_lanes, links.totals.shape[0], False
+    n_blocks = links.first.shape[1] // n_lanes
+    n_chunks = links.totals.shape[0]
+    is_out = False
     for c in range(1 + VIRIAL):
         links.totals[chunk, c] = 0.0
     for b in range(chunk * n_blocks // n_chunks, (chunk + 1) * n_blocks // n_chunks):
@@ -187,14 +226,22 @@ def _acting(shape, links, b, law, numbers):
 @scalar
 def _count(links, b, total, u):
     """total (7,) += energy and virial of a block; and with PER_ATOM equal shares of them to its atoms."""
-    (energies, virials), steps, sites, n_lanes = links.each, links.steps, links.sites, count(links.lanes)
+    energies, virials = links.each
+    steps = links.steps
+    sites = links.sites
+    n_lanes = count(links.lanes)
     n_sites = sites.shape[1] if links.detail == PER_ATOM else 0
     xx = yy = zz = yz = xz = xy = 0.0 * u
     for l in range(links.first.shape[0]):
         (x, y, z), _ = arm(links, l, b)
         gx, gy, gz = loaded(links.slots, block_of(links, l, b), links.lanes)
         fx, fy, fz = as_force(gx, steps), as_force(gy, steps), as_force(gz, steps)
-        xx, yy, zz, yz, xz, xy = xx + x * fx, yy + y * fy, zz + z * fz, yz + z * fy, xz + z * fx, xy + y * fx
+        xx = xx + x * fx
+        yy = yy + y * fy
+        zz = zz + z * fz
+        yz = yz + z * fy
+        xz = xz + z * fx
+        xy = xy + y * fx
     for k in range(min(n_lanes, sites.shape[0] - b * n_lanes)):
         total[0] += in_steps(lane(u, k), steps)
         for s in range(n_sites):
@@ -207,7 +254,8 @@ def _count(links, b, total, u):
 
 @scalar
 def _difference(links, l, b):
-    start, lanes = b * count(links.lanes), links.lanes
+    start = b * count(links.lanes)
+    lanes = links.lanes
     end = gathered(links.positions, links.second[l], start, lanes)
     begin = gathered(links.positions, links.first[l], start, lanes)
     shift = loaded(links.translations, block_of(links, l, b), lanes)
@@ -229,12 +277,19 @@ def _component(x, y, translation):
 @scalar
 def _find_image(links, l, t, at):
     """The translation of link l of term t, in place: that of the nearest image.  at : of its x in the translations."""
-    i, j, positions, n = links.first[l, t], links.second[l, t], links.positions, np.uintp(count(links.lanes))
+    i = links.first[l, t]
+    j = links.second[l, t]
+    positions = links.positions
+    n = np.uintp(count(links.lanes))
     lattice, inverse, pbc, safe_distance2 = links.images
-    x, y, z = positions[j, 0] - positions[i, 0], positions[j, 1] - positions[i, 1], positions[j, 2] - positions[i, 2]
+    x = positions[j, 0] - positions[i, 0]
+    y = positions[j, 1] - positions[i, 1]
+    z = positions[j, 2] - positions[i, 2]
     a, b, c = minimum_image(x, y, z, lattice, inverse, pbc, safe_distance2[0])
     for k in range(DIMENSIONS):
-        links.translations[at + np.uintp(k) * n] = a * lattice[0, k] + b * lattice[1, k] + c * lattice[2, k]
+        links.translations[at + np.uintp(k) * n] = (
+            a * lattice[0, k] + b * lattice[1, k] + c * lattice[2, k]
+        )
 
 
 class LinkedTerm(OwnTerm):
@@ -246,15 +301,24 @@ class LinkedTerm(OwnTerm):
 
     fits_grid = True
 
-    def __init__(self, sites: NDArray, shape: Any, law: tuple, columns: tuple[NDArray, ...]) -> None:
-        self.lanes, self._sites, self.n_terms = lanes_for(), np.array(sites), (n_terms := len(sites))
+    def __init__(
+        self, sites: NDArray, shape: Any, law: tuple, columns: tuple[NDArray, ...]
+    ) -> None:
+        self.lanes, self._sites, self.n_terms = (
+            lanes_for(),
+            np.array(sites),
+            (n_terms := len(sites)),
+        )
         full = np.minimum(np.arange(-(-n_terms // self.lanes.size) * self.lanes.size), n_terms - 1)
         ends = zip(*shape.ends, strict=True)
         self.first, self.second = (sites.T[list(side)][:, full].astype(np.int32) for side in ends)
-        self._shape, self._law, self._columns = shape, law, tuple(column[full] for column in columns)
+        self._shape = shape
+        self._law = law
+        self._columns = tuple(column[full] for column in columns)
         self._translations = np.zeros(DIMENSIONS * self.first.size)
         self._loop, self._calls = loop_for(add_links, law), DirectCalls()
-        self.n_slots, self.first_slot = self.first.size, 0
+        self.n_slots = self.first.size
+        self.first_slot = 0
         self._totals = np.zeros((n_chunks_of(n_terms), 1 + VIRIAL))
 
     def follow(self, system: System) -> bool:
@@ -265,8 +329,17 @@ class LinkedTerm(OwnTerm):
     def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
         totals = self._totals[:1] if target.detail == PER_ATOM else self._totals
-        slots = target.slots[DIMENSIONS * self.first_slot : DIMENSIONS * (self.first_slot + self.n_slots)]
-        place = system.positions, target.images, self.first, self.second, self._sites, self._translations
+        slots = target.slots[
+            DIMENSIONS * self.first_slot : DIMENSIONS * (self.first_slot + self.n_slots)
+        ]
+        place = (
+            system.positions,
+            target.images,
+            self.first,
+            self.second,
+            self._sites,
+            self._translations,
+        )
         what = self._shape, self._law, self._columns, slots, target.steps, target.detail
         links = Links(*place, *what, totals, (target.energies, target.virials), self.lanes)
         yield operation(self._calls, self._loop, links, len(totals))
@@ -289,7 +362,9 @@ class FixedPairs(LinkedTerm):
         super().__init__(pairs, Stretch(), on_vectors(law, len(columns) - 1), columns)
 
 
-class Gathering(ByAddress, namedtuple("Gathering", "atoms start place slots forces n_chunks lanes")):
+class Gathering(
+    ByAddress, namedtuple("Gathering", "atoms start place slots forces n_chunks lanes")
+):
     """The sums of slots.  atoms : (A,) int32, that have any.  start : (A + 1,) int32, where those of each begin.
 
     place : where in slots the x of a force is that acts on the atom, or −1 − that, if its opposite does.
@@ -302,7 +377,9 @@ def sum_slots(gathering, chunk):
     """forces += Σ of the slots of each atom of a chunk, in their order."""
     atoms, start, place, slots, forces, n_chunks, lanes = gathering
     y_after_x, z_after_x = np.uintp(count(lanes)), np.uintp(2 * count(lanes))
-    for a in range(np.uintp(chunk * atoms.size // n_chunks), np.uintp((chunk + 1) * atoms.size // n_chunks)):
+    for a in range(
+        np.uintp(chunk * atoms.size // n_chunks), np.uintp((chunk + 1) * atoms.size // n_chunks)
+    ):
         i = np.uintp(atoms[a])
         x, y, z = forces[i, 0], forces[i, 1], forces[i, 2]
         for p in range(np.uintp(start[a]), np.uintp(start[a + np.uintp(1)])):
@@ -313,7 +390,9 @@ def sum_slots(gathering, chunk):
             else:
                 k = np.uintp(-1 - at)
                 x, y, z = x - slots[k], y - slots[k + y_after_x], z - slots[k + z_after_x]
-        forces[i, 0], forces[i, 1], forces[i, 2] = x, y, z
+        forces[i, 0] = x
+        forces[i, 1] = y
+        forces[i, 2] = z
     return GO_ON
 
 

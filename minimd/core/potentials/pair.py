@@ -22,16 +22,24 @@ from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.term import OwnTerm, PairLaw, no_bonds
 from minimd.core.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
 from minimd.core.structure.bond_graph import checked_pairs
-from minimd.core.structure.checks import checked_choice, checked_kind, checked_number, checked_numbers
+from minimd.core.structure.checks import (
+    checked_choice,
+    checked_kind,
+    checked_number,
+    checked_numbers,
+)
 from minimd.core.structure.system import System
 
 SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff
 # relative errors of tail integrals: the one requested, and the one above which an integral counts as divergent
-ACCURACY, CONVERGED = 1e-12, 1e-8
+ACCURACY = 1e-12
+CONVERGED = 1e-8
 TRIED_AT = (0.47, 0.71, 0.93)  # of the cutoff: where a user's laws are tried
 UNSCALED = (1.0, 1.0, 1.0)
-MIXED = 1e-9  # relative difference between mixed parameters of a pair and of the reverse pair that rounding can explain
-DEGREE = 5  # of the pieces of a table: four continuous derivatives of u, so that methods up to order 4 keep their order
+# relative difference between mixed parameters of a pair and of the reverse pair that rounding can explain
+MIXED = 1e-9
+# of the pieces of a table: four continuous derivatives of u, so that methods up to order 4 keep their order
+DEGREE = 5
 FEWEST = DEGREE + 1  # points that one piece goes through
 
 Label = str | int
@@ -56,12 +64,16 @@ def geometric(first: Parameters, second: Parameters) -> Parameters:
 MixingName = Literal["lorentz-berthelot", "geometric"]  # the keys of MIXING
 MIXING = {"lorentz-berthelot": lorentz_berthelot, "geometric": geometric}
 # what arguments are, and what they do
-FOR_PAIRS, R_C = "one number, or a mapping from pairs of species", "r_c; none only in scenes without periodicity"
+FOR_PAIRS = "one number, or a mapping from pairs of species"
+R_C = "r_c; none only in scenes without periodicity"
 FOR_EACH = "one number for each r, or a mapping from pairs of species to them"
 WELLS = "one number, or a mapping from species to (ε, σ) and no sigma"
 A_RULE = "'lorentz-berthelot', 'geometric', or a function of two tuples of parameters"
-OF_PAIRS = "a mapping from pairs of species, in either order, to their parameters, beside one from species"
-OTHERS, SEE = "for pairs of species not in pairs", "see minimd.core.potentials.truncation"
+OF_PAIRS = (
+    "a mapping from pairs of species, in either order, to their parameters, beside one from species"
+)
+OTHERS = "for pairs of species not in pairs"
+SEE = "see minimd.core.potentials.truncation"
 R_ON = "r_on of the switches; 0.8 r_c if not given"
 FACTORS = "factors for pairs one, two and three bonds apart; 0 excludes, 1 changes nothing"
 TAIL = "add energy and virial of what truncation leaves out, at uniform density (g = 1); for truncated and the switches"
@@ -85,7 +97,8 @@ class Nonbonded(Declared, metaclass=ABCMeta):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        own: Any = self  # each class has a cutoff and a truncation, in their places among its arguments
+        # each class has a cutoff and a truncation, in their places among its arguments
+        own: Any = self
         self.plain_law, self.parameters, by_pair = own.as_law()
         self._is_tried = not isinstance(self.plain_law, UserLaw)
         self.truncation: TruncationName = own.truncation
@@ -97,7 +110,9 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         self.parameters, self._by_pair = self._checked_parameters(self.parameters, by_pair)
         self.pairs = self.pairs if self._by_pair else None
         self._check_switch_start()
-        if self.tail_correction and (self.truncation not in ("truncated", *SWITCHES) or self.cutoff == inf):
+        if self.tail_correction and (
+            self.truncation not in ("truncated", *SWITCHES) or self.cutoff == inf
+        ):
             needed = f"a cutoff and truncation 'truncated', {listed(SWITCHES)}"
             told = f"cutoff = {self.cutoff}, truncation = {self.truncation!r}"
             raise ValueError(f"tail_correction needs {needed}; there is no tail with {told}")
@@ -111,7 +126,9 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         """The term of this potential in a system.  Raises ValueError as table; for a periodic cell without a cutoff,
         an open one with a tail correction, or pairs of species that are neither in the parameters nor in the system."""
         if self.cutoff == inf and system.cell.is_periodic:
-            raise ValueError(f"cutoff must be given in a periodic cell; that of {type(self).__name__} is None")
+            raise ValueError(
+                f"cutoff must be given in a periodic cell; that of {type(self).__name__} is None"
+            )
         own = self.parameters if isinstance(self.parameters, dict) else {}
         known = [*own, *(name for name in system.species_names if name not in own)]
         for name in (name for pair in self._by_pair if self.parameters for name in pair):
@@ -119,7 +136,9 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                 wanted = f"of known species, {listed(known)}; they name {name!r}{near(name, known)}"
                 raise ValueError(f"pairs of {type(self).__name__} must be {wanted}")
         if self.tail_correction and system.volume is None:
-            raise ValueError("tail_correction needs a density: a cell that is periodic in all three directions")
+            raise ValueError(
+                "tail_correction needs a density: a cell that is periodic in all three directions"
+            )
         return PairTerm(self, system)
 
     def table(self, species_names: Sequence[Label]) -> NDArray[np.float64]:
@@ -138,7 +157,9 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         """False if one tuple of parameters and one cutoff serve all pairs."""
         return isinstance(self.parameters, dict) or None not in self._cutoffs
 
-    def pair_energy(self, r: ArrayLike, first: Label | None = None, second: Label | None = None) -> NDArray[np.float64]:
+    def pair_energy(
+        self, r: ArrayLike, first: Label | None = None, second: Label | None = None
+    ) -> NDArray[np.float64]:
         """u [energy] of two atoms of given species at distances r > 0 [length], truncation included;
         an array of r's shape. Raises ValueError for distances that are not positive, and as table."""
         for label in first, second:
@@ -147,30 +168,49 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         distances = checked_numbers("r", r, "positive distances")
         if not (distances > 0.0).all():
             raise ValueError(f"r must be positive distances; r = {shown(r)}")
-        law, every = self.law, distances.ravel().tolist()
+        law = self.law
+        every = distances.ravel().tolist()
         inside = [law_at(law, x, tuple(numbers))[0] if x * x < cutoff2 else 0.0 for x in every]
         return np.array(inside).reshape(distances.shape)
 
-    def tail(self, counts: NDArray[np.int64], species_names: Sequence[Label], volume: float) -> tuple[float, float]:
+    def tail(
+        self, counts: NDArray[np.int64], species_names: Sequence[Label], volume: float
+    ) -> tuple[float, float]:
         """Energy and trace of the virial of what the truncation left out, for g(r) = 1 [energy].
 
             U = 2π/V Σ_ab N_a N_b ∫ (u − u_truncated) r² dr,   tr W = 2π/V Σ_ab N_a N_b ∫ (f − f_truncated) r⁴ dr
 
         counts : (S,) atoms of each species.  M. P. Allen, D. J. Tildesley (2017), eq. 2.144.
         """
-        crowds = [*zip(species_names, counts, strict=True)] if self.depends_on_species else [(None, counts.sum())]
-        terms = [2.0 * pi * n_a * n_b / volume * self._tail_integrals(a, b) for a, n_a in crowds for b, n_b in crowds]
+        crowds = (
+            [*zip(species_names, counts, strict=True)]
+            if self.depends_on_species
+            else [(None, counts.sum())]
+        )
+        terms = [
+            2.0 * pi * n_a * n_b / volume * self._tail_integrals(a, b)
+            for a, n_a in crowds
+            for b, n_b in crowds
+        ]
         return float(sum(u for u, _ in terms)), float(sum(w for _, w in terms))
 
     def _numbers(self, a: Any, b: Any) -> tuple[float, ...]:
         """The squared cutoff, and the numbers of the truncated law, of a pair of species."""
         if (cutoff := self._cutoffs.get((a, b), self._cutoffs.get(None))) is None:
-            raise ValueError(f"cutoff has no entry for the species {a!r}, {b!r}; it has {listed(self._cutoffs)}")
+            raise ValueError(
+                f"cutoff has no entry for the species {a!r}, {b!r}; it has {listed(self._cutoffs)}"
+            )
         parameters = self._parameters_of(a, b)
         if not self._is_tried:
-            check_user_law(self.plain_law, parameters, [x * (cutoff if isfinite(cutoff) else 1.0) for x in TRIED_AT])
+            check_user_law(
+                self.plain_law,
+                parameters,
+                [x * (cutoff if isfinite(cutoff) else 1.0) for x in TRIED_AT],
+            )
             self._is_tried = True
-        extra = TRUNCATIONS[self.truncation].numbers(self.plain_law, parameters, cutoff, self._switch_start_for(cutoff))
+        extra = TRUNCATIONS[self.truncation].numbers(
+            self.plain_law, parameters, cutoff, self._switch_start_for(cutoff)
+        )
         if not all(map(isfinite, extra)) and self.truncation not in SWITCHES:
             there = f"the law is {extra[0]} at the cutoff {cutoff:g}, where it must be finite to be {self.truncation}"
             raise ValueError(f"{there}: give another cutoff, or truncation='truncated'")
@@ -181,35 +221,52 @@ class Nonbonded(Declared, metaclass=ABCMeta):
             return self.parameters
         if (a, b) in self._by_pair:
             return self._by_pair[a, b]
-        own, lacking = self.parameters, f"{type(self).__name__} has no parameters for"
+        own = self.parameters
+        lacking = f"{type(self).__name__} has no parameters for"
         for name in (a, b):
             if name not in own:
                 raise ValueError(f"{lacking} species {name!r}; it has {listed(own)}")
         if a == b:
             return own[a]
         if self.mixing is None:
-            raise ValueError(f"{lacking} the pair {a!r}, {b!r}; give pairs={{...}}, or a mixing rule")
+            raise ValueError(
+                f"{lacking} the pair {a!r}, {b!r}; give pairs={{...}}, or a mixing rule"
+            )
         rule = MIXING[self.mixing] if isinstance(self.mixing, str) else self.mixing
-        mixed, reverse = (self._checked_numbers(rule(own[x], own[y]), (x, y)) for x, y in ((a, b), (b, a)))
+        mixed, reverse = (
+            self._checked_numbers(rule(own[x], own[y]), (x, y)) for x, y in ((a, b), (b, a))
+        )
         is_same = all(map(partial(isclose, rel_tol=MIXED), mixed, reverse))
         if not (len(mixed) == len(reverse) == len(own[a]) and is_same):
             wanted = f"all parameters, the same for ({a!r}, {b!r}) as for ({b!r}, {a!r})"
-            raise ValueError(f"mixing must give {wanted}; it gives {mixed} for the first and {reverse} for the second")
+            raise ValueError(
+                f"mixing must give {wanted}; it gives {mixed} for the first and {reverse} for the second"
+            )
         return mixed
 
-    def _checked_parameters(self, given: Any, pairs: Any) -> tuple[Parameters | dict[Label, Parameters], dict]:
+    def _checked_parameters(
+        self, given: Any, pairs: Any
+    ) -> tuple[Parameters | dict[Label, Parameters], dict]:
         """Parameters of all atoms or of each species, and those of pairs in both orders."""
         both_orders = _symmetric("pairs", {} if pairs is None else pairs)
         if not isinstance(given, Mapping):
             if both_orders:
-                wanted = f"need parameters that are a mapping from species; parameters = {shown(given)}"
+                wanted = (
+                    f"need parameters that are a mapping from species; parameters = {shown(given)}"
+                )
                 raise ValueError(f"pairs of {type(self).__name__} {wanted}")
             return self._checked_numbers(given, None), {}
-        by_label = {label: self._checked_numbers(numbers, label) for label, numbers in given.items()}
-        by_pair = {pair: self._checked_numbers(numbers, pair) for pair, numbers in both_orders.items()}
+        by_label = {
+            label: self._checked_numbers(numbers, label) for label, numbers in given.items()
+        }
+        by_pair = {
+            pair: self._checked_numbers(numbers, pair) for pair, numbers in both_orders.items()
+        }
         if len({len(numbers) for numbers in (*by_label.values(), *by_pair.values())}) > 1:
             told = shown(by_label | by_pair)
-            raise ValueError(f"all species and pairs must have the same number of parameters; these are {told}")
+            raise ValueError(
+                f"all species and pairs must have the same number of parameters; these are {told}"
+            )
         return by_label, by_pair
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
@@ -217,7 +274,9 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         values = checked_numbers("parameters", numbers, "a tuple of finite numbers")
         if values.ndim != 1 or not np.isfinite(values).all():
             whose = "of all atoms" if of is None else f"of {of!r}"
-            raise ValueError(f"parameters must be a tuple of finite numbers; those {whose} are {shown(numbers)}")
+            raise ValueError(
+                f"parameters must be a tuple of finite numbers; those {whose} are {shown(numbers)}"
+            )
         return tuple(values.tolist())
 
     def _tail_integrals(self, a: Label | None, b: Label | None) -> NDArray[np.float64]:
@@ -231,17 +290,31 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         def left_out(k: int, x: float) -> float:
             r = x * cutoff
             inside = evaluate_law(self.law, r * r, tuple(numbers))[k] if x < 1.0 else 0.0
-            return cutoff * (evaluate_law(self.plain_law, r * r, parameters)[k] - inside) * r ** (2 + 2 * k)
+            return (
+                cutoff
+                * (evaluate_law(self.plain_law, r * r, parameters)[k] - inside)
+                * r ** (2 + 2 * k)
+            )
 
         def integral(k: int, low: float, high: float) -> float:
-            value, error = quad(partial(left_out, k), low, high, epsabs=0.0, epsrel=ACCURACY, full_output=1)[:2]
+            value, error = quad(
+                partial(left_out, k), low, high, epsabs=0.0, epsrel=ACCURACY, full_output=1
+            )[:2]
             if not error <= CONVERGED * abs(value):
                 told = f"its integral is {value:.3g} ± {error:.1g}"
-                raise ValueError(f"tail_correction needs a law that falls off faster than 1/r³; {told}")
+                raise ValueError(
+                    f"tail_correction needs a law that falls off faster than 1/r³; {told}"
+                )
             return value
 
-        switched = [] if self.truncation == "truncated" else [(self._switch_start_for(cutoff) / cutoff, 1.0)]
-        return np.array([sum(integral(k, *limits) for limits in [*switched, (1.0, inf)]) for k in (0, 1)])
+        switched = (
+            []
+            if self.truncation == "truncated"
+            else [(self._switch_start_for(cutoff) / cutoff, 1.0)]
+        )
+        return np.array(
+            [sum(integral(k, *limits) for limits in [*switched, (1.0, inf)]) for k in (0, 1)]
+        )
 
     def _switch_start_for(self, cutoff: float) -> float:
         return SWITCH_FROM * cutoff if self.switch_start is None else self.switch_start
@@ -252,7 +325,9 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         if (start := self.switch_start) is None:
             return
         if self.truncation not in SWITCHES:
-            raise ValueError(f"switch_start is for truncation {listed(SWITCHES)}; truncation = {self.truncation!r}")
+            raise ValueError(
+                f"switch_start is for truncation {listed(SWITCHES)}; truncation = {self.truncation!r}"
+            )
         if not 0.0 < start < self.shortest_length:
             limits = f"0 and the cutoff {self.shortest_length}"
             raise ValueError(f"switch_start must lie between {limits}; switch_start = {start}")
@@ -267,7 +342,9 @@ class PairPotential(Nonbonded):
     """
 
     law: Callable | tuple = declared(kind.own_law, "law(r2, *parameters)")
-    parameters: Parameters | ByLabel = declared(kind.given, of="a tuple, or a mapping from species to them", default=())
+    parameters: Parameters | ByLabel = declared(
+        kind.given, of="a tuple, or a mapping from species to them", default=()
+    )
     cutoff: Cutoff | None = declared(kind.given, R_C, "length", of=FOR_PAIRS, default=None)
     truncation: TruncationName = declared(kind.choice, SEE, of=TRUNCATIONS, default="shifted")
 
@@ -281,11 +358,19 @@ class PairTerm(OwnTerm):
 
     def __init__(self, potential: Nonbonded, system: System) -> None:
         table = potential.table(system.species_names)
-        name, cutoff = type(potential).__name__, potential.cutoff
+        name = type(potential).__name__
+        cutoff = potential.cutoff
         left_out = checked_pairs("exclusions", potential.exclusions, len(system))
-        self.pair_law = PairLaw(name, potential.law, table, cutoff, tuple(potential.bonded_scale), exclusions=left_out)
-        self.cutoff, self.shortest_length, self._potential = cutoff, potential.shortest_length, potential
-        self._species = np.bincount(system.species_index, minlength=len(system.species_names)), system.species_names
+        self.pair_law = PairLaw(
+            name, potential.law, table, cutoff, tuple(potential.bonded_scale), exclusions=left_out
+        )
+        self.cutoff = cutoff
+        self.shortest_length = potential.shortest_length
+        self._potential = potential
+        self._species = (
+            np.bincount(system.species_index, minlength=len(system.species_names)),
+            system.species_names,
+        )
         if potential.bonded_scale != UNSCALED and not len(system.bonds):
             self.warning = no_bonds(f"bonded_scale of {potential!r}")
 
@@ -304,21 +389,32 @@ class PairTerm(OwnTerm):
 def _checked_cutoffs(cutoff: Any) -> dict[Any, float]:
     """The cutoffs of pairs of species, in both orders; or of all pairs, infinite if none is given, under None."""
     if not isinstance(cutoff, Mapping):
-        return {None: inf if cutoff is None else checked_number("cutoff", cutoff, "positive and finite")}
+        return {
+            None: inf if cutoff is None else checked_number("cutoff", cutoff, "positive and finite")
+        }
     if not cutoff:
-        raise ValueError("cutoff must be a number, or a mapping with an entry for each pair of species; it is empty")
-    checked = {pair: checked_number(f"cutoff of {pair!r}", one, "positive and finite") for pair, one in cutoff.items()}
+        raise ValueError(
+            "cutoff must be a number, or a mapping with an entry for each pair of species; it is empty"
+        )
+    checked = {
+        pair: checked_number(f"cutoff of {pair!r}", one, "positive and finite")
+        for pair, one in cutoff.items()
+    }
     return _symmetric("cutoff", checked)
 
 
 def _symmetric(name: str, by_pair: Any) -> dict:
     """The same mapping with each pair of species in both orders."""
-    if not isinstance(by_pair, Mapping) or not all(isinstance(pair, tuple) and len(pair) == 2 for pair in by_pair):
+    if not isinstance(by_pair, Mapping) or not all(
+        isinstance(pair, tuple) and len(pair) == 2 for pair in by_pair
+    ):
         wanted = "a mapping from pairs of species, such as ('A', 'B')"
         raise ValueError(f"{name} must be {wanted}; {name} = {shown(by_pair)}")
     for (a, b), value in by_pair.items():
         if np.any(by_pair.get((b, a), value) != value):
-            raise ValueError(f"the pair {a!r}, {b!r} must be given once; it has {value} and {by_pair[b, a]}")
+            raise ValueError(
+                f"the pair {a!r}, {b!r} must be given once; it has {value} and {by_pair[b, a]}"
+            )
     return {key: value for (a, b), value in by_pair.items() for key in ((a, b), (b, a))}
 
 
@@ -330,19 +426,27 @@ def curvature_at_minimum(epsilon: Any, sigma: Any) -> Any:
 class LennardJones(Nonbonded):
     """Lennard-Jones 12-6 potential u(r) = 4ε [(σ/r)¹² − (σ/r)⁶]."""
 
-    epsilon: float | Mapping[Label, tuple[float, float]] = declared(kind.given, "depth of the well", "energy", of=WELLS)
-    sigma: float | None = declared(kind.given, "where u = 0", "length", of="one number", default=None)
+    epsilon: float | Mapping[Label, tuple[float, float]] = declared(
+        kind.given, "depth of the well", "energy", of=WELLS
+    )
+    sigma: float | None = declared(
+        kind.given, "where u = 0", "length", of="one number", default=None
+    )
     cutoff: Cutoff | None = declared(kind.given, R_C, "length", of=FOR_PAIRS, default=None)
     truncation: TruncationName = declared(kind.choice, SEE, of=TRUNCATIONS, default="shifted")
     _: KW_ONLY
-    mixing: MixingName | Rule | None = declared(kind.given, OTHERS, of=A_RULE, default="lorentz-berthelot")
+    mixing: MixingName | Rule | None = declared(
+        kind.given, OTHERS, of=A_RULE, default="lorentz-berthelot"
+    )
 
     def as_law(self) -> tuple[Any, Any, Any]:
         """See Nonbonded."""
         if isinstance(self.epsilon, Mapping) == (self.sigma is not None):
             needed = "either epsilon and sigma, or one mapping from species to (epsilon, sigma)"
             raise ValueError(f"give LennardJones {needed}")
-        parameters = self.epsilon if isinstance(self.epsilon, Mapping) else (self.epsilon, self.sigma)
+        parameters = (
+            self.epsilon if isinstance(self.epsilon, Mapping) else (self.epsilon, self.sigma)
+        )
         return LennardJonesLaw(), parameters, self.pairs
 
     @property
@@ -350,12 +454,16 @@ class LennardJones(Nonbonded):
         """See Nonbonded; without a cutoff the smallest σ [length]."""
         if (shortest := super().shortest_length) < inf:
             return shortest
-        parameters = self.parameters.values() if isinstance(self.parameters, dict) else [self.parameters]
+        parameters = (
+            self.parameters.values() if isinstance(self.parameters, dict) else [self.parameters]
+        )
         return min((sigma for _, sigma in (*parameters, *self._by_pair.values())), default=inf)
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
         if not isinstance(numbers, Sequence | np.ndarray) or len(numbers) != 2:
-            raise ValueError(f"Lennard-Jones parameters are (epsilon, sigma); those of {of!r} are {shown(numbers)}")
+            raise ValueError(
+                f"Lennard-Jones parameters are (epsilon, sigma); those of {of!r} are {shown(numbers)}"
+            )
         whose = "" if of is None else f" of {of!r}"
         epsilon = checked_number(f"epsilon{whose}", numbers[0], "finite and not negative")
         return epsilon, checked_number(f"sigma{whose}", numbers[1], "positive and finite")
@@ -370,7 +478,9 @@ class Table(namedtuple("Table", "knots coefficients density")):
     """
 
     __slots__ = ()
-    __eq__, __ne__, __hash__ = object.__eq__, object.__ne__, object.__hash__
+    __eq__ = object.__eq__
+    __ne__ = object.__ne__
+    __hash__ = object.__hash__
 
 
 @scalar
@@ -384,10 +494,12 @@ def tabulated(r2, table, parameters):
     Returns u [energy], −u′/r [energy/length²]; NaN closer than the first knot, where nothing is known;
     the last piece continues beyond the last knot.
     """
-    r, n = sqrt(r2), table.knots.size - 1
+    r = sqrt(r2)
+    n = table.knots.size - 1
     if r < table.knots[0]:
         return nan, nan
-    low, high = int(min((r - table.knots[0]) * table.density, n - 1.0)), n
+    low = int(min((r - table.knots[0]) * table.density, n - 1.0))
+    high = n
     if not table.knots[low] <= r < table.knots[low + 1]:
         low = 0
         while high - low > 1:
@@ -396,7 +508,8 @@ def tabulated(r2, table, parameters):
                 high = middle
             else:
                 low = middle
-    k, x = int(parameters[0]), r - table.knots[low]
+    k = int(parameters[0])
+    x = r - table.knots[low]
     u = slope = 0.0
     for power in range(DEGREE + 1):
         slope = slope * x + u
@@ -417,8 +530,12 @@ class Tabulated(Nonbonded):
     one pair at a time; a law with a formula is several times faster.
     """
 
-    r: ArrayLike = declared(kind.given, "equally spaced or not", "length", of=f"{FEWEST} or more increasing distances")
-    u: ArrayLike | Mapping[tuple[Label, Label], ArrayLike] = declared(kind.given, "u(r)", "energy", of=FOR_EACH)
+    r: ArrayLike = declared(
+        kind.given, "equally spaced or not", "length", of=f"{FEWEST} or more increasing distances"
+    )
+    u: ArrayLike | Mapping[tuple[Label, Label], ArrayLike] = declared(
+        kind.given, "u(r)", "energy", of=FOR_EACH
+    )
     cutoff: Cutoff | None = declared(
         kind.given, "r_c; the end of the table if not given", "length", of=FOR_PAIRS, default=None
     )
@@ -429,23 +546,34 @@ class Tabulated(Nonbonded):
 
     def as_law(self) -> tuple[Any, Any, Any]:
         """See Nonbonded."""
-        r, by_pair = _checked_distances(self.r), self.u if isinstance(self.u, Mapping) else {None: self.u}
-        energies: Any = {pair: _checked_energies(values, r, pair) for pair, values in by_pair.items()}
+        r = _checked_distances(self.r)
+        by_pair = self.u if isinstance(self.u, Mapping) else {None: self.u}
+        energies: Any = {
+            pair: _checked_energies(values, r, pair) for pair, values in by_pair.items()
+        }
         if not energies:
-            raise ValueError("u must be energies, or a mapping with an entry for each pair of species; it is empty")
-        self.r, self.u = r, energies if isinstance(self.u, Mapping) else energies[None]
+            raise ValueError(
+                "u must be energies, or a mapping with an entry for each pair of species; it is empty"
+            )
+        self.r = r
+        self.u = energies if isinstance(self.u, Mapping) else energies[None]
         self.cutoff = float(r[-1]) if self.cutoff is None else self.cutoff
         shortest, longest = (limit(_checked_cutoffs(self.cutoff).values()) for limit in (min, max))
         if not r[0] < shortest <= longest <= r[-1]:
-            wrong, ends = longest if longest > r[-1] else shortest, f"which goes from r = {r[0]:g} to {r[-1]:g}"
+            wrong = longest if longest > r[-1] else shortest
+            ends = f"which goes from r = {r[0]:g} to {r[-1]:g}"
             hint = "give another cutoff, or a longer table"
-            raise ValueError(f"cutoff must lie within the table, {ends}; cutoff = {wrong:g}: {hint}")
+            raise ValueError(
+                f"cutoff must lie within the table, {ends}; cutoff = {wrong:g}: {hint}"
+            )
         pairs = {pair: (float(k),) for k, pair in enumerate(energies) if pair is not None}
         return TabulatedLaw(_table(r, [*energies.values()])), {} if pairs else (0.0,), pairs
 
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
         if isinstance(self.u, Mapping) and (a, b) not in self._by_pair:
-            raise ValueError(f"Tabulated has no table for the pair {a!r}, {b!r}; it has {listed(self.u)}")
+            raise ValueError(
+                f"Tabulated has no table for the pair {a!r}, {b!r}; it has {listed(self.u)}"
+            )
         return super()._parameters_of(a, b)
 
 
@@ -456,10 +584,13 @@ def _checked_distances(r: Any) -> NDArray[np.float64]:
         raise ValueError(f"r must be {wanted}; its shape is {distances.shape}")
     wrong = np.flatnonzero(~(np.isfinite(distances) & (distances >= 0.0)))
     if wrong.size:
-        raise ValueError(f"r must be finite and not negative; r[{wrong[0]}] = {distances[wrong[0]]:g}")
+        raise ValueError(
+            f"r must be finite and not negative; r[{wrong[0]}] = {distances[wrong[0]]:g}"
+        )
     wrong = np.flatnonzero(np.diff(distances) <= 0.0)
     if wrong.size:
-        k, hint = wrong[0], "sort the table, each r once"
+        k = wrong[0]
+        hint = "sort the table, each r once"
         raise ValueError(
             f"r must increase; r[{k + 1}] = {distances[k + 1]:g} follows r[{k}] = {distances[k]:g}: {hint}"
         )
@@ -471,7 +602,9 @@ def _checked_energies(u: Any, r: NDArray[np.float64], pair: Any) -> NDArray[np.f
     name = "u" if pair is None else f"u of {pair!r}"
     energies = checked_numbers(name, u, "one energy for each r")
     if energies.shape != r.shape:
-        raise ValueError(f"{name} must be {len(r)} energies, one for each r; its shape is {energies.shape}")
+        raise ValueError(
+            f"{name} must be {len(r)} energies, one for each r; its shape is {energies.shape}"
+        )
     wrong = np.flatnonzero(~np.isfinite(energies))
     if wrong.size:
         where = f"{shown(energies[wrong[0]].item())} at r[{wrong[0]}] = {r[wrong[0]]:g}"
@@ -481,12 +614,22 @@ def _checked_energies(u: Any, r: NDArray[np.float64], pair: Any) -> NDArray[np.f
 
 def _table(r: NDArray[np.float64], energies: Sequence[NDArray[np.float64]]) -> Table:
     """The splines through energies, each (n,)."""
-    from scipy.interpolate import make_interp_spline  # here, so that importing minimd need not load it
+    # here, so that importing minimd need not load it
+    from scipy.interpolate import make_interp_spline
 
-    splines, powers = [make_interp_spline(r, u, DEGREE) for u in energies], range(DEGREE, -1, -1)
-    pieces = [[one.derivative(k)(r[:-1]) / factorial(k) if k else one(r[:-1]) for k in powers] for one in splines]
-    return Table(r, np.ascontiguousarray(np.moveaxis(np.array(pieces), 1, -1)), (len(r) - 1) / float(r[-1] - r[0]))
+    splines = [make_interp_spline(r, u, DEGREE) for u in energies]
+    powers = range(DEGREE, -1, -1)
+    pieces = [
+        [one.derivative(k)(r[:-1]) / factorial(k) if k else one(r[:-1]) for k in powers]
+        for one in splines
+    ]
+    return Table(
+        r,
+        np.ascontiguousarray(np.moveaxis(np.array(pieces), 1, -1)),
+        (len(r) - 1) / float(r[-1] - r[0]),
+    )
 
 
-PairPotential.register(LennardJones)  # for isinstance: constructors differ, so that none can inherit another
+# for isinstance: constructors differ, so that none can inherit another
+PairPotential.register(LennardJones)
 PairPotential.register(Tabulated)

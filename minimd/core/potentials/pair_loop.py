@@ -54,7 +54,9 @@ def row_of(columns, index):
     return lambda columns, index: (columns[0][index],) + row_of(columns[1:], index)
 
 
-def source_for(law: PairLaw, system: System, order: NDArray[np.int64]) -> SameForAll | BySpecies | Charges:
+def source_for(
+    law: PairLaw, system: System, order: NDArray[np.int64]
+) -> SameForAll | BySpecies | Charges:
     """Where the loop finds the numbers of a law, for atoms in some order (N,)."""
     source: SameForAll | BySpecies = SameForAll(tuple(law.table[0, 0].tolist()))
     if len(law.table) > 1:
@@ -67,7 +69,9 @@ def from_table(table: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
     return tuple(np.ascontiguousarray(table[..., k]) for k in range(table.shape[-1]))
 
 
-class PairWork(ByAddress, namedtuple("PairWork", "positions pairs law parameters steps detail sums")):
+class PairWork(
+    ByAddress, namedtuple("PairWork", "positions pairs law parameters steps detail sums")
+):
     """What the loop works on.
 
     positions : (N, 3) [length].  pairs : Pairs.  law : law type.  parameters : see parameters_of_pair.
@@ -86,7 +90,8 @@ def add_pair_forces(work, _chunk):
     """
     positions, pairs, law, parameters, steps, detail, (forces, energies, virials) = work
     shifted = pairs.translations.shape[0] > 0
-    own_share, is_out = 0.5 if detail == PER_ATOM else 1.0, False
+    own_share = 0.5 if detail == PER_ATOM else 1.0
+    is_out = False
     for i in range(pairs.start.size - 1):
         x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
         fx = fy = fz = no_force(steps)
@@ -97,12 +102,16 @@ def add_pair_forces(work, _chunk):
             dx, dy, dz = positions[j, 0] - x, positions[j, 1] - y, positions[j, 2] - z
             if shifted:
                 t = np.uintp(pairs.image[p])
-                dx, dy, dz = dx + pairs.translations[t, 0], dy + pairs.translations[t, 1], dz + pairs.translations[t, 2]
+                dx = dx + pairs.translations[t, 0]
+                dy = dy + pairs.translations[t, 1]
+                dz = dz + pairs.translations[t, 2]
             r2 = fma(dx, dx, fma(dy, dy, dz * dz))
             numbers = parameters_of_pair(parameters, i, j)
             if r2 < numbers[0]:
                 u, f = evaluate_law(law, r2, numbers[1:])
-                gx, gy, gz = force_along(f, dx, steps), force_along(f, dy, steps), force_along(f, dz, steps)
+                gx = force_along(f, dx, steps)
+                gy = force_along(f, dy, steps)
+                gz = force_along(f, dz, steps)
                 fx, fy, fz = fx - gx, fy - gy, fz - gz
                 forces[j, 0] += gx
                 forces[j, 1] += gy
@@ -110,11 +119,20 @@ def add_pair_forces(work, _chunk):
                 size2 += f * f * r2
                 if detail != FORCES:
                     hx, hy, hz = f * dx, f * dy, f * dz
-                    u, wxx = in_steps(u, steps), in_steps(hx * dx, steps)
-                    wyy, wzz = in_steps(hy * dy, steps), in_steps(hz * dz, steps)
-                    wyz, wxz, wxy = in_steps(hy * dz, steps), in_steps(hx * dz, steps), in_steps(hx * dy, steps)
+                    u = in_steps(u, steps)
+                    wxx = in_steps(hx * dx, steps)
+                    wyy = in_steps(hy * dy, steps)
+                    wzz = in_steps(hz * dz, steps)
+                    wyz = in_steps(hy * dz, steps)
+                    wxz = in_steps(hx * dz, steps)
+                    wxy = in_steps(hx * dy, steps)
                     energy += u
-                    xx, yy, zz, yz, xz, xy = xx + wxx, yy + wyy, zz + wzz, yz + wyz, xz + wxz, xy + wxy
+                    xx = xx + wxx
+                    yy = yy + wyy
+                    zz = zz + wzz
+                    yz = yz + wyz
+                    xz = xz + wxz
+                    xy = xy + wxy
                     if detail == PER_ATOM:
                         energies[j] += 0.5 * u
                         for c, w in enumerate((wxx, wyy, wzz, wyz, wxz, wxy)):

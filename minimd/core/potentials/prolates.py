@@ -58,11 +58,17 @@ class Split(NamedTuple):
 
     def spectrum(self, k2: Array) -> tuple[Array, Array]:
         """The Fourier transform of L at k² > 0 [length²], and its derivative by k² [length⁴]."""
-        wave, k = prolate(self.bandwidth), np.sqrt(k2)
+        wave = prolate(self.bandwidth)
+        k = np.sqrt(k2)
         kappa = k * self.cutoff
         # ∫₀¹ ψ₀(x) cos(c y x) dx is proportional to ψ₀(y)
-        shape = legendre.legval(kappa / wave.bandwidth, wave.series) / wave.at_zero - wave.at_end * sine(kappa) / kappa
-        bend = legendre.legval(kappa / wave.bandwidth, legendre.legder(wave.series)) / (wave.at_zero * wave.bandwidth)
+        shape = (
+            legendre.legval(kappa / wave.bandwidth, wave.series) / wave.at_zero
+            - wave.at_end * sine(kappa) / kappa
+        )
+        bend = legendre.legval(kappa / wave.bandwidth, legendre.legder(wave.series)) / (
+            wave.at_zero * wave.bandwidth
+        )
         bend -= wave.at_end * (cosine(kappa) - sine(kappa) / kappa) / kappa
         scale = 4.0 * pi / (1.0 - wave.at_end)
         return scale * shape / k2, scale * (0.5 * bend * kappa - shape) / k2**2
@@ -84,20 +90,30 @@ def prolate(bandwidth: float) -> Prolate:
 
     H. Xiao, V. Rokhlin, N. Yarvin, Inverse Problems 17, 805 (2001), eq. 63.
     """
-    c2, k = bandwidth**2, 2.0 * np.arange(30 + int(bandwidth))
-    diagonal = k * (k + 1.0) + (2.0 * k * (k + 1.0) - 1.0) / ((2.0 * k + 3.0) * (2.0 * k - 1.0)) * c2
-    beside = (k + 2.0) * (k + 1.0) / ((2.0 * k + 3.0) * np.sqrt((2.0 * k + 1.0) * (2.0 * k + 5.0))) * c2
+    c2 = bandwidth**2
+    k = 2.0 * np.arange(30 + int(bandwidth))
+    diagonal = (
+        k * (k + 1.0) + (2.0 * k * (k + 1.0) - 1.0) / ((2.0 * k + 3.0) * (2.0 * k - 1.0)) * c2
+    )
+    beside = (
+        (k + 2.0) * (k + 1.0) / ((2.0 * k + 3.0) * np.sqrt((2.0 * k + 1.0) * (2.0 * k + 5.0))) * c2
+    )
     eigenvalue = bandwidth - 0.75  # nearly
     for _ in range(ITERATIONS):
         upwards = [1.0, 0.0]  # the vector, from its end, where it is smallest
         for i in range(len(k) - 1, 0, -1):
-            upwards.insert(0, ((eigenvalue - diagonal[i]) * upwards[0] - beside[i] * upwards[1]) / beside[i - 1])
+            upwards.insert(
+                0,
+                ((eigenvalue - diagonal[i]) * upwards[0] - beside[i] * upwards[1]) / beside[i - 1],
+            )
         vector = np.array(upwards[:-1]) / upwards[0]
         eigenvalue += (diagonal[0] + beside[0] * vector[1] - eigenvalue) / (vector**2).sum()
     series = np.zeros(2 * len(k))
     series[::2] = vector * np.sqrt(k + 0.5)
     series /= series[0]  # ∫₀¹ of all others vanishes
-    return Prolate(bandwidth, series, float(legendre.legval(0.0, series)), float(legendre.legval(1.0, series)))
+    return Prolate(
+        bandwidth, series, float(legendre.legval(0.0, series)), float(legendre.legval(1.0, series))
+    )
 
 
 def error_of(bandwidth: float) -> float:
@@ -109,7 +125,8 @@ def error_of(bandwidth: float) -> float:
 @cache
 def split_for(cutoff: float, accuracy: float) -> Split:
     """The split with the smallest bandwidth whose bound is at most the accuracy."""
-    bandwidth, step = WIDEST, WIDEST - NARROWEST
+    bandwidth = WIDEST
+    step = WIDEST - NARROWEST
     while step > 1e-3:
         step *= 0.5
         if error_of(bandwidth - step) <= accuracy:
@@ -128,7 +145,11 @@ def split_for(cutoff: float, accuracy: float) -> Split:
     enough = max(FITTED * accuracy, 1e-15) * exact.max()
     for degree in DEGREES:
         zeros = cosine(pi * (np.arange(degree + 1.0) + 0.5) / (degree + 1.0))
-        series = 2.0 / len(zeros) * (chebyshev.chebvander(zeros, degree) * smooth(zeros)[:, None]).sum(axis=0)
+        series = (
+            2.0
+            / len(zeros)
+            * (chebyshev.chebvander(zeros, degree) * smooth(zeros)[:, None]).sum(axis=0)
+        )
         series[0] *= 0.5
         if np.abs(chebyshev.chebval(t, series) - exact).max() < enough:
             break
@@ -138,4 +159,11 @@ def split_for(cutoff: float, accuracy: float) -> Split:
     # ∫₀¹ x² ψ₀: of x² = (P₀ + 2 P₂)/3 the latter has ∫₀¹ P₂² = 1/5
     moment = (1.0 / 3.0 + 2.0 / 15.0 * wave.series[2] - wave.at_end / 3.0) / (1.0 - wave.at_end)
     at_zero = float(polynomial.polyval(-1.0, values))
-    return Split(cutoff, bandwidth, error_of(bandwidth), numbers, at_zero, 2.0 * pi * cutoff**2 * float(moment))
+    return Split(
+        cutoff,
+        bandwidth,
+        error_of(bandwidth),
+        numbers,
+        at_zero,
+        2.0 * pi * cutoff**2 * float(moment),
+    )

@@ -30,7 +30,9 @@ FORCES, TOTALS, PER_ATOM = 0, 1, 2  # the detail of an evaluation; each includes
 BOND_LOOP = "bond loop"
 VOIGT = (0, 1, 2, 1, 0, 0), (0, 1, 2, 2, 2, 1)  # xx yy zz yz xz xy
 # comparisons of force and energy; from where, and how far atoms move, see _length_of
-TRIES, SHAKEN, STEP = 3, 1e-2, 1e-4
+TRIES = 3
+SHAKEN = 1e-2
+STEP = 1e-4
 ROUGH = 10.0  # of a slope: relative to the difference of two of them
 CLOSE = 1e-2  # the closest distance that counts, relative to the mean spacing of atoms
 
@@ -142,7 +144,9 @@ class Term:
     fits_grid: bool = False
     assigns: bool = False
 
-    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+    def add(
+        self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray
+    ) -> None:
         """Add to forces (N, 3), and unless detail is FORCES to energies (N,) and virials (N, 6), xx yy zz yz xz xy.
 
         With TOTALS only the sums of energies and virials over all atoms must be right, with PER_ATOM each atom's share.
@@ -173,7 +177,8 @@ class Term:
 class OwnTerm(Term):
     """Base class of terms that are compiled, as minimd's own are; those that add with force_along set fits_grid."""
 
-    is_checked, needs_one_accumulator = False, True
+    is_checked = False
+    needs_one_accumulator = True
 
 
 class NoTerm(OwnTerm):
@@ -232,7 +237,9 @@ def bound(potential: Any, system: System) -> Term:
         return term
     if not hasattr(term, "add"):
         wanted = "an object with add(system, detail, forces, energies, virials)"
-        raise TypeError(f"bind must return a term, {wanted}; that of {shown(potential)} is {shown(term)}")
+        raise TypeError(
+            f"bind must return a term, {wanted}; that of {shown(potential)} is {shown(term)}"
+        )
     completed = Term()  # what the object has, and the defaults of a Term
     names = ("add", "skipped", "acts_from_outside", "is_checked")
     completed.__dict__.update({name: getattr(term, name) for name in names if hasattr(term, name)})
@@ -252,12 +259,16 @@ def check_force(potential: Any, system: System, time: float) -> None:
     except Exception:  # whatever an object of the user's raises
         return
     term, rng, length = bound(potential, system), np.random.default_rng(1), _length_of(system)
-    term.time, n_compared, wrong = time, 0, []
+    term.time = time
+    n_compared = 0
+    wrong = []
     # where no force is zero by symmetry
     here = system.positions + SHAKEN * length * rng.standard_normal(system.positions.shape)
 
     def at(displacement: NDArray | float) -> tuple[NDArray, NDArray]:
-        forces, energies, virials = np.zeros_like(here), np.zeros(len(here)), np.zeros((len(here), 6))
+        forces = np.zeros_like(here)
+        energies = np.zeros(len(here))
+        virials = np.zeros((len(here), 6))
         system.positions[:] = here + displacement
         term.add(system, TOTALS, forces, energies, virials)
         return forces, energies
@@ -269,16 +280,27 @@ def check_force(potential: Any, system: System, time: float) -> None:
         slope, other = (float((at(-h * way)[1] - at(h * way)[1]).sum()) / (2.0 * h) for h in steps)
         n_compared += bool(np.isfinite([force, slope, other]).all())
         if not agree(force, slope, np.abs(energies).sum() / length, ROUGH * abs(slope - other)):
-            wrong.append(f"for a displacement w of all atoms F·w = {force:.6g}, but -dU/dw = {slope:.6g}")
+            wrong.append(
+                f"for a displacement w of all atoms F·w = {force:.6g}, but -dU/dw = {slope:.6g}"
+            )
     if 2 * len(wrong) > n_compared:
         fault = f"{wrong[0]}; a term whose force is no gradient sets is_checked = False"
-        raise ValueError(f"the force of {shown(potential)} must be minus the gradient of its energy; {fault}")
+        raise ValueError(
+            f"the force of {shown(potential)} must be minus the gradient of its energy; {fault}"
+        )
 
 
 def _length_of(system: System) -> float:
     """A length by which atoms can move: the closest distance, within bounds if they overlap or are far off [length]."""
-    cell, positions, pair = system.cell, system.positions, closest_pair(system)
-    sizes = cell.heights[cell.pbc].min(initial=inf), np.ptp(positions, axis=0).max(), np.abs(positions).max(), 1.0
+    cell = system.cell
+    positions = system.positions
+    pair = closest_pair(system)
+    sizes = (
+        cell.heights[cell.pbc].min(initial=inf),
+        np.ptp(positions, axis=0).max(),
+        np.abs(positions).max(),
+        1.0,
+    )
     spacing = next(size for size in sizes if 0.0 < size < inf) / len(system) ** (1.0 / 3.0)
     return float(np.clip(pair.distance if pair else spacing, CLOSE * spacing, spacing))
 
@@ -286,7 +308,9 @@ def _length_of(system: System) -> float:
 def no_bonds(what: str, groups: str = "bonds") -> str:
     """The warning that something made for bonds, angles, dihedrals or impropers finds none."""
     key = {"bonds": "structure.bonds", "angles": "triples"}.get(groups, "quadruples")
-    places = f"System({groups}=...) or System.from_ase(atoms, {groups}=...), in a scene file as {key}"
+    places = (
+        f"System({groups}=...) or System.from_ase(atoms, {groups}=...), in a scene file as {key}"
+    )
     return f"{what} has no effect: the system has no {groups}; give them as {places}"
 
 
@@ -297,7 +321,8 @@ def as_potentials(given: Any) -> tuple[Any, ...]:
     for one in given if isinstance(given, list | tuple) else (given,):
         if hasattr(one, "bind") or not is_calculator(one):
             potentials.append(one)
-        elif (own := getattr(one, "own_potentials", None)) is not None:  # of a minimd.ase.Calculator
+        elif (own := getattr(one, "own_potentials", None)) is not None:
+            # of a minimd.ase.Calculator
             potentials.extend(as_potentials(own))
         else:
             warn(calculators_said(one))
@@ -312,7 +337,8 @@ def is_calculator(calculator: Any) -> bool:
 
 def calculators_said(calculator: Any) -> str:
     """The warning, given once, for steps with a calculator that is not minimd's."""
-    name, why = type(calculator).__name__, "minimd makes the steps, but only as fast as"
+    name = type(calculator).__name__
+    why = "minimd makes the steps, but only as fast as"
     return f"the calculator is {name}, not minimd.ase.Calculator: {why} {name} computes the forces"
 
 
@@ -341,7 +367,8 @@ class ForcesFromCalculator(OwnPotential):
         from minimd.core.structure.ase_atoms import atoms_from_system
 
         atoms = atoms_from_system(system)
-        atoms.set_constraint()  # minimd needs the forces without constraints, which it applies itself
+        # minimd needs the forces without constraints, which it applies itself
+        atoms.set_constraint()
         atoms.calc = self.calculator
         return CalculatorTerm(atoms)
 
@@ -355,16 +382,23 @@ class CalculatorTerm(Term):
         self._atoms = atoms
         self._implemented = getattr(atoms.calc, "implemented_properties", ())
 
-    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+    def add(
+        self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray
+    ) -> None:
         """See Term. Shares are equal; but PER_ATOM takes energies of atoms from a calculator that has them, shifted to
         the right sum."""
-        self._atoms.positions[:], self._atoms.cell[:] = system.positions, system.cell.vectors
+        self._atoms.positions[:] = system.positions
+        self._atoms.cell[:] = system.cell.vectors
         own = self._atoms.get_forces(apply_constraint=False)
         forces += own
         if detail != FORCES:
-            total = self._atoms.get_potential_energy(force_consistent="free_energy" in self._implemented)
+            total = self._atoms.get_potential_energy(
+                force_consistent="free_energy" in self._implemented
+            )
             own_shares = detail == PER_ATOM and "energies" in self._implemented
-            shares = self._atoms.get_potential_energies() if own_shares else np.zeros(len(self._atoms))
+            shares = (
+                self._atoms.get_potential_energies() if own_shares else np.zeros(len(self._atoms))
+            )
             energies += shares + (total - shares.sum()) / len(shares)
             virials += self._virial(system, own) / len(system)
 

@@ -57,7 +57,8 @@ def charmm(r2, law, parameters):
     """u(r) C with C = (r_c² − r²)² (r_c² + 2r² − 3r_on²)/(r_c² − r_on²)³ beyond r_on, 1 before; u and force continuous.
     parameters : (r_on², r_c², *parameters of law).  B. R. Brooks et al., J. Comput. Chem. 4, 187 (1983)."""
     u, f = evaluate_law(law, r2, parameters[2:])
-    on2, off2 = parameters[0], parameters[1]
+    on2 = parameters[0]
+    off2 = parameters[1]
     y = max(on2, min(off2, r2))
     scale = 1.0 / (off2 - on2) ** 3
     c = (off2 - y) * (off2 - y) * (off2 + 2.0 * y - 3.0 * on2) * scale
@@ -79,7 +80,9 @@ def smooth(r2, law, parameters):
     y = max(0.0, min(1.0, (r2 - parameters[0]) * scale))
     z = 1.0 - y
     y3, z3 = y * y * y, z * z * z
-    series = 1.0 + y * (8.0 + y * (36.0 + y * (120.0 + y * (330.0 + y * (792.0 + y * (1716.0 + y * 3432.0))))))
+    series = 1.0 + y * (
+        8.0 + y * (36.0 + y * (120.0 + y * (330.0 + y * (792.0 + y * (1716.0 + y * 3432.0)))))
+    )
     s = z3 * z3 * z * z * series
     slope = -51480.0 * y3 * y3 * y * z3 * z3 * z * scale  # dS/d(r²)
     return s * u, s * f - 2.0 * slope * u
@@ -98,16 +101,22 @@ def _value_and_slope(law: tuple, parameters: tuple, cutoff: float, _switch_start
     return (u, -f * cutoff, cutoff)
 
 
-Shifted, ForceShifted = law_type("Shifted", shifted), law_type("ForceShifted", force_shifted)
-Switched, CharmmSwitched = law_type("Switched", switched), law_type("CharmmSwitched", charmm)
+Shifted = law_type("Shifted", shifted)
+ForceShifted = law_type("ForceShifted", force_shifted)
+Switched = law_type("Switched", switched)
+CharmmSwitched = law_type("CharmmSwitched", charmm)
 Smooth = law_type("Smooth", smooth)
 
 TRUNCATIONS = {
     "truncated": Truncation(lambda law: law, lambda law, parameters, r_c, r_on: ()),
-    "shifted": Truncation(Shifted, lambda law, parameters, r_c, r_on: law_at(law, r_c, parameters)[:1]),
+    "shifted": Truncation(
+        Shifted, lambda law, parameters, r_c, r_on: law_at(law, r_c, parameters)[:1]
+    ),
     "force-shifted": Truncation(ForceShifted, _value_and_slope),
     "switched": Truncation(Switched, lambda law, parameters, r_c, r_on: (r_on, r_c)),
-    "charmm": Truncation(CharmmSwitched, lambda law, parameters, r_c, r_on: (r_on * r_on, r_c * r_c)),
+    "charmm": Truncation(
+        CharmmSwitched, lambda law, parameters, r_c, r_on: (r_on * r_on, r_c * r_c)
+    ),
     "smooth": Truncation(Smooth, lambda law, parameters, r_c, r_on: (r_on * r_on, r_c * r_c)),
 }
 

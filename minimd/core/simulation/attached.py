@@ -22,12 +22,20 @@ class Attached:
     """
 
     def __init__(self, observers: Any, engine: Engine) -> None:
-        if not isinstance(observers, list | tuple) or not all(_is_observer(one) for one in observers):
+        if not isinstance(observers, list | tuple) or not all(
+            _is_observer(one) for one in observers
+        ):
             kinds = "a list of functions of a simulation, and of observers such as md.observers.RadialDistribution()"
             raise TypeError(f"observers must be {kinds}; observers = {shown(observers)}")
-        self.accumulators: Sequence[StoredObserver] = [one for one in observers if isinstance(one, StoredObserver)]
-        self.functions: Sequence[Callable] = [one for one in observers if not isinstance(one, PeriodicObserver)]
-        self._with_steps: Sequence[PeriodicObserver] = [one for one in observers if isinstance(one, PeriodicObserver)]
+        self.accumulators: Sequence[StoredObserver] = [
+            one for one in observers if isinstance(one, StoredObserver)
+        ]
+        self.functions: Sequence[Callable] = [
+            one for one in observers if not isinstance(one, PeriodicObserver)
+        ]
+        self._with_steps: Sequence[PeriodicObserver] = [
+            one for one in observers if isinstance(one, PeriodicObserver)
+        ]
         names = [one.name for one in self.accumulators]
         if twice := {name for name in names if names.count(name) > 1}:
             several = f"{min(twice)!r} is the name of several: pass another name= to one of them"
@@ -49,7 +57,10 @@ class Attached:
 
     def steps_to_next(self) -> int | float:
         """The number of steps to the next look of any of them; infinite without observers."""
-        return min((one.every - self._engine.step % one.every for one in self._with_steps), default=float("inf"))
+        return min(
+            (one.every - self._engine.step % one.every for one in self._with_steps),
+            default=float("inf"),
+        )
 
     def need_energy(self, step: int) -> bool:
         """Whether an observer that looks at this step needs energy and virial."""

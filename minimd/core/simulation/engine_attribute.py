@@ -9,7 +9,9 @@ from minimd.core.engine.observation import measure
 
 T = TypeVar("T")
 # for names that are not misspelt
-HINTS = dict.fromkeys(("timestep", "dt"), "give it to a new method: sim.method = VelocityVerlet(0.001)")
+HINTS = dict.fromkeys(
+    ("timestep", "dt"), "give it to a new method: sim.method = VelocityVerlet(0.001)"
+)
 ARRAYS = ("positions", "velocities", "forces")
 
 
@@ -23,10 +25,18 @@ class Closed:
 
     def __setattr__(self, name: str, value: Any) -> None:
         kind = type(self)
-        if "own" in vars(kind) and not (name.startswith("_") or name in kind.own or hasattr(kind, name)):
-            near = get_close_matches(name, [*kind.own, *(one for one in dir(kind) if not one.startswith("_"))], n=1)
-            hint = HINTS.get(name) or (f"did you mean {near[0]!r}?" if near else "dir(...) lists its attributes")
-            raise AttributeError(f"a {kind.__name__} has no attribute {name!r} that could be set; {hint}")
+        if "own" in vars(kind) and not (
+            name.startswith("_") or name in kind.own or hasattr(kind, name)
+        ):
+            near = get_close_matches(
+                name, [*kind.own, *(one for one in dir(kind) if not one.startswith("_"))], n=1
+            )
+            hint = HINTS.get(name) or (
+                f"did you mean {near[0]!r}?" if near else "dir(...) lists its attributes"
+            )
+            raise AttributeError(
+                f"a {kind.__name__} has no attribute {name!r} that could be set; {hint}"
+            )
         super().__setattr__(name, value)
 
 
@@ -37,8 +47,12 @@ class EngineAttribute(Generic[T]):
     check : function of the engine that raises an error for a value that it cannot have; the old value is then restored.
     """
 
-    def __init__(self, doc: str, path: str = "", check: Callable[[Any], None] | None = None) -> None:
-        self.__doc__, self._path, self._check = doc, path, check
+    def __init__(
+        self, doc: str, path: str = "", check: Callable[[Any], None] | None = None
+    ) -> None:
+        self.__doc__ = doc
+        self._path = path
+        self._check = check
 
     def __set_name__(self, _owner: type, name: str) -> None:
         self._name = name
@@ -47,18 +61,24 @@ class EngineAttribute(Generic[T]):
         if simulation is not None and self._name == "forces":
             simulation.engine.catch_up()
             simulation.engine.evaluate()
-        found: Any = self if simulation is None else attrgetter(self._path or self._name)(simulation.engine)
+        found: Any = (
+            self if simulation is None else attrgetter(self._path or self._name)(simulation.engine)
+        )
         return found  # type: ignore[no-any-return]
 
     def __set__(self, simulation: Any, value: T) -> None:
         if self._path:
-            raise AttributeError(f"{self._name} of a Simulation cannot be set; make a new Simulation")
+            raise AttributeError(
+                f"{self._name} of a Simulation cannot be set; make a new Simulation"
+            )
         if self._name in ARRAYS:
             if value is getattr(simulation.engine, self._name):
                 return  # sim.positions += shift
             assign = f"assign into it, sim.{self._name}[:] = values"
             remedy = "they are computed" if self._name == "forces" else assign
-            raise AttributeError(f"{self._name} of a Simulation is an array that cannot be replaced; {remedy}")
+            raise AttributeError(
+                f"{self._name} of a Simulation is an array that cannot be replaced; {remedy}"
+            )
         before = getattr(simulation.engine, self._name)
         setattr(simulation.engine, self._name, value)
         if self._check is not None:

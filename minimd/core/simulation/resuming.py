@@ -19,7 +19,13 @@ if TYPE_CHECKING:
 Potentials = Potential | Sequence[Potential] | None
 
 
-def resumed(kind: Any, file: str | Path, potentials: Potentials, method: Splitting | None, threads: int | None) -> Any:
+def resumed(
+    kind: Any,
+    file: str | Path,
+    potentials: Potentials,
+    method: Splitting | None,
+    threads: int | None,
+) -> Any:
     """See Simulation.resume.  kind : Simulation."""
     from minimd.core.files.h5md_reader import read_file, verify_frames  # h5py is slow to load
     from minimd.core.files.h5md_schema import other_potentials
@@ -29,10 +35,13 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, method: Splitti
     if potentials is None:
         potentials = stored_potentials(contents, file)
     options = {name: getattr(contents, name) for name in ("precision", "skin", "barostat")}
-    simulation = kind(contents.system, potentials, method or contents.integrator(), threads=threads, **options)
+    simulation = kind(
+        contents.system, potentials, method or contents.integrator(), threads=threads, **options
+    )
     simulation.extra_observables = extras_in(contents.record)
     simulation.engine.notes.update(title=contents.title, scene=contents.scene)
-    simulation.system.cell = contents.system.cell  # not rounded to another grid than that of the run
+    # not rounded to another grid than that of the run
+    simulation.system.cell = contents.system.cell
     simulation.engine.go_on_from(contents.restart)
     if other := other_potentials(contents.potentials, simulation.potentials):
         given = f"the potentials given are not those of the last steps in {str(file)!r}: {other}"

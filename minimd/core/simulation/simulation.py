@@ -30,7 +30,13 @@ from minimd.core.forces.forces import Potential
 from minimd.core.forces.options import Options, Precision
 from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.integrators.splitting import Splitting
-from minimd.core.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
+from minimd.core.minimization.minimization import (
+    FORCE_TOLERANCE,
+    MAX_STEP_LENGTH,
+    MAX_STEPS,
+    Minimization,
+    minimized,
+)
 from minimd.core.simulation.attached import Attached
 from minimd.core.simulation.engine_attribute import Closed, EngineAttribute, MeasuredAttribute
 from minimd.core.simulation.resuming import last_step, resumed
@@ -40,7 +46,8 @@ from minimd.core.structure.grid import Grid
 from minimd.core.structure.observables import Array, maxwell_boltzmann, rescaled
 from minimd.core.structure.system import AnySystem, System
 
-SECONDS_BETWEEN_CHECKPOINTS = 5.0  # for any value of every: no more is lost when the process is killed
+# for any value of every: no more is lost when the process is killed
+SECONDS_BETWEEN_CHECKPOINTS = 5.0
 Observer = Callable[["Simulation"], None] | PeriodicObserver
 
 
@@ -71,7 +78,9 @@ class Simulation(Closed, Displayed):
     """
 
     own = ("engine", "guard", "record", "reversibility")
-    system = EngineAttribute[System]("The state; its arrays can be changed, not replaced by those of another system.")
+    system = EngineAttribute[System](
+        "The state; its arrays can be changed, not replaced by those of another system."
+    )
     method = EngineAttribute[Splitting](
         "The integrator with its time step; another one takes over with the next step. See Engine.method."
     )
@@ -92,7 +101,9 @@ class Simulation(Closed, Displayed):
     drift = EngineAttribute[Array](
         "Velocity of the center of mass if n_dof leaves it out, else 0 [length/time].", "drift"
     )
-    conserves_momentum = EngineAttribute[bool]("Whether the total momentum is a constant; see Engine.")
+    conserves_momentum = EngineAttribute[bool](
+        "Whether the total momentum is a constant; see Engine."
+    )
     constraints = EngineAttribute[tuple[Constraint, ...]](
         "What is held fixed, with the lengths that are kept; also those of system."
     )
@@ -106,10 +117,18 @@ class Simulation(Closed, Displayed):
         "σ [energy/length³], (3, 3), kinetic part included, positive under tension: P = −tr σ / 3; ValueError without "
         "a volume."
     )
-    potentials = EngineAttribute[tuple[Potential, ...]]("What acts on the atoms.", "interactions.potentials")
-    barostat = EngineAttribute[StochasticCellRescaling | None]("What keeps the pressure, or None.", "barostat")
-    options = EngineAttribute[Options]("Threads, precision and skin, as they were asked for.", "interactions.options")
-    skins = EngineAttribute[list[float]]("Of all lists that have one [length].", "interactions.skins")
+    potentials = EngineAttribute[tuple[Potential, ...]](
+        "What acts on the atoms.", "interactions.potentials"
+    )
+    barostat = EngineAttribute[StochasticCellRescaling | None](
+        "What keeps the pressure, or None.", "barostat"
+    )
+    options = EngineAttribute[Options](
+        "Threads, precision and skin, as they were asked for.", "interactions.options"
+    )
+    skins = EngineAttribute[list[float]](
+        "Of all lists that have one [length].", "interactions.skins"
+    )
 
     def __init__(
         self,
@@ -124,7 +143,16 @@ class Simulation(Closed, Displayed):
         grid: Grid | None = None,
         barostat: StochasticCellRescaling | None = None,
     ) -> None:
-        self._hold(Engine(system, potentials, method, constraints, Options(threads, precision, skin, grid), barostat))
+        self._hold(
+            Engine(
+                system,
+                potentials,
+                method,
+                constraints,
+                Options(threads, precision, skin, grid),
+                barostat,
+            )
+        )
 
     def _hold(self, engine: Engine) -> None:
         self.engine, self.guard, self._is_running = engine, RunGuard(engine), False
@@ -134,7 +162,14 @@ class Simulation(Closed, Displayed):
     def __reduce__(self) -> tuple[Any, ...]:
         """For pickle and copy: nothing is shared, and the copy goes on with the same bits."""
         guard = self.guard
-        return _copied, (type(self), self.engine, guard.seconds, guard.n_steps, self.record, self.reversibility)
+        return _copied, (
+            type(self),
+            self.engine,
+            guard.seconds,
+            guard.n_steps,
+            self.record,
+            self.reversibility,
+        )
 
     def __repr__(self) -> str:
         return f"Simulation({self.system!r}, {self.method!r}, step {self.step})"
@@ -218,37 +253,60 @@ class Simulation(Closed, Displayed):
             likewise after SIGTERM or SIGHUP.
         FileExistsError, ValueError, OSError : for outputs that cannot be written, before the first step where possible.
         """
-        engine, guard = self.engine, self.guard
-        every, end = checked_count("every", every), last_step(engine.step, n_steps, until_step)
+        engine = self.engine
+        guard = self.guard
+        every = checked_count("every", every)
+        end = last_step(engine.step, n_steps, until_step)
         if isinstance(append, str) and append == "auto":
             append = any(map(Path.exists, named_files("trajectory", trajectory)))
         files = {"store_forces": store_forces, "overwrite": overwrite, "append": append}
         files = {name: checked_flag(name, flag) for name, flag in files.items()}
         attached = Attached(observers, engine)
         check_extras(engine)
-        seconds = inf if max_seconds is None else checked_number("max_seconds", max_seconds, "positive and finite")
-        place, start = crash_file_place(crash_report, trajectory), engine.step
+        seconds = (
+            inf
+            if max_seconds is None
+            else checked_number("max_seconds", max_seconds, "positive and finite")
+        )
+        place = crash_file_place(crash_report, trajectory)
+        start = engine.step
         # the crash file is written after all others are closed
         with self._running(engine.noise_shift), crash_file_left(place, guard, files["overwrite"]):
             guard.check_start()
             with (
                 stop_on_signals(engine.surroundings, seconds),
                 open_trajectories(
-                    trajectory, engine, every=every, n_steps=end - start, observers=attached.accumulators, **files
+                    trajectory,
+                    engine,
+                    every=every,
+                    n_steps=end - start,
+                    observers=attached.accumulators,
+                    **files,
                 ) as writers,
                 progress_of(end - start, "running", progress) as tell,
                 attached.broken_off(),
             ):
-                self.record = record = Record(self.system.units, len(self.system), first_h5md(trajectory))
+                self.record = record = Record(
+                    self.system.units, len(self.system), first_h5md(trajectory)
+                )
                 guard.begin_run()
                 attached.begin()
                 self._observe([] if append and start % every else writers, attached)
                 checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS
                 while engine.step < end:
                     next_look = engine.step + every - engine.step % every
-                    n_now = int(min(guard.block, next_look - engine.step, end - engine.step, attached.steps_to_next()))
+                    n_now = int(
+                        min(
+                            guard.block,
+                            next_look - engine.step,
+                            end - engine.step,
+                            attached.steps_to_next(),
+                        )
+                    )
                     at = engine.step + n_now
-                    guard.advance(n_now, with_energy=at in (next_look, end) or attached.need_energy(at))
+                    guard.advance(
+                        n_now, with_energy=at in (next_look, end) or attached.need_energy(at)
+                    )
                     tell(engine.step - start)
                     if guard.is_hot() or at == end < next_look:
                         guard.observe()  # before others look at what may have failed
@@ -263,7 +321,8 @@ class Simulation(Closed, Displayed):
         return record
 
     def _observe(self, writers: Sequence[Writer], attached: Attached) -> None:
-        engine, frame = self.engine, self.guard.observe()
+        engine = self.engine
+        frame = self.guard.observe()
         if self.record is not None:
             self.record.append(frame)
         for writer in writers:
@@ -283,7 +342,8 @@ class Simulation(Closed, Displayed):
                 raise ValueError(f"a thermostat cannot be switched on or off within a run; {later}")
             if not engine.is_as_left:
                 if engine.system.cell is cell and (positions != engine.positions).any():
-                    attached.interrupt()  # as when atoms were wrapped; observers know how a cell moves atoms
+                    # as when atoms were wrapped; observers know how a cell moves atoms
+                    attached.interrupt()
                 self.guard.forget()
                 engine.begin()
 
@@ -312,8 +372,10 @@ class Simulation(Closed, Displayed):
         ------
         NonFiniteError, KeyboardInterrupt : as run does.  ValueError : for counts or a temperature out of range.
         """
-        engine, guard = self.engine, self.guard
-        n_steps, every = checked_count("n_steps", n_steps, 0), checked_count("every", every)
+        engine = self.engine
+        guard = self.guard
+        n_steps = checked_count("n_steps", n_steps, 0)
+        every = checked_count("every", every)
         temperature = checked_number("temperature", temperature, "finite and not negative")
         engine.equilibrated += n_steps
         place = crash_file_place(crash_report, ())
@@ -328,14 +390,19 @@ class Simulation(Closed, Displayed):
                 engine.time = -n_steps * engine.method.timestep  # so that it ends at 0
             guard.check_start()
             thermal = engine.n_dof * self.system.units.k_B * temperature
-            most = RUNAWAY * (engine.kinetic_energy + abs(engine.interactions.potential_energy) + thermal)
+            most = RUNAWAY * (
+                engine.kinetic_energy + abs(engine.interactions.potential_energy) + thermal
+            )
             for done in range(every, n_steps + every, every):
                 guard.make_steps(min(every, n_steps - done + every))
                 guard.check_kinetic_energy(most)
                 self.rescale_temperature(temperature)
                 guard.drop_snapshots()  # a replay does not rescale
                 tell(min(done, n_steps))
-        engine.step, engine.time, engine.reservoir_energy, engine.work = 0, 0.0, 0.0, 0.0
+        engine.step = 0
+        engine.time = 0.0
+        engine.reservoir_energy = 0.0
+        engine.work = 0.0
 
     def minimize(
         self,
@@ -387,17 +454,22 @@ class Simulation(Closed, Displayed):
         if self._is_running:
             may = "an observer may read and change its state, but not run or equilibrate it"
             raise RuntimeError(f"this simulation is running: {may}")
-        before, self._is_running, self.engine.noise_shift = self.engine.noise_shift, True, noise_shift
+        before = self.engine.noise_shift
+        self._is_running = True
+        self.engine.noise_shift = noise_shift
         try:
             yield
         finally:
-            self._is_running, self.engine.noise_shift = False, before
+            self._is_running = False
+            self.engine.noise_shift = before
 
     def report(self) -> Report:
         """How well the last call of run conserved what it should, and how fast it was.  Raises ValueError before it."""
         if self.record is None:
             others = "equilibrate, make_steps, minimize and resume do not observe the simulation"
-            raise ValueError(f"there is nothing to report; call run first: {others}; for a file: minimd check FILE")
+            raise ValueError(
+                f"there is nothing to report; call run first: {others}; for a file: minimd check FILE"
+            )
         return report_of(self.guard, self.record, self.reversibility)
 
     def frame(self) -> Frame:
@@ -408,7 +480,8 @@ class Simulation(Closed, Displayed):
     def set_temperature(self, temperature: float, seed: int | None = None) -> None:
         """Draw Maxwell-Boltzmann velocities: kinetic temperature exactly this one, total momentum zero (of several free
         atoms).  Raises ValueError if the temperature is negative or not finite."""
-        system, constraint_set = self.system, self.engine.constraint_set
+        system = self.system
+        constraint_set = self.engine.constraint_set
         system.velocities[:] = maxwell_boltzmann(system.masses, temperature, system.units.k_B, seed)
         self.engine.fit_images()
         constraint_set.project(system.velocities, system.positions)
@@ -421,7 +494,8 @@ class Simulation(Closed, Displayed):
 
         Raises ValueError if the temperature is negative or not finite, or nothing moves.
         """
-        v, k_B = self.velocities, self.system.units.k_B
+        v = self.velocities
+        k_B = self.system.units.k_B
         v[:] = rescaled(v, self.system.masses, temperature, k_B, self.n_dof, self.drift)
         self.engine.turned()
 
@@ -431,13 +505,18 @@ class Simulation(Closed, Displayed):
 
     def restore(self, snapshot: Snapshot) -> None:
         """Restore the state of a snapshot.  Raises TypeError for anything else."""
-        self.engine.restore(checked_kind("snapshot", snapshot, Snapshot, "what sim.snapshot() has returned"))
+        self.engine.restore(
+            checked_kind("snapshot", snapshot, Snapshot, "what sim.snapshot() has returned")
+        )
 
 
-def _copied(kind: type[Simulation], engine: Engine, seconds: float, n_steps: int, *results: Any) -> Simulation:
+def _copied(
+    kind: type[Simulation], engine: Engine, seconds: float, n_steps: int, *results: Any
+) -> Simulation:
     """The simulation that __reduce__ has described.  results : record, reversibility."""
     simulation = kind.__new__(kind)
     simulation._hold(copy.deepcopy(engine))
-    simulation.guard.seconds, simulation.guard.n_steps = seconds, n_steps
+    simulation.guard.seconds = seconds
+    simulation.guard.n_steps = n_steps
     simulation.record, simulation.reversibility = copy.deepcopy(results)
     return simulation

@@ -16,7 +16,13 @@ from minimd.core.console.quiet import warn
 from minimd.core.structure.bond_graph import GROUPS, joined_in, texts
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_kind
-from minimd.core.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms, lengths_of
+from minimd.core.structure.constraints import (
+    TOLERANCE,
+    Constraint,
+    DistanceConstraints,
+    FixedAtoms,
+    lengths_of,
+)
 from minimd.core.structure.elements import Stated, check_names, identified, species_of
 from minimd.core.structure.lammps_units import LAMMPS_UNITS
 from minimd.core.structure.observables import center, momentum, stress as kinetic_stress
@@ -24,7 +30,8 @@ from minimd.core.structure.units import ASE, UnitSystem
 
 LABELS = "species_labels"  # the array of an ase.Atoms for species that are not chemical elements
 # in the info of atoms from a .traj, which keeps no such array: the names of species; tags are indices into them
-TYPES = "types"  # an array of atoms from LAMMPS and DL_POLY, whose velocities do not depend on masses
+# an array of atoms from LAMMPS and DL_POLY, whose velocities do not depend on masses
+TYPES = "types"
 NAMES = "species_names"
 FULL = 1e-3  # least difference of an occupancy from one
 Given = ArrayLike | None
@@ -67,7 +74,8 @@ def system_arguments(
         )
     found = joined_in(atoms) if bonds is None else None
     weights, symbols = identified(stated, masses, elements, is_reduced=units is not ASE)
-    is_dummy = "residuenames" in atoms.arrays and np.array_equal(atoms.cell.array, np.eye(3))  # of the databank
+    # of the databank
+    is_dummy = "residuenames" in atoms.arrays and np.array_equal(atoms.cell.array, np.eye(3))
     labels = stated.names if "type" in atoms.arrays and not any(symbols) else _labels(atoms)
     velocities = _velocities(atoms, source, units, stated.masses is not None)
     if constraints and fixes_center(atoms):
@@ -99,8 +107,14 @@ def stated_of(atoms: Atoms, source: str = "this ase.Atoms") -> Stated:
     if masses is None and "type" in arrays and np.array_equal(arrays["type"], atoms.numbers):
         symbols = [""] * len(atoms)
         names = [str(kind) for kind in arrays["type"].tolist()]
-    residues = [str(label) for label in arrays["residuenames"]] if "residuenames" in arrays else None
-    residue_of = np.unique(arrays["residuenumbers"], return_inverse=True)[1] if "residuenumbers" in arrays else None
+    residues = (
+        [str(label) for label in arrays["residuenames"]] if "residuenames" in arrays else None
+    )
+    residue_of = (
+        np.unique(arrays["residuenumbers"], return_inverse=True)[1]
+        if "residuenumbers" in arrays
+        else None
+    )
     stated = Stated(source, names, atoms.positions, symbols, masses, residues, residue_of)
     if masses is None and "atomtypes" in arrays and residues is not None:
         check_names(stated)
@@ -113,7 +127,8 @@ def _check_occupancy(atoms: Atoms, source: str) -> None:
     kinds = atoms.arrays.get("spacegroup_kinds", range(len(atoms)))
     for k, kind in enumerate(kinds if isinstance(sites, dict) else ()):
         shares = sites.get(str(kind), {})
-        known = [share for share in shares.values() if not isinstance(share, str)]  # others are "." and "?"
+        # others are "." and "?"
+        known = [share for share in shares.values() if not isinstance(share, str)]
         if len(shares) > 1 or any(abs(share - 1.0) > FULL for share in known):
             told = ", ".join(f"{share} of {element}" for element, share in shares.items())
             raise ValueError(
@@ -129,11 +144,15 @@ def _charges(atoms: Atoms) -> NDArray[np.float64]:
     return initial if atoms.has("initial_charges") else np.asarray(results.get("charges", initial))
 
 
-def _velocities(atoms: Atoms, source: str, units: UnitSystem, has_masses: bool) -> NDArray[np.float64]:
+def _velocities(
+    atoms: Atoms, source: str, units: UnitSystem, has_masses: bool
+) -> NDArray[np.float64]:
     """Velocities of momenta, or of a column of an extended XYZ file: velo in ASE's units, as its specification says,
     vel in Å/fs, as GPUMD writes it, which is told; in reduced units unchanged, and zero if they depend on masses that
     nobody states."""
-    columns = [name for name in ("velo", "vel") if name in atoms.arrays and not atoms.has("momenta")]
+    columns = [
+        name for name in ("velo", "vel") if name in atoms.arrays and not atoms.has("momenta")
+    ]
     if not columns:
         is_known = units is ASE or has_masses or TYPES in atoms.arrays
         velocities: NDArray[np.float64] = atoms.get_velocities() * is_known
@@ -143,7 +162,9 @@ def _velocities(atoms: Atoms, source: str, units: UnitSystem, has_masses: bool) 
         return column
     in_fs = columns[0] == "vel"
     unit = "Å/fs" if in_fs else "ASE's units"
-    warn(f"the column {columns[0]!r} of {source} is taken for velocities in {unit}; the file does not state their unit")
+    warn(
+        f"the column {columns[0]!r} of {source} is taken for velocities in {unit}; the file does not state their unit"
+    )
     return column / fs if in_fs else column
 
 
@@ -157,9 +178,12 @@ def atoms_from_system(system: Any) -> Atoms:
     these names, as ASE's reader of LAMMPS data makes them. The array "id" shows system_arguments that no atoms were cut
     out or sorted; it gives the groups back in the order of their first atoms."""
     symbols = [label if label in atomic_numbers else "X" for label in system.species.tolist()]
-    masses, cell = system.masses, system.cell
+    masses = system.masses
+    cell = system.cell
     momenta = system.velocities * masses[:, None]
-    atoms = Atoms(symbols, system.positions, momenta=momenta, masses=masses, cell=cell.vectors, pbc=cell.pbc)
+    atoms = Atoms(
+        symbols, system.positions, momenta=momenta, masses=masses, cell=cell.vectors, pbc=cell.pbc
+    )
     if system.charges.any():
         atoms.set_initial_charges(system.charges)
     if not set(system.species_names) <= set(atomic_numbers):
@@ -172,7 +196,11 @@ def atoms_from_system(system: Any) -> Atoms:
             kept.append(FixAtoms(indices=constraint.atoms))
         else:  # for ASE's solver
             lengths = lengths_of(system.positions, system.cell, constraint).copy()
-            kept.append(FixBondLengths(constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths))
+            kept.append(
+                FixBondLengths(
+                    constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths
+                )
+            )
     atoms.set_constraint(kept)
     return atoms
 
@@ -186,11 +214,15 @@ def label_by_tags(atoms: Atoms, system: Any) -> None:
 
 def _labels(atoms: Atoms) -> Any:
     """The species of each atom: its label, or else its chemical symbol; an atom that is not X needs no label."""
-    names, symbols, tags = atoms.info.get(NAMES), atoms.get_chemical_symbols(), atoms.get_tags().tolist()
+    names = atoms.info.get(NAMES)
+    symbols = atoms.get_chemical_symbols()
+    tags = atoms.get_tags().tolist()
     if LABELS in atoms.arrays or names is None:
         return atoms.arrays.get(LABELS, symbols)
     each = zip(symbols, tags, strict=True)
-    return [names[tag] if symbol == "X" and 0 <= tag < len(names) else symbol for symbol, tag in each]
+    return [
+        names[tag] if symbol == "X" and 0 <= tag < len(names) else symbol for symbol, tag in each
+    ]
 
 
 def cell_of(atoms: Atoms) -> Cell:
@@ -205,17 +237,23 @@ def same_labels(one: Atoms, other: Atoms) -> bool:
 
 def same_scene(one: Atoms, other: Atoms) -> bool:
     """True if only positions, momenta and cell can differ."""
-    fixed = [[atoms.numbers, atoms.get_masses(), atoms.get_initial_charges(), atoms.pbc] for atoms in (one, other)]
+    fixed = [
+        [atoms.numbers, atoms.get_masses(), atoms.get_initial_charges(), atoms.pbc]
+        for atoms in (one, other)
+    ]
     for arrays, atoms in zip(fixed, (one, other), strict=True):
         arrays += [atoms.arrays.get(name, ()) for name in (LABELS, *GROUPS)]
     return all(map(np.array_equal, *fixed)) and one.calc is other.calc
 
 
-def calculators_stress(stress: NDArray[np.float64], atoms: Atoms, conserves_momentum: bool) -> NDArray[np.float64]:
+def calculators_stress(
+    stress: NDArray[np.float64], atoms: Atoms, conserves_momentum: bool
+) -> NDArray[np.float64]:
     """What ASE calls the stress, (6,) as xx yy zz yz xz xy [eV/Å³]: without the kinetic part, which
     get_stress(include_ideal_gas=True) adds.  stress : (3, 3), of an engine with the atoms in their present motion.
     conserves_momentum : of that engine."""
-    velocities, masses = atoms.get_velocities(), atoms.get_masses()
+    velocities = atoms.get_velocities()
+    masses = atoms.get_masses()
     velocities -= center(velocities, masses, conserves_momentum)
     moving = kinetic_stress(velocities, masses, np.zeros((3, 3)), volume_of(atoms))
     return full_3x3_to_voigt_6_stress(stress - moving)
@@ -234,8 +272,14 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
     fixed: list[int] = []
     for constraint in atoms.constraints:
         if isinstance(constraint, FixBondLengths):
-            pairs, given = _counted_from_front(constraint.pairs, len(atoms)), constraint.bondlengths
-            lengths.append((pairs, _distances(atoms, pairs) if given is None else np.asarray(given, dtype=float)))
+            pairs = _counted_from_front(constraint.pairs, len(atoms))
+            given = constraint.bondlengths
+            lengths.append(
+                (
+                    pairs,
+                    _distances(atoms, pairs) if given is None else np.asarray(given, dtype=float),
+                )
+            )
             tolerances.append(float(constraint.tolerance))
         elif isinstance(constraint, FixLinearTriatomic):
             triples = _counted_from_front(constraint.triples, len(atoms))
@@ -249,7 +293,9 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
             told = f"it holds {type(constraint).__name__}: remove it, or use ASE's dynamics"
             raise ValueError(f"atoms.constraints may hold {UNDERSTOOD}; {told}")
     if fixed and fixes_center(atoms):
-        why_not = "with fixed atoms the center of mass does not stay by itself; remove FixCom or FixAtoms"
+        why_not = (
+            "with fixed atoms the center of mass does not stay by itself; remove FixCom or FixAtoms"
+        )
         raise ValueError(f"atoms.constraints holds FixCom and FixAtoms: {why_not}")
     answer: list[Constraint] = [FixedAtoms(np.unique(fixed))] if fixed else []
     if lengths:
@@ -266,7 +312,9 @@ def fixes_center(atoms: Atoms) -> bool:
 
 def _distances(atoms: Atoms, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
     """Distances to the nearest image [Å]."""
-    return find_mic(atoms.positions[pairs[:, 1]] - atoms.positions[pairs[:, 0]], atoms.cell, atoms.pbc)[1]
+    return find_mic(
+        atoms.positions[pairs[:, 1]] - atoms.positions[pairs[:, 0]], atoms.cell, atoms.pbc
+    )[1]
 
 
 def _counted_from_front(indices: Any, n_atoms: int) -> NDArray[np.int64]:

@@ -18,19 +18,22 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.core.structure.checks import check_rows, checked_indices
 
 MAX_BONDS_APART = 3
-GROUPS = {"bonds": 2, "angles": 3, "dihedrals": 4, "impropers": 4}  # of a System, and how many atoms each has
+# of a System, and how many atoms each has
+GROUPS = {"bonds": 2, "angles": 3, "dihedrals": 4, "impropers": 4}
 
 
 def pairs_by_bonds_apart(bonds: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     """Pairs i < j whose shortest path along the bonds has one, two and three bonds: three (P, 2) int arrays, each
     sorted by (i, j). Rings and cages are no exception: the shortest path decides.  bonds : (B, 2) int."""
-    neighbors: defaultdict[int, set[int]] = defaultdict(set)  # of bonded atoms alone: most scenes have none
+    # of bonded atoms alone: most scenes have none
+    neighbors: defaultdict[int, set[int]] = defaultdict(set)
     for i, j in bonds.tolist():
         neighbors[i].add(j)
         neighbors[j].add(i)
     found: list[list[tuple[int, int]]] = [[] for _ in range(MAX_BONDS_APART)]
     for i in np.unique(bonds).tolist():
-        seen, shell = {i}, {i}
+        seen = {i}
+        shell = {i}
         for pairs in found:
             shell = {k for j in shell for k in neighbors[j]} - seen
             seen |= shell
@@ -47,11 +50,15 @@ def connected(pairs: NDArray[np.int64], n_atoms: int) -> NDArray[np.int64]:
     return np.asarray(connected_components(bonded, directed=False)[1], dtype=np.int64)
 
 
-def checked_pairs(name: str, pairs: ArrayLike | None, n_atoms: int | None = None) -> NDArray[np.int64]:
+def checked_pairs(
+    name: str, pairs: ArrayLike | None, n_atoms: int | None = None
+) -> NDArray[np.int64]:
     """Pairs of atoms as a (P, 2) int array, (0, 2) if there are none.  n_atoms : None for any number of atoms.
     Raises ValueError as checked_groups, or if a pair is given twice, in either order."""
     array = checked_groups(name, pairs, 2, n_atoms)
-    _, first, counts = np.unique(np.sort(array, axis=1), axis=0, return_index=True, return_counts=True)
+    _, first, counts = np.unique(
+        np.sort(array, axis=1), axis=0, return_index=True, return_counts=True
+    )
     if (counts > 1).any():
         # the one that is given first, as it is given
         row, times = min(zip(first[counts > 1].tolist(), counts[counts > 1].tolist(), strict=True))
@@ -67,15 +74,22 @@ def among(pairs: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.boo
     return np.isin(names, known)
 
 
-def checked_groups(name: str, groups: ArrayLike | None, size: int, n_atoms: int | None = None) -> NDArray[np.int64]:
+def checked_groups(
+    name: str, groups: ArrayLike | None, size: int, n_atoms: int | None = None
+) -> NDArray[np.int64]:
     """Groups of size different atoms as a (G, size) int array; None for none of them; see checked_pairs.
     Raises ValueError if the shape is wrong, an atom does not exist, or an atom appears twice in a group."""
-    array = checked_indices(name, () if groups is None else groups, f"an (n, {size}) array of atom indices")
+    array = checked_indices(
+        name, () if groups is None else groups, f"an (n, {size}) array of atom indices"
+    )
     if array.size == 0:
         return np.zeros((0, size), dtype=np.int64)
     if array.ndim != 2 or array.shape[1] != size:
-        raise ValueError(f"{name} must be an (n, {size}) array of atom indices; its shape is {array.shape}")
-    ordered, known = np.sort(array, axis=1), "from 0 on" if n_atoms is None else f"0 to {n_atoms - 1}"
+        raise ValueError(
+            f"{name} must be an (n, {size}) array of atom indices; its shape is {array.shape}"
+        )
+    ordered = np.sort(array, axis=1)
+    known = "from 0 on" if n_atoms is None else f"0 to {n_atoms - 1}"
     exist = (ordered[:, 0] >= 0) & (ordered[:, -1] < (np.inf if n_atoms is None else n_atoms))
     check_rows(name, f"groups of atoms {known}", exist, array)
     check_rows(name, "groups of different atoms", (np.diff(ordered, axis=1) > 0).all(axis=1), array)
@@ -84,8 +98,12 @@ def checked_groups(name: str, groups: ArrayLike | None, size: int, n_atoms: int 
 
 Indices = NDArray[np.int64]
 # indices, and the type
-FORMS = {name: re.compile("-".join([r"(\d+)"] * (size - 1)) + r"(?:\((\w+)\))?") for name, size in GROUPS.items()}
-PLACE = {"bonds": 0, "angles": 1, "dihedrals": 0, "impropers": 0}  # in the group, of the atom whose text names it
+FORMS = {
+    name: re.compile("-".join([r"(\d+)"] * (size - 1)) + r"(?:\((\w+)\))?")
+    for name, size in GROUPS.items()
+}
+# in the group, of the atom whose text names it
+PLACE = {"bonds": 0, "angles": 1, "dihedrals": 0, "impropers": 0}
 NONE = ("_", "")
 INSTEAD = "give the bonds as bonds=[[0, 1], ...], or bonds=() for none"
 
@@ -102,7 +120,10 @@ class Joined(NamedTuple):
 
     def __str__(self) -> str:
         names = [f"{len(groups)} {name}" for name, groups in self.groups.items() if len(groups)]
-        return " and ".join([*([", ".join(names[:-1])] if names[:-1] else []), *names[-1:]]) or "no bonds"
+        return (
+            " and ".join([*([", ".join(names[:-1])] if names[:-1] else []), *names[-1:]])
+            or "no bonds"
+        )
 
 
 def joined_in(atoms: Any) -> Joined:
@@ -114,15 +135,20 @@ def joined_in(atoms: Any) -> Joined:
     ids = atoms.arrays.get("id")
     if ids is not None and not np.array_equal(ids, np.arange(1, len(atoms) + 1)):
         why = "their array 'id' does not count from 1 to N, so atoms may have been cut out, repeated or sorted"
-        raise ValueError(f"the bonds of these atoms cannot be trusted: {why} since they were read; {INSTEAD}")
+        raise ValueError(
+            f"the bonds of these atoms cannot be trusted: {why} since they were read; {INSTEAD}"
+        )
     found: dict[str, Indices] = {}
     n_types: dict[str, int] = {}
     for name, size in GROUPS.items():
-        rows, kinds = [], set()
+        rows = []
+        kinds = set()
         for i, text in enumerate(map(str, atoms.arrays.get(name, ()))):
             for entry in () if text in NONE else text.split(","):
                 match = FORMS[name].fullmatch(entry.strip())
-                if match is None or max(others := [int(each) for each in match.groups()[:-1]]) >= len(atoms):
+                if match is None or max(
+                    others := [int(each) for each in match.groups()[:-1]]
+                ) >= len(atoms):
                     known = f"with indices of atoms from 0 to {len(atoms) - 1}"
                     given = f"the array {name!r} of these atoms has {text!r} for atom {i}"
                     form = "ase.io.read writes it for format='lammps-data'"

@@ -16,10 +16,14 @@ from minimd.core.console.words import shown
 from minimd.core.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers
 from minimd.core.structure.vectors import Array, follow_lattice
 
-MOST_IMAGES = 2**16  # images among which one length is searched for: 40 cells in each of three directions
-FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
+# images among which one length is searched for: 40 cells in each of three directions
+MOST_IMAGES = 2**16
+# smallest singular value of the unit lattice vectors below which they count as linearly dependent
+FLAT = 1e-9
 SLAB = "such as pbc=(True, True, False) of a slab"
-OPEN = f"in a direction that does not repeat give length 0, or any length and pbc=False there, {SLAB}"
+OPEN = (
+    f"in a direction that does not repeat give length 0, or any length and pbc=False there, {SLAB}"
+)
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
 # combinations of vectors that could be shorter
 COMBINED = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
@@ -58,7 +62,9 @@ class Cell(Displayed):
         inverse = np.linalg.inv(lattice)
         made = {"lattice": lattice, "reduction": reduction, "inverse": inverse}
         made["heights"] = 1.0 / np.linalg.norm(inverse, axis=0)
-        self.__setstate__(self.__dict__ | {name: np.ascontiguousarray(array) for name, array in made.items()})
+        self.__setstate__(
+            self.__dict__ | {name: np.ascontiguousarray(array) for name, array in made.items()}
+        )
 
     def __setstate__(self, state: dict) -> None:
         """Arrays are read-only, in a copy too, where NumPy forgets it: kernels are not compiled for a second kind."""
@@ -86,7 +92,8 @@ class Cell(Displayed):
     def strained(self, vectors: Array) -> "Cell":
         """The cell after a small change of its vectors, all periodic; the reduction stays the same while it is one."""
         cell = Cell.of_reduction(vectors, self.reduction)
-        length2, combined = (cell.lattice**2).sum(axis=1), ((COMBINED @ cell.lattice) ** 2).sum(axis=1)
+        length2 = (cell.lattice**2).sum(axis=1)
+        combined = ((COMBINED @ cell.lattice) ** 2).sum(axis=1)
         is_reduced = (combined[:, None] >= SHORTER * length2)[COMBINED != 0].all()
         return cell if is_reduced else Cell(vectors, self.pbc)
 
@@ -98,7 +105,8 @@ class Cell(Displayed):
         if not (self.is_periodic or self.vectors.any()):
             return [("cell", "none")]
         words = (
-            as_text(tuple(row)) + ", open" * (not pbc) for row, pbc in zip(self.vectors.tolist(), self.pbc, strict=True)
+            as_text(tuple(row)) + ", open" * (not pbc)
+            for row, pbc in zip(self.vectors.tolist(), self.pbc, strict=True)
         )
         rows = [*zip(("cell a", "b", "c"), words, strict=True)]
         return rows if self.volume is None else [*rows, ("volume", f"{self.volume:.10g}")]
@@ -130,7 +138,9 @@ class Cell(Displayed):
 
     def same_as(self, other: "Cell") -> bool:
         """True if vectors and periodicity are equal to the last bit."""
-        return self is other or (np.array_equal(self.vectors, other.vectors) and np.array_equal(self.pbc, other.pbc))
+        return self is other or (
+            np.array_equal(self.vectors, other.vectors) and np.array_equal(self.pbc, other.pbc)
+        )
 
 
 class Images(ByAddress, namedtuple("Images", "lattice inverse pbc safe_distance2")):
@@ -183,7 +193,9 @@ def _length2(dx, dy, dz, a, b, c, lattice):
 
 
 @kernel
-def minimum_image_translations(positions, first, second, lattice, inverse, pbc, safe_distance2, translations):
+def minimum_image_translations(
+    positions, first, second, lattice, inverse, pbc, safe_distance2, translations
+):
     """translations[p] = the lattice vector that makes r_j − r_i + translation shortest, for fixed pairs (i, j)
     = (first, second)[p].
     positions : (N, 3) [length].  first, second : (P,) int.
@@ -206,7 +218,8 @@ def nearest_images(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> Ar
     """(K, 3) lattice vectors [length] that make r_j − r_i of each pair shortest."""
     translations = np.zeros((len(pairs), 3))
     if cell.is_periodic:
-        first, second = np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
+        first = np.ascontiguousarray(pairs[:, 0])
+        second = np.ascontiguousarray(pairs[:, 1])
         lattice = cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2
         minimum_image_translations(positions, first, second, *lattice, translations)
     return translations
@@ -217,7 +230,9 @@ def nearest_vectors(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> A
     return positions[pairs[:, 1]] - positions[pairs[:, 0]] + nearest_images(positions, cell, pairs)
 
 
-def images_of_length(positions: Array, cell: Cell, pairs: NDArray[np.int64], lengths: Array) -> Array:
+def images_of_length(
+    positions: Array, cell: Cell, pairs: NDArray[np.int64], lengths: Array
+) -> Array:
     """(K, 3) lattice vectors [length] for which |r_j − r_i| of each pair is closest to its length. Up to half the cell
     these are the nearest images. Raises ValueError for a length that reaches over more than MOST_IMAGES."""
     translations = nearest_images(positions, cell, pairs)
@@ -228,10 +243,14 @@ def images_of_length(positions: Array, cell: Cell, pairs: NDArray[np.int64], len
         if n_images > MOST_IMAGES:
             given = f"lengths[{k}] = {lengths[k]:g} reaches over {n_images:.1e} images of the cell"
             height = f"which is only {cell.heights[cell.pbc].min():.3g} high"
-            raise ValueError(f"{given}, {height}; at most {MOST_IMAGES} images are possible: reduce the length")
+            raise ValueError(
+                f"{given}, {height}; at most {MOST_IMAGES} images are possible: reduce the length"
+            )
         steps = np.meshgrid(*(np.arange(-n, n + 1) for n in reach), indexing="ij")
         others = np.stack(steps, axis=-1).reshape(-1, 3) @ cell.lattice
-        translations[k] += others[np.argmin(np.abs(np.linalg.norm(nearest + others, axis=1) - lengths[k]))]
+        translations[k] += others[
+            np.argmin(np.abs(np.linalg.norm(nearest + others, axis=1) - lengths[k]))
+        ]
     return translations
 
 
@@ -265,20 +284,28 @@ def _check_independent(vectors: Array, pbc: NDArray[np.bool_]) -> None:
     given = vectors.any(axis=1)
     for k in np.flatnonzero(pbc & ~given):
         leave = f"leave it open: pbc={tuple((pbc & given).tolist())}"
-        raise ValueError(f"pbc[{k}] is True but cell[{k}] is zero; give a lattice vector there, or {leave}")
+        raise ValueError(
+            f"pbc[{k}] is True but cell[{k}] is zero; give a lattice vector there, or {leave}"
+        )
     rows = vectors[pbc]
     if rows.size == 0:
         return
     largest = np.abs(rows).max(axis=1)
     if largest.min() < SMALLEST or largest.max() > LARGEST:
         wanted = f"between {SMALLEST:g} and {LARGEST:g} long"
-        raise ValueError(f"lattice vectors must be {wanted}; take other units: they are {rows.tolist()}")
+        raise ValueError(
+            f"lattice vectors must be {wanted}; take other units: they are {rows.tolist()}"
+        )
     if EPS * largest.max() > largest.min():
         most = f"a factor of {1.0 / EPS:.1g}"
-        raise ValueError(f"lengths of lattice vectors must not differ by more than {most}; they are {rows.tolist()}")
+        raise ValueError(
+            f"lengths of lattice vectors must not differ by more than {most}; they are {rows.tolist()}"
+        )
     unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     if np.linalg.svd(unit, compute_uv=False).min() < FLAT:
-        raise ValueError(f"the periodic lattice vectors must be linearly independent; they are {rows.tolist()}: {OPEN}")
+        raise ValueError(
+            f"the periodic lattice vectors must be linearly independent; they are {rows.tolist()}: {OPEN}"
+        )
 
 
 def _reduced(vectors: Array, pbc: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int64]]:
@@ -287,10 +314,12 @@ def _reduced(vectors: Array, pbc: NDArray[np.bool_]) -> tuple[Array, NDArray[np.
     steps = np.eye(len(periodic), dtype=np.int64)
     while (shorter := _shorter(steps, vectors[periodic])) is not None:
         steps[shorter[0]] = shorter[1]
-    lattice, reduction = np.zeros((3, 3)), np.zeros((3, 3), dtype=np.int64)
+    lattice = np.zeros((3, 3))
+    reduction = np.zeros((3, 3), dtype=np.int64)
     reduction[np.ix_(periodic, periodic)] = steps
     lattice[periodic] = steps @ vectors[periodic]
-    if len(periodic) < 3:  # open rows: unit vectors perpendicular to the periodic ones and to each other
+    # open rows: unit vectors perpendicular to the periodic ones and to each other
+    if len(periodic) < 3:
         directions = np.linalg.svd(lattice[pbc])[2] if len(periodic) else np.eye(3)
         lattice[~pbc] = directions[len(periodic) :]
     return lattice, reduction
@@ -303,7 +332,8 @@ def _shorter(steps: NDArray[np.int64], rows: Array) -> tuple[int, NDArray[np.int
     current = steps @ rows
     length2 = (current**2).sum(axis=1)
     for i in np.argsort(-length2).tolist():
-        near, gauss = [steps[i].copy()], []
+        near = [steps[i].copy()]
+        gauss = []
         for j in (j for j in range(len(steps)) if j != i):
             gauss.append(steps[i] - int(np.rint(current[i] @ current[j] / length2[j])) * steps[j])
             near = [step + a * steps[j] for step in near for a in (-1, 0, 1)]

@@ -17,23 +17,37 @@ SHORTEST = 1e-150  # of times: their squares are
 MOST_ATOMS = 2**27  # 3 GB of positions
 MOST_NUMBERS = 3 * MOST_ATOMS  # in an array
 COUNTS = 2**63  # whole numbers in arrays and files are below it
-DEMANDS = {"finite": lambda number: abs(number) < inf, "finite and not zero": lambda number: 0.0 < abs(number) < inf,
-           "finite and not negative": lambda number: 0.0 <= number < inf,
-           "positive and finite": lambda number: 0.0 < number < inf}  # fmt: skip
-KINDS = {"b": "bools", "i": "whole numbers", "f": "fractions", "c": "complex"}  # by the letters of NumPy
+DEMANDS = {
+    "finite": lambda number: abs(number) < inf,
+    "finite and not zero": lambda number: 0.0 < abs(number) < inf,
+    "finite and not negative": lambda number: 0.0 <= number < inf,
+    "positive and finite": lambda number: 0.0 < number < inf,
+}
+# by the letters of NumPy
+KINDS = {"b": "bools", "i": "whole numbers", "f": "fractions", "c": "complex"}
 PLAIN = {bool: "b", int: "i", float: "f"}
 
 
 def checked_count(name: str, value: Any, least: int = 1, limit: int = COUNTS) -> int:
     """The value as an int. Raises ValueError unless it is an int or an integer of NumPy, not a bool, not less than
     least, and below limit; name is used in the message."""
-    if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) < limit:
-        most = f" and below {limit:.3g}" if isinstance(value, Integral) and int(value) >= limit else ""
-        raise ValueError(f"{name} must be a whole number, at least {least}{most}; {name} = {shown(value)}")
+    if (
+        not isinstance(value, Integral)
+        or isinstance(value, bool)
+        or not least <= int(value) < limit
+    ):
+        most = (
+            f" and below {limit:.3g}" if isinstance(value, Integral) and int(value) >= limit else ""
+        )
+        raise ValueError(
+            f"{name} must be a whole number, at least {least}{most}; {name} = {shown(value)}"
+        )
     return int(value)
 
 
-def checked_number(name: str, value: Any, demand: str = "finite", smallest: float = SMALLEST) -> float:
+def checked_number(
+    name: str, value: Any, demand: str = "finite", smallest: float = SMALLEST
+) -> float:
     """The value as a float.  demand : one of DEMANDS.
     Raises ValueError for anything that is not a real number, such as a text or a bool, for what the demand excludes,
     and for numbers whose powers could overflow: above LARGEST or, if they must not be 0, below the smallest."""
@@ -45,7 +59,9 @@ def checked_number(name: str, value: Any, demand: str = "finite", smallest: floa
         raise ValueError(f"{name} must be {demand}; {name} = {shown(value)}")
     if abs(number) > LARGEST or (abs(number) < smallest and not DEMANDS[demand](0.0)):
         sizes = f"between {smallest:g} and {LARGEST:g} in size"
-        raise ValueError(f"{name} must be {demand}, {sizes}; {name} = {shown(value)}: take other units")
+        raise ValueError(
+            f"{name} must be {demand}, {sizes}; {name} = {shown(value)}: take other units"
+        )
     return number
 
 
@@ -72,7 +88,9 @@ def checked_path(name: str, value: Any) -> Path:
     except (FileNotFoundError, NotADirectoryError, PermissionError):
         pass
     except (TypeError, ValueError, OSError):
-        raise ValueError(f"{name} must be the path of a file or folder; {name} = {shown(value)}") from None
+        raise ValueError(
+            f"{name} must be the path of a file or folder; {name} = {shown(value)}"
+        ) from None
     return path
 
 
@@ -98,10 +116,17 @@ def checked_sizes(name: str, values: Any, n: int, each: str) -> NDArray[np.float
     Raises ValueError as checked_array, for another shape, and as checked_number."""
     array = checked_numbers(name, values, f"one number, or one for each {each}")
     if array.shape not in ((), (n,)):
-        raise ValueError(f"{name} must be one number, or {n} numbers, one for each {each}; its shape is {array.shape}")
+        raise ValueError(
+            f"{name} must be one number, or {n} numbers, one for each {each}; its shape is {array.shape}"
+        )
     array = np.broadcast_to(array, (n,)).copy()
     check_rows(name, "positive and finite", np.isfinite(array) & (array > 0.0), array)
-    check_rows(name, f"between {SMALLEST:g} and {LARGEST:g}", (array >= SMALLEST) & (array <= LARGEST), array)
+    check_rows(
+        name,
+        f"between {SMALLEST:g} and {LARGEST:g}",
+        (array >= SMALLEST) & (array <= LARGEST),
+        array,
+    )
     return array
 
 
@@ -110,7 +135,9 @@ def check_rows(name: str, demand: str, is_good: Any, array: NDArray[Any]) -> Non
     bad = np.flatnonzero(~is_good)
     if bad.size:
         others = f", and {bad.size - 1} more" if bad.size > 1 else ""
-        raise ValueError(f"{name} must be {demand}; {name}[{bad[0]}] = {array[bad[0]].tolist()}{others}")
+        raise ValueError(
+            f"{name} must be {demand}; {name}[{bad[0]}] = {array[bad[0]].tolist()}{others}"
+        )
 
 
 def checked_indices(name: str, values: Any, expected: str) -> NDArray[np.int64]:
@@ -130,7 +157,11 @@ def checked_array(name: str, values: Any, expected: str, kinds: str) -> NDArray[
     found: set[str] = set()
     try:
         _find_kinds(values, found)
-        wrong = [KINDS[kind] for kind in sorted(found) if kind not in kinds or (kind == "b" and len(found) > 1)]
+        wrong = [
+            KINDS[kind]
+            for kind in sorted(found)
+            if kind not in kinds or (kind == "b" and len(found) > 1)
+        ]
         if wrong:
             raise ValueError(f"some are {wrong[0]}")
         return np.asarray(values)

@@ -37,11 +37,18 @@ class DistanceConstraints:
         tolerance that is not between 0 and 1; an unknown solver.
     """
 
-    def __init__(self, pairs: ArrayLike, lengths: ArrayLike | None = None, tolerance: float = TOLERANCE,
-                 solver: SolverName = "auto") -> None:  # fmt: skip
+    def __init__(
+        self,
+        pairs: ArrayLike,
+        lengths: ArrayLike | None = None,
+        tolerance: float = TOLERANCE,
+        solver: SolverName = "auto",
+    ) -> None:
         self.pairs = checked_pairs("pairs", pairs)
         if not len(self.pairs):
-            raise ValueError("pairs of DistanceConstraints must name at least one pair; there is none")
+            raise ValueError(
+                "pairs of DistanceConstraints must name at least one pair; there is none"
+            )
         self.lengths: Array | None = None
         if lengths is not None:
             given = checked_numbers("lengths", lengths, "one number, or one for each pair")
@@ -52,7 +59,9 @@ class DistanceConstraints:
             checked_choice("solver", solver, get_args(SolverName)),
         )
         if not 0.0 < self.tolerance < 1.0:
-            raise ValueError(f"tolerance, of |r² − d²|/d², must lie between 0 and 1; tolerance = {tolerance!r}")
+            raise ValueError(
+                f"tolerance, of |r² − d²|/d², must lie between 0 and 1; tolerance = {tolerance!r}"
+            )
 
     def __repr__(self) -> str:
         return f"DistanceConstraints({len(self.pairs)} pairs, solver={self.solver!r})"
@@ -76,7 +85,9 @@ class FixedAtoms:
         if chosen.ndim != 1 or (chosen.size and not 0 <= chosen.min() <= chosen.max() < MOST_ATOMS):
             raise ValueError(f"fixed atoms must be {expected}; got {shown(atoms)}")
         self._n_bools = chosen.size if chosen.dtype == bool and chosen.size else None
-        self.atoms = np.flatnonzero(chosen) if chosen.dtype == bool else np.unique(chosen.astype(np.int64))
+        self.atoms = (
+            np.flatnonzero(chosen) if chosen.dtype == bool else np.unique(chosen.astype(np.int64))
+        )
 
     def __repr__(self) -> str:
         return f"FixedAtoms({len(self.atoms)} atoms)"
@@ -87,7 +98,9 @@ class FixedAtoms:
             wanted = f"as indices, or as one bool for each of {n_atoms} atoms"
             raise ValueError(f"fixed atoms must be given {wanted}; got {self._n_bools} bools")
         if self.atoms.max(initial=-1) >= n_atoms:
-            raise ValueError(f"fixed atoms must be among 0 to {n_atoms - 1}; they name atom {self.atoms.max()}")
+            raise ValueError(
+                f"fixed atoms must be among 0 to {n_atoms - 1}; they name atom {self.atoms.max()}"
+            )
 
 
 Constraint = DistanceConstraints | FixedAtoms
@@ -96,7 +109,11 @@ Constraint = DistanceConstraints | FixedAtoms
 def lengths_of(positions: Array, cell: Cell, constraints: DistanceConstraints) -> Array:
     """(K,) [length], as given; else the present distances to the nearest image."""
     given = constraints.lengths
-    return np.linalg.norm(nearest_vectors(positions, cell, constraints.pairs), axis=1) if given is None else given
+    return (
+        np.linalg.norm(nearest_vectors(positions, cell, constraints.pairs), axis=1)
+        if given is None
+        else given
+    )
 
 
 def molecules_of(system: Any) -> NDArray[np.int64]:

@@ -25,8 +25,18 @@ from minimd.core.console.words import shown
 from minimd.core.structure.checks import checked_number
 
 ISOTOPES = {"D": 2.014, "T": 3.016}  # u
-IONS = {"SOD": "Na", "CLA": "Cl", "POT": "K", "CAL": "Ca", "CES": "Cs", "LIT": "Li", "RUB": "Rb", "BAR": "Ba"}
-SINGLE = ("K", "F", "I")  # symbols of one letter that ions have; W alone is a bead of water, not tungsten
+IONS = {
+    "SOD": "Na",
+    "CLA": "Cl",
+    "POT": "K",
+    "CAL": "Ca",
+    "CES": "Cs",
+    "LIT": "Li",
+    "RUB": "Rb",
+    "BAR": "Ba",
+}
+# symbols of one letter that ions have; W alone is a bead of water, not tungsten
+SINGLE = ("K", "F", "I")
 LETTERS = frozenset("HCNOPS")  # elements of proteins and nucleic acids; others are F, I, B, K
 OXYGEN = ("O", "OW", "OH", "OT")  # letters of its names in water; OM is a massless site
 SELENIUM = ("MSE", "SEC", "CSE")  # residues with SE
@@ -79,7 +89,9 @@ def atomic_mass(element: str) -> float:
     if is_element(element):
         return float(atomic_masses[atomic_numbers[element]])
     if element not in (*ISOTOPES,):
-        raise ValueError(f"element must be a chemical symbol, such as 'Ar'; element = {shown(element)}")
+        raise ValueError(
+            f"element must be a chemical symbol, such as 'Ar'; element = {shown(element)}"
+        )
     return ISOTOPES[element]
 
 
@@ -97,7 +109,9 @@ def identified(
     """
     n = len(stated.names)
     symbols = list(stated.elements) if stated.elements is not None else [""] * n
-    weights = np.full(n, np.nan) if stated.masses is None else np.array(stated.masses, dtype=np.float64)
+    weights = (
+        np.full(n, np.nan) if stated.masses is None else np.array(stated.masses, dtype=np.float64)
+    )
     for k, symbol in _by_atom("elements", elements, stated).items():
         atomic_mass(symbol)
         symbols[k] = symbol
@@ -124,14 +138,18 @@ def identified(
         weights[k] = 1.0 if is_reduced else atomic_mass(symbols[k])
     if stated.residues is not None and not is_reduced:  # elements of atoms whose masses are stated
         names = zip(symbols, stated.names, stated.residues, strict=True)
-        symbols = [symbol or certain_element(name, residue) or "" for symbol, name, residue in names]
+        symbols = [
+            symbol or certain_element(name, residue) or "" for symbol, name, residue in names
+        ]
     return weights, symbols
 
 
 def _of_both(weights: NDArray[np.float64], second: Stated, stated: Stated) -> NDArray[np.float64]:
     """Masses of two files: those of the second where it states them."""
     if len(second.names) != len(weights):
-        raise ValueError(f"{second.source} has {len(second.names)} atoms; {stated.source} has {len(weights)}")
+        raise ValueError(
+            f"{second.source} has {len(second.names)} atoms; {stated.source} has {len(weights)}"
+        )
     if second.masses is None:
         return weights
     return np.where(np.isnan(second.masses), weights, second.masses)
@@ -146,7 +164,9 @@ def check_names(stated: Stated) -> None:
     """Raise ValueError where the elements, which another program has made of names, are not those of the names, or
     stand as far apart as beads."""
     residues = stated.residues or []
-    for k, (name, residue, symbol) in enumerate(zip(stated.names, residues, stated.elements or [], strict=True)):
+    for k, (name, residue, symbol) in enumerate(
+        zip(stated.names, residues, stated.elements or [], strict=True)
+    ):
         certain = certain_element(name, residue)
         expected = guessed_element(name, residue) if certain is None else certain
         if symbol != expected and (expected or certain is not None):
@@ -169,7 +189,9 @@ def _by_atom(name: str, given: Any, stated: Stated) -> dict[int, Any]:
         unknown = [key for key in given if key not in names]
         if unknown:
             known = ", ".join(sorted(names)[:8])
-            raise ValueError(f"{name} names {unknown[0]!r}, but the atoms of {stated.source} are called {known}")
+            raise ValueError(
+                f"{name} names {unknown[0]!r}, but the atoms of {stated.source} are called {known}"
+            )
         return {k: given[label] for k, label in enumerate(stated.names) if label in given}
     values = np.asarray(given)
     if values.shape not in ((), (n,)):
@@ -195,8 +217,11 @@ def _guess(stated: Stated, atoms: Sequence[int], symbols: list[str]) -> None:
         symbols[k] = known[kind]
     _check_distance(stated, atoms, symbols)
     first = atoms[0]
-    others = [f"{name} of {residue} is {known[name, residue]}" for name, residue in known
-              if residue and certain_element(name, residue) is None]  # fmt: skip
+    others = [
+        f"{name} of {residue} is {known[name, residue]}"
+        for name, residue in known
+        if residue and certain_element(name, residue) is None
+    ]
     in_others = f"; in residues that are not known, {', '.join(others[:TOLD])}" if others else ""
     warn(
         f"{stated.source} states no elements: they, and with them masses, are guessed from the names of atoms and "
@@ -236,7 +261,11 @@ def guessed_element(name: str, residue: str = "") -> str:
     letters = _letters(name)
     symbol = letters[:1]
     long = letters[:2].capitalize()
-    if LONG.match(letters) or name[:2] == long or (not residue and is_element(letters.capitalize())):
+    if (
+        LONG.match(letters)
+        or name[:2] == long
+        or (not residue and is_element(letters.capitalize()))
+    ):
         symbol = long if is_element(long) else symbol
     other = str(DefaultGuesser(None).guess_atom_element(name)).capitalize()
     is_usual = is_element(symbol) and (len(symbol) == 2 or symbol in (*LETTERS, *SINGLE, "B"))

@@ -55,8 +55,14 @@ class Interrupted(KeyboardInterrupt):
 def sentence(error: BaseException) -> str:
     """The message of an error; for one of the operating system with its file name, without its number."""
     if isinstance(error, OSError) and error.strerror is not None:
-        return error.strerror if error.filename is None else f"{os.fsdecode(error.filename)}: {error.strerror}"
-    return str(error) or ("interrupted" if isinstance(error, KeyboardInterrupt) else type(error).__name__)
+        return (
+            error.strerror
+            if error.filename is None
+            else f"{os.fsdecode(error.filename)}: {error.strerror}"
+        )
+    return str(error) or (
+        "interrupted" if isinstance(error, KeyboardInterrupt) else type(error).__name__
+    )
 
 
 def why_not_compiled(message: str) -> str:

@@ -14,8 +14,11 @@ from minimd.core.structure.errors import RangeError
 from minimd.core.structure.observables import Array, largest_component
 from minimd.core.structure.system import System
 
-TRAVEL, FAR_TRAVEL = 64.0, 4096.0  # times the size of the scene: how far atoms can go; in scenes with an open direction
-FASTER = 8.0  # times the momentum of the fastest atom, or of one that falls into DEEP wells: how fast atoms can become
+# times the size of the scene: how far atoms can go; in scenes with an open direction
+TRAVEL = 64.0
+FAR_TRAVEL = 4096.0
+# times the momentum of the fastest atom, or of one that falls into DEEP wells: how fast atoms can become
+FASTER = 8.0
 DEEP = 10.0
 ENERGY_ROOM = 4.0  # times the energy of all atoms
 TOO_LARGE = (
@@ -45,12 +48,18 @@ class Grid(Displayed):
 
     def __post_init__(self) -> None:
         for name, step in vars(self).items():
-            if not (isinstance(step, float) and isfinite(step) and step > 0.0 and frexp(step)[0] == 0.5):
+            if not (
+                isinstance(step, float) and isfinite(step) and step > 0.0 and frexp(step)[0] == 0.5
+            ):
                 wanted = f"the step of {name} of a Grid must be a power of two, such as 2.0**-40"
                 raise ValueError(f"{wanted}; {name} = {shown(step)}")
 
     def __repr__(self) -> str:
-        return "Grid(" + ", ".join(f"{name}=2.0**{log2(step):.0f}" for name, step in vars(self).items()) + ")"
+        return (
+            "Grid("
+            + ", ".join(f"{name}=2.0**{log2(step):.0f}" for name, step in vars(self).items())
+            + ")"
+        )
 
     def display_rows(self) -> Rows:
         """See Displayed."""
@@ -62,14 +71,29 @@ class Grid(Displayed):
         depth : of the deepest well of a pair [energy]."""
         cell = system.cell
         longest = float(np.linalg.norm(cell.vectors[cell.pbc], axis=1).max(initial=0.0))
-        size = max(largest_component(system.positions), float(np.ptp(system.positions, axis=0).max()), longest)
-        heaviest, lightest, timestep = float(system.masses.max()), float(system.masses.min()), abs(timestep)
+        size = max(
+            largest_component(system.positions),
+            float(np.ptp(system.positions, axis=0).max()),
+            longest,
+        )
+        heaviest = float(system.masses.max())
+        lightest = float(system.masses.min())
+        timestep = abs(timestep)
         fastest = float(np.abs(system.masses[:, None] * system.velocities).max())
-        momentum = max(fastest, (2.0 * heaviest * DEEP * depth) ** 0.5) or heaviest * SLOW * (size or 1.0) / timestep
+        momentum = (
+            max(fastest, (2.0 * heaviest * DEEP * depth) ** 0.5)
+            or heaviest * SLOW * (size or 1.0) / timestep
+        )
         energy = len(system) * (DEEP * depth + momentum**2 / lightest)
-        reach = (size or momentum * timestep / lightest) * (TRAVEL if cell.pbc.all() else FAR_TRAVEL)
+        reach = (size or momentum * timestep / lightest) * (
+            TRAVEL if cell.pbc.all() else FAR_TRAVEL
+        )
         length = _power_of_two(reach) / FARTHEST
-        return cls(length, _power_of_two(momentum * FASTER) / MOST, _power_of_two(energy * ENERGY_ROOM) / FARTHEST)
+        return cls(
+            length,
+            _power_of_two(momentum * FASTER) / MOST,
+            _power_of_two(energy * ENERGY_ROOM) / FARTHEST,
+        )
 
     def has_room_for(self, system: System) -> bool:
         """Whether positions and momenta of a system are in the inner half of the range."""
@@ -79,7 +103,11 @@ class Grid(Displayed):
 
     def widened(self, other: "Grid") -> "Grid":
         """The larger steps of two grids."""
-        return Grid(max(self.length, other.length), max(self.momentum, other.momentum), max(self.energy, other.energy))
+        return Grid(
+            max(self.length, other.length),
+            max(self.momentum, other.momentum),
+            max(self.energy, other.energy),
+        )
 
     def take(self, system: System, inverse_masses: Array) -> None:
         """Round positions, lattice vectors and momenta of a system to the grid, in place.
@@ -107,32 +135,43 @@ class Grid(Displayed):
     def momenta(self, velocities: Array, inverse_masses: Array) -> Array:
         """Momenta in steps, whole numbers (N, 3), of velocities (N, 3); zero for fixed atoms."""
         steps = (self.momentum * inverse_masses)[:, None]
-        return np.rint(np.divide(velocities, steps, out=np.zeros_like(velocities), where=steps > 0.0)) + NO_SIGN
+        return (
+            np.rint(np.divide(velocities, steps, out=np.zeros_like(velocities), where=steps > 0.0))
+            + NO_SIGN
+        )
 
     def check_momenta(self, velocities: Array, inverse_masses: Array) -> None:
         """Raise RangeError if a momentum is beyond the range of the grid."""
         momenta = self.momenta(velocities, inverse_masses)
         if not largest_component(momenta) <= MOST:
             atom = int(np.argmax(np.abs(momenta).max(axis=1)))
-            largest, most = np.abs(momenta).max() * self.momentum, MOST * self.momentum
+            largest = np.abs(momenta).max() * self.momentum
+            most = MOST * self.momentum
             hint = f"grid=minimd.Grid(...) with a larger step of momentum than {self.momentum:.3g}"
             told = f"the momentum of atom {atom} is {largest:.3g}"
-            raise RangeError(f"{told}, beyond the range of fixed-point numbers, {most:.3g}: give {hint}")
+            raise RangeError(
+                f"{told}, beyond the range of fixed-point numbers, {most:.3g}: give {hint}"
+            )
 
     def check_positions(self, positions: Array) -> None:
         """Raise RangeError if a position is beyond the range of the grid."""
         if not largest_component(positions) <= FARTHEST * self.length:
             atom = int(np.argmax(np.abs(positions).max(axis=1)))
-            largest, most = np.abs(positions).max(), FARTHEST * self.length
+            largest = np.abs(positions).max()
+            most = FARTHEST * self.length
             wrap = "simulation.positions[:] = simulation.system.cell.wrapped(simulation.positions)"
             hint = f"grid=minimd.Grid(...) with a larger step of length than {self.length:.3g}"
             told = f"atom {atom} is {largest:.3g} from the origin, beyond the range of fixed-point numbers, {most:.3g}"
-            raise RangeError(f"{told}: give {hint}; or, in a periodic cell, wrap the positions: {wrap}")
+            raise RangeError(
+                f"{told}: give {hint}; or, in a periodic cell, wrap the positions: {wrap}"
+            )
 
 
 def steps_of(grid: Grid, units: ArrayLike) -> GridSteps:
     """Steps for a kernel.  units : the time over which impulses are computed [time]."""
-    return GridSteps(np.asarray(units) / grid.momentum, grid.length, grid.momentum, grid.energy, 0.0)
+    return GridSteps(
+        np.asarray(units) / grid.momentum, grid.length, grid.momentum, grid.energy, 0.0
+    )
 
 
 def _power_of_two(x: float) -> float:

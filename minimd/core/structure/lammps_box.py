@@ -43,7 +43,9 @@ class Box:
         hand = handedness(lattice)
         self.turn, self.edges = upright(hand * lattice)
         self.open = ~cell.pbc
-        self.images = np.where(self.open, 0.0, np.floor(hand * (positions @ np.linalg.inv(lattice)))).astype(np.int64)
+        self.images = np.where(
+            self.open, 0.0, np.floor(hand * (positions @ np.linalg.inv(lattice)))
+        ).astype(np.int64)
         self._shifts = self.images @ (hand * lattice)
         self.positions = self.turned(positions - self._shifts)
         self.low = np.zeros(3)
@@ -69,7 +71,9 @@ class Box:
         multiples of most_images cells; those are taken that come closest to the expected positions, (N, 3) [length]."""
         positions = self.back(unwrapped) + self._shifts
         crossed = self.crossed(expected - positions)
-        return positions + self.most_images * np.rint(crossed / self.most_images) @ self._cell.lattice
+        return (
+            positions + self.most_images * np.rint(crossed / self.most_images) @ self._cell.lattice
+        )
 
     def crossed(self, displacements: Array) -> Array:
         """How many cells displacements (N, 3) [length] are long, along each periodic lattice vector."""

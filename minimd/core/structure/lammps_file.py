@@ -25,11 +25,15 @@ def write_lammps_data(file: Any, system: Any, overwrite: bool = False) -> None:
     checked_flag("overwrite", overwrite)
     if path.suffix.lower() not in SUFFIXES:
         others = "ase.io.write(file, system.to_ase()) writes other formats, Simulation.run(trajectory=) those of runs"
-        raise ValueError(f"file must be LAMMPS data, .data or .lmp; file = {str(path)!r}: {others}, such as .h5md")
+        raise ValueError(
+            f"file must be LAMMPS data, .data or .lmp; file = {str(path)!r}: {others}, such as .h5md"
+        )
     cell = system.cell
     box = Box(cell, system.positions, np.where(cell.pbc[:, None], cell.vectors, cell.lattice))
     box.make_room(ROOM)
-    kinds, of_atom = np.unique(np.column_stack([system.species_index, system.masses]), axis=0, return_inverse=True)
+    kinds, of_atom = np.unique(
+        np.column_stack([system.species_index, system.masses]), axis=0, return_inverse=True
+    )
     names = [str(system.species_names[int(k)]) for k in kinds[:, 0]]
     labels = type_labels(names)
     units = "lj"
@@ -53,11 +57,15 @@ def write_lammps_data(file: Any, system: Any, overwrite: bool = False) -> None:
     title = f"LAMMPS data file of minimd, units = {units}, boundary {boundary}"
     write_whole(path, "".join(box.data_file(title, sections)), overwrite)
     if not np.array_equal(box.turn, np.eye(3)):
-        warn(f"positions and velocities in {str(path)!r} are turned, because a lies along x and b in the xy plane in "
-             f"LAMMPS: those of the system are r @ R, R = {box.turn.T.tolist()}")  # fmt: skip
+        warn(
+            f"positions and velocities in {str(path)!r} are turned, because a lies along x and b in the xy plane in "
+            f"LAMMPS: those of the system are r @ R, R = {box.turn.T.tolist()}"
+        )
     if labels != names:
-        warn(f"species {listed(names)} are {listed(labels)} in {str(path)!r}: one type for each species and mass, with "
-             "letters that LAMMPS allows")  # fmt: skip
+        warn(
+            f"species {listed(names)} are {listed(labels)} in {str(path)!r}: one type for each species and mass, with "
+            "letters that LAMMPS allows"
+        )
 
 
 def type_labels(names: Sequence[str]) -> list[str]:

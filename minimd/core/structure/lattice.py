@@ -27,14 +27,20 @@ def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tup
     basis = BASES[checked_choice("lattice", lattice, BASES)]
     counts = checked_indices("repeat", repeat, "three numbers of unit cells")
     if counts.shape != (3,) or counts.min() < 1:
-        raise ValueError(f"repeat must be three numbers of unit cells, each at least 1; repeat = {shown(repeat)}")
+        raise ValueError(
+            f"repeat must be three numbers of unit cells, each at least 1; repeat = {shown(repeat)}"
+        )
     n_atoms = len(basis) * prod(counts.tolist())
     lattice_constant = checked_number("lattice_constant", lattice_constant, "positive and finite")
     if n_atoms > MOST_ATOMS:
         given = f"repeat = {shown(repeat)} makes {n_atoms:.1e} of them"
         raise ValueError(f"repeat must make at most {MOST_ATOMS} atoms; {given}")
-    corners = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    return (corners + np.array(basis)).reshape(-1, 3) * lattice_constant, counts.astype(np.float64) * lattice_constant
+    corners = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(
+        -1, 1, 3
+    )
+    return (corners + np.array(basis)).reshape(-1, 3) * lattice_constant, counts.astype(
+        np.float64
+    ) * lattice_constant
 
 
 def constant_from_density(lattice: str, density: float, mass: float = 1.0) -> float:

@@ -54,11 +54,16 @@ def universe_arguments(
         "positions": positions,
         "masses": weights,
         "charges": charges_of(atoms),
-        "velocities": speed * as_decimals(atoms.velocities) if trajectory.ts.has_velocities else None,
+        "velocities": speed * as_decimals(atoms.velocities)
+        if trajectory.ts.has_velocities
+        else None,
         "cell": _cell(trajectory.ts.dimensions, length, source),
         "pbc": pbc,
         "species": _species(atoms, symbols),
-        **{name: _within(atoms, name, GROUPS[name]) if given is None else given for name, given in groups.items()},
+        **{
+            name: _within(atoms, name, GROUPS[name]) if given is None else given
+            for name, given in groups.items()
+        },
         "units": units,
         "topology": topology,
     }
@@ -99,9 +104,13 @@ def _cell(dimensions: Any, length: float, source: str) -> NDArray[np.float64] | 
     edges, angles = np.split(as_decimals(dimensions), 2)
     is_open = edges == 0.0
     with quiet():
-        vectors: NDArray[np.float64] = triclinic_vectors([*np.where(is_open, 1.0, edges), *angles], dtype=np.float64)
+        vectors: NDArray[np.float64] = triclinic_vectors(
+            [*np.where(is_open, 1.0, edges), *angles], dtype=np.float64
+        )
     if not vectors.any():
-        warn(f"edges and angles {[*edges.tolist(), *angles.tolist()]} of {source} are no cell; give cell=")
+        warn(
+            f"edges and angles {[*edges.tolist(), *angles.tolist()]} of {source} are no cell; give cell="
+        )
         return None
     vectors[is_open] = 0.0
     return length * vectors
@@ -117,9 +126,13 @@ def as_decimals(values: Any) -> NDArray[np.float64]:
 def stated_of(atoms: AtomGroup, source: str, positions: NDArray[np.float64]) -> Stated:
     """What a group of atoms states, apart from what MDAnalysis has guessed."""
     elements = None
-    if _is_stated(atoms, "elements"):  # D and T are in the column of a PDB file, but not in MDAnalysis' elements
+    # D and T are in the column of a PDB file, but not in MDAnalysis' elements
+    if _is_stated(atoms, "elements"):
         pairs = zip(atoms.elements, getattr(atoms, "types", atoms.elements), strict=True)
-        elements = [symbol_of(str(text)) or (str(kind) if str(kind) in ISOTOPES else "") for text, kind in pairs]
+        elements = [
+            symbol_of(str(text)) or (str(kind) if str(kind) in ISOTOPES else "")
+            for text, kind in pairs
+        ]
     has_residues = hasattr(atoms, "resnames")
     return Stated(
         source,
@@ -143,7 +156,9 @@ def _masses(atoms: AtomGroup) -> NDArray[np.float64] | None:
     if not hasattr(atoms, "masses"):
         return None
     masses = np.array(atoms.masses, dtype=np.float64)
-    kinds = next((getattr(atoms, name) for name in ("elements", "types") if hasattr(atoms, name)), None)
+    kinds = next(
+        (getattr(atoms, name) for name in ("elements", "types") if hasattr(atoms, name)), None
+    )
     if kinds is None:
         return masses if _is_stated(atoms, "masses") else None
     with quiet():
@@ -153,7 +168,11 @@ def _masses(atoms: AtomGroup) -> NDArray[np.float64] | None:
         return np.where(is_guess | (masses <= 0.0), np.nan, masses)
     # Merge forgets that masses and types were guessed
     return (
-        None if is_guess.all() and kinds is not getattr(atoms, "elements", None) and (kinds == types).all() else masses
+        None
+        if is_guess.all()
+        and kinds is not getattr(atoms, "elements", None)
+        and (kinds == types).all()
+        else masses
     )
 
 

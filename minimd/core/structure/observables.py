@@ -16,7 +16,8 @@ from minimd.core.structure.checks import checked_count, checked_number
 from minimd.core.structure.vectors import Array
 
 Numbers = TypeVar("Numbers", float, Array)
-AT_REST = 1e-12  # of the kinetic energy: if less than this is relative to the center of mass, it is only rounding
+# of the kinetic energy: if less than this is relative to the center of mass, it is only rounding
+AT_REST = 1e-12
 
 
 @scalar
@@ -31,7 +32,9 @@ def kinetic_energy(velocities, masses, step=0.0):
     matter; 0 for no rounding."""
     total = 0.0
     for i in range(velocities.shape[0]):
-        total += on_grid(kinetic_energy_of(masses[i], velocities[i, 0], velocities[i, 1], velocities[i, 2]), step)
+        total += on_grid(
+            kinetic_energy_of(masses[i], velocities[i, 0], velocities[i, 1], velocities[i, 2]), step
+        )
     return total
 
 
@@ -42,12 +45,18 @@ def leaves_out_center(n_atoms: int, conserves_momentum: bool) -> bool:
     return conserves_momentum and n_atoms > 1
 
 
-def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum: bool = True) -> int:
+def degrees_of_freedom(
+    n_atoms: int, n_constraints: int = 0, conserves_momentum: bool = True
+) -> int:
     """3N − 3 − n_constraints if leaves_out_center, else 3N − n_constraints.  n_atoms : without those held fixed.
     Raises ValueError if none is left."""
-    n_dof = 3 * n_atoms - (3 if leaves_out_center(n_atoms, conserves_momentum) else 0) - n_constraints
+    n_dof = (
+        3 * n_atoms - (3 if leaves_out_center(n_atoms, conserves_momentum) else 0) - n_constraints
+    )
     if n_dof <= 0:
-        raise ValueError(f"no degree of freedom is left for {n_atoms} atoms with {n_constraints} constraints")
+        raise ValueError(
+            f"no degree of freedom is left for {n_atoms} atoms with {n_constraints} constraints"
+        )
     return n_dof
 
 
@@ -110,7 +119,9 @@ def absolute_momentum(velocities, masses):
     """Σ |m v| [mass length/time]: the scale with which a change of the total momentum is compared."""
     total = 0.0
     for i in range(masses.size):
-        total += masses[i] * sqrt(velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
+        total += masses[i] * sqrt(
+            velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2
+        )
     return total
 
 
@@ -118,13 +129,15 @@ def absolute_momentum(velocities, masses):
 def longest(vectors):
     """Index and length of the longest of (N, 3) vectors.
     If vectors are not finite: index of the first of them, and infinity."""
-    where, longest2 = 0, -1.0
+    where = 0
+    longest2 = -1.0
     for i in range(vectors.shape[0]):
         length2 = vectors[i, 0] ** 2 + vectors[i, 1] ** 2 + vectors[i, 2] ** 2
         if not length2 < np.inf:
             return i, np.inf
         if length2 > longest2:
-            where, longest2 = i, length2
+            where = i
+            longest2 = length2
     return where, sqrt(longest2)
 
 
@@ -156,7 +169,9 @@ def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array
 def _absolute_moments(positions, velocities, masses, center):
     total = 0.0
     for i in range(masses.size):
-        x, y, z = positions[i, 0] - center[0], positions[i, 1] - center[1], positions[i, 2] - center[2]
+        x = positions[i, 0] - center[0]
+        y = positions[i, 1] - center[1]
+        z = positions[i, 2] - center[2]
         speed2 = velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2
         total += masses[i] * sqrt((x**2 + y**2 + z**2) * speed2)
     return total
@@ -165,27 +180,41 @@ def _absolute_moments(positions, velocities, masses, center):
 SEEDS = 2**128
 
 
-def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int | None = None) -> Array:
+def maxwell_boltzmann(
+    masses: Array, target: float, k_B: float = 1.0, seed: int | None = None
+) -> Array:
     """Normally distributed velocities, (N, 3), with total momentum zero and kinetic temperature exactly the target.
 
     Each component has variance k_B T/m before the mean motion is removed and the rest rescaled.
     masses : (N,).  target : T ≥ 0 [temperature].  seed : of numpy's PCG64; None for a new draw each time.
     Raises ValueError if the target is negative or not finite, or the seed is not a whole number."""
     target = checked_number("temperature", target, "finite and not negative")
-    generator = np.random.default_rng(None if seed is None else checked_count("seed", seed, 0, SEEDS))
-    velocities = generator.standard_normal((len(masses), 3)) * np.sqrt(k_B * target / masses)[:, None]
+    generator = np.random.default_rng(
+        None if seed is None else checked_count("seed", seed, 0, SEEDS)
+    )
+    velocities = (
+        generator.standard_normal((len(masses), 3)) * np.sqrt(k_B * target / masses)[:, None]
+    )
     velocities -= center(velocities, masses)
     n_dof = degrees_of_freedom(len(masses))
-    return rescaled(velocities, masses, target, k_B, n_dof, np.zeros(3)) if target > 0.0 else velocities
+    return (
+        rescaled(velocities, masses, target, k_B, n_dof, np.zeros(3))
+        if target > 0.0
+        else velocities
+    )
 
 
-def rescaled(velocities: Array, masses: Array, target: float, k_B: float, n_dof: int, drift: Array) -> Array:
+def rescaled(
+    velocities: Array, masses: Array, target: float, k_B: float, n_dof: int, drift: Array
+) -> Array:
     """V + √(T_target/T) (v − V): kinetic temperature exactly the target, (N, 3).  drift : V; scaled, too, if only
     rounding. Raises ValueError if the target is negative or not finite, or nothing moves, except all atoms alike."""
     target = checked_number("temperature", target, "finite and not negative")
     kinetic = kinetic_energy(velocities, masses)
     thermal = thermal_energy(kinetic, drift, masses)
     if thermal == 0.0:
-        raise ValueError("velocities are all zero or all alike and cannot be rescaled; draw them with set_temperature")
+        raise ValueError(
+            "velocities are all zero or all alike and cannot be rescaled; draw them with set_temperature"
+        )
     factor = np.sqrt(target / temperature(thermal, n_dof, k_B))
     return velocities * factor if thermal == kinetic else drift + (velocities - drift) * factor

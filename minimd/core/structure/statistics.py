@@ -14,7 +14,8 @@ Weighted = Callable[[int], list[tuple[float, Array]]]
 FEW = 4  # entries or blocks: from fewer, no error can be estimated
 MOST_BLOCKS = 32  # at this number, blocks are joined in pairs: a long run always has 16 to 31
 # of slow correlations, in parts of the run and of the variance of the mean
-TIMES, SHARES = (0.02, 0.05, 0.12, 0.3), (0.7, 0.9, 0.97, 1.0)
+TIMES = (0.02, 0.05, 0.12, 0.3)
+SHARES = (0.7, 0.9, 0.97, 1.0)
 NONE = 0.8  # weight of no correlation; the weights of the 16 correlations add up to the rest
 # parts of a random walk in the variance of the mean of its steps, and their weights
 WALKS = {0.0: 1.0, 0.3: 1.0, 0.6: 1.0, 0.9: 1.0, 1.0: 3.0}
@@ -38,7 +39,8 @@ def mean_and_error(series: Any) -> tuple[float, float]:
         raise ValueError(f"series must be one number for each time; its shape is {values.shape}")
     if len(values) < FEW:
         return float(values.mean()) if len(values) else np.nan, np.nan
-    mean, length = float(values.mean()), len(values) // MOST_BLOCKS + 1
+    mean = float(values.mean())
+    length = len(values) // MOST_BLOCKS + 1
     # without the mean, whose rounding would hide them
     blocks = (values - mean)[: len(values) // length * length].reshape(-1, length).mean(axis=1)
     return mean, float(standard_error(blocks))
@@ -63,9 +65,12 @@ def standard_error(parts: Array, weighted: Weighted | None = None) -> Array:
     n = len(parts)
     if n < FEW:
         return np.full(parts.shape[1:], np.nan)
-    logs, variances, forms = (np.array(one) for one in zip(*_forms(weighted or correlated, n), strict=True))
+    logs, variances, forms = (
+        np.array(one) for one in zip(*_forms(weighted or correlated, n), strict=True)
+    )
     with np.errstate(all="ignore"):
-        rest = (parts - parts[0]).reshape(n, -1)  # equal numbers give 0, whatever the rounding of their mean
+        # equal numbers give 0, whatever the rounding of their mean
+        rest = (parts - parts[0]).reshape(n, -1)
         rest -= rest.mean(axis=0)
         size = np.abs(rest).max(axis=0)
         x = rest / size
@@ -79,11 +84,16 @@ def standard_error(parts: Array, weighted: Weighted | None = None) -> Array:
 def correlated(n: int) -> list[tuple[float, Array]]:
     """Weights p and covariances C, (n, n), of averages that nothing, or a correlation e^(−t/τ), ties to each other;
     see standard_error."""
-    lags, each = np.abs(np.subtract.outer(np.arange(n), np.arange(n))), (1.0 - NONE) / (len(TIMES) * len(SHARES))
+    lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    each = (1.0 - NONE) / (len(TIMES) * len(SHARES))
     found = [(NONE, np.eye(n))]
     for time in n * np.array(TIMES):
         ratio = np.exp(-1.0 / time)
-        slow = np.where(lags == 0, 1.0 - time * (1.0 - ratio), 0.5 * time * (1.0 - ratio) ** 2 * ratio ** (lags - 1.0))
+        slow = np.where(
+            lags == 0,
+            1.0 - time * (1.0 - ratio),
+            0.5 * time * (1.0 - ratio) ** 2 * ratio ** (lags - 1.0),
+        )
         found += [(each, share * slow + (1.0 - share) * np.eye(n)) for share in SHARES]
     return found
 
@@ -91,8 +101,12 @@ def correlated(n: int) -> list[tuple[float, Array]]:
 def wandering(n: int) -> list[tuple[float, Array]]:
     """Weights and covariances, (n, n), of steps between averages of a random walk with noise; see WALKS."""
     beside = np.eye(n, k=1) + np.eye(n, k=-1)
-    walk, noise = np.eye(n) + 0.25 * beside, 2.0 * np.eye(n) - beside
-    return [(weight, part * walk / walk.sum() + (1.0 - part) * noise / noise.sum()) for part, weight in WALKS.items()]
+    walk = np.eye(n) + 0.25 * beside
+    noise = 2.0 * np.eye(n) - beside
+    return [
+        (weight, part * walk / walk.sum() + (1.0 - part) * noise / noise.sum())
+        for part, weight in WALKS.items()
+    ]
 
 
 @cache
@@ -103,7 +117,13 @@ def _forms(weighted: Weighted, n: int) -> list[tuple[float, float, Array]]:
         inverse = np.linalg.inv(covariance)
         sums = inverse.sum(axis=0)
         log = np.log(weight) - 0.5 * (np.linalg.slogdet(covariance)[1] + np.log(sums.sum()))
-        found.append((float(log), float(covariance.sum()) / n**2, inverse - np.outer(sums, sums) / sums.sum()))
+        found.append(
+            (
+                float(log),
+                float(covariance.sum()) / n**2,
+                inverse - np.outer(sums, sums) / sums.sum(),
+            )
+        )
     return found
 
 
@@ -111,7 +131,8 @@ def independent(rest: Array) -> float:
     """How many of n correlated numbers are independent: n (1 − ρ)/(1 + ρ), with the correlation ρ of neighbors.
     rest : (n,), their distances from a straight line, whose fit makes ρ too small by (2 + 4ρ)/n; this is corrected.
     M. G. Kendall, Biometrika 41, 403 (1954), on the bias."""
-    square, n = float(rest @ rest), len(rest)
+    square = float(rest @ rest)
+    n = len(rest)
     alike = float(rest[1:] @ rest[:-1]) / square if square > 0.0 else 0.0
     alike = min(max(0.0, alike + (2.0 + 4.0 * alike) / n), 1.0 - 1.0 / n)
     return n * (1.0 - alike) / (1.0 + alike)
@@ -121,7 +142,8 @@ def statistical_inefficiency(series: Any) -> float:
     """How many entries of a correlated series count as one independent entry: g = T error² / σ²; NaN if the error is,
     1 for a constant series."""
     values = np.asarray(series, dtype=np.float64)
-    error, variance = mean_and_error(values)[1], float(values.var(ddof=1)) if len(values) > 1 else 0.0
+    error = mean_and_error(values)[1]
+    variance = float(values.var(ddof=1)) if len(values) > 1 else 0.0
     return len(values) * error**2 / variance if variance > 0.0 else 1.0
 
 
@@ -135,7 +157,8 @@ def replicas(estimate: Callable[[Array], Any], total: Array, parts: Array) -> Ar
     estimate : function of sums (n,), linear or not; returns a number or an array.  total : (n,).  parts : (K, n),
         of blocks of equal length.
     This is the jackknife: B. Efron, C. Stein, Ann. Statist. 9, 586 (1981)."""
-    return np.array([estimate(total - part) for part in (0.0, *parts)], dtype=np.float64)[1:]  # (0, ...) without blocks
+    # (0, ...) without blocks
+    return np.array([estimate(total - part) for part in (0.0, *parts)], dtype=np.float64)[1:]
 
 
 def spread(without: Array) -> Array:
@@ -149,4 +172,6 @@ def with_error(mean: float, error: float) -> str:
     if not (isfinite(error) and error > 0.0 and isfinite(mean)):
         return f"{mean:.6g}"
     digits = max(0, 1 - floor(log10(error)))
-    return f"{mean:.{digits}f} ± {error:.{digits}f}" if digits < 12 else f"{mean:.12g} ± {error:.1e}"
+    return (
+        f"{mean:.{digits}f} ± {error:.{digits}f}" if digits < 12 else f"{mean:.12g} ± {error:.1e}"
+    )

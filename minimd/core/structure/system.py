@@ -75,28 +75,48 @@ class System(Displayed):
 
     topology: NDArray[np.str_] = np.zeros((0, 5), str)  # of pickles of earlier versions
 
-    def __init__(self, positions: ArrayLike, *, masses: ArrayLike | None = None, velocities: ArrayLike | None = None,
-                 cell: ArrayLike | Cell | None = None, pbc: ArrayLike | None = None,
-                 species: str | Sequence[str] | Sequence[int] | NDArray | None = None, bonds: ArrayLike | None = None,
-                 angles: ArrayLike | None = None, dihedrals: ArrayLike | None = None,
-                 impropers: ArrayLike | None = None, units: UnitSystem = unit_systems.LJ,
-                 constraints: Sequence[Constraint] = (),
-                 charges: ArrayLike | Mapping[Any, float] | None = None,
-                 topology: ArrayLike | None = None) -> None:  # fmt: skip
+    def __init__(
+        self,
+        positions: ArrayLike,
+        *,
+        masses: ArrayLike | None = None,
+        velocities: ArrayLike | None = None,
+        cell: ArrayLike | Cell | None = None,
+        pbc: ArrayLike | None = None,
+        species: str | Sequence[str] | Sequence[int] | NDArray | None = None,
+        bonds: ArrayLike | None = None,
+        angles: ArrayLike | None = None,
+        dihedrals: ArrayLike | None = None,
+        impropers: ArrayLike | None = None,
+        units: UnitSystem = unit_systems.LJ,
+        constraints: Sequence[Constraint] = (),
+        charges: ArrayLike | Mapping[Any, float] | None = None,
+        topology: ArrayLike | None = None,
+    ) -> None:
         checked_kind("units", units, UnitSystem, "minimd.units.LJ or minimd.units.ASE")
-        if not isinstance(constraints, list | tuple) or not all(isinstance(one, Constraint) for one in constraints):
+        if not isinstance(constraints, list | tuple) or not all(
+            isinstance(one, Constraint) for one in constraints
+        ):
             wanted = "a list of DistanceConstraints and FixedAtoms"
             raise TypeError(f"constraints of a System must be {wanted}; got {shown(constraints)}")
         if masses is None and units is not unit_systems.LJ:
-            raise ValueError(f"masses are missing: give one number or one per atom; {units.name} units have no default")
+            raise ValueError(
+                f"masses are missing: give one number or one per atom; {units.name} units have no default"
+            )
         if isinstance(cell, Cell) and pbc is not None:
             whereas = "give pbc to System only together with lattice vectors"
             raise ValueError(f"pbc is part of the Cell given: Cell.of(vectors, pbc); {whereas}")
-        self.units, self.constraints, self.positions = units, tuple(constraints), _vectors("positions", positions)
+        self.units, self.constraints, self.positions = (
+            units,
+            tuple(constraints),
+            _vectors("positions", positions),
+        )
         n_atoms = len(self.positions)
         self.masses = checked_sizes("masses", 1.0 if masses is None else masses, n_atoms, "atom")
         at_rest = np.zeros((n_atoms, 3))
-        self.velocities = at_rest if velocities is None else _vectors("velocities", velocities, n_atoms)
+        self.velocities = (
+            at_rest if velocities is None else _vectors("velocities", velocities, n_atoms)
+        )
         self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
         self.species_names, self.species_index = _species(species, n_atoms)
         self.charges = _charges(charges, self.species_names, self.species_index)
@@ -111,7 +131,13 @@ class System(Displayed):
     def __setstate__(self, state: dict[str, Any]) -> None:
         """What may not be changed is read-only, in a copy too, where NumPy forgets it."""
         self.__dict__.update(state)
-        for fixed in (self.masses, self.charges, self.species_index, *self.groups().values(), self.topology):
+        for fixed in (
+            self.masses,
+            self.charges,
+            self.species_index,
+            *self.groups().values(),
+            self.topology,
+        ):
             fixed.setflags(write=False)
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -135,8 +161,13 @@ class System(Displayed):
         return len(self)
 
     def __repr__(self) -> str:
-        names, where = ", ".join(map(str, self.species_names)), f"periodic {self.cell.pbc.tolist()}"
-        joined = ", ".join(f"{len(one)} {name}" for name, one in self.groups().items() if name == "bonds" or len(one))
+        names = ", ".join(map(str, self.species_names))
+        where = f"periodic {self.cell.pbc.tolist()}"
+        joined = ", ".join(
+            f"{len(one)} {name}"
+            for name, one in self.groups().items()
+            if name == "bonds" or len(one)
+        )
         return f"System({len(self)} atoms of {names}; {joined}; {where}; {self.units.name} units)"
 
     @property
@@ -151,20 +182,30 @@ class System(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        units, rows = self.units, [("atoms", f"{len(self)}: {self.composition}")]
+        units = self.units
+        rows = [("atoms", f"{len(self)}: {self.composition}")]
         for name, words in self.cell.display_rows():
-            told = f"{words} {units.volume}" if name == "volume" else words.replace(")", f") {units.length}")
+            told = (
+                f"{words} {units.volume}"
+                if name == "volume"
+                else words.replace(")", f") {units.length}")
+            )
             rows.append((name, told))
         if self.volume is not None:
-            density, is_ase = self.masses.sum() / self.volume, units is unit_systems.ASE
+            density = self.masses.sum() / self.volume
+            is_ase = units is unit_systems.ASE
             in_grams = f"{density / unit_systems.GRAM_PER_CM3:.6g} g/cm³"
             of_mass = in_grams if is_ase else f"{density:.6g} mass/{units.length}³"
-            rows.append(("density", f"{len(self) / self.volume:.6g} atoms/{units.length}³, {of_mass}"))
+            rows.append(
+                ("density", f"{len(self) / self.volume:.6g} atoms/{units.length}³, {of_mass}")
+            )
         if self.charges.any():
             words = f"net charge {self.net_charge:.6g} e, at most {np.abs(self.charges).max():.6g} e on an atom"
             rows.append(("charges", words))
         rows += [(name, str(len(one))) for name, one in self.groups().items() if len(one)]
-        rows += [("constraints", ", ".join(map(repr, self.constraints)))] if self.constraints else []
+        rows += (
+            [("constraints", ", ".join(map(repr, self.constraints)))] if self.constraints else []
+        )
         return [*rows, ("units", f"{units.name}: {units.length}, {units.energy}, {units.time}")]
 
     @property
@@ -188,8 +229,14 @@ class System(Displayed):
         return changed(self)
 
     @classmethod
-    def from_ase(cls, atoms: ase.Atoms, bonds: ArrayLike | None = None, angles: ArrayLike | None = None,
-                 dihedrals: ArrayLike | None = None, impropers: ArrayLike | None = None) -> System:  # fmt: skip
+    def from_ase(
+        cls,
+        atoms: ase.Atoms,
+        bonds: ArrayLike | None = None,
+        angles: ArrayLike | None = None,
+        dihedrals: ArrayLike | None = None,
+        impropers: ArrayLike | None = None,
+    ) -> System:
         """A system in ASE's units from an ase.Atoms: see minimd.core.structure.ase_atoms.system_arguments.
         bonds, angles, dihedrals, impropers : as for System. If bonds is not given, those that ASE read from a file:
             atoms.arrays["bonds"] and so on; bonds=() for none of them.
@@ -197,13 +244,24 @@ class System(Displayed):
         mass, give it the atoms themselves."""
         from minimd.core.structure.ase_atoms import system_arguments
 
-        return cls(**system_arguments(atoms, bonds, angles=angles, dihedrals=dihedrals, impropers=impropers))
+        return cls(
+            **system_arguments(
+                atoms, bonds, angles=angles, dihedrals=dihedrals, impropers=impropers
+            )
+        )
 
     @classmethod
-    def from_mdanalysis(cls, universe: MDAnalysis.Universe | MDAnalysis.AtomGroup, *,
-                        units: UnitSystem = unit_systems.ASE, bonds: ArrayLike | None = None,
-                        angles: ArrayLike | None = None, dihedrals: ArrayLike | None = None,
-                        impropers: ArrayLike | None = None, pbc: ArrayLike | None = None) -> System:  # fmt: skip
+    def from_mdanalysis(
+        cls,
+        universe: MDAnalysis.Universe | MDAnalysis.AtomGroup,
+        *,
+        units: UnitSystem = unit_systems.ASE,
+        bonds: ArrayLike | None = None,
+        angles: ArrayLike | None = None,
+        dihedrals: ArrayLike | None = None,
+        impropers: ArrayLike | None = None,
+        pbc: ArrayLike | None = None,
+    ) -> System:
         """A system from the present frame of an MDAnalysis universe, or of a group of its atoms: all that System takes,
         except constraints. MDAnalysis holds positions, velocities and cell in float32, the cell as lengths and angles.
         Species are its types, or else elements. Masses that MDAnalysis has guessed are guessed anew, by the names of
@@ -255,8 +313,18 @@ def changed(system: System, **changes: Any) -> System:
 
 def arguments_of(system: System) -> dict[str, Any]:
     """The arguments of a system, by their names."""
-    names = ("positions", "masses", "charges", "velocities", "cell", "species", *GROUPS, "units", "constraints",
-             "topology")  # fmt: skip
+    names = (
+        "positions",
+        "masses",
+        "charges",
+        "velocities",
+        "cell",
+        "species",
+        *GROUPS,
+        "units",
+        "constraints",
+        "topology",
+    )
     return {name: getattr(system, name) for name in names}
 
 
@@ -264,16 +332,24 @@ def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArra
     """A fresh contiguous (N, 3) float64 array, or a sentence about what is wrong with it."""
     array = checked_numbers(name, values, "an (N, 3) array of numbers")
     if array.ndim != 2 or array.shape[1] != 3 or not 0 < array.shape[0] <= MOST_ATOMS:
-        raise ValueError(f"{name} must be an (N, 3) array with N > 0, at most {MOST_ATOMS}; its shape is {array.shape}")
+        raise ValueError(
+            f"{name} must be an (N, 3) array with N > 0, at most {MOST_ATOMS}; its shape is {array.shape}"
+        )
     if n_atoms is not None and len(array) != n_atoms:
-        raise ValueError(f"{name} must have one row for each of the {n_atoms} atoms; it has {len(array)}")
+        raise ValueError(
+            f"{name} must have one row for each of the {n_atoms} atoms; it has {len(array)}"
+        )
     check_rows(name, "finite", np.isfinite(array).all(axis=1), array)
     if (largest := largest_component(array)) > LARGEST:
-        raise ValueError(f"{name} must be below {LARGEST:g}; the largest is {largest:g}: take other units")
+        raise ValueError(
+            f"{name} must be below {LARGEST:g}; the largest is {largest:g}: take other units"
+        )
     return array
 
 
-def _charges(charges: Any, species_names: tuple, species_index: NDArray[np.int64]) -> NDArray[np.float64]:
+def _charges(
+    charges: Any, species_names: tuple, species_index: NDArray[np.int64]
+) -> NDArray[np.float64]:
     n_atoms = len(species_index)
     if charges is None:
         return np.zeros(n_atoms)
@@ -281,11 +357,15 @@ def _charges(charges: Any, species_names: tuple, species_index: NDArray[np.int64
         if set(charges) != set(species_names):
             wanted = f"must have a number for each species, {listed(species_names)}"
             raise ValueError(f"charges {wanted}; they have one for {listed(charges)}")
-        by_name = checked_numbers("charges", [charges[name] for name in species_names], "one number for each species")
+        by_name = checked_numbers(
+            "charges", [charges[name] for name in species_names], "one number for each species"
+        )
         charges = by_name[species_index]
     checked = checked_numbers("charges", charges, "one number for each atom")
     if checked.shape != (n_atoms,):
-        raise ValueError(f"charges must be {n_atoms} numbers, one for each atom; their shape is {checked.shape}")
+        raise ValueError(
+            f"charges must be {n_atoms} numbers, one for each atom; their shape is {checked.shape}"
+        )
     check_rows("charges", f"finite and below {LARGEST:g}", np.abs(checked) <= LARGEST, checked)
     return checked
 
@@ -296,13 +376,17 @@ def _topology(topology: Any, n_atoms: int) -> NDArray[np.str_]:
         or topology.dtype.kind != "U"
         or topology.shape not in [(n_atoms, 5), (0, 5)]
     ):
-        raise ValueError(f"topology must be an ({n_atoms}, 5) array of str; topology = {shown(topology)}")
+        raise ValueError(
+            f"topology must be an ({n_atoms}, 5) array of str; topology = {shown(topology)}"
+        )
     is_right = np.array([ROW.fullmatch("\n".join(row)) for row in topology.tolist()], bool)
     check_rows("topology", "rows of texts in ASCII, the fourth a whole number", is_right, topology)
     return topology.copy()
 
 
-def _species(species: str | Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, NDArray[np.int64]]:
+def _species(
+    species: str | Sequence | NDArray | None, n_atoms: int
+) -> tuple[tuple, NDArray[np.int64]]:
     wanted = f"species must be {n_atoms} labels, one for each atom, or one str for all"
     one = np.zeros(n_atoms, dtype=np.int64)  # pages of zeros that nobody writes to need no memory
     if species is None:
@@ -312,17 +396,26 @@ def _species(species: str | Sequence | NDArray | None, n_atoms: int) -> tuple[tu
     if isinstance(species, np.ndarray) and species.shape != (n_atoms,):
         raise ValueError(f"{wanted}; their shape is {species.shape}")
     try:
-        labels = np.asarray([species] * n_atoms if isinstance(species, str) else species, dtype=object)
+        labels = np.asarray(
+            [species] * n_atoms if isinstance(species, str) else species, dtype=object
+        )
     except ValueError as error:
         raise ValueError(f"{wanted}: {error}") from None
     if labels.shape != (n_atoms,):
         raise ValueError(f"{wanted}; their shape is {labels.shape}")
     kinds = (str, int | np.integer)
-    if not any(all(isinstance(label, kind) and not isinstance(label, bool) for label in labels) for kind in kinds):
-        raise ValueError(f"species must be all strings or all whole numbers; they are {shown(labels[:3].tolist())} ...")
+    if not any(
+        all(isinstance(label, kind) and not isinstance(label, bool) for label in labels)
+        for kind in kinds
+    ):
+        raise ValueError(
+            f"species must be all strings or all whole numbers; they are {shown(labels[:3].tolist())} ..."
+        )
     names, index = np.unique(labels.tolist(), return_inverse=True)
     if strange := [name for name in names.tolist() if not str(name).isprintable()]:
-        raise ValueError(f"species must be labels of printable characters; one is {shown(strange[0])}")
+        raise ValueError(
+            f"species must be labels of printable characters; one is {shown(strange[0])}"
+        )
     return tuple(names.tolist()), one if len(names) == 1 else index.astype(np.int64)
 
 
@@ -331,9 +424,12 @@ def check_resolution(system: System, length: float, name: str) -> None:
     of the length, in words."""
     farthest = largest_component(system.positions)
     if EPS * farthest > RESOLVED * length:
-        error, most = f"{EPS * farthest:.1g}, more than a millionth of {name}, {length:.3g}", RESOLVED * length / EPS
+        error = f"{EPS * farthest:.1g}, more than a millionth of {name}, {length:.3g}"
+        most = RESOLVED * length / EPS
         given = f"the largest is {farthest:.1e}, where rounding moves atoms by {error}"
-        raise ValueError(f"positions must be below {most:.1e} in this scene; {given}: shift them towards the origin")
+        raise ValueError(
+            f"positions must be below {most:.1e} in this scene; {given}: shift them towards the origin"
+        )
 
 
 def local_density(positions: NDArray[np.float64], cell: Cell, width: float) -> float:
@@ -348,6 +444,8 @@ def local_density(positions: NDArray[np.float64], cell: Cell, width: float) -> f
     extent = np.where(cell.pbc, 1.0, np.maximum(width / cell.heights, s.max(axis=0)))
     counts = np.clip(np.floor(extent * cell.heights / width), 1, MOST_BINS).astype(np.int64)
     bins = np.minimum((s / extent * counts).astype(np.int64), counts - 1)
-    n = np.unique((bins[:, 0] * counts[1] + bins[:, 1]) * counts[2] + bins[:, 2], return_counts=True)[1]
+    n = np.unique(
+        (bins[:, 0] * counts[1] + bins[:, 1]) * counts[2] + bins[:, 2], return_counts=True
+    )[1]
     around = float((n * (n - 1)).sum()) / len(s) * float(counts.prod())
     return max(len(s), around) / float(abs(np.linalg.det(cell.lattice)) * extent.prod())

@@ -63,16 +63,36 @@ class UnitSystem:
         "12.5 ps", "0.004 τ"."""
         shown = time * self.to_picosecond
         small = shown * self.shown_small_time
-        return f"{small:.4g} {self.small_time}" if abs(small) < 1000.0 else f"{shown:.6g} {self.shown_time}"
+        return (
+            f"{small:.4g} {self.small_time}"
+            if abs(small) < 1000.0
+            else f"{shown:.6g} {self.shown_time}"
+        )
 
 
 LJ = UnitSystem()
-ASE = UnitSystem(name="ASE", k_B=BOLTZMANN_EV_PER_K, coulomb=COULOMB, to_angstrom=1.0, to_picosecond=1.0 / PICOSECOND,
-                 to_kj_per_mol=KJ_PER_MOL_PER_EV, length="Å", time="Å √(u/eV)", shown_time="ps", small_time="fs",
-                 shown_small_time=1000.0, energy="eV", temperature="K", pressure="eV/Å³", momentum="√(u eV)",
-                 angular_momentum="Å √(u eV)", volume="Å³")  # fmt: skip
+ASE = UnitSystem(
+    name="ASE",
+    k_B=BOLTZMANN_EV_PER_K,
+    coulomb=COULOMB,
+    to_angstrom=1.0,
+    to_picosecond=1.0 / PICOSECOND,
+    to_kj_per_mol=KJ_PER_MOL_PER_EV,
+    length="Å",
+    time="Å √(u/eV)",
+    shown_time="ps",
+    small_time="fs",
+    shown_small_time=1000.0,
+    energy="eV",
+    temperature="K",
+    pressure="eV/Å³",
+    momentum="√(u eV)",
+    angular_momentum="Å √(u eV)",
+    volume="Å³",
+)
 
-fs, ps = FEMTOSECOND, PICOSECOND
+fs = FEMTOSECOND
+ps = PICOSECOND
 SYSTEMS = {"ASE": ASE, "LJ": LJ}
 
 
@@ -82,4 +102,8 @@ def _system(name: str) -> UnitSystem:
 
 def __dir__() -> list[str]:
     """The public names, without what this module imports."""
-    return [name for name in globals() if name.isupper() or name in ("UnitSystem", "fs", "ps") or name.startswith("__")]
+    return [
+        name
+        for name in globals()
+        if name.isupper() or name in ("UnitSystem", "fs", "ps") or name.startswith("__")
+    ]

@@ -75,7 +75,11 @@ def strained(vectors: Array, matrix: Array, out: Array, shift: Array = NOWHERE) 
 def follow_lattice(translations: Array, before: Array, after: Array) -> None:
     """Translations by lattice vectors, (n, 3) or (n, 3, m), become the same multiples of other ones, in place.  before,
     after : (3, 3) rows."""
-    follow_blocks(as_blocks(translations), np.ascontiguousarray(np.linalg.inv(before)), np.ascontiguousarray(after))
+    follow_blocks(
+        as_blocks(translations),
+        np.ascontiguousarray(np.linalg.inv(before)),
+        np.ascontiguousarray(after),
+    )
 
 
 def as_blocks(vectors: Array) -> Array:

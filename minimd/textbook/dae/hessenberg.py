@@ -35,7 +35,8 @@ __all__ = ["Hessenberg1", "Hessenberg2", "Hessenberg3", "Mechanical"]
 
 Parts = tuple[Array, ...]
 KEPT = 1e-11  # relative moves below which a start is left as it is: the accuracy of the derivatives
-REFUSED = 1e-8  # and above which it is refused as inconsistent; moves between the two are made without a warning
+# and above which it is refused as inconsistent; moves between the two are made without a warning
+REFUSED = 1e-8
 
 
 class Hessenberg(DifferentialAlgebraic):
@@ -43,8 +44,10 @@ class Hessenberg(DifferentialAlgebraic):
     the last parts.  functions : of the user, in the order in which they are named, each of t and of its first parts."""
 
     names: ClassVar[tuple[str, ...]]  # of the parts
-    functions: ClassVar[tuple[tuple[str, int], ...]]  # one for each part: its name, of how many parts it is a function
-    chain: ClassVar[tuple[str, ...]]  # what is zero, from g on; the last one determines the algebraic variables
+    # one for each part: its name, of how many parts it is a function
+    functions: ClassVar[tuple[tuple[str, int], ...]]
+    # what is zero, from g on; the last one determines the algebraic variables
+    chain: ClassVar[tuple[str, ...]]
     regular: ClassVar[str]  # the matrix that must have full rank for this
     _slices: tuple[slice, ...] = ()
 
@@ -75,7 +78,9 @@ class Hessenberg(DifferentialAlgebraic):
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """(y′ − f, g), or (y′ − f, z′ − k, g)."""
         *rates, g = self._answers(t, *self.parts(y))
-        return np.concatenate([*(own - rate for own, rate in zip(self.parts(slope), rates, strict=False)), g])
+        return np.concatenate(
+            [*(own - rate for own, rate in zip(self.parts(slope), rates, strict=False)), g]
+        )
 
     def field(self, t: float, y: Array) -> Array:
         """(f, 0), or (f, k, 0): zero for the algebraic variables."""
@@ -90,7 +95,9 @@ class Hessenberg(DifferentialAlgebraic):
         rate = self.f(t, *parts[:2])
         second = self._highest_derivative(t, *parts) if k == 2 else np.zeros_like(rate)
         return time_derivative(
-            lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), k, unit_of_time(y, rate, second)
+            lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second),
+            k,
+            unit_of_time(y, rate, second),
         )
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
@@ -111,7 +118,8 @@ class Hessenberg(DifferentialAlgebraic):
                 return self.constraint(k, t, *parts[:i], x, *parts[i + 1 :])
 
             sizes = [np.abs(part).max() for part in parts]
-            own = sizes[i] if sizes[i] > KEPT * max(sizes) else max(sizes)  # else it is only rounding
+            # else it is only rounding
+            own = sizes[i] if sizes[i] > KEPT * max(sizes) else max(sizes)
             if k == last:
                 own = self._size_of_algebraic(t, parts)
             if not are_independent(violation, parts[i], step, own):
@@ -151,7 +159,9 @@ class Hessenberg(DifferentialAlgebraic):
         # as g depends on it
         names = self.names
         is_guess_needed = self.functions[-1][1] == len(names)
-        if not isinstance(start, tuple) or not len(names) - (not is_guess_needed) <= len(start) <= len(names):
+        if not isinstance(start, tuple) or not len(names) - (not is_guess_needed) <= len(
+            start
+        ) <= len(names):
             raise ValueError(
                 f"the start must be a tuple of {', '.join(names)} ({names[-1]} "
                 f"{'as a guess, because g depends on it' if is_guess_needed else 'may be left out'}); got "
@@ -162,11 +172,20 @@ class Hessenberg(DifferentialAlgebraic):
             parts.append(np.zeros(self.constraint(0, t, *parts).size))
         for name, part in zip(names, parts, strict=True):
             if part.size == 0 or not np.isfinite(part).all():
-                raise ValueError(f"{name} of the start must have at least one element, and finite ones; got {part}")
+                raise ValueError(
+                    f"{name} of the start must have at least one element, and finite ones; got {part}"
+                )
         sizes = [part.size for part in parts]
-        self._slices = tuple(slice(end - size, end) for end, size in zip(np.cumsum(sizes).tolist(), sizes, strict=True))
-        self.levels = np.repeat(np.maximum(np.arange(len(parts)) + self.index - len(parts), 0), sizes)
-        for (name, _), answer, part in zip(self.functions, self._answers(t, *parts), parts, strict=True):
+        self._slices = tuple(
+            slice(end - size, end)
+            for end, size in zip(np.cumsum(sizes).tolist(), sizes, strict=True)
+        )
+        self.levels = np.repeat(
+            np.maximum(np.arange(len(parts)) + self.index - len(parts), 0), sizes
+        )
+        for (name, _), answer, part in zip(
+            self.functions, self._answers(t, *parts), parts, strict=True
+        ):
             if answer.size != part.size:
                 raise ValueError(
                     f"{name} must answer with as many numbers as it has variables, {part.size} as in the start; got "
@@ -176,7 +195,9 @@ class Hessenberg(DifferentialAlgebraic):
 
     def _answers(self, t: float, *parts: Array) -> Parts:
         """The values of the functions, in the order of the parts."""
-        return tuple(f(t, *parts[:n]) for f, (_, n) in zip(self._functions, self.functions, strict=True))
+        return tuple(
+            f(t, *parts[:n]) for f, (_, n) in zip(self._functions, self.functions, strict=True)
+        )
 
 
 class Hessenberg1(Hessenberg):
@@ -280,8 +301,14 @@ class Mechanical(Hessenberg):
     regular = "G M⁻¹ Gᵀ"
     chain = ("g", "dg/dt = G v + g_t", "d²g/dt²")
 
-    def __init__(self, mass: ArrayLike | Function, force: Function, g: Function, jacobian: Function | None = None,
-                 solver: Newton = Newton()) -> None:  # fmt: skip
+    def __init__(
+        self,
+        mass: ArrayLike | Function,
+        force: Function,
+        g: Function,
+        jacobian: Function | None = None,
+        solver: Newton = Newton(),
+    ) -> None:
         super().__init__(solver, lambda v: v, force, g)
         self._force = self._functions[1]
         self._jacobian = jacobian if jacobian is None else taking(jacobian, "t q", "jacobian")
@@ -303,7 +330,9 @@ class Mechanical(Hessenberg):
     def field(self, t: float, y: Array) -> Array:
         """v, M⁻¹ (f − Gᵀ λ), and zero for λ."""
         parts = self.parts(y)
-        return np.concatenate([parts[1], self._highest_derivative(t, *parts), np.zeros(parts[2].size)])
+        return np.concatenate(
+            [parts[1], self._highest_derivative(t, *parts), np.zeros(parts[2].size)]
+        )
 
     def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """∂F/∂y, by blocks: ∂(q′ − v)/∂v = −1, G and Gᵀ; the others by finite differences."""
@@ -363,4 +392,6 @@ class Mechanical(Hessenberg):
         try:
             return np.asarray(np.linalg.solve(self.mass(parts[0]), self._pull(t, *parts)))
         except np.linalg.LinAlgError:
-            raise ValueError(f"the mass matrix must be regular; it is singular at q = {parts[0]}") from None
+            raise ValueError(
+                f"the mass matrix must be regular; it is singular at q = {parts[0]}"
+            ) from None

@@ -15,7 +15,14 @@ from numpy.typing import ArrayLike
 from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array
 from minimd.core.structure.checks import checked_numbers
-from minimd.textbook.ode.functions import CENTRAL, Function, central_differences, taking, time_derivative, unit_of_time
+from minimd.textbook.ode.functions import (
+    CENTRAL,
+    Function,
+    central_differences,
+    taking,
+    time_derivative,
+    unit_of_time,
+)
 from minimd.textbook.ode.newton import WIDE, Newton, nearest_root
 from minimd.textbook.ode.problems import DifferentialAlgebraic
 
@@ -26,7 +33,8 @@ ABSENT = 1e-12  # relative to the largest ∂F/∂y′: smaller ones count as ze
 RANK = 1e-7
 NOISY_RANK = 1e-4
 PENCIL_RANK = 1e-10  # singular values of scaled matrices below this are rounding
-LEAST_MOBILITY = 0.1  # mobility of variables whose derivative occurs in F, relative to that of the others
+# mobility of variables whose derivative occurs in F, relative to that of the others
+LEAST_MOBILITY = 0.1
 # what may be left of an equation, relative to its terms and to its largest variable
 SOLVED = 1e-7
 NEGLIGIBLE = 1e-12
@@ -46,8 +54,13 @@ class Implicit(DifferentialAlgebraic):
     The start is y, or (y, y′) with a guess of y′. Variables whose derivative does not occur in F are guesses as well.
     """
 
-    def __init__(self, F: Function, F_y: Function | None = None, F_slope: Function | None = None,
-                 solver: Newton = Newton()) -> None:  # fmt: skip
+    def __init__(
+        self,
+        F: Function,
+        F_y: Function | None = None,
+        F_slope: Function | None = None,
+        solver: Newton = Newton(),
+    ) -> None:
         super().__init__(solver)
         self._F = taking(F, "t y slope", "F")
         self._slope = np.zeros(0)
@@ -92,7 +105,9 @@ class Implicit(DifferentialAlgebraic):
                 f"got {shown(start)}"
             )
         if (n_equations := self.residual(t, y, slope).size) != y.size:
-            raise ValueError(f"there must be as many equations as variables; F has {n_equations}, y has {y.size}")
+            raise ValueError(
+                f"there must be as many equations as variables; F has {n_equations}, y has {y.size}"
+            )
         self._slope = slope
         derivatives = np.abs(self.slope_jacobian(t, y, slope))
         mobility = np.where(derivatives.max(axis=0) <= ABSENT * derivatives.max(), 1.0, least)
@@ -116,7 +131,9 @@ class Implicit(DifferentialAlgebraic):
             )
         # the larger levels of those at the start and at a random point near it, where no derivative vanishes by chance
         aside = 0.01 * (np.abs(y).max() or 1.0) * np.random.default_rng(0).uniform(0.5, 1.0, y.size)
-        self.levels = np.maximum(_levels(*self._pencil(t, y, slope)), _levels(*self._pencil(t, y + aside, slope)))
+        self.levels = np.maximum(
+            _levels(*self._pencil(t, y, slope)), _levels(*self._pencil(t, y + aside, slope))
+        )
         self._slope = slope
         return y
 
@@ -125,8 +142,9 @@ class Implicit(DifferentialAlgebraic):
         of_slope = central_differences(lambda x: self.residual(t, y, x), slope)
         return of_slope, central_differences(lambda x: self.residual(t, x, slope), y)
 
-    def _solved(self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float,
-                size: float) -> tuple[Array, Array]:  # fmt: skip
+    def _solved(
+        self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float, size: float
+    ) -> tuple[Array, Array]:
         """y and y′ with F = 0 and dᵏF/dtᵏ = 0 for k below the number of derivatives in the jet (y′, y″, …).
         mobility : (n,) how easily variables move, 0 for fixed ones.  unit : of time.  size : of the largest variable.
         """
@@ -147,7 +165,9 @@ class Implicit(DifferentialAlgebraic):
             def path(e: float) -> Array:
                 return self.residual(t + e, _taylor(states, e), _taylor(states[1:], e))
 
-            return np.concatenate([path(0.0), *(unit**k * time_derivative(path, k, unit) for k in range(1, order))])
+            return np.concatenate(
+                [path(0.0), *(unit**k * time_derivative(path, k, unit) for k in range(1, order))]
+            )
 
         known = [scale * derivative for scale, derivative in zip(scales, jet, strict=True)]
         guess = np.concatenate([y[is_free] / mobility[is_free], *known])
@@ -155,7 +175,9 @@ class Implicit(DifferentialAlgebraic):
         x = nearest_root(array, guess, step, dependent, size)
         left = array(x)
         terms = np.abs(central_differences(array, x, step, size))
-        allowed = SOLVED * (terms @ np.abs(x)) + NEGLIGIBLE * terms.max(axis=1) * max(np.abs(x).max(), size)
+        allowed = SOLVED * (terms @ np.abs(x)) + NEGLIGIBLE * terms.max(axis=1) * max(
+            np.abs(x).max(), size
+        )
         k = np.argmax(np.abs(left) - allowed)
         if not abs(left[k]) <= allowed[k]:
             n, equation = divmod(k, y.size)
@@ -211,9 +233,12 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
     F. R. Gantmacher, The Theory of Matrices, vol. 2 (1959), XII; D. G. Luenberger, Automatica 14, 473 (1978);
     ranks by singular values: P. Van Dooren, Linear Algebra Appl. 27, 103 (1979).
     """
-    m, a = checked_numbers("M", M, "a matrix"), checked_numbers("A", A, "a matrix")
+    m = checked_numbers("M", M, "a matrix")
+    a = checked_numbers("A", A, "a matrix")
     if m.ndim != 2 or m.shape[0] != m.shape[1] or m.shape != a.shape or m.size == 0:
-        raise ValueError(f"M and A must be square matrices of the same size; got shapes {m.shape} and {a.shape}")
+        raise ValueError(
+            f"M and A must be square matrices of the same size; got shapes {m.shape} and {a.shape}"
+        )
     if not (np.isfinite(m).all() and np.isfinite(a).all()):
         raise ValueError("M and A must be finite")
     n = len(m)

@@ -20,7 +20,13 @@ from minimd.core.integrators.order_conditions import nystrom_order
 from minimd.core.integrators.substeps import Drift, Kick, Substeps, are_alike, repeated
 from minimd.core.structure.checks import checked_kind, checked_numbers
 from minimd.core.structure.errors import ConvergenceError
-from minimd.textbook.ode.functions import Function, derivative, remark_on_differences, time_derivative, unit_of_time
+from minimd.textbook.ode.functions import (
+    Function,
+    derivative,
+    remark_on_differences,
+    time_derivative,
+    unit_of_time,
+)
 from minimd.textbook.ode.newton import Iteration, Newton
 from minimd.textbook.ode.problems import SecondOrder
 
@@ -28,7 +34,8 @@ __all__ = ["Holonomic"]
 
 VERLET = (Kick(0.5), Drift(1.0), Kick(0.5))
 KEPT = 1e-12  # relative corrections of a start that are made without a warning
-DEPENDENT = 1e-10  # ratio of singular values of G M^(−1/2) below which constraints count as dependent
+# ratio of singular values of G M^(−1/2) below which constraints count as dependent
+DEPENDENT = 1e-10
 
 
 class Holonomic(SecondOrder):
@@ -52,8 +59,14 @@ class Holonomic(SecondOrder):
 
     drifts_on_lines = False
 
-    def __init__(self, f: Function, g: Function, jacobian: Function | None = None, masses: ArrayLike = 1.0,
-                 solver: Newton = Newton()) -> None:  # fmt: skip
+    def __init__(
+        self,
+        f: Function,
+        g: Function,
+        jacobian: Function | None = None,
+        masses: ArrayLike = 1.0,
+        solver: Newton = Newton(),
+    ) -> None:
         super().__init__(f, solver=solver)
         if "v" in self.f.takes:
             raise ValueError("a constrained step needs forces that do not depend on v; f takes v")
@@ -91,8 +104,12 @@ class Holonomic(SecondOrder):
         v1 = tangent(self, q1, v)
         moved = np.abs(q1 - q).max()
         turned = np.abs(v1 - v).max()
-        if moved > KEPT * np.abs(q).max() or turned > KEPT * max(np.abs(v).max(), np.finfo(float).tiny):
-            warn(f"the start was projected onto the constraints: q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}")
+        if moved > KEPT * np.abs(q).max() or turned > KEPT * max(
+            np.abs(v).max(), np.finfo(float).tiny
+        ):
+            warn(
+                f"the start was projected onto the constraints: q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}"
+            )
         self.remark = remark_on_differences(self.violation, self._jacobian, q1)
         return np.concatenate([q1, v1])
 
@@ -119,7 +136,9 @@ class Holonomic(SecondOrder):
         gradient = self.jacobian(q)
         turning = time_derivative(lambda e: self.jacobian(q + e * v) @ v, 1, unit_of_time(q, v))
         force = self.f(t, q.reshape(self.shape), v.reshape(self.shape))
-        return np.asarray(np.linalg.solve(gradient @ self.directions(gradient), gradient @ force + turning))
+        return np.asarray(
+            np.linalg.solve(gradient @ self.directions(gradient), gradient @ force + turning)
+        )
 
 
 def projected(problem: Holonomic, q0: Array, q: Array, iteration: Iteration | None = None) -> Array:
@@ -129,7 +148,10 @@ def projected(problem: Holonomic, q0: Array, q: Array, iteration: Iteration | No
     jacobian = lambda x: problem.jacobian(q + directions @ x) @ directions  # noqa: E731
     solve = (iteration or problem.solver.iteration()).solve
     return q + directions @ solve(
-        residual, np.zeros(directions.shape[1]), jacobian, scale=np.abs(q).max() / np.abs(directions).max()
+        residual,
+        np.zeros(directions.shape[1]),
+        jacobian,
+        scale=np.abs(q).max() / np.abs(directions).max(),
     )
 
 

@@ -31,12 +31,21 @@ from minimd.textbook.dae.hessenberg import Hessenberg2
 from minimd.textbook.ode.functions import Function, Map, checked_values, derivative, reading
 from minimd.textbook.ode.problems import FirstOrder, Partitioned
 
-__all__ = ["Invariants", "index_two", "projected", "stabilized", "symmetrically_projected", "with_multipliers"]
+__all__ = [
+    "Invariants",
+    "index_two",
+    "projected",
+    "stabilized",
+    "symmetrically_projected",
+    "with_multipliers",
+]
 
 Shape = tuple[int, ...] | None
-PARALLEL = 1e-8  # sine of the angle between a gradient and the span of the others below which they count as dependent
+# sine of the angle between a gradient and the span of the others below which they count as dependent
+PARALLEL = 1e-8
 MAX_CORRECTIONS = 50
-SMALL = 1e-10  # relative errors of invariants below which they are taken for rounding once they no longer shrink
+# relative errors of invariants below which they are taken for rounding once they no longer shrink
+SMALL = 1e-10
 
 
 class Invariants:
@@ -54,10 +63,14 @@ class Invariants:
     TypeError : for anything but functions, or arguments other than y, q, v.
     """
 
-    def __init__(self, g: Function, jacobian: Function | None = None, value: ArrayLike | None = None) -> None:
+    def __init__(
+        self, g: Function, jacobian: Function | None = None, value: ArrayLike | None = None
+    ) -> None:
         self.g = _of_state(g, "g")
         self.jacobian = jacobian if jacobian is None else _of_state(jacobian, "jacobian")
-        self.value = value if value is None else checked_numbers("value", value, "numbers").reshape(-1)
+        self.value = (
+            value if value is None else checked_numbers("value", value, "numbers").reshape(-1)
+        )
 
     def through(self, y: Array, shape: Shape = None) -> "Manifold":
         """The manifold g = value, or g = g(y) if no value was given.
@@ -89,7 +102,9 @@ class Manifold:
                 f"g and its value must be finite at the start; g = {_shown(answer)}, value = {_shown(self.value)}"
             )
         if given is not None and (size := given(y, shape).size) != answer.size * y.size:
-            raise ValueError(f"jacobian must have {answer.size} × {y.size} numbers, ∂g/∂y; got {size}")
+            raise ValueError(
+                f"jacobian must have {answer.size} × {y.size} numbers, ∂g/∂y; got {size}"
+            )
 
     def defect(self, y: Array) -> Array:
         """(m,) g(y) − value."""
@@ -105,7 +120,9 @@ class Manifold:
         Raises ConvergenceError where the gradients of the invariants are not independent."""
         gradients = self.jacobian(y).T
         q, r = np.linalg.qr(gradients)
-        sines = np.abs(np.diagonal(r)) / np.maximum(np.linalg.norm(gradients, axis=0), np.finfo(float).tiny)
+        sines = np.abs(np.diagonal(r)) / np.maximum(
+            np.linalg.norm(gradients, axis=0), np.finfo(float).tiny
+        )
         if not np.all(sines > PARALLEL):
             k = np.argmin(sines > PARALLEL)
             raise ConvergenceError(
@@ -117,7 +134,9 @@ class Manifold:
 
 def check_invariants(invariants: Invariants) -> None:
     """TypeError for anything but Invariants."""
-    checked_kind("invariants", invariants, Invariants, "Invariants(g), with a function g(y) or g(q, v)")
+    checked_kind(
+        "invariants", invariants, Invariants, "Invariants(g), with a function g(y) or g(q, v)"
+    )
 
 
 Begun = Callable[[Array, Shape], None]
@@ -153,7 +172,9 @@ class CorrectedFirstOrder(Corrected, FirstOrder):
     """y′ = f + c(y)."""
 
 
-def corrected(problem: Problem, correction: Map, begun: Begun) -> CorrectedPartitioned | CorrectedFirstOrder:
+def corrected(
+    problem: Problem, correction: Map, begun: Begun
+) -> CorrectedPartitioned | CorrectedFirstOrder:
     """A problem of the same kind with a term added to y′; one with q and v is then Partitioned, and its steps implicit.
     Raises TypeError for problems of other kinds."""
     new: CorrectedPartitioned | CorrectedFirstOrder
@@ -177,7 +198,9 @@ def corrected(problem: Problem, correction: Map, begun: Begun) -> CorrectedParti
     return new
 
 
-def stabilized(problem: Problem, invariants: Invariants, gamma: float) -> CorrectedPartitioned | CorrectedFirstOrder:
+def stabilized(
+    problem: Problem, invariants: Invariants, gamma: float
+) -> CorrectedPartitioned | CorrectedFirstOrder:
     """The problem y′ = f − γ Gᵀ (G Gᵀ)⁻¹ (g − g₀), for any method: its solutions approach the manifold g = g₀.
 
     For one invariant, such as the energy, it reads y′ = f − γ (H − H₀) ∇H / |∇H|². Distances are those of y: choose
@@ -246,17 +269,27 @@ def with_multipliers(method: type[Method], invariants: Invariants) -> type[Metho
     return _wrapped(method, invariants, "multipliers", MultiplierStep)
 
 
-def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: "type[ManifoldStep]") -> type[Method]:
+def _wrapped(
+    method: type[Method], invariants: Invariants, verb: str, step: "type[ManifoldStep]"
+) -> type[Method]:
     if not (isinstance(method, type) and issubclass(method, Method)):
-        raise TypeError(f"method must be a class, such as RadauIIA3, not an object; method = {shown(method)}")
+        raise TypeError(
+            f"method must be a class, such as RadauIIA3, not an object; method = {shown(method)}"
+        )
     check_invariants(invariants)
     name = f"{verb}({method.name})"
-    members = {"__doc__": f"{name}.", "name": name,
-               "source": f"{verb}, Hairer, Lubich, Wanner (2006), IV.4, V.4: {method.source}", "order": method.order,
-               "order_on": method.order_on, "stages": method.stages,
-               "on": staticmethod(lambda problem: step(problem, method, invariants)),
-               "is_symmetric": step.is_symmetric and method.is_symmetric, "is_symplectic": False,
-               "is_explicit": False}  # fmt: skip
+    members = {
+        "__doc__": f"{name}.",
+        "name": name,
+        "source": f"{verb}, Hairer, Lubich, Wanner (2006), IV.4, V.4: {method.source}",
+        "order": method.order,
+        "order_on": method.order_on,
+        "stages": method.stages,
+        "on": staticmethod(lambda problem: step(problem, method, invariants)),
+        "is_symmetric": step.is_symmetric and method.is_symmetric,
+        "is_symplectic": False,
+        "is_explicit": False,
+    }
     return type(f"{verb}({method.__name__})", (Method,), members)
 
 
@@ -327,7 +360,11 @@ class MultiplierStep(ManifoldStep):
 
     def _pull(self, y: Array) -> Array:
         """−G(y)ᵀ z."""
-        return -self._manifold.jacobian(y).T @ self._z if self._z.any() and self._manifold else np.zeros(y.size)
+        return (
+            -self._manifold.jacobian(y).T @ self._z
+            if self._z.any() and self._manifold
+            else np.zeros(y.size)
+        )
 
     def _moved(self, manifold: Manifold, t: float, y: Array, h: float) -> Array:
         def arrive(z: Array) -> Array:
@@ -341,8 +378,11 @@ class IndexTwo(Hessenberg2):
     """y′ = f(t, y) − G(y)ᵀ z, 0 = g(y) − g₀. A state holds y and z; z is zero on exact solutions."""
 
     def __init__(self, problem: Problem, invariants: Invariants) -> None:
-        super().__init__(lambda t, y, z: problem.field(t, y) - self._manifold.jacobian(y).T @ z,
-                         lambda y: self._manifold.defect(y), problem.solver)  # fmt: skip
+        super().__init__(
+            lambda t, y, z: problem.field(t, y) - self._manifold.jacobian(y).T @ z,
+            lambda y: self._manifold.defect(y),
+            problem.solver,
+        )
         self._problem = problem
         self._invariants = invariants
 
@@ -380,13 +420,21 @@ def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Arra
     z = np.zeros(manifold.value.size)
     y = best = arrive(z)
     # rounding errors of the invariants are EPS times |g₀|, or Σ |G y|, whose terms may cancel in g
-    scale = np.maximum(np.abs(manifold.value), np.abs(manifold.jacobian(y)) @ np.abs(y)) + np.finfo(float).tiny
+    scale = (
+        np.maximum(np.abs(manifold.value), np.abs(manifold.jacobian(y)) @ np.abs(y))
+        + np.finfo(float).tiny
+    )
     defect = manifold.defect(y)
     least = np.max(np.abs(defect) / scale)
     n_stalls = 0
     matrix = slope() if least > EPS else np.eye(z.size)
     for _ in range(MAX_CORRECTIONS):
-        if least <= EPS or n_stalls > 1 or not np.isfinite(defect).all() or not np.linalg.det(matrix):
+        if (
+            least <= EPS
+            or n_stalls > 1
+            or not np.isfinite(defect).all()
+            or not np.linalg.det(matrix)
+        ):
             break
         dz = -np.linalg.solve(matrix, defect)
         z = z + dz
@@ -413,14 +461,20 @@ def _gram(manifold: Manifold, y: Array) -> Array:
 
 def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:
     """The function as one of the state and the shape of q and v, with fresh flat answers."""
-    taken, call = reading(function, "t y q v", name, "q v", "a function of y, or of q and v", unknown="y")
+    taken, call = reading(
+        function, "t y q v", name, "q v", "a function of y, or of q and v", unknown="y"
+    )
     takes_halves = {"q", "v"} & set(taken)
     if "t" in taken:
-        raise TypeError(f"{name} must not depend on t; invariants are functions of y, or of q and v")
+        raise TypeError(
+            f"{name} must not depend on t; invariants are functions of y, or of q and v"
+        )
 
     def answer(y: Array, shape: Shape) -> Array:
         if takes_halves and shape is None:
-            raise TypeError(f"{name} takes q and v, but the problem has none; write it as a function of y")
+            raise TypeError(
+                f"{name} takes q and v, but the problem has none; write it as a function of y"
+            )
         halves = y.reshape(2, *shape) if takes_halves and shape is not None else (y, y)
         return checked_values(call(0.0, y, *halves), None, name)
 

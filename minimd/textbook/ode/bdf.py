@@ -27,8 +27,10 @@ class BDF(Method):
     n_past : number k of past states, and order; at most 5, because BDF6 is A(α)-stable only up to α = 18°."""
 
     n_past: ClassVar[int]
-    source = ("C. F. Curtiss, J. O. Hirschfelder, Proc. Natl. Acad. Sci. 38, 235 (1952); C. W. Gear, IEEE Trans. "
-              "Circuit Theory 18, 89 (1971)")  # fmt: skip
+    source = (
+        "C. F. Curtiss, J. O. Hirschfelder, Proc. Natl. Acad. Sci. 38, 235 (1952); C. W. Gear, IEEE Trans. "
+        "Circuit Theory 18, 89 (1971)"
+    )
     order = ClassProperty(lambda method: method.n_past)
     stages = 1
     is_symmetric = is_symplectic = is_explicit = False
@@ -73,7 +75,9 @@ class BDFStep:
             base = -(alpha[1:] @ np.array(self._states)) / alpha[0]
             weights = np.array([[h / alpha[0]]])
             guess = self._problem.field(t, y) if self._slope is None else self._slope
-            self._slope = self._equations.slopes(np.array([t + h]), base, weights, guess.reshape(1, -1), h)
+            self._slope = self._equations.slopes(
+                np.array([t + h]), base, weights, guess.reshape(1, -1), h
+            )
             y_new = base + weights[0, 0] * self._slope[0]
         self._states.appendleft(y_new)
         self._steps.appendleft(h)
@@ -93,6 +97,12 @@ def slope_weights(nodes: Array) -> Array:
 
 
 BDF1, BDF2, BDF3, BDF4, BDF5 = (
-    type(f"BDF{k}", (BDF,), {"__doc__": f"BDF with {steps}: order {k}.", "name": f"bdf-{k}", "n_past": k})
-    for k, steps in enumerate(("one step, implicit Euler", "two steps", "three steps", "four steps", "five steps"), 1)
+    type(
+        f"BDF{k}",
+        (BDF,),
+        {"__doc__": f"BDF with {steps}: order {k}.", "name": f"bdf-{k}", "n_past": k},
+    )
+    for k, steps in enumerate(
+        ("one step, implicit Euler", "two steps", "three steps", "four steps", "five steps"), 1
+    )
 )

@@ -42,20 +42,37 @@ from minimd.core.compiled.machine import EPS
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array, Method, Problem
-from minimd.core.structure.checks import COUNTS, checked_count, checked_kind, checked_number, checked_numbers
+from minimd.core.structure.checks import (
+    COUNTS,
+    checked_count,
+    checked_kind,
+    checked_number,
+    checked_numbers,
+)
 from minimd.core.structure.errors import ConvergenceError, NonFiniteError
 from minimd.textbook.ode.problems import DifferentialAlgebraic, Partitioned
 
-__all__ = ["DensityControl", "Solution", "StepControl", "run_adaptive", "run_reversible", "run_steps", "run_until",
-           "stormer_summed", "stormer_two_step"]  # fmt: skip
+__all__ = [
+    "DensityControl",
+    "Solution",
+    "StepControl",
+    "run_adaptive",
+    "run_reversible",
+    "run_steps",
+    "run_until",
+    "stormer_summed",
+    "stormer_two_step",
+]
 
 REACHED = "the end was reached"
-LEFTOVER = 1e-12  # of a step: a shorter rest is rounding of the times, and belongs to the step before
+# of a step: a shorter rest is rounding of the times, and belongs to the step before
+LEFTOVER = 1e-12
 # factor of the proposed step; bounds of its change from one step to the next: Hairer et al., II.4
 SAFETY = 0.9
 SHRINK = 0.2
 GROW = 5.0
-EXPONENT = 0.75  # ρ ∝ |f|^¾: around a mass ρ ∝ r^(−3/2), so that steps are proportional to the free-fall time
+# ρ ∝ |f|^¾: around a mass ρ ∝ r^(−3/2), so that steps are proportional to the free-fall time
+EXPONENT = 0.75
 # of the time in which q changes by its size: truncation and rounding of d ln |f|/dt are then alike, 1e-10
 DIFFERENCE = 1e-5
 Rate = Callable[[float, Array, Array], float]
@@ -87,7 +104,11 @@ class Solution(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        size = f"q and v of shape {self.shape}" if self.shape is not None else f"{self.y.shape[1]} numbers"
+        size = (
+            f"q and v of shape {self.shape}"
+            if self.shape is not None
+            else f"{self.y.shape[1]} numbers"
+        )
         rows = [("states", f"{len(self.t)} of {size}, t = {self.t[0]:.6g} to {self.t[-1]:.6g}")]
         rows += [("evaluations", f"{self.nfev}"), ("outcome", self.message)]
         return rows + ([("rejected", f"{self.n_rejected} steps")] if self.n_rejected else [])
@@ -116,7 +137,9 @@ class Path:
 
     def __init__(self, problem: Problem, start: Any, t0: float, every: int = 1) -> None:
         if not hasattr(problem, "begin"):
-            raise TypeError(f"problem must be a differential equation, such as SecondOrder(f); got {shown(problem)}")
+            raise TypeError(
+                f"problem must be a differential equation, such as SecondOrder(f); got {shown(problem)}"
+            )
         self.problem: Any = problem
         self._every = checked_count("every", every)
         self.times = [t0]
@@ -146,7 +169,11 @@ class Path:
                 kept_states.append(y)
                 n += 1
         except (ConvergenceError, NonFiniteError) as reason:
-            told, advice = ("", "") if timestep is None else (f" with timestep {timestep:g}", "; reduce the timestep")
+            told, advice = (
+                ("", "")
+                if timestep is None
+                else (f" with timestep {timestep:g}", "; reduce the timestep")
+            )
             self.stopped = f"step {n + 1} from t = {kept_times[-1]:g}{told}: {reason}{advice}"
             raise failed(type(reason), self.solution()) from None
         return self.solution()
@@ -169,14 +196,18 @@ class Path:
         )
 
 
-def failed(kind: type[ConvergenceError | NonFiniteError], path: Solution) -> ConvergenceError | NonFiniteError:
+def failed(
+    kind: type[ConvergenceError | NonFiniteError], path: Solution
+) -> ConvergenceError | NonFiniteError:
     """The error of a run, with the words and the path of its solution, error.solution."""
     error = kind(path.message)
     error.solution = path
     return error
 
 
-def run_steps(problem: Problem, method: Method, start: Any, n_steps: int, t0: float = 0.0, every: int = 1) -> Solution:
+def run_steps(
+    problem: Problem, method: Method, start: Any, n_steps: int, t0: float = 0.0, every: int = 1
+) -> Solution:
     """A fixed number of steps of the method's time step.
 
     Parameters
@@ -197,7 +228,9 @@ def run_steps(problem: Problem, method: Method, start: Any, n_steps: int, t0: fl
     return _fixed(Path(problem, start, t0, every), method, repeat(method.timestep, n_steps))
 
 
-def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: float = 0.0, every: int = 1) -> Solution:
+def run_until(
+    problem: Problem, method: Method, start: Any, t_end: float, t0: float = 0.0, every: int = 1
+) -> Solution:
     """Steps of the method's time step up to t_end, the last one shortened to end there.
 
     Parameters, Raises : as run_steps; t_end must lie on the side of t0 to which the time step leads."""
@@ -210,7 +243,9 @@ def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: fl
     return _fixed(Path(problem, start, t0, every), method, lengths, t_end)
 
 
-def _fixed(path: Path, method: Method, lengths: Iterable[float], t_end: float | None = None) -> Solution:
+def _fixed(
+    path: Path, method: Method, lengths: Iterable[float], t_end: float | None = None
+) -> Solution:
     """Steps of these lengths.  The states are looked at once they are all there; those before the first that is not
     finite are the solution of the NonFiniteError."""
     h = method.timestep
@@ -229,14 +264,21 @@ def _fixed(path: Path, method: Method, lengths: Iterable[float], t_end: float | 
     if np.isfinite(found.y[-1]).all():
         return found
     first = np.argmin(np.isfinite(found.y).all(axis=1))
-    why = (f"the state is not finite at t = {found.t[first]:g}; the last finite one is at t = {found.t[first - 1]:g}; "
-           f"reduce the timestep ({h:g}), or look for a singularity of the problem")  # fmt: skip
-    raise failed(NonFiniteError, Solution(found.t[:first], found.y[:first], found.nfev, found.shape, False, why))
+    why = (
+        f"the state is not finite at t = {found.t[first]:g}; the last finite one is at t = {found.t[first - 1]:g}; "
+        f"reduce the timestep ({h:g}), or look for a singularity of the problem"
+    )
+    raise failed(
+        NonFiniteError,
+        Solution(found.t[:first], found.y[:first], found.nfev, found.shape, False, why),
+    )
 
 
 def check_method(method: Method) -> None:
     """TypeError for anything but a method with its time step."""
-    checked_kind("method", method, Method, "a method with its time step, such as VelocityVerlet(0.05)")
+    checked_kind(
+        "method", method, Method, "a method with its time step, such as VelocityVerlet(0.05)"
+    )
 
 
 def checked_span(t0: float, t_end: float, timestep: float | None = None) -> float:
@@ -285,7 +327,9 @@ class StepControl:
             )
         if self.first_step is not None:
             checked_number("first_step", self.first_step, "positive and finite")
-        longest = self.max_step if self.max_step == np.inf else checked_number("max_step", self.max_step)
+        longest = (
+            self.max_step if self.max_step == np.inf else checked_number("max_step", self.max_step)
+        )
         if not 0.0 <= checked_number("min_step", self.min_step) <= longest or longest == 0.0:
             raise ValueError(
                 f"0 <= min_step <= max_step is needed; min_step = {self.min_step!r}, max_step = {self.max_step!r}"
@@ -325,8 +369,14 @@ class StepControl:
         return float(np.linalg.norm(ratio)) / np.sqrt(size.size)
 
 
-def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: float, t0: float = 0.0,
-                 control: StepControl = StepControl()) -> Solution:  # fmt: skip
+def run_adaptive(
+    problem: Problem,
+    method: type[Method],
+    start: Any,
+    t_end: float,
+    t0: float = 0.0,
+    control: StepControl = StepControl(),
+) -> Solution:
     """Adaptive steps to t_end, with errors estimated by step doubling. solution.n_rejected counts the rejected ones.
 
     Parameters
@@ -343,7 +393,9 @@ def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: floa
     """
     checked_span(t0, t_end)
     if not (isinstance(method, type) and issubclass(method, Method)):
-        raise TypeError(f"method must be a class, such as VelocityVerlet, not an object; method = {shown(method)}")
+        raise TypeError(
+            f"method must be a class, such as VelocityVerlet, not an object; method = {shown(method)}"
+        )
     checked_kind("control", control, StepControl, "StepControl(rtol, atol)")
     path = Path(problem, start, t0)
     if (given := np.shape(control.atol)) not in ((), path.states[0].shape):
@@ -378,7 +430,9 @@ def _adaptive(path: Path, method: type[Method], t_end: float, control: StepContr
             error = np.inf
             why = str(reason)
         else:
-            weights = problem.error_weights(signed) if isinstance(problem, DifferentialAlgebraic) else 1.0
+            weights = (
+                problem.error_weights(signed) if isinstance(problem, DifferentialAlgebraic) else 1.0
+            )
             error = control.excess(weights * (two - one) / (2.0**order - 1.0), y, two)
             why = f"its error is {error:.1e} times what is allowed"
         if error <= 1.0:
@@ -428,8 +482,15 @@ class DensityControl:
         checked_count("max_steps", self.max_steps)
 
 
-def run_reversible(problem: Partitioned, method: Method, start: Start, t_end: float, t0: float = 0.0,
-                   control: DensityControl = DensityControl(), every: int = 1) -> Solution:  # fmt: skip
+def run_reversible(
+    problem: Partitioned,
+    method: Method,
+    start: Start,
+    t_end: float,
+    t0: float = 0.0,
+    control: DensityControl = DensityControl(),
+    every: int = 1,
+) -> Solution:
     """Steps of length timestep/ρ up to t_end, the last one shortened to end there.
 
     Parameters
@@ -450,7 +511,9 @@ def run_reversible(problem: Partitioned, method: Method, start: Start, t_end: fl
     checked_count("every", every)
     checked_kind("control", control, DensityControl, "DensityControl(rate, density, max_steps)")
     if not method.is_symmetric:
-        raise ValueError(f"reversible steps need a symmetric method, such as VelocityVerlet; {method.name} is not")
+        raise ValueError(
+            f"reversible steps need a symmetric method, such as VelocityVerlet; {method.name} is not"
+        )
     path = Path(problem, start, t0, every)
     return path.through(_reversible(path, method, t_end, control), method.timestep)
 
@@ -465,12 +528,15 @@ def _reversible(path: Path, method: Method, t_end: float, control: DensityContro
     step = path.step(type(method))
     rate = control.rate or _Fall(problem, abs(epsilon))
     path.counts.append(rate)
-    rho = path.densities[t] = control.density  # between the density of the last step and that of the next one
+    # between the density of the last step and that of the next one
+    rho = path.densities[t] = control.density
     change = epsilon * float(rate(t, *problem.halves(y)))
     while (t_end - t) * copysign(1.0, epsilon) > 0.0 and n < control.max_steps:
         rho += 0.5 * change
         if not rho > 0.0 or t + epsilon / rho == t:
-            raise ConvergenceError(f"the density of steps {'fell' if rho <= 0.0 else 'grew'} to {rho:.1e}")
+            raise ConvergenceError(
+                f"the density of steps {'fell' if rho <= 0.0 else 'grew'} to {rho:.1e}"
+            )
         h = epsilon / rho
         rest = t_end - t
         is_last = abs(h) >= abs(rest) - LEFTOVER * max(abs(t), abs(t_end))
@@ -484,7 +550,8 @@ def _reversible(path: Path, method: Method, t_end: float, control: DensityContro
         yield t, y
     if t != t_end:
         path.stopped = (
-            f"stopped at t = {t:g} after {n} steps, where their density ρ is {rho:.1e}; raise max_steps or the timestep"
+            f"stopped at t = {t:g} after {n} steps, where their density ρ is {rho:.1e}; "
+            "raise max_steps or the timestep"
         )
 
 
@@ -501,7 +568,9 @@ class _Fall:
         if speed == 0.0:
             return 0.0
         delta = DIFFERENCE * max(float(np.linalg.norm(q)) / speed, self.timestep)
-        ahead, behind = (float(np.linalg.norm(self.problem.f(t, q + side * v, v))) for side in (delta, -delta))
+        ahead, behind = (
+            float(np.linalg.norm(self.problem.f(t, q + side * v, v))) for side in (delta, -delta)
+        )
         self.nfev += 2
         is_known = ahead > 0.0 < behind and isfinite(ahead * behind)
         return EXPONENT * log(ahead / behind) / (2.0 * delta) if is_known else 0.0
@@ -510,7 +579,9 @@ class _Fall:
 Acceleration = Callable[[Array], ArrayLike]
 
 
-def stormer_two_step(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> Solution:
+def stormer_two_step(
+    f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int
+) -> Solution:
     """The two-step recursion, started with q₁ = q₀ + Δt v₀ + ½Δt² f(q₀).
 
     Parameters
@@ -530,7 +601,9 @@ def stormer_two_step(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: fl
     return _stormer(f, q0, v0, timestep, n_steps, advance)
 
 
-def stormer_summed(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> Solution:
+def stormer_summed(
+    f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int
+) -> Solution:
     """The recursion for the increments d_n = q_{n+1} − q_n: the same path with far less round-off over many steps.
 
     Parameters, Raises : as stormer_two_step."""
@@ -542,8 +615,14 @@ def stormer_summed(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: floa
     return _stormer(f, q0, v0, timestep, n_steps, advance)
 
 
-def _stormer(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int,
-             advance: Callable[..., None]) -> Solution:  # fmt: skip
+def _stormer(
+    f: Acceleration,
+    q0: ArrayLike,
+    v0: ArrayLike,
+    timestep: float,
+    n_steps: int,
+    advance: Callable[..., None],
+) -> Solution:
     """The path without the position after the end, which is needed for the last velocity only.
     advance : finds q_{n+1} and the increments from q_{n−1}, q_n and Δt² f(q_n)."""
     q0 = checked_numbers("q0", q0, "numbers")
@@ -552,7 +631,9 @@ def _stormer(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_s
     checked_count("n_steps", n_steps)
     a0 = np.asarray(f(q0), dtype=float)
     if not q0.shape == v0.shape == a0.shape:
-        raise ValueError(f"q0, v0 and f(q0) must have the same shape; got {q0.shape}, {v0.shape} and {a0.shape}")
+        raise ValueError(
+            f"q0, v0 and f(q0) must have the same shape; got {q0.shape}, {v0.shape} and {a0.shape}"
+        )
     q, increments, v = (np.empty((n_steps + n, *q0.shape)) for n in (2, 1, 1))
     increments[0] = timestep * v0 + 0.5 * timestep**2 * a0
     q[0] = q0

@@ -31,8 +31,9 @@ Map = Callable[[Array], Array]
 Path = Callable[[float], Array]
 
 
-def arguments(function: Function, names: str, label: str, usual: str | None, wanted: str,
-              unknown: str) -> tuple[str, ...]:  # fmt: skip
+def arguments(
+    function: Function, names: str, label: str, usual: str | None, wanted: str, unknown: str
+) -> tuple[str, ...]:
     """Which of the named arguments a function takes: by their names and in their order, else by their number, if it
     takes all of them or the usual ones.
     names, usual : separated by blanks.  unknown : what a function takes that cannot be asked, if not the usual.
@@ -44,13 +45,17 @@ def arguments(function: Function, names: str, label: str, usual: str | None, wan
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):  # written in C, such as numpy.sin
         return (unknown,) if unknown else most
-    bare = (one for one in parameters if one.default is one.empty and one.kind is not one.VAR_KEYWORD)
+    bare = (
+        one for one in parameters if one.default is one.empty and one.kind is not one.VAR_KEYWORD
+    )
     taken = tuple(f"*{one.name}" if one.kind is one.VAR_POSITIONAL else one.name for one in bare)
     if taken == tuple(name for name in every if name in taken):
         return taken
     places = every if len(taken) == len(every) else most
     pairs = zip(taken, places, strict=False)
-    if len(taken) == len(places) and all(given == place or given not in every for given, place in pairs):
+    if len(taken) == len(places) and all(
+        given == place or given not in every for given, place in pairs
+    ):
         return places
     alone = "" if most == every else f"{', '.join(most)}, or "
     raise TypeError(
@@ -59,12 +64,20 @@ def arguments(function: Function, names: str, label: str, usual: str | None, wan
     )
 
 
-def reading(function: Function, names: str, label: str, usual: str | None = None, wanted: str = "a function",
-            unknown: str = "") -> tuple[tuple[str, ...], Function]:  # fmt: skip
+def reading(
+    function: Function,
+    names: str,
+    label: str,
+    usual: str | None = None,
+    wanted: str = "a function",
+    unknown: str = "",
+) -> tuple[tuple[str, ...], Function]:
     """Which of the named arguments a function takes, and the function as one of all of them.  See arguments."""
     taken = arguments(function, names, label, usual, wanted, unknown)
     # written out, as a named tuple does it: a call through *values takes longer than many a force
-    return taken, eval(f"lambda {', '.join(names.split())}: function({', '.join(taken)})", {"function": function})
+    return taken, eval(
+        f"lambda {', '.join(names.split())}: function({', '.join(taken)})", {"function": function}
+    )
 
 
 def taking(function: Function, names: str, label: str) -> Function:
@@ -95,7 +108,9 @@ def checked_values(answer: Any, shape: tuple[int, ...] | None, name: str) -> Arr
     if values.dtype.kind not in "fiub":
         raise TypeError(f"{name} must answer with real numbers; got {shown(answer)}")
     if shape is not None and values.shape != shape and not values.size == prod(shape) == 1:
-        raise ValueError(f"{name} must answer with an array of shape {shape}; got shape {values.shape}")
+        raise ValueError(
+            f"{name} must answer with an array of shape {shape}; got shape {values.shape}"
+        )
     return values.reshape(-1).astype(float, copy=False)
 
 
@@ -111,7 +126,8 @@ CENTRAL = EPS ** (1.0 / 3.0)
 FORWARD = EPS**0.5  # the same of forward differences: some 1e-8
 LEAST = 1e-3  # smallest size of a variable for its step, relative to the largest one
 LEAST_WIDE = 0.125  # the same for accurate differences, which narrow a step that is too wide
-OFFSETS = np.array([-3, -2, -1, 1, 2, 3])  # of the points, in spacings; differences from the value at 0 are weighted
+# of the points, in spacings; differences from the value at 0 are weighted
+OFFSETS = np.array([-3, -2, -1, 1, 2, 3])
 WEIGHTS = {  # for the first and second derivative: formulas of order 6 and 4
     1: (np.array([-1, 9, -45, 45, -9, 1]) / 60.0, np.array([0, 1, -8, 8, -1, 0]) / 12.0),
     2: (np.array([2, -27, 270, 270, -27, 2]) / 180.0, np.array([0, -1, 16, 16, -1, 0]) / 12.0),
@@ -119,22 +135,28 @@ WEIGHTS = {  # for the first and second derivative: formulas of order 6 and 4
 RESTING = 1e-13  # lower rates are rounding, and the path is at rest [1/time]
 NOISE = 10.0 * EPS  # rounding of a function, relative to its change over the widest spacing
 SPACINGS = 0.1 / 3.0 ** np.arange(12)  # in units of the time in which a path changes by its size
-NARROWING = 2.0**-8 / 4.0 ** np.arange(12)  # in units of a variable: powers of two, so that x ± s has no rounding
+# in units of a variable: powers of two, so that x ± s has no rounding
+NARROWING = 2.0**-8 / 4.0 ** np.arange(12)
 # an error that has grown by this factor, of a derivative this near the best one, is noise: it grows with spacing
 GROWN = 16.0
 NEAR = 0.03
-ENOUGH = 1e-9  # relative error of the formula of order 4 with which the search ends: that of order 6 is then some 1e-13
+# relative error of the formula of order 4 with which the search ends: that of order 6 is then some 1e-13
+ENOUGH = 1e-9
 
 
 def forward_differences(function: Map, x: Array, at_x: Array) -> Array:
     """∂function/∂x, one column per variable: half the evaluations of central differences.  at_x : function(x)."""
-    return _differences(function, x, FORWARD * np.maximum(np.abs(x), LEAST * (np.abs(x).max() or 1.0)), at_x)
+    return _differences(
+        function, x, FORWARD * np.maximum(np.abs(x), LEAST * (np.abs(x).max() or 1.0)), at_x
+    )
 
 
 def central_differences(function: Map, x: Array, step: float = CENTRAL, size: float = 0.0) -> Array:
     """∂function/∂x, one column per variable.  step : relative to each variable; wide for noisy functions.
     size : of the largest variable, where x may be smaller by chance."""
-    return _differences(function, x, step * np.maximum(np.abs(x), LEAST * (max(np.abs(x).max(), size) or 1.0)))
+    return _differences(
+        function, x, step * np.maximum(np.abs(x), LEAST * (max(np.abs(x).max(), size) or 1.0))
+    )
 
 
 def _differences(function: Map, x: Array, steps: Array, at_x: Array | None = None) -> Array:
@@ -145,7 +167,10 @@ def _differences(function: Map, x: Array, steps: Array, at_x: Array | None = Non
         behind = x.copy()
         ahead[k] += step
         behind[k] -= step if at_x is None else 0.0
-        columns.append((function(ahead) - (function(behind) if at_x is None else at_x)) / (ahead[k] - behind[k]))
+        columns.append(
+            (function(ahead) - (function(behind) if at_x is None else at_x))
+            / (ahead[k] - behind[k])
+        )
     return np.stack(columns, axis=-1)
 
 
@@ -161,18 +186,27 @@ def accurate_differences(function: Map, x: Array, narrowed: float = 1.0) -> Arra
     def along_each(e: float) -> Array:
         return np.array([function(x + step) for step in np.diag(e * units)])
 
-    return (_derivative(along_each, np.tile(here, (x.size, 1)), 1, NARROWING.tolist(), ENOUGH) / units[:, None]).T
+    return (
+        _derivative(along_each, np.tile(here, (x.size, 1)), 1, NARROWING.tolist(), ENOUGH)
+        / units[:, None]
+    ).T
 
 
 def derivative(function: Map, given: Map | None, x: Array) -> Array:
     """∂function/∂x, (m, n): as given, as a function of x with m n numbers, else by accurate differences."""
-    return accurate_differences(function, x) if given is None else np.array(given(x), float).reshape(-1, x.size)
+    return (
+        accurate_differences(function, x)
+        if given is None
+        else np.array(given(x), float).reshape(-1, x.size)
+    )
 
 
 def error_of_differences(function: Map, x: Array) -> float:
     """Relative error of accurate_differences, estimated from those with half the spacing."""
     wide = accurate_differences(function, x)
-    return float(np.abs(wide - accurate_differences(function, x, 0.5)).max() / (np.abs(wide).max() or 1.0))
+    return float(
+        np.abs(wide - accurate_differences(function, x, 0.5)).max() / (np.abs(wide).max() or 1.0)
+    )
 
 
 def remark_on_differences(function: Map, given: Any, x: Array) -> str:
@@ -186,7 +220,10 @@ def remark_on_differences(function: Map, given: Any, x: Array) -> str:
 def unit_of_time(y: Array, *derivatives: Array) -> float:
     """The time in which a path y + ε y′ + ε²/2 y″ changes by its own size; 1 if it rests."""
     size = np.abs(y).max() or 1.0
-    rates = [0.0, *((np.abs(d).max() / size) ** (1.0 / k) for k, d in enumerate(derivatives, start=1))]
+    rates = [
+        0.0,
+        *((np.abs(d).max() / size) ** (1.0 / k) for k, d in enumerate(derivatives, start=1)),
+    ]
     return 1.0 / max(rates) if max(rates) > RESTING else 1.0
 
 
@@ -195,7 +232,9 @@ def time_derivative(path: Path, order: int, unit: float) -> Array:
     return _derivative(path, path(0.0), order, (unit * SPACINGS).tolist())
 
 
-def _derivative(path: Path, here: Array, order: int, spacings: list[float], enough: float = 0.0) -> Array:
+def _derivative(
+    path: Path, here: Array, order: int, spacings: list[float], enough: float = 0.0
+) -> Array:
     """A derivative at 0, each element from the spacing with its least estimated error: |order 6 − order 4| + rounding.
     here : path(0).  spacings : widest first.  enough : relative error with which an element is settled."""
     best = np.full(here.shape, np.nan)
@@ -207,7 +246,9 @@ def _derivative(path: Path, here: Array, order: int, spacings: list[float], enou
                 values = np.array([path(k * spacing) for k in OFFSETS]) - here
         except (ValueError, ArithmeticError):  # outside the domain of a function such as math.sqrt
             continue
-        sixth, fourth = (np.tensordot(weights, values, 1) / spacing**order for weights in WEIGHTS[order])
+        sixth, fourth = (
+            np.tensordot(weights, values, 1) / spacing**order for weights in WEIGHTS[order]
+        )
         changes = np.abs(values).max(axis=0)
         largest = np.fmax(largest, changes)
         error = np.abs(sixth - fourth) + NOISE * largest / spacing**order

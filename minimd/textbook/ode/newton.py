@@ -26,9 +26,12 @@ __all__ = ["FixedPoint", "Newton"]
 
 Sizes = Array | float
 SLOW = 0.3  # the Jacobian is renewed if a correction is more than this part of the one before
-NEAR = 16.0 * EPS  # corrections, relative to the unknowns, that are taken for rounding once they shrink slowly
-STALLED = 0.5  # corrections that shrink by less than this factor with a new Jacobian no longer shrink
-SMALL = 1e-8  # corrections, relative to the unknowns, that are rounding once they no longer shrink: about √EPS
+# corrections, relative to the unknowns, that are taken for rounding once they shrink slowly
+NEAR = 16.0 * EPS
+# corrections that shrink by less than this factor with a new Jacobian no longer shrink
+STALLED = 0.5
+# corrections, relative to the unknowns, that are rounding once they no longer shrink: about √EPS
+SMALL = 1e-8
 SMALL_OF_NOISY = 1e-6  # the same where functions may be numerical derivatives
 DEPENDENT = 1e-8  # ratio of singular values below which equations count as dependent on each other
 MAX_ITERATIONS = 50
@@ -61,7 +64,9 @@ class Newton:
         """An iteration that keeps its own Jacobian."""
         return Iteration(self)
 
-    def factorized(self, residual: Map, x: Array, r: Array, jacobian: Map | None, sizes: Sizes) -> Any:
+    def factorized(
+        self, residual: Map, x: Array, r: Array, jacobian: Map | None, sizes: Sizes
+    ) -> Any:
         """LU factors of ∂r/∂x at x; where sizes are given, columns are scaled by them and rows to one."""
         matrix = forward_differences(residual, x, r) if jacobian is None else jacobian(x)
         if not np.isfinite(matrix).all():
@@ -93,7 +98,9 @@ class FixedPoint(Newton):
     def __init__(self, max_iterations: int = 200, small: float = SMALL) -> None:
         super().__init__(max_iterations, small)
 
-    def factorized(self, residual: Map, x: Array, r: Array, jacobian: Map | None, sizes: Sizes) -> Any:
+    def factorized(
+        self, residual: Map, x: Array, r: Array, jacobian: Map | None, sizes: Sizes
+    ) -> Any:
         """None: the Jacobian is taken for 1."""
 
     def correction(self, factors: Any, r: Array) -> Array:
@@ -115,8 +122,16 @@ class Iteration:
     def __init__(self, solver: Newton) -> None:
         self.solver = solver
 
-    def solve(self, residual: Map, x: Array, jacobian: Map | None = None, key: Any = None, scale: Sizes = 0.0,
-              floor: Sizes | None = None, nothing: float = 0.0) -> Array:  # fmt: skip
+    def solve(
+        self,
+        residual: Map,
+        x: Array,
+        jacobian: Map | None = None,
+        key: Any = None,
+        scale: Sizes = 0.0,
+        floor: Sizes | None = None,
+        nothing: float = 0.0,
+    ) -> Array:
         """x with residual(x) = 0, to rounding, from a first guess.  Raises ConvergenceError with the largest residual.
         jacobian : ∂residual/∂x, a function of x.  key : what J depends on beside x, such as the time step; J is renewed
             when it changes.
@@ -141,7 +156,9 @@ class Iteration:
             if size <= EPS or np.abs(dx).max() <= nothing:
                 return x
             if size >= slow * before:
-                is_small = _relative_size(dx, x, scale if floor is None else floor) <= self.solver.small
+                is_small = (
+                    _relative_size(dx, x, scale if floor is None else floor) <= self.solver.small
+                )
                 if size <= NEAR or (is_small and size > STALLED * last):
                     return x
                 last = size if is_small else np.inf
@@ -150,7 +167,11 @@ class Iteration:
             else:
                 before = size
         self._factors = None
-        largest = f"largest residual {np.abs(r).max():.1e}" if np.isfinite(r).all() else "their residual is not finite"
+        largest = (
+            f"largest residual {np.abs(r).max():.1e}"
+            if np.isfinite(r).all()
+            else "their residual is not finite"
+        )
         raise ConvergenceError(f"the equations of the step were not solved: {largest}")
 
 
@@ -160,8 +181,9 @@ def _relative_size(dx: Array, x: Array, scale: Sizes) -> float:
     return float(np.max(np.abs(dx) / np.maximum(floor, np.finfo(float).tiny)))
 
 
-def nearest_root(function: Map, x: Array, step: float = CENTRAL, dependent: float = DEPENDENT,
-                 size: float = 0.0) -> Array:  # fmt: skip
+def nearest_root(
+    function: Map, x: Array, step: float = CENTRAL, dependent: float = DEPENDENT, size: float = 0.0
+) -> Array:
     """A root of the function near the guess, by Gauss-Newton: each correction is the smallest that solves the
     linearized equations.
     step : of central differences, relative to x; WIDE for functions that are numerical derivatives themselves.

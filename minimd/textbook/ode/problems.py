@@ -65,9 +65,13 @@ class FirstOrder(Problem):
     def __repr__(self) -> str:
         return f"{type(self).__name__}(f)"
 
-    def __init__(self, f: Function, jacobian: Function | None = None, solver: Newton = Newton()) -> None:
+    def __init__(
+        self, f: Function, jacobian: Function | None = None, solver: Newton = Newton()
+    ) -> None:
         self._f = reading(f, "t y", "f", "y")[1]
-        self.jacobian = jacobian if jacobian is None else reading(jacobian, "t y", "jacobian", "y")[1]
+        self.jacobian = (
+            jacobian if jacobian is None else reading(jacobian, "t y", "jacobian", "y")[1]
+        )
         self.solver = checked_solver(solver)
 
     def begin(self, start: ArrayLike, t0: float = 0.0) -> Array:
@@ -104,8 +108,14 @@ class Partitioned(Problem):
 
     drifts_on_lines = False  # q′ = v, and nothing holds q
 
-    def __init__(self, g: Function, f: Function, g_q: Function | None = None, f_v: Function | None = None,
-                 solver: Newton = Newton()) -> None:  # fmt: skip
+    def __init__(
+        self,
+        g: Function,
+        f: Function,
+        g_q: Function | None = None,
+        f_v: Function | None = None,
+        solver: Newton = Newton(),
+    ) -> None:
         self.g = VectorField(g, "v", "g")
         self.f = VectorField(f, "q", "f")
         self.g_q = g_q if g_q is None else VectorField(g_q, "t q v", "g_q")
@@ -149,7 +159,8 @@ class Partitioned(Problem):
     def halves(self, y: Array) -> tuple[Array, Array]:
         """Views of q and v, in their shape."""
         n = y.size // 2
-        q, v = y[:n], y[n:]
+        q = y[:n]
+        v = y[n:]
         return (q, v) if len(self.shape) == 1 else (q.reshape(self.shape), v.reshape(self.shape))
 
     def field(self, t: float, y: Array) -> Array:
@@ -209,11 +220,15 @@ class DifferentialAlgebraic(Problem):
 
     def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """∂F/∂y, (n, n), by differences."""
-        return forward_differences(lambda x: self.residual(t, x, slope), y, self.residual(t, y, slope))
+        return forward_differences(
+            lambda x: self.residual(t, x, slope), y, self.residual(t, y, slope)
+        )
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """∂F/∂y′, (n, n), by differences."""
-        return forward_differences(lambda x: self.residual(t, y, x), slope, self.residual(t, y, slope))
+        return forward_differences(
+            lambda x: self.residual(t, y, x), slope, self.residual(t, y, slope)
+        )
 
     def error_weights(self, h: float) -> Array:
         """(n,) min(1, |h|)^level: the factors of the errors of variables in an error norm.
@@ -246,7 +261,8 @@ class SequenceStep:
         n = y.size // 2
         force = self._known[1] if self._known[0] is y else None
         y = y.copy()
-        q, v = y[:n], y[n:]
+        q = y[:n]
+        v = y[n:]
         q_shaped, v_shaped = (q, v) if len(problem.shape) == 1 else problem.halves(y)
         for is_kick, coefficient in self._substeps:
             duration = coefficient * h
@@ -276,12 +292,15 @@ class EulerStep:
         self._problem = problem
         self._factors = list[tuple[type[Substep], float, Iteration]]()
         rest = 0.0
-        for substep in substeps:  # kick-first and drift-first in turn, each with the rest of its neighbor
+        # kick-first and drift-first in turn, each with the rest of its neighbor
+        for substep in substeps:
             rest = substep.coefficient - rest
             if abs(rest) > COEFFICIENT_ROUNDING * len(substeps):
                 self._factors.append((type(substep), rest, problem.solver.iteration()))
         if abs(rest) > COEFFICIENT_ROUNDING * len(substeps):
-            raise TypeError("a sequence whose kicks and drifts do not add up to the same time has no implicit form")
+            raise TypeError(
+                "a sequence whose kicks and drifts do not add up to the same time has no implicit form"
+            )
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
@@ -291,12 +310,16 @@ class EulerStep:
         for kind, weight, iteration in self._factors:
             duration = weight * h
             if kind is Kick:
-                v = self._solved(problem.f, problem.f_v, v, lambda x: (t, q, x), duration, iteration)
+                v = self._solved(
+                    problem.f, problem.f_v, v, lambda x: (t, q, x), duration, iteration
+                )
                 q = q + duration * self._value(problem.g, t, q, v)
                 t += duration
             else:
                 t += duration
-                q = self._solved(problem.g, problem.g_q, q, lambda x: (t, x, v), duration, iteration)
+                q = self._solved(
+                    problem.g, problem.g_q, q, lambda x: (t, x, v), duration, iteration
+                )
                 v = v + duration * self._value(problem.f, t, q, v)
         return np.concatenate([q, v])
 
@@ -305,8 +328,15 @@ class EulerStep:
         self.nfev += field is self._problem.f
         return field(t, q.reshape(shape), v.reshape(shape))
 
-    def _solved(self, field: VectorField, jacobian: VectorField | None, x0: Array, place: Place, duration: float,
-                iteration: Iteration) -> Array:  # fmt: skip
+    def _solved(
+        self,
+        field: VectorField,
+        jacobian: VectorField | None,
+        x0: Array,
+        place: Place,
+        duration: float,
+        iteration: Iteration,
+    ) -> Array:
         """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one is constant.  place : (t, q, v)
         with this x."""
 
@@ -317,6 +347,8 @@ class EulerStep:
         if ("v" if field is self._problem.f else "q") not in field.takes:
             return guess
         slope: Any = jacobian and (
-            lambda x: np.eye(x.size) - duration * self._value(jacobian, *place(x)).reshape(x.size, x.size)
+            lambda x: (
+                np.eye(x.size) - duration * self._value(jacobian, *place(x)).reshape(x.size, x.size)
+            )
         )
         return iteration.solve(lambda x: x - moved(x), guess, slope, duration, np.abs(x0).max())

@@ -30,9 +30,12 @@ FARTHEST = 3.0  # times the last step: how far its slopes are extrapolated at mo
 TABLEAU_ROUNDING = 1e-13  # of sums of a few products of coefficients of order one
 MOST_STAGES = 64  # of a tableau whose numbers are not all rounding
 HIGHEST_ORDER = 10  # conditions are evaluated up to this order
-AMPLIFIED = 3e1  # factor of rounding per level, for steps of some hundredth of the time in which the solution varies
-UNSEEN = 1e-22  # of the state: a millionth of its rounding, too small to change even a compensated sum
-VANISHING = 1e-30  # smallest size of a variable relative to the largest one, so that no size is zero
+# factor of rounding per level, for steps of some hundredth of the time in which the solution varies
+AMPLIFIED = 3e1
+# of the state: a millionth of its rounding, too small to change even a compensated sum
+UNSEEN = 1e-22
+# smallest size of a variable relative to the largest one, so that no size is zero
+VANISHING = 1e-30
 
 
 class Tableau(NamedTuple):
@@ -60,7 +63,9 @@ class Tableau(NamedTuple):
     @property
     def is_symmetric(self) -> bool:
         """Whether β_{s+1−i,s+1−j} + β_ij = w_j: the method is its own adjoint (stages in order of their nodes)."""
-        return bool(np.abs(self.beta[::-1, ::-1] + self.beta - self.weights).max() < TABLEAU_ROUNDING)
+        return bool(
+            np.abs(self.beta[::-1, ::-1] + self.beta - self.weights).max() < TABLEAU_ROUNDING
+        )
 
     @property
     def is_stiffly_accurate(self) -> bool:
@@ -91,20 +96,26 @@ class Tableau(NamedTuple):
         powers = c[:, None] ** (k - 1)
         b = _first_failure(w @ powers - 1.0 / k)
         eta = self.stage_order
-        zeta = _first_failure((w[:, None] * powers).T @ self.beta - w * (1.0 - c ** k[:, None]) / k[:, None], axis=1)
+        zeta = _first_failure(
+            (w[:, None] * powers).T @ self.beta - w * (1.0 - c ** k[:, None]) / k[:, None], axis=1
+        )
         return min(b, eta + zeta + 1, 2 * eta + 2)
 
 
 def _first_failure(defects: Array, axis: int = 0) -> int:
     """How many conditions, along the other axis, hold before the first that fails."""
     worst = np.abs(np.atleast_2d(defects)).max(axis=axis)
-    return int(np.argmax(worst > TABLEAU_ROUNDING)) if (worst > TABLEAU_ROUNDING).any() else worst.size
+    return (
+        int(np.argmax(worst > TABLEAU_ROUNDING)) if (worst > TABLEAU_ROUNDING).any() else worst.size
+    )
 
 
 def collocation(nodes: ArrayLike) -> Tableau:
     """The collocation method on s different nodes, in units of the step."""
     c = checked_numbers("nodes", nodes, "numbers")
-    return Tableau(np.array([_lagrange_integrals(c, node) for node in c]), _lagrange_integrals(c, 1.0), c)
+    return Tableau(
+        np.array([_lagrange_integrals(c, node) for node in c]), _lagrange_integrals(c, 1.0), c
+    )
 
 
 def gauss(n_stages: int) -> Tableau:
@@ -133,7 +144,9 @@ def _lagrange_integrals(nodes: Array, end: float) -> Array:
     x = end * (1.0 + x) / 2.0
     w = end * w / 2.0
     # of ℓ_j at x_k, for [k, j]
-    factors = (x[:, None, None] - nodes) / np.where(np.eye(nodes.size, dtype=bool), 1.0, nodes[:, None] - nodes)
+    factors = (x[:, None, None] - nodes) / np.where(
+        np.eye(nodes.size, dtype=bool), 1.0, nodes[:, None] - nodes
+    )
     factors[:, np.arange(nodes.size), np.arange(nodes.size)] = 1.0
     return w @ factors.prod(axis=2)
 
@@ -153,7 +166,11 @@ class RungeKutta(Method):
         """The step on any problem; those of index 3 need a method whose last stage is the next state.
         Raises TypeError for Gauss-Legendre methods on problems of index 3, where errors of the multipliers do not
         shrink with the time step; and for a tableau with equal nodes, as explicit methods have them."""
-        if isinstance(problem, DifferentialAlgebraic) and problem.index > 2 and not cls.tableau.is_stiffly_accurate:
+        if (
+            isinstance(problem, DifferentialAlgebraic)
+            and problem.index > 2
+            and not cls.tableau.is_stiffly_accurate
+        ):
             raise TypeError(
                 f"{cls.name} does not converge on problems of index {problem.index}, whose multipliers stay wrong "
                 "however short the steps; take RadauIIA3 or BDF3, or a Holonomic problem with a splitting"
@@ -169,7 +186,9 @@ class RungeKutta(Method):
     @classmethod
     def order_on(cls, problem: Problem) -> int:
         """Order of the error estimate: that of algebraic variables, weighted as in error_weights, where it is lower."""
-        if not isinstance(problem, DifferentialAlgebraic) or (problem.index <= 1 and cls.tableau.is_stiffly_accurate):
+        if not isinstance(problem, DifferentialAlgebraic) or (
+            problem.index <= 1 and cls.tableau.is_stiffly_accurate
+        ):
             return cls.order
         return cls.tableau.stage_order
 
@@ -195,7 +214,9 @@ class StageEquations:
 
         def residual(unknowns: Array) -> Array:
             k = unknowns.reshape(guess.shape)
-            return np.concatenate([self._residual(*stage) for stage in zip(times, base + weights @ k, k, strict=True)])
+            return np.concatenate(
+                [self._residual(*stage) for stage in zip(times, base + weights @ k, k, strict=True)]
+            )
 
         def jacobian(unknowns: Array) -> Array:
             k = unknowns.reshape(guess.shape)
@@ -209,7 +230,9 @@ class StageEquations:
             return matrix
 
         sizes = self._sizes(base, guess, h)
-        slopes = self._iteration.solve(residual, guess.reshape(-1), jacobian, (h, *weights[0]), *sizes)
+        slopes = self._iteration.solve(
+            residual, guess.reshape(-1), jacobian, (h, *weights[0]), *sizes
+        )
         return slopes.reshape(guess.shape)
 
     def _residual(self, t: float, y: Array, slope: Array) -> Array:
@@ -224,10 +247,14 @@ class StageEquations:
             return problem.state_jacobian(t, y, slope), problem.slope_jacobian(t, y, slope)
         if isinstance(problem, FirstOrder) and problem.jacobian is not None:
             return -np.asarray(problem.jacobian(t, y), dtype=float), np.eye(y.size)
-        of_state = forward_differences(lambda x: self._residual(t, x, slope), y, self._residual(t, y, slope))
+        of_state = forward_differences(
+            lambda x: self._residual(t, x, slope), y, self._residual(t, y, slope)
+        )
         return of_state, np.eye(y.size)
 
-    def _sizes(self, base: Array, guess: Array, h: float) -> tuple[Array | float, Array | float, float]:
+    def _sizes(
+        self, base: Array, guess: Array, h: float
+    ) -> tuple[Array | float, Array | float, float]:
         """scale, floor and nothing of Iteration.solve.
         Explicit problems: the slopes are compared with the state over h once they no longer shrink, because at rest
         slopes vanish and the state does not. Differential-algebraic ones: each variable has its own size; corrections
@@ -238,7 +265,9 @@ class StageEquations:
             return 0.0, largest / abs(h), UNSEEN * largest / abs(h)
         sizes = np.maximum(np.abs(base), np.abs(h * guess).max(axis=0))
         own = np.maximum(sizes, VANISHING * sizes.max()) * AMPLIFIED**problem.levels / abs(h)
-        floor = np.where(problem.levels > 0, np.inf, sizes[problem.levels == 0].max(initial=0.0) / abs(h))
+        floor = np.where(
+            problem.levels > 0, np.inf, sizes[problem.levels == 0].max(initial=0.0) / abs(h)
+        )
         return np.tile(own, len(guess)), np.tile(floor, len(guess)), 0.0
 
 
@@ -248,9 +277,12 @@ class StageStep(StageEquations):
     def __init__(self, problem: Problem, tableau: Tableau) -> None:
         super().__init__(problem)
         self._tableau = tableau
-        self._coefficients = np.linalg.inv(np.vander(tableau.nodes))  # of the polynomial through values at the nodes
-        self._known: tuple[Array | None, Array | float] = None, 0.0  # last state, and its rounding error
-        self._last: tuple[float, float, Array] | None = None  # time, length and slopes of the last step
+        # of the polynomial through values at the nodes
+        self._coefficients = np.linalg.inv(np.vander(tableau.nodes))
+        # last state, and its rounding error
+        self._known: tuple[Array | None, Array | float] = None, 0.0
+        # time, length and slopes of the last step
+        self._last: tuple[float, float, Array] | None = None
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
@@ -273,11 +305,15 @@ class StageStep(StageEquations):
                 guess = np.vander(nodes, len(slopes)) @ (self._coefficients @ slopes)
                 with suppress(ConvergenceError):
                     return self.slopes(times, y, weights, guess, h)
-        return self.slopes(times, y, weights, np.tile(self._problem.field(t, y), (times.size, 1)), h)
+        return self.slopes(
+            times, y, weights, np.tile(self._problem.field(t, y), (times.size, 1)), h
+        )
 
 
 def _method(title: str, name: str, tableau: Tableau, source: str, doc: str) -> type[RungeKutta]:
-    return type(title, (RungeKutta,), {"__doc__": doc, "name": name, "tableau": tableau, "source": source})
+    return type(
+        title, (RungeKutta,), {"__doc__": doc, "name": name, "tableau": tableau, "source": source}
+    )
 
 
 BOOK = "E. Hairer, G. Wanner, Solving ODEs II (1996)"

@@ -8,13 +8,27 @@ from numba import types
 from numba.extending import intrinsic, overload
 
 from minimd.core.compiled.kernels import scalar
-from minimd.core.compiled.simd.vector import Vector, broadcast, call, count, emitting, lane, with_lane
+from minimd.core.compiled.simd.vector import (
+    Vector,
+    broadcast,
+    call,
+    count,
+    emitting,
+    lane,
+    with_lane,
+)
 
 # methods of IRBuilder; those for integers have the names of the operators
-FLOAT_OPERATORS = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}
+FLOAT_OPERATORS = {
+    operator.add: "fadd",
+    operator.sub: "fsub",
+    operator.mul: "fmul",
+    operator.truediv: "fdiv",
+}
 INTEGER_OPERATORS = {getattr(operator, name): name for name in ("add", "sub", "mul", "and_", "or_")}
 INTEGER_OPERATORS |= {operator.lshift: "shl", operator.rshift: "ashr"}
-COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}  # by names in operator
+# by names in operator
+COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
 LANE_BY_LANE = math.tanh, math.erf, math.erfc, np.tanh
 
 
@@ -24,7 +38,9 @@ def _instruction(of_floats: str, of_integers: str, *sign: str):
     @intrinsic
     def operation(_context, a, b):
         method = of_floats if a.is_float else of_integers
-        return (a.mask if sign else a)(a, b), emitting(lambda builder, *pair: getattr(builder, method)(*sign, *pair))
+        return (a.mask if sign else a)(a, b), emitting(
+            lambda builder, *pair: getattr(builder, method)(*sign, *pair)
+        )
 
     return operation
 
@@ -34,18 +50,24 @@ def _function(name: str):
 
     @intrinsic
     def one(_context, a):
-        return a(a), emitting(lambda builder, x: call(builder, f"llvm.{name}.{a.suffix}", x.type, [x]))
+        return a(a), emitting(
+            lambda builder, x: call(builder, f"llvm.{name}.{a.suffix}", x.type, [x])
+        )
 
     return one
 
 
-_square_root, _magnitude, _floor = _function("sqrt"), _function("fabs"), _function("floor")
+_square_root = _function("sqrt")
+_magnitude = _function("fabs")
+_floor = _function("floor")
 
 
 @intrinsic
 def _multiply_add(_context, a, b, c):
     suffix = a.suffix if isinstance(a, Vector) else f"f{a.bitwidth}"
-    return a(a, b, c), emitting(lambda builder, *abc: call(builder, f"llvm.fmuladd.{suffix}", abc[0].type, abc))
+    return a(a, b, c), emitting(
+        lambda builder, *abc: call(builder, f"llvm.fmuladd.{suffix}", abc[0].type, abc)
+    )
 
 
 def fma(a, b, c):
@@ -102,11 +124,17 @@ def _bind_choice(function, beats) -> None:
     def of_vectors(a, b):
         if isinstance(a, Vector):
             return lambda a, b: select(beats(a, b), a, broadcast(b, a))
-        return (lambda a, b: select(beats(b, a), b, broadcast(a, b))) if isinstance(b, Vector) else None
+        return (
+            (lambda a, b: select(beats(b, a), b, broadcast(a, b)))
+            if isinstance(b, Vector)
+            else None
+        )
 
 
 for _operator in FLOAT_OPERATORS | INTEGER_OPERATORS:
-    _operation = _instruction(FLOAT_OPERATORS.get(_operator, ""), INTEGER_OPERATORS.get(_operator, ""))
+    _operation = _instruction(
+        FLOAT_OPERATORS.get(_operator, ""), INTEGER_OPERATORS.get(_operator, "")
+    )
     _bind(_operator, _operation)
     _bind(getattr(operator, f"i{_operator.__name__.rstrip('_')}"), _operation)  # a += b
 for _name, _sign in COMPARISONS.items():

@@ -25,10 +25,14 @@ COSINE = tuple((-1.0) ** k / math.factorial(2 * k) for k in range(9))
 ARCTANGENT = tuple((-1.0) ** k / (2 * k + 1) for k in range(1, 11))
 EXPONENTIAL = tuple(1.0 / math.factorial(k) for k in range(2, 15))
 LOGARITHM = tuple(2.0 / (2 * k + 1) for k in range(1, 12))
-EIGHTH, MIDDLE = math.tan(math.pi / 8.0), (math.tan(math.pi / 16.0), math.tan(3.0 * math.pi / 16.0))
-LEAST, MOST = float(np.finfo(np.float64).tiny), float(np.finfo(np.float64).max)
+EIGHTH = math.tan(math.pi / 8.0)
+MIDDLE = (math.tan(math.pi / 16.0), math.tan(3.0 * math.pi / 16.0))
+LEAST = float(np.finfo(np.float64).tiny)
+MOST = float(np.finfo(np.float64).max)
 # float64: the exponent follows on 52 bits of the mantissa, and is that of a number from 1 to 2 if it is 1023
-MANTISSA, ONE, BIAS = (1 << 52) - 1, 1023 << 52, 1023
+MANTISSA = (1 << 52) - 1
+ONE = 1023 << 52
+BIAS = 1023
 
 
 def polynomial(t, c):
@@ -44,7 +48,9 @@ def _polynomial(t, c):
     if len(c) == 2:
         return lambda t, c: fma(t, c[1], c[0])
     if len(c) > 5:  # four at once: the compiler, which calls itself, must not go too deep
-        return lambda t, c: fma(t, fma(t, fma(t, fma(t, polynomial(t, c[4:]), c[3]), c[2]), c[1]), c[0])
+        return lambda t, c: fma(
+            t, fma(t, fma(t, fma(t, polynomial(t, c[4:]), c[3]), c[2]), c[1]), c[0]
+        )
     return lambda t, c: fma(t, polynomial(t, c[1:]), c[0])
 
 
@@ -53,8 +59,10 @@ def _sine(x, shift):
     """sin(x + shift π/2)."""
     k = np.floor(x * (1.0 / HALF_PI) + 0.5)
     r = fma(k, -REST_OF_PI, fma(k, -HALF_PI, x))
-    k, z = k + shift, r * r
-    half, quarter = 0.5 * k, 0.25 * k
+    k = k + shift
+    z = r * r
+    half = 0.5 * k
+    quarter = 0.25 * k
     one = select(half == np.floor(half), fma(r * z, polynomial(z, SINE), r), polynomial(z, COSINE))
     return select(quarter - np.floor(quarter) < 0.5, one, -one)
 
@@ -75,10 +83,14 @@ def cosine(x):
 def arctangent(y, x):
     """The angle of (x, y), both finite, to the x axis, from −π to π; 0 for (0, 0)."""
     is_steep = abs(y) > abs(x)
-    rise, run = select(is_steep, abs(x), abs(y)), select(is_steep, abs(y), abs(x))
-    is_wide, is_middle = rise > MIDDLE[1] * run, rise > MIDDLE[0] * run
+    rise = select(is_steep, abs(x), abs(y))
+    run = select(is_steep, abs(y), abs(x))
+    is_wide = rise > MIDDLE[1] * run
+    is_middle = rise > MIDDLE[0] * run
     slope = select(is_wide, broadcast(1.0, x), select(is_middle, broadcast(EIGHTH, x), 0.0))
-    start = select(is_wide, broadcast(0.5 * HALF_PI, x), select(is_middle, broadcast(0.25 * HALF_PI, x), 0.0))
+    start = select(
+        is_wide, broadcast(0.5 * HALF_PI, x), select(is_middle, broadcast(0.25 * HALF_PI, x), 0.0)
+    )
     q = fma(run, -slope, rise) / fma(rise, slope, run)
     q = select(run == 0.0, rise, q)
     angle = start + fma(q * (q * q), polynomial(q * q, ARCTANGENT), q)
@@ -107,13 +119,17 @@ def _power_of_two(k):
 def logarithm(x):
     """ln x; −∞ for 0, no number for x < 0."""
     bits = bits_of(x)
-    k, m = as_floats((bits >> 52) - BIAS), float_of((bits & MANTISSA) | ONE)
+    k = as_floats((bits >> 52) - BIAS)
+    m = float_of((bits & MANTISSA) | ONE)
     is_large = m > math.sqrt(2.0)
-    k, m = select(is_large, k + 1.0, k), select(is_large, 0.5 * m, m)
+    k = select(is_large, k + 1.0, k)
+    m = select(is_large, 0.5 * m, m)
     s = (m - 1.0) / (m + 1.0)
     z = s * s
     log = fma(k, LN_2, 2.0 * s + fma(s * z, polynomial(z, LOGARITHM), k * REST_OF_LN_2))
-    return select(x >= LEAST, select(x <= MOST, log, x), select(x >= 0.0, broadcast(-math.inf, x), math.nan))
+    return select(
+        x >= LEAST, select(x <= MOST, log, x), select(x >= 0.0, broadcast(-math.inf, x), math.nan)
+    )
 
 
 _OPERATIONS = {"sin": sine, "cos": cosine, "exp": exponential, "log": logarithm}

@@ -25,7 +25,8 @@ class Vector(types.Type):
     """The Numba type of `lanes` numbers of type `element`: float64, float32, an integer, or boolean for a mask."""
 
     def __init__(self, element: types.Integer | types.Float | types.Boolean, lanes: int) -> None:
-        self.element, self.lanes = element, lanes
+        self.element = element
+        self.lanes = lanes
         super().__init__(name=f"Vector({element}, {lanes})")
         self.is_float = isinstance(element, types.Float)
 
@@ -82,21 +83,27 @@ def zeros(_context, lanes):
 def bits_from_mask(_context, mask):
     """A mask as an int64 whose bit k is lane k; zero if no lane is set."""
     bits, int64 = ir.IntType(mask.lanes), ir.IntType(64)
-    return types.int64(mask), emitting(lambda builder, value: builder.zext(builder.bitcast(value, bits), int64))
+    return types.int64(mask), emitting(
+        lambda builder, value: builder.zext(builder.bitcast(value, bits), int64)
+    )
 
 
 @intrinsic
 def trailing_zeros(_context, bits):
     """The number of the lowest bit of an uint64 that is set; 64 if none is."""
     zero_is_defined = ir.Constant(ir.IntType(1), 0)
-    return types.uint64(types.uint64), emitting(lambda builder, value: builder.cttz(value, zero_is_defined))
+    return types.uint64(types.uint64), emitting(
+        lambda builder, value: builder.cttz(value, zero_is_defined)
+    )
 
 
 @intrinsic
 def as_floats(_context, whole):
     """A vector of int64 as one of float64."""
     kind = Vector(types.float64, whole.lanes)
-    return kind(whole), lambda context, builder, _, values: builder.sitofp(values[0], context.get_value_type(kind))
+    return kind(whole), lambda context, builder, _, values: builder.sitofp(
+        values[0], context.get_value_type(kind)
+    )
 
 
 def _with_bits_of(other: types.Number):
@@ -105,12 +112,15 @@ def _with_bits_of(other: types.Number):
     @intrinsic
     def one(_context, x):
         kind = Vector(other, x.lanes) if isinstance(x, Vector) else other
-        return kind(x), lambda context, builder, _, values: builder.bitcast(values[0], context.get_value_type(kind))
+        return kind(x), lambda context, builder, _, values: builder.bitcast(
+            values[0], context.get_value_type(kind)
+        )
 
     return one
 
 
-bits_of, float_of = _with_bits_of(types.int64), _with_bits_of(types.float64)
+bits_of = _with_bits_of(types.int64)
+float_of = _with_bits_of(types.float64)
 
 
 @intrinsic
@@ -118,10 +128,13 @@ def total(_context, vector):
     """The sum of all lanes: the upper half is added to the lower one until one number is left."""
 
     def generate(context, builder, signature, arguments):
-        value, lanes = arguments[0], vector.lanes
+        value = arguments[0]
+        lanes = vector.lanes
         while lanes > 1:
             lanes //= 2
-            halves = [_some_lanes(builder, value, range(start, start + lanes)) for start in (0, lanes)]
+            halves = [
+                _some_lanes(builder, value, range(start, start + lanes)) for start in (0, lanes)
+            ]
             value = (builder.fadd if vector.is_float else builder.add)(*halves)
         return builder.extract_element(value, INT32(0))
 
@@ -131,7 +144,9 @@ def total(_context, vector):
 @intrinsic
 def lane(_context, vector, k):
     """The number in lane k."""
-    return vector.element(vector, k), emitting(lambda builder, *values: builder.extract_element(*values))
+    return vector.element(vector, k), emitting(
+        lambda builder, *values: builder.extract_element(*values)
+    )
 
 
 @intrinsic
@@ -163,7 +178,9 @@ def store(_context, array, index, vector):
     """Write a vector to contiguous elements of a one-dimensional array, from index."""
 
     def generate(context, builder, signature, arguments):
-        written = builder.store(arguments[2], _pointer_to(context, builder, array, arguments, vector))
+        written = builder.store(
+            arguments[2], _pointer_to(context, builder, array, arguments, vector)
+        )
         written.align = array.dtype.bitwidth // 8
         return context.get_dummy_value()
 
@@ -194,20 +211,27 @@ def call(builder, name, result, arguments):
 def _pointer_to(context, builder, kind, arguments, vector):
     """The address of an element, as that of a vector.  arguments : an array of type kind, and an index, as values."""
     data = context.make_array(kind)(context, builder, arguments[0]).data
-    return builder.bitcast(builder.gep(data, [arguments[1]]), context.get_value_type(vector).as_pointer())
+    return builder.bitcast(
+        builder.gep(data, [arguments[1]]), context.get_value_type(vector).as_pointer()
+    )
 
 
 @scalar
 def loaded(blocks, start, lanes):
     """The vectors x, y, z of a block, from index start on."""
     n = np.uintp(count(lanes))
-    return load(blocks, start, lanes), load(blocks, start + n, lanes), load(blocks, start + n + n, lanes)
+    return (
+        load(blocks, start, lanes),
+        load(blocks, start + n, lanes),
+        load(blocks, start + n + n, lanes),
+    )
 
 
 @scalar
 def stored(blocks, start, xyz):
     """Write the vectors x, y, z of a block."""
-    (x, y, z), n = xyz, np.uintp(count(xyz[0]))
+    x, y, z = xyz
+    n = np.uintp(count(xyz[0]))
     store(blocks, start, x)
     store(blocks, start + n, y)
     store(blocks, start + n + n, z)
@@ -219,7 +243,9 @@ def gathered(table, numbers, start, lanes):
     x = y = z = zeros(lanes)
     for k in range(count(lanes)):
         i = np.uintp(numbers[start + k])
-        x, y, z = with_lane(x, k, table[i, 0]), with_lane(y, k, table[i, 1]), with_lane(z, k, table[i, 2])
+        x = with_lane(x, k, table[i, 0])
+        y = with_lane(y, k, table[i, 1])
+        z = with_lane(z, k, table[i, 2])
     return x, y, z
 
 
@@ -228,13 +254,17 @@ def loaded_columns(columns, start, lanes):
     """A vector of each of a tuple of columns, from index start on; unrolled by the compiler."""
     if len(columns) == 0:
         return lambda columns, start, lanes: ()
-    return lambda columns, start, lanes: (load(columns[0], start, lanes),) + loaded_columns(columns[1:], start, lanes)
+    return lambda columns, start, lanes: (
+        (load(columns[0], start, lanes),) + loaded_columns(columns[1:], start, lanes)
+    )
 
 
 BITS = 64  # of a number
 REGISTERS = {"zmm": 512, "ymm": 256}  # names in assembly of registers with more than 128 bits
-PROBE = ("define <8 x double> @sum(<8 x double> %a, <8 x double> %b) "
-         "{\n  %c = fadd <8 x double> %a, %b\n  ret <8 x double> %c\n}")  # fmt: skip
+PROBE = (
+    "define <8 x double> @sum(<8 x double> %a, <8 x double> %b) "
+    "{\n  %c = fadd <8 x double> %a, %b\n  ret <8 x double> %c\n}"
+)
 
 
 class Lanes4(namedtuple("Lanes4", "")):
@@ -271,7 +301,10 @@ def register_bits() -> int:
     triple, name, features = cpu_target.target_context.codegen().magic_tuple()
     machine = llvm.Target.from_triple(triple).create_target_machine(cpu=name, features=features)
     assembly = machine.emit_assembly(llvm.parse_assembly(PROBE))
-    return next((bits for register, bits in REGISTERS.items() if re.search(rf"%{register}\d", assembly)), 128)
+    return next(
+        (bits for register, bits in REGISTERS.items() if re.search(rf"%{register}\d", assembly)),
+        128,
+    )
 
 
 @functools.cache

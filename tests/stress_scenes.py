@@ -51,10 +51,8 @@ def rigid_ring(n_atoms=12):
 
 
 def forces_of(system, potentials, **options):
-    """Forces, with energy and virial, under some Options."""
-    forces = md.Forces(system, potentials, Options(**options))
-    forces.compute(TOTALS)
-    return forces
+    """Forces, energy and virial, under some Options."""
+    return md.Forces(system, potentials, Options(**options)).compute(TOTALS)
 
 
 def made(system, potentials, timestep, constraints=None, method=md.VelocityVerlet, temperature=None, **options):

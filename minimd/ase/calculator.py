@@ -10,7 +10,7 @@ from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import ArrayLike
 
 from minimd.core.forces.contacts import why_not_finite
-from minimd.core.forces.forces import Forces, Potential
+from minimd.core.forces.forces import Forces, ForceSums, Potential
 from minimd.core.forces.options import Options, Precision
 from minimd.core.potentials.term import PER_ATOM, TOTALS
 from minimd.core.structure.ase_atoms import (
@@ -100,15 +100,15 @@ class Calculator(ASECalculator):
         super().calculate(atoms, list(properties), list(system_changes))
         per_atom = bool({"energies", "stresses"} & set(properties))
         forces = self._forces_at(self.atoms)
-        forces.compute(PER_ATOM if per_atom else TOTALS)
-        if not (np.isfinite(forces.potential_energy) and np.isfinite(forces.forces).all()):
+        sums = forces.compute(PER_ATOM if per_atom else TOTALS)
+        if not (np.isfinite(sums.potential_energy) and np.isfinite(sums.forces).all()):
             why = why_not_finite(forces.system, forces.potentials)
             raise NonFiniteError(f"forces or energies are not finite: {why}")
-        self.results = _results(self.atoms, forces)
+        self.results = _results(self.atoms, sums)
         if per_atom:
             volume = volume_of(self.atoms)
-            self.results |= {"energies": forces.energies} | (
-                {"stresses": -forces.virials / volume} if volume else {}
+            self.results |= {"energies": sums.energies} | (
+                {"stresses": -sums.virials / volume} if volume else {}
             )
 
     def check_state(self, atoms: Atoms, tol: float = 1e-15) -> list[str]:
@@ -120,10 +120,10 @@ class Calculator(ASECalculator):
             else [*changes, "numbers"]
         )
 
-    def adopt(self, atoms: Atoms, forces: Forces) -> None:
-        """Take over energy, forces and stress of these atoms from Forces with the same potentials, just computed."""
+    def adopt(self, atoms: Atoms, sums: ForceSums) -> None:
+        """Take over energy, forces and stress of these atoms, computed elsewhere with the same potentials."""
         self.atoms = atoms.copy()
-        self.results = _results(atoms, forces)
+        self.results = _results(atoms, sums)
 
     def _forces_at(self, atoms: Atoms) -> Forces:
         """The Forces on these atoms: those of the last call and their list, if only positions or cell have changed."""
@@ -147,13 +147,11 @@ class Calculator(ASECalculator):
         return self.__dict__ | {"_plan": None}
 
 
-def _results(atoms: Atoms, forces: Forces) -> dict[str, Any]:
-    """Energy, forces and, if there is a volume, stress of the last compute with TOTALS or PER_ATOM."""
-    energy = forces.potential_energy
+def _results(atoms: Atoms, sums: ForceSums) -> dict[str, Any]:
+    """Energy, forces and, if there is a volume, stress."""
+    energy = sums.potential_energy
     volume = volume_of(atoms)
-    results = {"energy": energy, "free_energy": energy, "forces": forces.forces.copy()}
-    return (
-        results | {"stress": -full_3x3_to_voigt_6_stress(forces.virial) / volume}
-        if volume
-        else results
-    )
+    results = {"energy": energy, "free_energy": energy, "forces": sums.forces.copy()}
+    if volume:
+        results["stress"] = -full_3x3_to_voigt_6_stress(sums.virial) / volume
+    return results

@@ -111,7 +111,7 @@ class MinimdSteps(MolecularDynamics):
             atoms.positions[:] = engine.positions
             atoms.set_momenta(_momenta(engine), apply_constraint=False)
         if isinstance(atoms.calc, Calculator):
-            atoms.calc.adopt(atoms, engine.interactions)
+            atoms.calc.adopt(atoms, engine.sums)
 
     def _count_heat(self, energy: float) -> None:
         """Take notice of the energy [eV] that the bath has given to the atoms."""
@@ -139,10 +139,10 @@ class MinimdSteps(MolecularDynamics):
         engine.positions[:] = atoms.positions
         if not np.array_equal(atoms.get_momenta(), _momenta(engine)):
             engine.velocities[:] = atoms.get_velocities()
-        is_same_run = engine.is_as_left and not is_new_run
+        is_same_run = engine.enter() and not is_new_run
         if not isinstance(atoms.calc, Calculator):
             # its parameters may have changed: it is called again, and answers at once if they have not
-            engine.moved()
+            engine.changed()
         return self._guard, is_same_run
 
     def _new_guard(self, atoms: Atoms) -> RunGuard:

@@ -494,8 +494,7 @@ def _stand(job: Job, box: Box, step: int, columns: Array) -> None:
     )
     engine.velocities[:] = velocities
     engine.count(step - engine.step)
-    engine.moved()
-    engine.fit_images()
+    engine.enter()
     # velocities of SHAKE have a component along the bonds
     engine.constraint_set.project(engine.velocities, engine.positions)
 

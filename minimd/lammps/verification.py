@@ -116,12 +116,12 @@ def evaluated(engine: Engine, system: System) -> Evaluated:
     for potential in engine.interactions.potentials:
         with quiet():
             alone = Forces(system, potential, options)
-        alone.compute(PER_ATOM)
-        own = alone.energies
+        sums = alone.compute(PER_ATOM)
+        own = sums.energies
         tail = alone.tail_corrections()
         energies += own - tail[0] / n
-        each += alone.forces
-        virials += alone.virials - np.repeat([tail[1] / (3.0 * n), 0.0], 3)
+        each += sums.forces
+        virials += sums.virials - np.repeat([tail[1] / (3.0 * n), 0.0], 3)
         lengths.append(alone.largest_cutoff)
         n_idle += not (own != tail[0] / n).any()
     return Evaluated(

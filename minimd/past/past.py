@@ -218,12 +218,12 @@ def go_to(simulation: Simulation, file: str | Path, contents: H5MDContents, fram
     engine.restore(
         Snapshot(
             at.step, at.time, at.positions, at.velocities, reservoir, contents.restart.state.clock
-        )
+        ),
+        is_whole=True,
     )
     if (grid := engine.interactions.grid) is not None:
         # takes off the rounding of the units of files
         grid.take(engine.system, engine.constraint_set.inverse_masses)
-    engine.is_whole = True
     engine.leave()
     if (found := observe(engine)).observables["total_energy"] != record.total_energy[frame]:
         _refuse(file, at.step)

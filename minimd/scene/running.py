@@ -160,7 +160,7 @@ def resume_run(
             )
             tell("               scene in the file; the run goes on with the method of these steps")
         else:
-            simulation.engine.moved()
+            simulation.engine.changed()
     if given is None and (changed := other_potentials(contents.potentials, simulation.potentials)):
         those = f"the run goes on with those of the scene: {changed}"
         tell(

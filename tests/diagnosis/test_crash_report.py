@@ -125,7 +125,7 @@ def test_file_holds_the_last_good_state_and_loses_nothing(tmp_path, monkeypatch)
     seen, simulation = [], melt(BIG_STEP)
 
     def noted(engine, failure):
-        seen.append(engine.interactions.energies.copy())
+        seen.append(engine.sums.energies.copy())
         return examine(engine, failure)
 
     monkeypatch.setattr("minimd.core.diagnosis.run_guard.examine", noted)

@@ -234,12 +234,17 @@ def test_displacements_of_rigid_molecules_are_those_beside_the_motion_of_their_c
     looking, volume = md.observers.MeanSquareDisplacement(every=1), engine.system.volume
     parts = engine.barostat, engine.system, engine.interactions, engine.constraint_set, engine.method
     rescaling = rescaling_of(*parts, holds_center=False)
-    follow = lambda: (engine.moved(), engine.interactions.follow(), engine.evaluate())  # noqa: E731
+
+    def follow():
+        engine.interactions.follow()
+        engine.enter()
+        return engine.evaluate()
+
     looking.prepare(engine)
-    engine.evaluate()
     for _ in range(4):
+        sums = engine.evaluate()
         looking.observe(engine)
-        rescaling.apply(engine.method, engine.step, engine.surroundings.bath, follow)
+        rescaling.apply(engine.method, engine.step, engine.surroundings.bath, sums, follow)
         engine.count(1)
     assert abs(engine.system.volume / volume - 1.0) > 1e-5
     assert looking.result().msd == pytest.approx(0.0, abs=1e-24)  # rounding

@@ -197,7 +197,7 @@ def test_forces_and_energies_are_those_of_float64_to_the_steps_of_the_grid(scene
     of_energy = GRID.energy * np.sqrt((len(pairs) + len(here.bonds) + len(here.angles)) / 12.0)
     error = abs(frame.observables["potential_energy"] - exact.potential_energy)
     assert error <= 4.0 * of_energy + 1e-15 * abs(exact.potential_energy)  # statistics and rounding
-    assert rounded.engine.interactions.virial == pytest.approx(exact.virial, rel=1e-10, abs=1e-9)
+    assert rounded.engine.sums.virial == pytest.approx(exact.virial, rel=1e-10, abs=1e-9)
 
 
 def test_a_grid_is_chosen_from_the_scene_and_widened_with_it():

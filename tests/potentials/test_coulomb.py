@@ -163,16 +163,15 @@ def test_charges_and_another_law_are_one_pass_on_both_lists_and_any_number_of_th
         lj = md.LennardJones({"Na": (0.1, 0.7), "Cl": (0.2, 0.9)}, cutoff=cutoff)
         alone = [md.evaluate(system, one) for one in (lj, charges)]
         one, other = (md.Forces(system, [lj, charges], Options(threads=threads)) for threads in (1, 2))
-        for forces in (one, other):
-            forces.compute(TOTALS)
+        sums, by_two = (forces.compute(TOTALS) for forces in (one, other))
         assert [words for words in ("cluster list", method) if words not in one.pair_search] == []
         assert isinstance(one.terms[0]._pair_laws.members[0].law, ChargedLaw) == is_one
-        assert np.array_equal(one.forces, other.forces)
-        assert one.potential_energy == other.potential_energy
+        assert np.array_equal(sums.forces, by_two.forces)
+        assert sums.potential_energy == by_two.potential_energy
         with monkeypatch.context() as patched:
             patched.setattr(PairLaws, "fit_clusters", lambda *_: False)
             listed = md.evaluate(system, [lj, charges])
-        for found in (one, listed):
+        for found in (sums, listed):
             assert found.forces == pytest.approx(alone[0].forces + alone[1].forces, rel=1e-12, abs=1e-12)
             expected = alone[0].potential_energy + alone[1].potential_energy
             assert found.potential_energy == pytest.approx(expected, rel=1e-12)
@@ -218,17 +217,15 @@ def test_the_sum_follows_the_cell(method):
     """As the barostat strains it: the same as a new scene in that cell, as long as waves have room, and beyond."""
     system, coulomb = salt(cell=TRICLINIC), md.Coulomb(1.9, 1e-10 if method == "mesh" else 1e-5, method=method)
     forces = md.Forces(system, coulomb)
-    forces.compute(TOTALS)
+    forces.compute(TOTALS)  # in the first cell
     for stretch in (1.01, 1.05, 1.3, 0.8):
         system.positions[:] *= stretch
         system.cell = md.Cell.of(system.cell.vectors * stretch)
         forces.follow()
-        forces.compute(TOTALS)
-        anew = md.Forces(system, coulomb)
-        anew.compute(TOTALS)
-        assert forces.potential_energy == pytest.approx(anew.potential_energy, rel=1e-12)
-        assert forces.forces == pytest.approx(anew.forces, rel=1e-10, abs=1e-11)
-        assert forces.virial == pytest.approx(anew.virial, rel=1e-10, abs=1e-10)
+        sums, anew = forces.compute(TOTALS), md.Forces(system, coulomb).compute(TOTALS)
+        assert sums.potential_energy == pytest.approx(anew.potential_energy, rel=1e-12)
+        assert sums.forces == pytest.approx(anew.forces, rel=1e-10, abs=1e-11)
+        assert sums.virial == pytest.approx(anew.virial, rel=1e-10, abs=1e-10)
         assert anew.forces.sum(axis=0) == pytest.approx(0.0, abs=1e-12)
 
 
@@ -236,17 +233,16 @@ def test_forces_of_a_coarse_mesh_are_the_gradient_of_its_energy_and_its_virial_t
     """By differences; also shares of atoms add up. Forces lack their sum: the center of mass stays where it is."""
     system, way = salt(cell=TRICLINIC), np.random.default_rng(3).normal(size=(216, 3))
     forces, here = md.Forces(system, md.Coulomb(1.9, 1e-2, method="mesh")), system.positions.copy()
-    forces.compute(PER_ATOM)
-    slope, virial = -(forces.forces * (way - way.mean(axis=0))).sum(), np.trace(forces.virial)
-    assert forces.energies.sum() == pytest.approx(forces.potential_energy, rel=1e-13)
-    assert forces.virials.sum(axis=0)[:3].sum() == pytest.approx(virial, rel=1e-12)
+    sums = forces.compute(PER_ATOM)
+    slope, virial = -(sums.forces * (way - way.mean(axis=0))).sum(), np.trace(sums.virial)
+    assert sums.energies.sum() == pytest.approx(sums.potential_energy, rel=1e-13)
+    assert sums.virials.sum(axis=0)[:3].sum() == pytest.approx(virial, rel=1e-12)
     energies = []
     for step, stretch in ((-1e-5, 1.0), (1e-5, 1.0), (0.0, 1.0 - 1e-5), (0.0, 1.0 + 1e-5)):
         system.positions[:] = stretch * (here + step * (way - way.mean(axis=0)))
         system.cell = md.Cell.of(6.0 * stretch * np.array(TRICLINIC))
         forces.follow()
-        forces.compute(TOTALS)
-        energies.append(forces.potential_energy)
+        energies.append(forces.compute(TOTALS).potential_energy)
     assert (energies[1] - energies[0]) / 2e-5 == pytest.approx(slope, rel=1e-7)
     assert (energies[2] - energies[3]) / 2e-5 == pytest.approx(virial, rel=1e-6)
 

@@ -131,9 +131,7 @@ def test_force_is_minus_the_gradient(name, cell):
 @pytest.mark.parametrize(("name", "cell"), INTERNAL + EXTERNAL)
 def test_energy_and_virial_are_those_of_the_atoms(name, cell):
     system, potential, found = scene(name, cell)
-    totals, of_atoms = (md.Forces(system, potential) for _ in range(2))
-    totals.compute(TOTALS)
-    of_atoms.compute(PER_ATOM)
+    totals, of_atoms = (md.Forces(system, potential).compute(detail) for detail in (TOTALS, PER_ATOM))
     assert found.energies.sum() == pytest.approx(found.potential_energy, rel=1e-13, abs=1e-13)  # rounding
     assert totals.potential_energy == pytest.approx(of_atoms.energies.sum(), rel=1e-13, abs=1e-13)
     assert np.trace(totals.virial) == pytest.approx(of_atoms.virials[:, :3].sum(), rel=1e-12, abs=1e-12)
@@ -208,7 +206,6 @@ def test_fields_act_from_outside_and_on_all_images_alike(name, cell):
 def test_power_is_what_time_alone_does_to_the_energy(name):
     forces, energies, h = md.Forces(chain(), POTENTIALS[name]), [], 1e-5
     for forces.time in (0.3 - h, 0.3 + h, 0.3):
-        forces.compute(TOTALS)
-        energies.append(forces.potential_energy)
+        energies.append(forces.compute(TOTALS).potential_energy)
     assert forces.power == pytest.approx((energies[1] - energies[0]) / (2.0 * h), rel=1e-7)  # truncation
     assert abs(forces.power) > 0.1

@@ -36,10 +36,9 @@ class Weight:
 def test_a_term_needs_nothing_but_add(argon):
     system = argon.system
     alone, both = md.Forces(system, LJ), md.Forces(system, [LJ, Weight()])
-    for forces in (alone, both):
-        forces.compute(1)
-    assert both.forces[:, 2] == pytest.approx(alone.forces[:, 2] - 1.0, abs=1e-12)
-    assert both.potential_energy == pytest.approx(alone.potential_energy + system.positions[:, 2].sum(), rel=1e-12)
+    own, sums = alone.compute(1), both.compute(1)
+    assert sums.forces[:, 2] == pytest.approx(own.forces[:, 2] - 1.0, abs=1e-12)
+    assert sums.potential_energy == pytest.approx(own.potential_energy + system.positions[:, 2].sum(), rel=1e-12)
     assert (both.pair_search, both.largest_cutoff) == (alone.pair_search, alone.largest_cutoff)
     assert md.Simulation(system, [LJ, Weight()], md.VelocityVerlet(0.001)).run(2, progress=False).n_atoms == len(system)
 

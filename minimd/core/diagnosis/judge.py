@@ -144,9 +144,7 @@ class Evidence:
         """The atoms on which the largest force acts, the fastest one, the closest two, those without finite numbers."""
         engine = self.engine
         pair = self.closest[:2] if self.closest else ()
-        is_finite = np.isfinite(engine.forces).all(axis=1) & np.isfinite(
-            engine.interactions.energies
-        )
+        is_finite = np.isfinite(engine.forces).all(axis=1) & np.isfinite(engine.sums.energies)
         known = (
             longest(engine.forces)[0],
             longest(engine.velocities)[0],
@@ -305,7 +303,7 @@ def no_pair_in_reach(evidence: Evidence) -> Verdict | None:
         for one in interactions.potentials
         if isinstance(one, Nonbonded) and one.cutoff < np.inf
     ]
-    if not cutoffs or interactions.potential_energy != 0.0 or evidence.engine.forces.any():
+    if not cutoffs or evidence.engine.potential_energy != 0.0 or evidence.engine.forces.any():
         return None
     if evidence.closest is None or evidence.closest.distance <= max(cutoffs):
         return None
@@ -465,7 +463,7 @@ def thrown_at_start(evidence: Evidence) -> Verdict | None:
     accelerations = np.einsum("i,i->i", engine.constraint_set.inverse_masses, sizes)
     atom = int(np.argmax(accelerations))
     distance = float(accelerations[atom]) * evidence.timestep**2
-    if not (np.isfinite(distance) and np.isfinite(engine.interactions.potential_energy)):
+    if not (np.isfinite(distance) and np.isfinite(engine.potential_energy)):
         return Verdict("forces or energies are not finite")
     if distance <= engine.interactions.largest_cutoff:
         return None
@@ -760,7 +758,7 @@ def runaway(
     make in a step."""
     system = engine.system
     kinetic = engine.kinetic_energy
-    potential = engine.interactions.potential_energy
+    potential = engine.potential_energy
     with np.errstate(over="ignore"):  # infinite for time steps that nobody needs
         pace = np.spacing(largest_component(system.positions)) / engine.method.timestep
         rounding = system.masses.sum() * np.square(pace)

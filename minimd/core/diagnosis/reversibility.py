@@ -98,7 +98,6 @@ def make_steps_back(guard: RunGuard, n_steps: int) -> None:
 def turn(engine: Engine) -> None:
     """Reverse all velocities; zeros keep their sign."""
     engine.velocities[:] = 0.0 - engine.velocities
-    engine.turned()
 
 
 def probe(guard: RunGuard, n_steps: int) -> Reversibility:

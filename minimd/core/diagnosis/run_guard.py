@@ -106,9 +106,7 @@ class RunGuard:
         engine.interactions.check_resolution()
         if not self._checked_timestep:
             engine.interactions.check_forces(engine.time)
-        goes_on = engine.is_as_left
-        if not goes_on:
-            engine.begin()
+        if not engine.begin():
             engine.interactions.fit_skin(
                 longest(engine.velocities)[1] * abs(engine.method.timestep)
             )
@@ -116,14 +114,12 @@ class RunGuard:
         engine.prepare()
         if is_same_run:
             kinetic = engine.kinetic_energy
-            potential = engine.interactions.potential_energy
+            potential = engine.potential_energy
             if not abs(kinetic + potential - self._seen[1]) <= SAME_ENERGY * (
                 kinetic + abs(potential)
             ):
                 # another energy than at the last look, although nothing has moved since
                 self.forget()
-        if not goes_on:
-            engine.leave()
         if self._checked_timestep != engine.method.timestep:
             self._checked_timestep = engine.method.timestep
             for hint in hints(engine):
@@ -162,7 +158,6 @@ class RunGuard:
         self._before = before = engine.snapshot()
         if is_due:
             self._snapshots.append(before)
-        is_whole, engine.is_whole = engine.is_whole, False  # until the steps are counted
         started = perf_counter()
         compiled = compile_clock.seconds
         self._reason = None
@@ -178,7 +173,6 @@ class RunGuard:
         if fault_of(engine):
             self._replay(before, n_steps, FAILED_AS_BLOCK)
         self._count(done)
-        engine.is_whole = is_whole
         if engine.surroundings.stop_requested:
             engine.leave()
             raise KeyboardInterrupt(f"stopped after step {engine.step}")
@@ -203,11 +197,11 @@ class RunGuard:
                 self._reason, fault = reason, fault_of(engine) or words
             if fault:
                 at = engine.positions.copy()
-                engine.restore(good)
+                engine.restore(good, is_whole=True)
                 raise self._failure(fault, engine.step + 1, at)
             self._count(1)
         step = engine.step
-        engine.restore(before)
+        engine.restore(before, is_whole=True)
         raise self._failure(otherwise, step)
 
     def _count(self, done: int) -> None:
@@ -226,7 +220,7 @@ class RunGuard:
 
     def _fault_of_energy(self) -> str | None:
         """What is wrong with the energies, which must be current; None if they are good."""
-        if not isfinite(self.engine.interactions.potential_energy):
+        if not isfinite(self.engine.potential_energy):
             return "the potential energy is not finite"
         return (
             None
@@ -307,8 +301,6 @@ class RunGuard:
         at : (N, 3), of the failure."""
         engine = self.engine
         reason = self._reason
-        # a good state, worth keeping, although runs from it may be rounded differently
-        engine.is_whole = True
         snapshots = self._snapshots or [engine.snapshot()]
         early = [one for one in snapshots if engine.step - one.step >= LEAST_REPLAY]
         self.failed_from = start = early[-1] if early else snapshots[0]
@@ -319,7 +311,7 @@ class RunGuard:
         report = None
         why = ""
         try:
-            engine.interactions.compute(PER_ATOM)
+            engine.sums = engine.interactions.compute(PER_ATOM)
         except Exception as broken:  # whatever a term of the user's own raises
             why = f"There is no crash report: {type(broken).__name__}: {broken}\n"
         else:

@@ -39,7 +39,7 @@ FAR = 3.0  # standard errors within which a mean counts as that of the barostat
 def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | None) -> Report:
     """See Simulation.report."""
     engine = guard.engine
-    engine.fit_images()
+    engine.enter()
     interactions = engine.interactions
     bonds = engine.constraint_set.bonds
     is_free = engine.conserves_momentum

@@ -50,9 +50,9 @@ def shadow_energy(simulation: HasEngine) -> float:
     Raises ValueError for a method other than velocity Verlet, leapfrog and position Verlet, a bath, and rigid bonds."""
     engine = checked_kind("simulation", simulation, HasEngine, "a Simulation").engine
     check_has_shadow(engine)
-    engine.moved()
+    engine.enter()
     engine.evaluate()
-    return engine.interactions.potential_energy + engine.kinetic_energy + correction(engine)
+    return engine.potential_energy + engine.kinetic_energy + correction(engine)
 
 
 def correction(engine: Engine) -> float:

@@ -191,7 +191,7 @@ class Curvature:
         constraint_set.fit(self._system)
         self._root = np.sqrt(constraint_set.inverse_masses)[:, None]
         self._start = self._system.positions.copy()
-        self._first = forces.compute().copy()
+        self._first = forces.compute().forces.copy()
         self.is_finite = bool(np.isfinite(self._first).all())
         # (pairs, λ) of each group of constraints, for atoms at rest
         self._springs: list[tuple[NDArray[np.int64], Array]] = []
@@ -268,6 +268,6 @@ class Curvature:
     def _forces_at(self, steps: Array, length: float) -> Array:
         try:
             self._system.positions[:] = self._start + length * steps
-            return self._forces.compute().copy()
+            return self._forces.compute().forces.copy()
         finally:
             self._system.positions[:] = self._start

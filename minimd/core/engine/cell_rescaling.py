@@ -7,7 +7,7 @@ import numpy as np
 
 from minimd.core.constraints.constraint_set import ConstraintSet
 from minimd.core.constraints.groups import bodies_of
-from minimd.core.forces.forces import Forces
+from minimd.core.forces.forces import Forces, ForceSums
 from minimd.core.forces.options import FIXED_POINT
 from minimd.core.integrators.barostats import (
     StochasticCellRescaling,
@@ -104,7 +104,6 @@ class CellRescaling:
     ) -> None:
         self.barostat = barostat
         self._system = system
-        self._interactions = interactions
         self._constraints = constraints
         check(system, interactions, constraints)
         self.temperature(method)
@@ -133,17 +132,23 @@ class CellRescaling:
         return step + self.barostat.every - step % self.barostat.every
 
     def apply(
-        self, method: Splitting, noise_number: int, bath: Bath, forces_follow: Callable[[], None]
+        self,
+        method: Splitting,
+        noise_number: int,
+        bath: Bath,
+        sums: ForceSums,
+        forces_follow: Callable[[], ForceSums],
     ) -> None:
-        """Strain the whole scene once; its forces, energy and virial must be current.
+        """Strain the whole scene once.
 
-        noise_number : selects the noise.  forces_follow : called after cell and positions changed, to compute them.
+        noise_number : selects the noise.  sums : forces, energy and virial of the present state.
+        forces_follow : computes them after cell and positions changed.
 
         Raises RangeError for a strain too large, or a cell that nothing holds together; ValueError without a virial.
         """
         duration = self.barostat.every * method.timestep
         thermal = self._system.units.k_B * self.temperature(method)
-        before = self._thermodynamic_state(thermal, bath)
+        before = self._thermodynamic_state(thermal, bath, sums)
         strain = self.barostat.strain(before, duration, noise_number)
         largest = float(np.abs(strain).max())
         if not largest <= LARGEST_STRAIN:
@@ -156,8 +161,7 @@ class CellRescaling:
         if self.barostat.pressure <= 0.0 and before.volume > EVAPORATED * self._first_volume:
             raise RangeError(self._growth(before))
         back = self._move(exponential(strain), bath)
-        forces_follow()
-        after = self._thermodynamic_state(thermal, bath, back)
+        after = self._thermodynamic_state(thermal, bath, forces_follow(), back)
         bath.energy += (
             after.energy
             - before.energy
@@ -175,7 +179,7 @@ class CellRescaling:
         return f"{grown}: the atoms have evaporated, and {why}; {cure}"
 
     def _thermodynamic_state(
-        self, thermal: float, bath: Bath, back: Array | None = None
+        self, thermal: float, bath: Bath, sums: ForceSums, back: Array | None = None
     ) -> ThermodynamicState:
         """The present state.  back : (3, 3) rotation applied to its tensors.
 
@@ -185,12 +189,12 @@ class CellRescaling:
         volume = float(self._system.volume or 0.0)
         moving = system.velocities
         masses = system.masses
-        virial = self._interactions.virial
-        if not np.isfinite(virial).all() and np.isfinite(self._interactions.forces).all():
+        virial = sums.virial
+        if not np.isfinite(virial).all() and np.isfinite(sums.forces).all():
             cure = "take one that does, such as a calculator with a stress"
             raise ValueError(f"a barostat needs the virial, but a potential gives none: {cure}")
         if self._molecules is not None:
-            virial = virial - self._inner_virial()
+            virial = virial - self._inner_virial(sums.forces)
             moving = self._molecules.centers(moving)
             masses = self._molecules.masses
         tensor = momentum_flux(moving, masses) + 0.5 * (virial + virial.T)
@@ -198,17 +202,15 @@ class CellRescaling:
             total = momentum(moving, masses)
             tensor += thermal * np.eye(3) - np.outer(total, total) / masses.sum()
         tensor = tensor if back is None else back @ tensor @ back.T
-        energy = (
-            kinetic_energy(system.velocities, system.masses) + self._interactions.potential_energy
-        )
+        energy = kinetic_energy(system.velocities, system.masses) + sums.potential_energy
         return ThermodynamicState(tensor / volume, volume, energy, thermal)
 
-    def _inner_virial(self) -> Array:
+    def _inner_virial(self, forces: Array) -> Array:
         """Σ (r − R) ⊗ F [energy], (3, 3): the virial of atoms minus that of molecules, without rigid bonds."""
         molecules: Any = self._molecules
         whole = self._system.positions + molecules.whole(self._constraints.bonds)
         inner = whole - molecules.centers(whole)[molecules.bodies.label]
-        return np.einsum("ia,ib->ab", inner, self._interactions.forces)
+        return np.einsum("ia,ib->ab", inner, forces)
 
     def _move(self, stretch: Array, bath: Bath) -> Array | None:
         """Strain cell, positions, velocities by a symmetric (3, 3) matrix; returns the rotation after it, or None."""

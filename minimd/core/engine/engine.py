@@ -14,7 +14,7 @@ from minimd.core.console.quiet import quiet, warn
 from minimd.core.constraints.constraint_set import ConstraintSet
 from minimd.core.constraints.groups import bodies_of
 from minimd.core.engine.cell_rescaling import CellRescaling, check_cell, rescaling_of
-from minimd.core.forces.forces import Forces, Potential
+from minimd.core.forces.forces import Forces, ForceSums, Potential
 from minimd.core.forces.options import FIXED_POINT, Options, described
 from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.integrators.splitting import Splitting
@@ -71,7 +71,8 @@ class Engine:
     interactions : Forces, the sum of all terms.  constraint_set : ConstraintSet.  barostat : or None.
     surroundings : of the method.  noise_shift : step n has the noise with number n + noise_shift.
     extra_observables : names of additional observables.  notes : title and scene, texts for files.
-    is_whole : whether a checkpoint has the bits of the run; false after a state was restored without its lists.
+    is_whole : whether a checkpoint has the bits of the run; false after a state was restored without its lists, and
+        until steps that were made are counted.  sums : ForceSums, of the last evaluation.
     holds_center : whether the center of mass must not move, because atoms with FixCom of ASE were given.
     counts_center : whether it counts as a degree of freedom although nothing moves it, as in ASE's dynamics.
     equilibrated : steps of equilibrations so far: none of them has the noise of another.
@@ -96,6 +97,7 @@ class Engine:
         self.noise_shift = 0
         self.equilibrated = 0
         self.is_whole = True
+        self._whole_when_counted = False
         self.notes = {"title": "", "scene": ""}
         self.extra_observables: Sequence[str] = ()
         self.interactions = Forces(self.system, potentials, options)
@@ -110,7 +112,10 @@ class Engine:
         self._fit_grid()
         self._bath = Bath(k_B=self.system.units.k_B)
         self.surroundings = Surroundings(self.constraint_set.bonds, self._bath)
-        self._left: tuple[int, ...] | None = None
+        # of the state to which forces and images belong, and whether steps can go on from there
+        self._entered: list[int] | None = None
+        self._goes_on = False
+        self.sums = ForceSums(self.interactions.forces)
         self._steps: Steps | None = None
         self._steps_of: tuple[Any, ...] = ()
         self._describe_bath()
@@ -195,7 +200,8 @@ class Engine:
             yield
 
     def _taken(self, with_energy: bool, unit: float) -> None:
-        self.interactions.taken(self.interactions.target(TOTALS if with_energy else FORCES, unit))
+        target = self.interactions.target(TOTALS if with_energy else FORCES, unit)
+        self.sums = self.interactions.taken(target)
 
     def advance(self, n_steps: int, with_energy: bool = True) -> int:
         """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many.
@@ -205,6 +211,9 @@ class Engine:
         Raises NonFiniteError, ConstraintError if a step fails; then the state is invalid: restore a snapshot.
         """
         self._keep_pace()
+        self._entered = None
+        self._whole_when_counted |= self.is_whole
+        self.is_whole = False
         rescaling = self._rescaling
         step = self.step
         end = self.step + n_steps
@@ -225,124 +234,132 @@ class Engine:
     def _rescale_cell(self, rescaling: CellRescaling, step: int) -> None:
         """Contact with the barostat at the end of a step."""
 
-        def forces_follow() -> None:
-            self.moved()
+        def forces_follow() -> ForceSums:
+            self._state.forces_are_current = False
             self.interactions.follow()
-            self._evaluate(step)
+            return self._evaluate(step)
 
-        check_cell(self.system)
-        self.turned()
-        self._evaluate(step)
-        rescaling.apply(self.method, step + self.noise_shift, self._bath, forces_follow)
+        check_cell(self._system)
+        sums = self._evaluate(step)
+        number = step + self.noise_shift
+        rescaling.apply(self._method, number, self._bath, sums, forces_follow)
 
     def prepare(self) -> None:
         """Compile what steps need."""
         self._own_steps.prepare()
 
-    def begin(self) -> None:
-        """Prepare a run: choose images of rigid bonds, project onto the constraints, mark the forces as outdated."""
-        self.moved()
+    def enter(self) -> bool:
+        """Bring forces and images of rigid bonds up to date with a state that may have been changed since leave.
+
+        Returns whether it was not: steps then go on as if there had been no pause.
+        """
+        state = self._digest()
+        if state != self._entered:
+            self._entered = state
+            self._goes_on = False
+            self._state.forces_are_current = False
+            self.constraint_set.fit(self._system)
+            self.surroundings.constraints = self.constraint_set.bonds
+        return self._goes_on
+
+    def begin(self) -> bool:
+        """Enter, to make steps: a changed state is projected onto the constraints. Returns as enter."""
+        if self.enter():
+            return True
+        self._state.forces_are_current = False
         self.is_whole = True
         self._describe_bath()
-        self.constraint_set.begin(self.system)
+        self.constraint_set.begin(self._system)
         self._fit_grid()
         self.surroundings.constraints = self.constraint_set.bonds
-
-    def moved(self) -> None:
-        """Mark the forces as outdated. To be called after atoms were moved or the cell was changed."""
-        self._state.forces_are_current = False
-        self.turned()
-
-    def turned(self) -> None:
-        """Forget what leave has remembered. To be called after velocities were changed."""
-        self._left = None
-
-    def catch_up(self) -> None:
-        """If anything was changed since leave, mark forces as outdated and choose images of rigid bonds again."""
-        if not self.is_as_left:
-            self.moved()
-            self.fit_images()
+        self.leave()
+        return False
 
     def leave(self) -> None:
-        """Remember the state, for is_as_left."""
-        self._left = self._digest()
+        """Remember the state, from which steps can go on, for enter."""
+        self._entered = self._digest()
+        self._goes_on = True
 
-    @property
-    def is_as_left(self) -> bool:
-        """Whether positions, velocities, cell and masses are unchanged since leave."""
-        return self._left is not None and self._left == self._digest()
+    def changed(self) -> None:
+        """Begin anew with the next steps: what enter cannot see, such as a potential, was changed."""
+        self._entered = None
+        self._state.forces_are_current = False
 
-    def _digest(self) -> tuple[int, ...]:
+    def _digest(self) -> list[int]:
         """CRC-32 of each array; a changed array has the same one with a probability of 1 in 4·10⁹."""
-        arrays = (
-            self.positions,
-            self.velocities,
-            self.system.cell.vectors,
-            self.system.cell.pbc,
-            self.system.masses,
-        )
-        return tuple(zlib.crc32(np.ascontiguousarray(array).data) for array in arrays)
+        system = self._system
+        cell = system.cell
+        digest = []
+        for array in (system.positions, system.velocities, system.masses, cell.vectors, cell.pbc):
+            digest.append(zlib.crc32(np.ascontiguousarray(array).data))
+        return digest
 
-    def evaluate(self) -> None:
-        """Compute forces, energy and virial, unless they are current; no bit of the steps to come changes."""
-        self._evaluate(self.step)
+    def evaluate(self) -> ForceSums:
+        """Forces, energy and virial, computed unless they are current; no bit of the steps to come changes."""
+        return self._evaluate(self._step)
 
-    def _evaluate(self, step: int) -> None:
-        if self._state.forces_are_current and self.interactions.has_energy:
-            return
+    def _evaluate(self, step: int) -> ForceSums:
+        if self._state.forces_are_current and self.sums.has_energy:
+            return self.sums
         # the run itself needs no forces here if its next step begins with a drift
-        is_aside = isinstance(next(iter(mechanical(self.method.substeps)), None), Drift)
+        is_aside = isinstance(next(iter(mechanical(self._method.substeps)), None), Drift)
         before = self.interactions.lists_built() if is_aside else ()
         n_builds = self.interactions.n_builds
         self.interactions.time = self._time_at(step)
-        self.interactions.compute(TOTALS, self._state.unit)
+        self.sums = self.interactions.compute(TOTALS, self._state.unit)
         self._state.forces_are_current = True
         self.surroundings.power = self.interactions.power
         if is_aside:
             self.interactions.n_evaluations -= 1  # of an observation, not of a step
         if is_aside and self.interactions.n_builds != n_builds:
             self.interactions.build_lists(before)
-
-    def fit_images(self) -> None:
-        """Choose the images of rigid bonds again: between two runs atoms may have been moved by lattice vectors."""
-        self.constraint_set.fit(self.system)
-        self.surroundings.constraints = self.constraint_set.bonds
+        return self.sums
 
     @contextmanager
     def coasted(self, duration: float) -> Iterator[Array]:
         """Context in which atoms, and the clock of forces, have coasted for a duration [time]; yields (N, 3) forces."""
-        here = self.positions.copy()
-        now = self.interactions.time
-        with self.interactions.set_aside():
-            self.positions[:] += duration * self.velocities
-            self.interactions.time = self.time + duration
-            try:
-                yield self.interactions.compute(FORCES)
-            finally:
-                self.positions[:] = here
-                self.interactions.time = now
+        interactions = self.interactions
+        positions = self.positions.copy()
+        forces = interactions.forces.copy()
+        impulses = interactions.impulses.copy()
+        time = interactions.time
+        self.positions[:] += duration * self.velocities
+        interactions.time = self.time + duration
+        try:
+            yield interactions.compute(FORCES).forces
+        finally:
+            self.positions[:] = positions
+            interactions.forces[:] = forces
+            interactions.impulses[:] = impulses
+            interactions.time = time
 
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""
         arrays = self.positions.copy(), self.velocities.copy()
-        cell = None if self.barostat is None else self.system.cell
+        cell = None if self.barostat is None else self._system.cell
         return Snapshot(
             self.step, self.time, *arrays, self.reservoir_energy, self._clock, self.work, cell
         )
 
-    def restore(self, snapshot: Snapshot) -> None:
-        """Restore the state of a snapshot."""
-        self.moved()
-        self._step, time, self.positions[:], self.velocities[:] = snapshot[:4]
-        self.reservoir_energy, clock, self.work, cell = snapshot[4:]
-        if cell is not None and cell is not self.system.cell:
-            self.constraint_set.follow(self.system.cell, cell)
-            self.system.cell = cell
-        self._clock = clock or (snapshot.step, time)
-        self._pace = self.method.timestep
-        self.is_whole = False
-        if self.time != time:  # counted with the time step of another method
-            self.time = time
+    def restore(self, snapshot: Snapshot, is_whole: bool = False) -> None:
+        """Restore the state of a snapshot.
+        is_whole : whether it is to be kept as a state of the run, although its lists are lost."""
+        self.changed()
+        self.is_whole = is_whole
+        self._whole_when_counted = False
+        self.positions[:] = snapshot.positions
+        self.velocities[:] = snapshot.velocities
+        self.reservoir_energy = snapshot.reservoir_energy
+        self.work = snapshot.work
+        cell = snapshot.cell
+        if cell is not None and cell is not self._system.cell:
+            self.constraint_set.follow(self._system.cell, cell)
+            self._system.cell = cell
+        self._step = snapshot.step
+        self._clock = snapshot.clock or (snapshot.step, snapshot.time)
+        self._pace = self._method.timestep
+        if self.time != snapshot.time:  # counted with the time step of another method
+            self.time = snapshot.time
 
     def checkpoint(self) -> Checkpoint:
         """A copy of all that determines the bits of the steps to come, for go_on_from."""
@@ -359,7 +376,7 @@ class Engine:
         self.equilibrated = checkpoint.equilibrated
         self.is_whole = True
         if checkpoint.images is not None:
-            self.constraint_set.restore(self.system, *checkpoint.images)
+            self.constraint_set.restore(self._system, *checkpoint.images)
             self.surroundings.constraints = self.constraint_set.bonds
         self.interactions.go_on_with(checkpoint.displacement, checkpoint.lists)
         self.leave()
@@ -369,16 +386,16 @@ class Engine:
         interactions = self.interactions
         names = ("noise_shift", "extra_observables", "is_whole")
         scene = (
-            self.system,
+            self._system,
             interactions.potentials,
-            self.method,
+            self._method,
             self.constraints,
             interactions.options,
             self.barostat,
         )
         more = {name: getattr(self, name) for name in (*names, "holds_center", "counts_center")}
         more["notes"] = dict(self.notes)
-        return _copied, (scene, self.checkpoint(), self.is_as_left, self.interactions.counts, more)
+        return _copied, (scene, self.checkpoint(), self.enter(), self.interactions.counts, more)
 
     @property
     def step(self) -> int:
@@ -413,6 +430,8 @@ class Engine:
     def count(self, n_steps: int) -> None:
         """Count n_steps more steps."""
         self._step += n_steps
+        self.is_whole |= self._whole_when_counted
+        self._whole_when_counted = False
 
     @property
     def system(self) -> System:
@@ -438,7 +457,7 @@ class Engine:
         if self._rescaling is not None:
             self._rescaling.temperature(method)
         if type(method) is not type(self._method) or method.parameters != self._method.parameters:
-            self.turned()
+            self.changed()
         self._method = method
         self._keep_pace()
         self._describe_bath()
@@ -446,7 +465,9 @@ class Engine:
     def _describe_bath(self) -> None:
         """Set n_dof and conserves_momentum of the bath."""
         self._bath.n_dof = self.n_dof
-        self._bath.conserves_momentum = leaves_out_center(len(self.system), self.conserves_momentum)
+        self._bath.conserves_momentum = leaves_out_center(
+            len(self._system), self.conserves_momentum
+        )
 
     @property
     def n_dof(self) -> int:
@@ -456,17 +477,17 @@ class Engine:
     @property
     def drift(self) -> Array:
         """Velocity of the center of mass if n_dof leaves it out, else 0 [length/time], (3,)."""
-        return center(self.velocities, self.system.masses, self.conserves_momentum)
+        return center(self.velocities, self._system.masses, self.conserves_momentum)
 
     @property
     def has_bath(self) -> bool:
         """Whether a thermostat or a barostat gives energy to the system."""
-        return self.method.is_thermostat or self.barostat is not None
+        return self._method.is_thermostat or self.barostat is not None
 
     @property
     def conserves_momentum(self) -> bool:
         """Whether momentum is constant: no fixed atoms, no outside force, no bath of each atom, no counts_center."""
-        return self._is_still_under(self.method)
+        return self._is_still_under(self._method)
 
     @property
     def moves_freely(self) -> bool:
@@ -502,12 +523,12 @@ class Engine:
     @property
     def positions(self) -> Array:
         """(N, 3) [length], never wrapped."""
-        return self.system.positions
+        return self._system.positions
 
     @property
     def velocities(self) -> Array:
         """(N, 3) [length/time]."""
-        return self.system.velocities
+        return self._system.velocities
 
     @property
     def forces(self) -> Array:
@@ -515,9 +536,14 @@ class Engine:
         return self.interactions.forces
 
     @property
+    def potential_energy(self) -> float:
+        """U [energy], of the last evaluation."""
+        return self.sums.potential_energy
+
+    @property
     def kinetic_energy(self) -> float:
         """K [energy]."""
-        return kinetic_energy(self.velocities, self.system.masses)
+        return kinetic_energy(self.velocities, self._system.masses)
 
     def scene_in_words(self) -> Rows:
         """What makes up a simulation."""
@@ -583,7 +609,7 @@ def scene_in_words(
 def _copied(
     scene: tuple[Any, ...],
     checkpoint: Checkpoint,
-    is_as_left: bool,
+    goes_on: bool,
     counts: tuple[int, int],
     more: dict[str, Any],
 ) -> Engine:
@@ -593,8 +619,8 @@ def _copied(
     # the first grid of a scene that has spread is coarser than that of the run
     engine.system.cell = scene[0].cell
     engine.go_on_from(checkpoint)
-    if not is_as_left:  # its state was changed, and its next run will begin anew
-        engine.moved()
+    if not goes_on:  # its state was changed, and its next run will begin anew
+        engine.changed()
     engine.interactions.counts = counts
     for name, value in more.items():
         setattr(engine, name, value)

@@ -29,7 +29,7 @@ class Look:
     @property
     def potential_energy(self) -> float:
         """U [energy]."""
-        return self.engine.interactions.potential_energy
+        return self.engine.potential_energy
 
     @cached_property
     def kinetic_energy(self) -> float:
@@ -75,7 +75,7 @@ class Look:
     def virial(self) -> Any:
         """(3, 3) [energy], of forces and constraint forces."""
         engine = self.engine
-        virial = self.engine.interactions.virial
+        virial = engine.sums.virial
         if self.bonds is None:
             return virial
         return virial + self.bonds.virial(engine.positions, engine.velocities, engine.forces)

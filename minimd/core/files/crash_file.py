@@ -131,7 +131,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
             )
             for snapshot in (start, last.state):
                 engine.restore(snapshot)
-                engine.fit_images()
+                engine.enter()
                 writer.write(observe(engine))
         finally:
             engine.go_on_from(last)

@@ -103,9 +103,9 @@ def why_not_finite(system: System, potentials: Sequence[Any]) -> str:
     for potential in potentials:
         with quiet():  # its warnings have been given
             alone = Forces(system, potential, Options(skin=0.0))
-            alone.compute(PER_ATOM)
+            sums = alone.compute(PER_ATOM)
         bad = np.flatnonzero(
-            ~(np.isfinite(alone.forces).all(axis=1) & np.isfinite(alone.energies))
+            ~(np.isfinite(sums.forces).all(axis=1) & np.isfinite(sums.energies))
         ).tolist()
         if bad:
             found = contacts(system, [potential], np.ones(len(system)), bad[:2])

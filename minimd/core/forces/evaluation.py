@@ -63,11 +63,11 @@ def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potent
     """
     system = system if isinstance(system, System) else System.from_ase(system)
     forces = Forces(system, potentials, Options(skin=0.0))
-    forces.compute(PER_ATOM)
+    sums = forces.compute(PER_ATOM)
     cause = thin_cell(system, forces.potentials)
     if cause:
         warn(f"{cause}; {OPEN_IT}")
-    result = Evaluation(forces.potential_energy, forces.forces, forces.virial, forces.energies)
+    result = Evaluation(sums.potential_energy, sums.forces, sums.virial, sums.energies)
     if not (np.isfinite(result.forces).all() and np.isfinite(result.energies).all()):
         raise NonFiniteError(
             f"forces or energies are not finite: {why_not_finite(system, forces.potentials)}"

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import namedtuple
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from math import nan
 
 import numpy as np
 from numba.core.errors import NumbaError
@@ -126,6 +127,24 @@ def clear_forces(clearing, chunk):
     return GO_ON
 
 
+@dataclass(frozen=True)
+class ForceSums:
+    """What one evaluation of the forces has given; energies and virials only if they were asked for.
+
+    forces : (N, 3) [energy/length], in the memory of Forces, which the next evaluation overwrites.
+    potential_energy : U [energy].  virial : W = Σ f r_ij ⊗ r_ij [energy], (3, 3).
+    energies : (N,) each atom's share of U [energy].  virials : (N, 6) of W, as xx yy zz yz xz xy. Tail corrections are
+    included, for atoms in equal shares.
+    """
+
+    forces: NDArray[np.float64]
+    potential_energy: float = nan
+    virial: NDArray[np.float64] = field(default_factory=lambda: np.full((3, 3), nan))
+    energies: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    virials: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 6)))
+    has_energy: bool = False
+
+
 class Forces:
     """All forces on the atoms of one system.
 
@@ -188,9 +207,6 @@ class Forces:
             why = "where bonded pairs are left out or scaled, cutoff + skin can be at most half the height of the cell"
             what = f"skin {self.options.skin:g} {system.units.length} does not fit, {widest:.3g} is used"
             warn(f"{what}: {why}")
-        self._energies = np.zeros(0)
-        self._virials = np.zeros((0, 6))
-        self._detail = FORCES
 
     def _bind(self) -> None:
         """Bind the potentials to the system, as it is in its present cell, and plan the terms."""
@@ -324,8 +340,8 @@ class Forces:
         self.n_evaluations = counts[0]
         self._builds_before = self._builds_before + counts[1] - self.n_builds
 
-    def compute(self, detail: int = FORCES, unit: float | None = None) -> NDArray[np.float64]:
-        """Evaluate the forces at system.positions and return them; TOTALS and PER_ATOM also evaluate energy and virial.
+    def compute(self, detail: int = FORCES, unit: float | None = None) -> ForceSums:
+        """Evaluate the forces at system.positions; TOTALS and PER_ATOM also energy and virial, of all and of each atom.
 
         unit : over which impulses are computed on a grid [time].
 
@@ -343,9 +359,8 @@ class Forces:
                 self._programs[id(target)] = program
         with self.running(program):
             program.run()
-        self.taken(target)
         self.n_evaluations += 1
-        return self.forces
+        return self.taken(target)
 
     def follow_cell(self) -> None:
         """Bind the potentials again if the cell was changed."""
@@ -414,15 +429,29 @@ class Forces:
             for one in _lists(self.terms):
                 one.settle()
 
-    def taken(self, target: Target) -> None:
-        """After the operations of an evaluation: take energies and virials, and forces of impulses."""
+    def taken(self, target: Target) -> ForceSums:
+        """What the operations of an evaluation have given: forces of impulses, energies and virials with tails."""
         for term in self.terms:
             term.collect(target)
-        self._energies = target.energies
-        self._virials = target.virials
-        self._detail = target.detail
         if self.grid is not None:
             np.divide(self.impulses, target.steps.per_force[0], out=self.forces)
+        if target.detail == FORCES:
+            return ForceSums(self.forces)
+        tail_energy, trace = self.tail_corrections()
+        tail_virial = trace / 3.0
+        sums = ForceSums(
+            self.forces,
+            float(target.energies.sum()) + tail_energy,
+            target.virials.sum(axis=0)[VOIGT] + np.eye(3) * tail_virial,
+            has_energy=True,
+        )
+        if target.detail == TOTALS:
+            return sums
+        n_atoms = len(self.system)
+        isotropic = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+        energies = target.energies + tail_energy / n_atoms
+        virials = target.virials + isotropic * tail_virial / n_atoms
+        return replace(sums, energies=energies, virials=virials)
 
     @property
     def version(self) -> tuple[int, ...]:
@@ -440,50 +469,6 @@ class Forces:
             reason = why_not_compiled(str(error))
             needed = "laws must be arithmetic on numbers that numba.njit accepts"
             raise TypeError(f"a law of {laws} does not compile; {needed}: {reason}") from error
-
-    @contextmanager
-    def set_aside(self) -> Iterator[None]:
-        """Context for calls of compute at displaced positions; then forces, energies and virials are restored."""
-        forces = self.forces.copy()
-        energies = self._energies
-        virials = self._virials
-        detail = self._detail
-        # with other accumulators
-        self._programs, self._targets, before = {}, {}, (self._programs, self._targets)
-        try:
-            yield
-        finally:
-            self._programs, self._targets = before
-            self.forces[:] = forces
-            self._energies = energies
-            self._virials = virials
-            self._detail = detail
-
-    @property
-    def has_energy(self) -> bool:
-        """True if the last compute was asked for energy and virial."""
-        return self._detail != FORCES
-
-    @property
-    def potential_energy(self) -> float:
-        """U [energy] of the last compute with TOTALS or PER_ATOM, tail corrections included."""
-        return float(self._energies.sum()) + self.tail_corrections()[0]
-
-    @property
-    def virial(self) -> NDArray[np.float64]:
-        """W = Σ f r_ij ⊗ r_ij [energy], (3, 3), of the last compute with TOTALS or PER_ATOM, tails included."""
-        return self._virials.sum(axis=0)[VOIGT] + np.eye(3) * self.tail_corrections()[1] / 3.0
-
-    @property
-    def energies(self) -> NDArray[np.float64]:
-        """Each atom's share of U [energy], (N,), of the last compute with PER_ATOM; the tail in equal shares."""
-        return self._energies + self.tail_corrections()[0] / len(self.system)
-
-    @property
-    def virials(self) -> NDArray[np.float64]:
-        """Each atom's share of W [energy], (N, 6) as xx yy zz yz xz xy, of the last compute with PER_ATOM."""
-        tail = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * self.tail_corrections()[1] / 3.0
-        return self._virials + tail / len(self.system)
 
     @property
     def largest_cutoff(self) -> float:
@@ -540,7 +525,7 @@ class Forces:
     def tail_corrections(self) -> tuple[float, float]:
         """Energy and virial trace of all tails."""
         tails = [term.tail(self.system) for term in self._bound]
-        return sum(u for u, _ in tails), sum(w for _, w in tails)
+        return sum(energy for energy, _ in tails), sum(trace for _, trace in tails)
 
 
 def clear(target: Target) -> None:

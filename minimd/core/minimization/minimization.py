@@ -186,8 +186,8 @@ def minimized(
 
 def _potential_energy(forces: Forces) -> float:
     with np.errstate(all="ignore"):
-        forces.compute(TOTALS)
-    return forces.potential_energy if isfinite(forces.potential_energy) else inf
+        energy = forces.compute(TOTALS).potential_energy
+    return energy if isfinite(energy) else inf
 
 
 @kernel
@@ -240,7 +240,7 @@ class Descent:
         tolerance: float,
         max_steps: int,
     ) -> None:
-        self._engine = forces
+        self._interactions = forces
         self._constraint_set = constraint_set
         self._longest = longest_step
         self._tolerance = tolerance
@@ -402,15 +402,16 @@ class Descent:
         """Compute the forces, projected onto constraints and scaled to finite squares, and the largest; False, with
         the forces of before, if energy or forces are not finite."""
         try:
-            forces = self._engine.compute(self._detail)
+            sums = self._interactions.compute(self._detail)
         except RangeError:
             return False
-        largest = max(forces.max(), -forces.min())
-        if not np.isfinite(largest) or (
-            self._engine.has_energy and not np.isfinite(self._engine.potential_energy)
-        ):
+        largest = max(sums.forces.max(), -sums.forces.min())
+        is_finite = np.isfinite(largest) and (
+            not sums.has_energy or np.isfinite(sums.potential_energy)
+        )
+        if not is_finite:
             return False
-        self._forces[:] = self._engine.forces * min(1.0, LARGEST / max(largest, 1.0))
+        self._forces[:] = sums.forces * min(1.0, LARGEST / max(largest, 1.0))
         self._constraint_set.project(self._forces, self._positions)
         self.largest_force = longest(self._forces)[1]
         return True
@@ -432,7 +433,9 @@ class Descent:
             or n_pushes > PUSHES
             or not np.isfinite(positions).all()
         ):
-            raise NonFiniteError(words + why_not_finite(self._system, self._engine.potentials))
+            raise NonFiniteError(
+                words + why_not_finite(self._system, self._interactions.potentials)
+            )
         arm = nearest_vectors(positions, cell, np.array([pair[:2]]))[0]
         velocities = np.zeros_like(positions)
         if arm.any():
@@ -447,5 +450,5 @@ class Descent:
         velocities /= longest(velocities)[1]
         self._constraint_set.project(velocities, positions)
         if not velocities.any() or not self._moved(velocities, 0.5 * self._longest):
-            why = why_not_finite(self._system, self._engine.potentials)
+            why = why_not_finite(self._system, self._interactions.potentials)
             raise NonFiniteError(f"{words}{why}, and constraints hold them there")

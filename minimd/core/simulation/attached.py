@@ -41,7 +41,7 @@ class Attached:
             several = f"{min(twice)!r} is the name of several: pass another name= to one of them"
             raise ValueError(f"observers must have different names; {several}")
         self._engine = engine
-        if not engine.is_as_left:  # the state was changed since the last run
+        if not engine.enter():  # the state was changed since the last run
             self.interrupt()
 
     def interrupt(self) -> None:

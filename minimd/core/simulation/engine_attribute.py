@@ -59,7 +59,7 @@ class EngineAttribute(Generic[T]):
 
     def __get__(self, simulation: Any, _owner: type) -> T:
         if simulation is not None and self._name == "forces":
-            simulation.engine.catch_up()
+            simulation.engine.enter()
             simulation.engine.evaluate()
         found: Any = (
             self if simulation is None else attrgetter(self._path or self._name)(simulation.engine)
@@ -103,7 +103,7 @@ class MeasuredAttribute(Generic[T]):
         if simulation is None:
             itself: Any = self
             return itself  # type: ignore[no-any-return]
-        simulation.engine.catch_up()
+        simulation.engine.enter()
         found: T = measure(simulation.engine, self._name)
         return found
 

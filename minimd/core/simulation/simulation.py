@@ -335,12 +335,11 @@ class Simulation(Closed, Displayed):
                 for observer in attached.functions:
                     observer(self)
             finally:
-                if not engine.is_as_left:
-                    engine.moved()
+                is_unchanged = engine.enter()
             if self.record is not None and ("conserved_energy" in self.record) != engine.has_bath:
                 later = f"{engine.method.name} can only take over in a new run"
                 raise ValueError(f"a thermostat cannot be switched on or off within a run; {later}")
-            if not engine.is_as_left:
+            if not is_unchanged:
                 if engine.system.cell is cell and (positions != engine.positions).any():
                     # as when atoms were wrapped; observers know how a cell moves atoms
                     attached.interrupt()
@@ -350,9 +349,8 @@ class Simulation(Closed, Displayed):
     def make_steps(self, n_steps: int) -> None:
         """Make steps without observations.  Raises ValueError for a negative count, and as run."""
         n_steps = checked_count("n_steps", n_steps, 0)
-        if not self.engine.is_as_left:
+        if not self.engine.begin():
             self.guard.forget()
-            self.engine.begin()
         self.guard.make_steps(n_steps)
 
     def equilibrate(
@@ -390,9 +388,7 @@ class Simulation(Closed, Displayed):
                 engine.time = -n_steps * engine.method.timestep  # so that it ends at 0
             guard.check_start()
             thermal = engine.n_dof * self.system.units.k_B * temperature
-            most = RUNAWAY * (
-                engine.kinetic_energy + abs(engine.interactions.potential_energy) + thermal
-            )
+            most = RUNAWAY * (engine.kinetic_energy + abs(engine.potential_energy) + thermal)
             for done in range(every, n_steps + every, every):
                 guard.make_steps(min(every, n_steps - done + every))
                 guard.check_kinetic_energy(most)
@@ -419,7 +415,7 @@ class Simulation(Closed, Displayed):
         NonFiniteError, ConstraintError, ValueError, KeyboardInterrupt : as minimize;
             sim.system then holds the state reached.
         """
-        self.engine.moved()
+        self.engine.changed()
         with self.guard.uncounted():
             scene = self.engine.interactions, self.engine.constraint_set
             return minimized(*scene, force_tolerance, max_steps, max_step_length, progress)
@@ -474,7 +470,7 @@ class Simulation(Closed, Displayed):
 
     def frame(self) -> Frame:
         """The present state, with its observables; the forces are evaluated."""
-        self.engine.catch_up()
+        self.engine.enter()
         return observe(self.engine)
 
     def set_temperature(self, temperature: float, seed: int | None = None) -> None:
@@ -483,9 +479,8 @@ class Simulation(Closed, Displayed):
         system = self.system
         constraint_set = self.engine.constraint_set
         system.velocities[:] = maxwell_boltzmann(system.masses, temperature, system.units.k_B, seed)
-        self.engine.fit_images()
+        self.engine.enter()
         constraint_set.project(system.velocities, system.positions)
-        self.engine.turned()
         if temperature > 0.0:
             self.rescale_temperature(temperature)
 
@@ -497,7 +492,6 @@ class Simulation(Closed, Displayed):
         v = self.velocities
         k_B = self.system.units.k_B
         v[:] = rescaled(v, self.system.masses, temperature, k_B, self.n_dof, self.drift)
-        self.engine.turned()
 
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""

@@ -53,13 +53,14 @@ def stop_on_signals(run: Stoppable, seconds: float = inf) -> Iterator[None]:
             _give_back(number, request, before)
 
     deadline = monotonic() + seconds
-    timer = threading.Timer(seconds, setattr, (run, "stop_requested", True))
     of_thread = threading.current_thread() is not threading.main_thread()
     is_inner = bool(_active) and not of_thread
     active = _of_threads if of_thread else _active
     run.stop_requested = False
     active[id(request)] = (run, request)
+    timer = None
     if seconds < threading.TIMEOUT_MAX:  # 292 years
+        timer = threading.Timer(seconds, setattr, (run, "stop_requested", True))
         timer.start()
     try:
         try:
@@ -68,7 +69,8 @@ def stop_on_signals(run: Stoppable, seconds: float = inf) -> Iterator[None]:
             ):
                 yield
         finally:
-            timer.cancel()
+            if timer is not None:
+                timer.cancel()
             run.stop_requested = False
             del active[id(request)]
         if received:

@@ -100,32 +100,34 @@ class RunGuard:
         is_same_run : energies and snapshots of earlier steps remain valid, if the energy is still the same.
         Raises NonFiniteError if the first step would throw atoms across the scene, and as Forces.check_resolution."""
         engine = self.engine
+        timestep = engine.method.timestep
         self._reason = self._before = None
         if not is_same_run:
             self.forget()
-        engine.interactions.check_resolution()
+        is_checked = engine.enter() and timestep == self._checked_timestep
+        if not is_checked:
+            engine.interactions.check_resolution()
         if not self._checked_timestep:
             engine.interactions.check_forces(engine.time)
         if not engine.begin():
-            engine.interactions.fit_skin(
-                longest(engine.velocities)[1] * abs(engine.method.timestep)
-            )
+            engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(timestep))
         engine.evaluate()
         engine.prepare()
         if is_same_run:
             kinetic = engine.kinetic_energy
             potential = engine.potential_energy
-            if not abs(kinetic + potential - self._seen[1]) <= SAME_ENERGY * (
-                kinetic + abs(potential)
-            ):
+            change = abs(kinetic + potential - self._seen[1])
+            if not change <= SAME_ENERGY * (kinetic + abs(potential)):
                 # another energy than at the last look, although nothing has moved since
                 self.forget()
-        if self._checked_timestep != engine.method.timestep:
-            self._checked_timestep = engine.method.timestep
+        if self._checked_timestep != timestep:
+            self._checked_timestep = timestep
             for hint in hints(engine):
                 warn(hint)
-        if fault := fault_of(engine, START):
-            raise self._failure(fault, engine.step)
+        if not is_checked:
+            fault = fault_of(engine, START)
+            if fault:
+                raise self._failure(fault, engine.step)
 
     def make_steps(self, n_steps: int, with_energy: bool = False) -> None:
         """Make steps, in blocks.  with_energy : as for advance.  Raises as advance and observe."""

@@ -176,7 +176,7 @@ class Engine:
         if self._steps is None or not is_same:
             forces = self.interactions
             power = (lambda: forces.power) if forces.depend_on_time else None
-            work = lambda: forces.version, lambda: forces.pool
+            work = forces.version, lambda: forces.pool
             source = ForceSource(self._forces_at, *work, self._running, power, self._taken)
             self._steps = Steps(self._method, self._state, self.surroundings, source)
             self._steps_of = made_of
@@ -477,7 +477,8 @@ class Engine:
     @property
     def drift(self) -> Array:
         """Velocity of the center of mass if n_dof leaves it out, else 0 [length/time], (3,)."""
-        return center(self.velocities, self._system.masses, self.conserves_momentum)
+        system = self._system
+        return center(system.velocities, system.masses, self.conserves_momentum)
 
     @property
     def has_bath(self) -> bool:

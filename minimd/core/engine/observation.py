@@ -19,24 +19,20 @@ class Look:
     """
 
     def __init__(self, engine: Engine) -> None:
+        system = engine.system
         self.engine = engine
-        self.system = engine.system
+        self.system = system
         self.bonds: Any = engine.constraint_set.bonds
-        self.motion = (engine.velocities, engine.system.masses)
-        self.path = (engine.positions, *self.motion)
+        self.motion = (system.velocities, system.masses)
+        self.path = (system.positions, *self.motion)
         self.grid = engine.interactions.grid
-
-    @property
-    def potential_energy(self) -> float:
-        """U [energy]."""
-        return self.engine.potential_energy
+        self.potential_energy = engine.sums.potential_energy
 
     @cached_property
     def kinetic_energy(self) -> float:
         """K [energy]."""
-        return float(
-            observables.kinetic_energy(*self.motion, self.grid.energy if self.grid else 0.0)
-        )
+        step = self.grid.energy if self.grid else 0.0
+        return float(observables.kinetic_energy(*self.motion, step))
 
     @property
     def total_energy(self) -> float:
@@ -69,7 +65,7 @@ class Look:
     def volume(self) -> float:
         """[length³].  Raises ValueError if the cell has none."""
         check_has_volume(self.engine)
-        return float(self.engine.system.volume or 0.0)
+        return float(self.system.volume or 0.0)
 
     @cached_property
     def virial(self) -> Any:
@@ -78,7 +74,7 @@ class Look:
         virial = engine.sums.virial
         if self.bonds is None:
             return virial
-        return virial + self.bonds.virial(engine.positions, engine.velocities, engine.forces)
+        return virial + self.bonds.virial(*self.path[:2], engine.forces)
 
     @property
     def stress(self) -> Any:
@@ -93,19 +89,15 @@ class Observable:
     """A number, or an array of numbers, that frames, records and files hold under a name.
 
     name : in record and file.  unit : the attribute of UnitSystem that names its unit, empty for a pure number.
-    measure : its value, from a Look.  exists : whether it is defined for an engine.
+    measure : its value, from a Look.  exists : whether it is defined for an engine; None for every engine.
     demand : for one recorded only if extra_observables names it: raises ValueError for an engine that cannot have it.
     """
 
     name: str
     unit: str
     measure: Callable[[Look], Any]
-    exists: Callable[[Engine], bool] = lambda _engine: True
+    exists: Callable[[Engine], bool] | None = None
     demand: Callable[[Engine], None] | None = None
-
-    def is_recorded(self, engine: Engine) -> bool:
-        """Whether frames of this engine have it."""
-        return self.exists(engine) if self.demand is None else self.name in engine.extra_observables
 
 
 OBSERVABLES: dict[str, Observable] = {}
@@ -121,9 +113,9 @@ def register(observable: Observable) -> None:
             f"an observable must have a name of its own; {observable.name!r} is already in use"
         )
     if observable.unit and observable.unit not in UnitSystem.__dataclass_fields__:
-        what = "empty or an attribute of UnitSystem, such as 'energy'"
         raise ValueError(
-            f"the unit of {observable.name} must be {what}; unit = {observable.unit!r}"
+            f"the unit of {observable.name} must be empty or an attribute of UnitSystem, such as 'energy'; "
+            f"unit = {observable.unit!r}"
         )
     OBSERVABLES[observable.name] = observable
     SERIES[observable.name] = observable.unit
@@ -132,9 +124,10 @@ def register(observable: Observable) -> None:
 def check_has_volume(engine: Engine) -> None:
     """Raise ValueError if the cell has no volume."""
     if engine.system.volume is None:
-        pbc = engine.system.cell.pbc.tolist()
-        what = "a cell that is periodic in all three directions"
-        raise ValueError(f"pressure and stress need a volume: {what}; its pbc = {pbc}")
+        raise ValueError(
+            "pressure and stress need a volume: a cell that is periodic in all three directions; "
+            f"its pbc = {engine.system.cell.pbc.tolist()}"
+        )
 
 
 for _observable in (
@@ -188,7 +181,7 @@ for _observable in (
         "constraint_violation",
         "",
         lambda look: float(look.bonds.violation(look.path[0]).max()),
-        lambda one: bool(one.constraint_set.bonds),
+        lambda engine: bool(engine.constraint_set.bonds),
     ),
 ):
     register(_observable)
@@ -196,7 +189,15 @@ for _observable in (
 
 def recorded(engine: Engine) -> list[str]:
     """Names of the observables that frames of this engine have."""
-    return [one.name for one in OBSERVABLES.values() if one.is_recorded(engine)]
+    names = []
+    for name, observable in OBSERVABLES.items():
+        if observable.demand is not None:
+            is_recorded = name in engine.extra_observables
+        else:
+            is_recorded = observable.exists is None or observable.exists(engine)
+        if is_recorded:
+            names.append(name)
+    return names
 
 
 def observe(engine: Engine) -> Frame:
@@ -204,8 +205,9 @@ def observe(engine: Engine) -> Frame:
     engine.evaluate()
     look = Look(engine)
     values = {name: OBSERVABLES[name].measure(look) for name in recorded(engine)}
-    state = engine.step, engine.time, engine.positions, engine.velocities, engine.forces
-    return Frame(*state, values, engine.reservoir_energy, engine.system.cell)
+    system = look.system
+    state = engine.step, engine.time, system.positions, system.velocities, engine.sums.forces
+    return Frame(*state, values, engine.reservoir_energy, system.cell)
 
 
 def measure(engine: Engine, name: str) -> Any:
@@ -217,17 +219,21 @@ def measure(engine: Engine, name: str) -> Any:
 def check_extras(engine: Engine) -> None:
     """Raise ValueError unless extra_observables of the engine names only what can be recorded besides the usual."""
     names = engine.extra_observables
-    known = [name for name, one in OBSERVABLES.items() if one.demand is not None]
+    known = [name for name, observable in OBSERVABLES.items() if observable.demand is not None]
     if isinstance(names, str) or not set(names) <= set(known):
-        what = f"a tuple with any of {listed(known)}, or empty"
-        raise ValueError(f"extra_observables must be {what}; it is {shown(names)}")
+        raise ValueError(
+            f"extra_observables must be a tuple with any of {listed(known)}, or empty; it is {shown(names)}"
+        )
     for name in names:
-        if (demand := OBSERVABLES[name].demand) is not None:
+        demand = OBSERVABLES[name].demand
+        if demand is not None:
             demand(engine)
 
 
 def extras_in(record: Record) -> Sequence[str]:
     """The extra_observables of the run that made a record."""
     return tuple(
-        name for name, one in OBSERVABLES.items() if one.demand is not None and name in record
+        name
+        for name, observable in OBSERVABLES.items()
+        if observable.demand is not None and name in record
     )

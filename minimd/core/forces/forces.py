@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from math import nan
+from operator import attrgetter
 
 import numpy as np
 from numba.core.errors import NumbaError
@@ -76,34 +77,34 @@ def plan(
         with_list = ClusterTerm if laws.fit_clusters(system, known, displacement) else PairListTerm
         terms.append(with_list(system, laws, known, displacement))
         terms.extend(special_terms(system, pair_laws, laws))
-    for one in pair_laws:
-        if one.split is not None and one.charges is not None:
-            how = (
-                one.method,
-                options.precision == FIXED_POINT,
-                pool_for(options, len(system)).n_threads,
+    is_fixed = options.precision == FIXED_POINT
+    n_threads = pool_for(options, len(system)).n_threads
+    for law in pair_laws:
+        if law.split is not None and law.charges is not None:
+            terms.append(
+                charge_sum(system, law.charges, law.split, law.method, is_fixed, n_threads)
             )
-            terms.append(charge_sum(system, one.charges, one.split, *how))
     return terms
 
 
 def special_terms(system: System, members: Sequence[PairLaw], laws: PairLaws) -> Iterator[Term]:
     """Terms for the pairs that the list leaves out: each law times its factors."""
-    for one, of_law in zip(members, laws.factors, strict=True):
-        acts = (of_law != 0.0) | (one.split is not None)
+    for member, factors in zip(members, laws.factors, strict=True):
+        acts = (factors != 0.0) | (member.split is not None)
         if not acts.any():
             continue
         pairs = laws.excluded[acts]
-        factors = of_law[acts]
-        species = system.species_index[pairs] if len(one.table) > 1 else np.zeros_like(pairs)
-        rows = one.table[species[:, 0], species[:, 1]]
-        product = [] if one.charges is None else [one.charges[pairs].prod(axis=1)]
-        if one.split is None:
-            columns = np.column_stack([rows[:, 0], factors, *product, rows[:, 1:]])
-            yield FixedPairs(pairs, Scaled(one.law), from_table(columns))
+        factors = factors[acts]
+        species = system.species_index[pairs] if len(member.table) > 1 else np.zeros_like(pairs)
+        rows = member.table[species[:, 0], species[:, 1]]
+        products = [] if member.charges is None else [member.charges[pairs].prod(axis=1)]
+        if member.split is None:
+            columns = [rows[:, 0], factors, *products, rows[:, 1:]]
+            law = Scaled(member.law)
         else:
-            columns = np.column_stack([np.full(len(pairs), np.inf), *product, factors, rows[:, 0]])
-            yield FixedPairs(pairs, SpecialLaw(one.split.numbers), from_table(columns))
+            columns = [np.full(len(pairs), np.inf), *products, factors, rows[:, 0]]
+            law = SpecialLaw(member.split.numbers)
+        yield FixedPairs(pairs, law, from_table(np.column_stack(columns)))
 
 
 # the skin is chosen anew when atoms are faster or slower by this factor: its optimum is flat
@@ -162,6 +163,9 @@ class Forces:
         of the last compute.
     unit : of time, over which they are computed if compute is given no other [time].
     time : at which forces that depend on it are evaluated [time].  pool : the threads for this scene.
+    depend_on_time, act_from_outside : whether a term does, so that energy, or total momentum, is not constant.
+    largest_cutoff : the largest finite one [length]: an atom that moves farther in a step may pass another without
+        interacting.
 
     Raises
     ------
@@ -180,6 +184,7 @@ class Forces:
         self.pool = pool_for(self.options, len(system))
         self.potentials = as_potentials(potentials)
         self.terms: list[Term] = []
+        self._lists: list[VerletList] = []
         self.n_evaluations = 0
         self._builds_before = 0
         self.displacement = 0.0
@@ -188,25 +193,33 @@ class Forces:
         self.forces = np.zeros_like(system.positions)
         self.impulses = np.zeros((0, 3), dtype=np.int64)
         self.unit = 1.0
-        self._images, self._calls, self._n_plans = Images.of(system.cell), DirectCalls(), 0
+        self._images = Images.of(system.cell)
+        self._calls = DirectCalls()
+        self._n_plans = 0
         self._bind()
         self.check_resolution()
-        told = [term.warning for term in self._bound if term.warning]
-        # others may use them
-        if system.charges.any() and all(isinstance(one, OwnTerm) for one in self._bound):
-            largest = f"the charges of the atoms, up to {np.abs(system.charges).max():.4g} e, are not used"
-            is_used = any(
-                one.pair_law is not None and one.pair_law.charges is not None for one in self._bound
+        for term in self._bound:
+            if term.warning:
+                warn(term.warning)
+        self._warn_of_idle_charges()
+        skin = self.options.skin
+        widest = min(self.widest_skins, default=np.inf)
+        if skin is not None and skin > widest:
+            warn(
+                f"skin {skin:g} {system.units.length} does not fit, {widest:.3g} is used: where bonded pairs are left "
+                "out or scaled, cutoff + skin can be at most half the height of the cell"
             )
-            told += [] if is_used else [f"{largest}: add Coulomb(cutoff) to the potentials"]
-        for words in told:
-            warn(words)
-        if self.options.skin is not None and self.options.skin > (
-            widest := min(self.widest_skins, default=np.inf)
-        ):
-            why = "where bonded pairs are left out or scaled, cutoff + skin can be at most half the height of the cell"
-            what = f"skin {self.options.skin:g} {system.units.length} does not fit, {widest:.3g} is used"
-            warn(f"{what}: {why}")
+
+    def _warn_of_idle_charges(self) -> None:
+        """Warn if atoms have charges that no potential uses; one of a user's own may use them."""
+        largest = np.abs(self.system.charges).max(initial=0.0)
+        laws = [term.pair_law for term in self._bound]
+        is_used = any(law is not None and law.charges is not None for law in laws)
+        if largest and not is_used and all(isinstance(term, OwnTerm) for term in self._bound):
+            warn(
+                f"the charges of the atoms, up to {largest:.4g} e, are not used: "
+                "add Coulomb(cutoff) to the potentials"
+            )
 
     def _bind(self) -> None:
         """Bind the potentials to the system, as it is in its present cell, and plan the terms."""
@@ -214,29 +227,31 @@ class Forces:
 
     def _plan(self, terms_bound: list[Term], skins: Sequence[float] = ()) -> None:
         """Choose lists, and skins unless they are given; both depend on the cell and on how fast the atoms move."""
-        # no splitting moves the atoms
-        is_in_double = self.grid is None and self.options.precision == FIXED_POINT
-        options = (
-            replace(self.options, precision="double", grid=None) if is_in_double else self.options
-        )
+        options = self.options
+        if self.grid is None and options.precision == FIXED_POINT:  # no splitting moves the atoms
+            options = replace(options, precision="double", grid=None)
         terms = plan(terms_bound, self.system, options, self.displacement, skins)
-        self._builds_before += _n_builds(self.terms) - _n_builds(terms)
+        n_builds = self.n_builds
         self.terms = terms
+        self._lists = [term.list for term in terms if term.list is not None]
+        self._builds_before += n_builds - self.n_builds
         self._bound = terms_bound
         self._planned_for = self.system.cell
         self._timed = [term for term in terms if term.depends_on_time]
+        self.depend_on_time = bool(self._timed)
+        self.act_from_outside = any(term.acts_from_outside for term in terms_bound)
+        cutoffs = [term.cutoff for term in terms_bound if np.isfinite(term.cutoff)]
+        self.largest_cutoff = max(cutoffs, default=np.inf)
         self._images.take(self.system.cell)
         linked = [term for term in terms if isinstance(term, LinkedTerm)]
-        of_pairs = sorted(
-            (term for term in terms if term.list is not None), key=lambda term: not term.assigns
-        )
-        others = [term for term in terms if term not in linked and term not in of_pairs]
-        self._in_order = of_pairs, linked, others
-        self._slots, n_chunks = Slots(linked), n_chunks_of(len(self.system))
-        self._slot_forces = np.zeros(
-            3 * self._slots.size, dtype=np.float64 if self.grid is None else np.int64
-        )
-        self._clearing = Clearing(self.forces if self.grid is None else self.impulses, n_chunks)
+        with_lists = [term for term in terms if term.list is not None]
+        with_lists.sort(key=lambda term: not term.assigns)
+        others = [term for term in terms if term not in linked and term not in with_lists]
+        self._in_order = with_lists, linked, others
+        self._slots = Slots(linked)
+        self._memory = self.forces if self.grid is None else self.impulses
+        self._slot_forces = np.zeros(3 * self._slots.size, dtype=self._memory.dtype)
+        self._clearing = Clearing(self._memory, n_chunks_of(len(self.system)))
         self._targets: dict[tuple[int, float], Target] = {}
         self._programs: dict[int, Program] = {}  # by the id of their target
         self._n_plans += 1
@@ -261,10 +276,10 @@ class Forces:
         self._plan(self._bound)
         for term in self.terms:
             if not term.fits_grid:
-                kinds = "laws u(r) of pairs and bonds, angles, dihedrals, and fields that are constant in time"
-                why = f"{type(term).__name__} cannot round its forces"
                 raise ValueError(
-                    f"precision='fixed-point' is for {kinds}; {why}: take precision='double'"
+                    "precision='fixed-point' is for laws u(r) of pairs and bonds, angles, dihedrals, and fields "
+                    f"that are constant in time; {type(term).__name__} cannot round its forces: "
+                    "take precision='double'"
                 )
 
     def depth(self) -> float:
@@ -274,14 +289,11 @@ class Forces:
 
     def check_resolution(self) -> None:
         """Raise ValueError if atoms are so far from the origin that their separations are lost in rounding."""
-        cell = self.system.cell
-        check_resolution(
-            self.system, float(cell.heights[cell.pbc].min(initial=np.inf)), "the height of the cell"
-        )
+        system = self.system
+        height = float(system.cell.heights[system.cell.pbc].min(initial=np.inf))
+        check_resolution(system, height, "the height of the cell")
         for term in self._bound:
-            check_resolution(
-                self.system, term.shortest_length, "the shortest length of a potential"
-            )
+            check_resolution(system, term.shortest_length, "the shortest length of a potential")
 
     def check_forces(self, time: float) -> None:
         """Raise ValueError if the force of a user's term is not minus the gradient of its energy, at a time."""
@@ -307,22 +319,21 @@ class Forces:
 
     def lists_built(self) -> tuple[Built, ...]:
         """What build_lists needs to rebuild the lists that are in use."""
-        return tuple(one.built() for one in _lists(self.terms))
+        return tuple(pairs.built() for pairs in self._lists)
 
     def build_lists(self, built: Sequence[Built]) -> None:
         """Build the lists again as they were."""
-        for one, as_it_was in zip(_lists(self.terms), built, strict=True):
-            one.build_again(as_it_was, self.system.cell)
+        for pairs, as_it_was in zip(self._lists, built, strict=True):
+            pairs.build_again(as_it_was, self.system.cell)
 
     def go_on_with(self, displacement: float, built: Sequence[Built]) -> None:
         """Take over skins and lists of other Forces of the same scene; choose new ones if their number differs, or for
         skins that are never chosen."""
-        lists = _lists(self.terms)
-        fit = len(built) == len(lists) and all(
-            one.skin <= max(now.cutoff, now.skin) for one, now in zip(built, lists, strict=True)
-        )
+        widest = [max(pairs.cutoff, pairs.skin) for pairs in self._lists]
+        skins = [pairs.skin for pairs in built]
+        fit = len(skins) == len(widest) and bool(np.less_equal(skins, widest).all())
         self.displacement = displacement
-        self._plan(self._bound, [one.skin for one in built] if fit else ())
+        self._plan(self._bound, skins if fit else ())
         if fit:
             self.build_lists(built)
 
@@ -354,7 +365,7 @@ class Forces:
         target = self.target(detail, self.unit if unit is None else unit)
         program = self._programs.get(id(target))
         if program is None:
-            program = Program(lambda: self.operations(target), lambda: self.version, self.pool)
+            program = Program(lambda: self.operations(target), self.version, self.pool)
             if detail != PER_ATOM:
                 self._programs[id(target)] = program
         with self.running(program):
@@ -373,31 +384,28 @@ class Forces:
         key = detail, unit if self.grid is not None else 1.0
         if key in self._targets:
             return self._targets[key]
-        n = (
-            1
-            if detail == TOTALS and all(term.needs_one_accumulator for term in self.terms)
-            else len(self.system)
-        )
-        energies, virials = (
-            (np.empty(0), np.empty((0, 6))) if detail == FORCES else (np.empty(n), np.empty((n, 6)))
-        )
+        n_accumulators = 0 if detail == FORCES else len(self.system)
+        if detail == TOTALS and all(term.needs_one_accumulator for term in self.terms):
+            n_accumulators = 1
+        energies = np.empty(n_accumulators)
+        virials = np.empty((n_accumulators, 6))
         steps = () if self.grid is None else steps_of(self.grid, (unit,))
-        forces = self.forces if self.grid is None else self.impulses
-        target = Target(detail, forces, energies, virials, self._slot_forces, self._images, steps)
+        memory = (self._memory, energies, virials, self._slot_forces)
+        target = Target(detail, *memory, self._images, steps)
         if detail != PER_ATOM:  # whose accumulators are large
             self._targets[key] = target
         return target
 
     def operations(self, target: Target) -> Iterator[Operation]:
         """The operations of one evaluation: of pairs, of links and their sums, of all other terms."""
-        of_pairs, linked, others = self._in_order
+        with_lists, linked, others = self._in_order
         if self._timed:
             yield in_python(self._tell_time)
         if target.detail != FORCES:
             yield in_python(lambda: clear(target))
-        if not (of_pairs and of_pairs[0].assigns):
+        if not (with_lists and with_lists[0].assigns):
             yield operation(self._calls, clear_forces, self._clearing, self._clearing.n_chunks)
-        for term in (*of_pairs, *linked):
+        for term in (*with_lists, *linked):
             yield from self._of(term, target)
         yield from self._slots.operations(target)
         for term in others:
@@ -408,8 +416,8 @@ class Forces:
             term.time = self.time
 
     def _of(self, term: Term, target: Target) -> Iterator[Operation]:
-        for one in term.operations(self.system, target):
-            yield one._replace(python=_refuse) if one.python is None else one
+        for step in term.operations(self.system, target):
+            yield step._replace(python=_refuse) if step.python is None else step
 
     @contextmanager
     def running(self, program: Program) -> Iterator[None]:
@@ -418,16 +426,16 @@ class Forces:
 
         Raises TypeError if a user's law does not compile.
         """
-        for one in _lists(self.terms):
-            one.ready(self.system.positions, self.system.cell)
+        for pairs in self._lists:
+            pairs.ready(self.system.positions, self.system.cell)
         try:
             if program.is_outdated:
                 with self._compiling():
                     program.prepare()
             yield
         finally:
-            for one in _lists(self.terms):
-                one.settle()
+            for pairs in self._lists:
+                pairs.settle()
 
     def taken(self, target: Target) -> ForceSums:
         """What the operations of an evaluation have given: forces of impulses, energies and virials with tails."""
@@ -453,10 +461,9 @@ class Forces:
         virials = target.virials + isotropic * tail_virial / n_atoms
         return replace(sums, energies=energies, virials=virials)
 
-    @property
     def version(self) -> tuple[int, ...]:
         """Of the memory that operations work on."""
-        return self._n_plans, *(one.version for one in _lists(self.terms))
+        return self._n_plans, *map(attrgetter("version"), self._lists)
 
     @contextmanager
     def _compiling(self) -> Iterator[None]:
@@ -466,26 +473,10 @@ class Forces:
                 yield
         except NumbaError as error:
             laws = ", ".join(map(repr, self.potentials))
-            reason = why_not_compiled(str(error))
-            needed = "laws must be arithmetic on numbers that numba.njit accepts"
-            raise TypeError(f"a law of {laws} does not compile; {needed}: {reason}") from error
-
-    @property
-    def largest_cutoff(self) -> float:
-        """The largest finite cutoff [length]: an atom moving farther in a step may pass another without interacting."""
-        return max(
-            (term.cutoff for term in self._bound if np.isfinite(term.cutoff)), default=np.inf
-        )
-
-    @property
-    def act_from_outside(self) -> bool:
-        """Whether a term acts from outside, so that the total momentum is not constant."""
-        return any(term.acts_from_outside for term in self._bound)
-
-    @property
-    def depend_on_time(self) -> bool:
-        """Whether a term depends on time."""
-        return bool(self._timed)
+            raise TypeError(
+                f"a law of {laws} does not compile; laws must be arithmetic on numbers that numba.njit accepts: "
+                f"{why_not_compiled(str(error))}"
+            ) from error
 
     @property
     def power(self) -> float:
@@ -495,12 +486,12 @@ class Forces:
     @property
     def n_builds(self) -> int:
         """Number of list builds since the last reset_counts."""
-        return self._builds_before + _n_builds(self.terms)
+        return self._builds_before + sum([pairs.n_builds for pairs in self._lists])
 
     @property
     def skins(self) -> list[float]:
         """Skins of all lists that are rebuilt as atoms move [length]."""
-        return [one.skin for one in _lists(self.terms) if np.isfinite(one.cutoff)]
+        return [pairs.skin for pairs in self._lists if np.isfinite(pairs.cutoff)]
 
     @property
     def widest_skins(self) -> list[float]:
@@ -519,13 +510,21 @@ class Forces:
     def skipped(self) -> list[str]:
         """Names of the computations that this scene does not need, for the report."""
         absent = [] if self.system.cell.is_periodic else ["periodic images"]
-        absent += [BOND_LOOP] if all(term.ingredient != BOND_LOOP for term in self.terms) else []
-        return absent + [what for term in self.terms for what in term.skipped()]
+        if all(term.ingredient != BOND_LOOP for term in self.terms):
+            absent.append(BOND_LOOP)
+        for term in self.terms:
+            absent += term.skipped()
+        return absent
 
     def tail_corrections(self) -> tuple[float, float]:
         """Energy and virial trace of all tails."""
-        tails = [term.tail(self.system) for term in self._bound]
-        return sum(energy for energy, _ in tails), sum(trace for _, trace in tails)
+        energy = 0.0
+        trace = 0.0
+        for term in self._bound:
+            tail = term.tail(self.system)
+            energy += tail[0]
+            trace += tail[1]
+        return energy, trace
 
 
 def clear(target: Target) -> None:
@@ -536,11 +535,3 @@ def clear(target: Target) -> None:
 
 def _refuse(_answer: int) -> None:
     raise RangeError(TOO_LARGE)
-
-
-def _lists(terms: Sequence[Term]) -> list[VerletList]:
-    return [term.list for term in terms if term.list is not None]
-
-
-def _n_builds(terms: Sequence[Term]) -> int:
-    return sum(one.n_builds for one in _lists(terms))

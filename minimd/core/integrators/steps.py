@@ -206,8 +206,10 @@ class Steps:
 
     def prepare(self) -> None:
         """Compile what steps need."""
-        with self._forces.running(self._program(False, False)):
-            pass
+        program = self._program(False, False)
+        if program.is_outdated:
+            with self._forces.running(program):
+                pass
 
     @property
     def n_evaluations(self) -> int:

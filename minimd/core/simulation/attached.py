@@ -1,7 +1,8 @@
 """The observers of a run, and when each looks."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from math import inf
 from time import perf_counter
 from typing import Any
 
@@ -22,58 +23,66 @@ class Attached:
     """
 
     def __init__(self, observers: Any, engine: Engine) -> None:
-        if not isinstance(observers, list | tuple) or not all(
-            _is_observer(one) for one in observers
-        ):
-            kinds = "a list of functions of a simulation, and of observers such as md.observers.RadialDistribution()"
-            raise TypeError(f"observers must be {kinds}; observers = {shown(observers)}")
-        self.accumulators: Sequence[StoredObserver] = [
-            one for one in observers if isinstance(one, StoredObserver)
-        ]
-        self.functions: Sequence[Callable] = [
-            one for one in observers if not isinstance(one, PeriodicObserver)
-        ]
-        self._with_steps: Sequence[PeriodicObserver] = [
-            one for one in observers if isinstance(one, PeriodicObserver)
-        ]
-        names = [one.name for one in self.accumulators]
-        if twice := {name for name in names if names.count(name) > 1}:
-            several = f"{min(twice)!r} is the name of several: pass another name= to one of them"
-            raise ValueError(f"observers must have different names; {several}")
+        self.accumulators: list[StoredObserver] = []
+        self.functions: list[Callable] = []
+        self._with_steps: list[PeriodicObserver] = []
         self._engine = engine
+        if not isinstance(observers, list | tuple):
+            raise _not_observers(observers)
+        for observer in observers:
+            if isinstance(observer, PeriodicObserver):
+                self._with_steps.append(observer)
+            elif _is_function(observer):
+                self.functions.append(observer)
+            else:
+                raise _not_observers(observers)
+            if isinstance(observer, StoredObserver):
+                self._add_accumulator(observer)
         if not engine.enter():  # the state was changed since the last run
             self.interrupt()
 
+    def _add_accumulator(self, observer: StoredObserver) -> None:
+        if any(observer.name == other.name for other in self.accumulators):
+            raise ValueError(
+                f"observers must have different names; {observer.name!r} is the name of several: "
+                "pass another name= to one of them"
+            )
+        self.accumulators.append(observer)
+
     def interrupt(self) -> None:
         """Atoms were moved: later looks are not correlated with earlier ones."""
-        for one in self.accumulators:
-            one.interrupt()
+        for accumulator in self.accumulators:
+            accumulator.interrupt()
 
     def begin(self) -> None:
         """Look at the first state.  Raises ValueError if something cannot be observed."""
-        for one in self._with_steps:
-            one.prepare(self._engine)
+        for observer in self._with_steps:
+            observer.prepare(self._engine)
         self.look()
 
-    def steps_to_next(self) -> int | float:
+    def steps_to_next(self) -> float:
         """The number of steps to the next look of any of them; infinite without observers."""
-        return min(
-            (one.every - self._engine.step % one.every for one in self._with_steps),
-            default=float("inf"),
-        )
+        steps = inf
+        for observer in self._with_steps:
+            steps = min(steps, observer.every - self._engine.step % observer.every)
+        return steps
 
     def need_energy(self, step: int) -> bool:
         """Whether an observer that looks at this step needs energy and virial."""
-        return any(one.needs_energy and step % one.every == 0 for one in self._with_steps)
+        return any(
+            observer.needs_energy and step % observer.every == 0 for observer in self._with_steps
+        )
 
     def look(self) -> float:
         """Let the observers that are due look at the present state; return the seconds that this took, without
         compilation."""
+        if not self._with_steps:
+            return 0.0
         began = perf_counter() - compile_clock.seconds
-        for one in self._with_steps:
-            if self._engine.step % one.every == 0:
-                one.observe(self._engine)
-        return perf_counter() - compile_clock.seconds - began if self._with_steps else 0.0
+        for observer in self._with_steps:
+            if self._engine.step % observer.every == 0:
+                observer.observe(self._engine)
+        return perf_counter() - compile_clock.seconds - began
 
     @contextmanager
     def broken_off(self) -> Iterator[None]:
@@ -83,18 +92,27 @@ class Attached:
             yield
         except (NonFiniteError, ConstraintError):
             step = self._engine.step
-            for one in self.accumulators:
-                if n_later := one.break_off(step):
-                    seen = f"the result of {one!r} includes {n_later} later states"
-                    failed = f"the run has failed after step {step}, and {seen}; use another observer to run again"
-                    warn(failed)
+            for accumulator in self.accumulators:
+                n_later = accumulator.break_off(step)
+                if n_later:
+                    warn(
+                        f"the run has failed after step {step}, and the result of {accumulator!r} includes "
+                        f"{n_later} later states; use another observer to run again"
+                    )
             raise
         finally:
-            for looking in self._with_steps:
-                looking.end(self._engine)
+            for observer in self._with_steps:
+                observer.end(self._engine)
 
 
-def _is_observer(one: Any) -> bool:
-    """Whether an object can observe a run; a class of observers cannot, but its objects can."""
-    is_class = isinstance(one, type) and issubclass(one, PeriodicObserver)
-    return not is_class and (isinstance(one, PeriodicObserver) or callable(one))
+def _is_function(candidate: Any) -> bool:
+    """Whether an object can be called with a simulation; a class of observers cannot, but its objects can observe."""
+    is_class = isinstance(candidate, type) and issubclass(candidate, PeriodicObserver)
+    return callable(candidate) and not is_class
+
+
+def _not_observers(observers: Any) -> TypeError:
+    return TypeError(
+        "observers must be a list of functions of a simulation, and of observers such as "
+        f"md.observers.RadialDistribution(); observers = {shown(observers)}"
+    )

@@ -255,70 +255,78 @@ class Simulation(Closed, Displayed):
         """
         engine = self.engine
         guard = self.guard
+        start = engine.step
         every = checked_count("every", every)
-        end = last_step(engine.step, n_steps, until_step)
+        end = last_step(start, n_steps, until_step)
         if isinstance(append, str) and append == "auto":
             append = any(map(Path.exists, named_files("trajectory", trajectory)))
-        files = {"store_forces": store_forces, "overwrite": overwrite, "append": append}
-        files = {name: checked_flag(name, flag) for name, flag in files.items()}
+        append = checked_flag("append", append)
+        overwrite = checked_flag("overwrite", overwrite)
+        store_forces = checked_flag("store_forces", store_forces)
         attached = Attached(observers, engine)
         check_extras(engine)
-        seconds = (
-            inf
-            if max_seconds is None
-            else checked_number("max_seconds", max_seconds, "positive and finite")
-        )
+        seconds = inf
+        if max_seconds is not None:
+            seconds = checked_number("max_seconds", max_seconds, "positive and finite")
         place = crash_file_place(crash_report, trajectory)
-        start = engine.step
         # the crash file is written after all others are closed
-        with self._running(engine.noise_shift), crash_file_left(place, guard, files["overwrite"]):
+        with self._running(engine.noise_shift), crash_file_left(place, guard, overwrite):
             guard.check_start()
             with (
                 stop_on_signals(engine.surroundings, seconds),
                 open_trajectories(
                     trajectory,
                     engine,
+                    store_forces=store_forces,
+                    overwrite=overwrite,
+                    append=append,
                     every=every,
                     n_steps=end - start,
                     observers=attached.accumulators,
-                    **files,
                 ) as writers,
                 progress_of(end - start, "running", progress) as tell,
                 attached.broken_off(),
             ):
-                self.record = record = Record(
-                    self.system.units, len(self.system), first_h5md(trajectory)
-                )
+                system = engine.system
+                self.record = Record(system.units, len(system), first_h5md(trajectory))
                 guard.begin_run()
                 attached.begin()
-                self._observe([] if append and start % every else writers, attached)
-                checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS
-                while engine.step < end:
-                    next_look = engine.step + every - engine.step % every
-                    n_now = int(
-                        min(
-                            guard.block,
-                            next_look - engine.step,
-                            end - engine.step,
-                            attached.steps_to_next(),
-                        )
-                    )
-                    at = engine.step + n_now
-                    guard.advance(
-                        n_now, with_energy=at in (next_look, end) or attached.need_energy(at)
-                    )
-                    tell(engine.step - start)
-                    if guard.is_hot() or at == end < next_look:
-                        guard.observe()  # before others look at what may have failed
-                    guard.observing += attached.look()
-                    if at == next_look:
-                        self._observe(writers, attached)
-                    if monotonic() > checkpoint_due:
-                        for writer in writers:
-                            writer.checkpoint()
-                        checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS
+                is_written = append and start % every != 0
+                self._observe([] if is_written else writers, attached)
+                self._make_observed_steps(start, end, every, writers, attached, tell)
                 engine.leave()
-        return record
+        return self.record
+
+    def _make_observed_steps(
+        self,
+        start: int,
+        end: int,
+        every: int,
+        writers: Sequence[Writer],
+        attached: Attached,
+        tell: Callable[[int], None],
+    ) -> None:
+        """The steps of a run, in blocks that end where somebody looks."""
+        engine = self.engine
+        guard = self.guard
+        checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS
+        while engine.step < end:
+            step = engine.step
+            next_look = step + every - step % every
+            n_now = min(guard.block, next_look - step, end - step, attached.steps_to_next())
+            step += int(n_now)
+            is_last = step == end
+            guard.advance(int(n_now), step == next_look or is_last or attached.need_energy(step))
+            tell(step - start)
+            if guard.is_hot() or (is_last and end < next_look):
+                guard.observe()  # before others look at what may have failed
+            guard.observing += attached.look()
+            if step == next_look:
+                self._observe(writers, attached)
+            if monotonic() > checkpoint_due:
+                for writer in writers:
+                    writer.checkpoint()
+                checkpoint_due = monotonic() + SECONDS_BETWEEN_CHECKPOINTS
 
     def _observe(self, writers: Sequence[Writer], attached: Attached) -> None:
         engine = self.engine

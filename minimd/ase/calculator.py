@@ -10,7 +10,7 @@ from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import ArrayLike
 
 from minimd.core.forces.contacts import why_not_finite
-from minimd.core.forces.forces import Forces, ForceSums, Potential
+from minimd.core.forces.forces import ForceResult, Forces, Potential
 from minimd.core.forces.options import Options, Precision
 from minimd.core.potentials.term import PER_ATOM, TOTALS
 from minimd.core.structure.ase_atoms import (
@@ -120,7 +120,7 @@ class Calculator(ASECalculator):
             else [*changes, "numbers"]
         )
 
-    def adopt(self, atoms: Atoms, sums: ForceSums) -> None:
+    def adopt(self, atoms: Atoms, sums: ForceResult) -> None:
         """Take over energy, forces and stress of these atoms, computed elsewhere with the same potentials."""
         self.atoms = atoms.copy()
         self.results = _results(atoms, sums)
@@ -147,7 +147,7 @@ class Calculator(ASECalculator):
         return self.__dict__ | {"_plan": None}
 
 
-def _results(atoms: Atoms, sums: ForceSums) -> dict[str, Any]:
+def _results(atoms: Atoms, sums: ForceResult) -> dict[str, Any]:
     """Energy, forces and, if there is a volume, stress."""
     energy = sums.potential_energy
     volume = volume_of(atoms)

@@ -7,7 +7,7 @@ import numpy as np
 
 from minimd.core.constraints.constraint_set import ConstraintSet
 from minimd.core.constraints.groups import bodies_of
-from minimd.core.forces.forces import Forces, ForceSums
+from minimd.core.forces.forces import ForceResult, Forces
 from minimd.core.forces.options import FIXED_POINT
 from minimd.core.integrators.barostats import (
     StochasticCellRescaling,
@@ -136,8 +136,8 @@ class CellRescaling:
         method: Splitting,
         noise_number: int,
         bath: Bath,
-        sums: ForceSums,
-        forces_follow: Callable[[], ForceSums],
+        sums: ForceResult,
+        forces_follow: Callable[[], ForceResult],
     ) -> None:
         """Strain the whole scene once.
 
@@ -179,7 +179,7 @@ class CellRescaling:
         return f"{grown}: the atoms have evaporated, and {why}; {cure}"
 
     def _thermodynamic_state(
-        self, thermal: float, bath: Bath, sums: ForceSums, back: Array | None = None
+        self, thermal: float, bath: Bath, sums: ForceResult, back: Array | None = None
     ) -> ThermodynamicState:
         """The present state.  back : (3, 3) rotation applied to its tensors.
 

@@ -14,7 +14,7 @@ from minimd.core.console.quiet import quiet, warn
 from minimd.core.constraints.constraint_set import ConstraintSet
 from minimd.core.constraints.groups import bodies_of
 from minimd.core.engine.cell_rescaling import CellRescaling, check_cell, rescaling_of
-from minimd.core.forces.forces import Forces, ForceSums, Potential
+from minimd.core.forces.forces import ForceResult, Forces, Potential
 from minimd.core.forces.options import FIXED_POINT, Options, described
 from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.integrators.splitting import Splitting
@@ -72,7 +72,7 @@ class Engine:
     surroundings : of the method.  noise_shift : step n has the noise with number n + noise_shift.
     extra_observables : names of additional observables.  notes : title and scene, texts for files.
     is_whole : whether a checkpoint has the bits of the run; false after a state was restored without its lists, and
-        until steps that were made are counted.  sums : ForceSums, of the last evaluation.
+        until steps that were made are counted.  sums : ForceResult, of the last evaluation.
     holds_center : whether the center of mass must not move, because atoms with FixCom of ASE were given.
     counts_center : whether it counts as a degree of freedom although nothing moves it, as in ASE's dynamics.
     equilibrated : steps of equilibrations so far: none of them has the noise of another.
@@ -115,7 +115,7 @@ class Engine:
         # of the state to which forces and images belong, and whether steps can go on from there
         self._entered: list[int] | None = None
         self._goes_on = False
-        self.sums = ForceSums(self.interactions.forces)
+        self.sums = ForceResult(self.interactions.forces)
         self._steps: Steps | None = None
         self._steps_of: tuple[Any, ...] = ()
         self._describe_bath()
@@ -234,7 +234,7 @@ class Engine:
     def _rescale_cell(self, rescaling: CellRescaling, step: int) -> None:
         """Contact with the barostat at the end of a step."""
 
-        def forces_follow() -> ForceSums:
+        def forces_follow() -> ForceResult:
             self._state.forces_are_current = False
             self.interactions.follow()
             return self._evaluate(step)
@@ -294,11 +294,11 @@ class Engine:
             digest.append(zlib.crc32(np.ascontiguousarray(array).data))
         return digest
 
-    def evaluate(self) -> ForceSums:
+    def evaluate(self) -> ForceResult:
         """Forces, energy and virial, computed unless they are current; no bit of the steps to come changes."""
         return self._evaluate(self._step)
 
-    def _evaluate(self, step: int) -> ForceSums:
+    def _evaluate(self, step: int) -> ForceResult:
         if self._state.forces_are_current and self.sums.has_energy:
             return self.sums
         # the run itself needs no forces here if its next step begins with a drift

@@ -156,9 +156,15 @@ def add_virial(domain, arrays, sums, steps):
         for k in range(domains.window[domain + 1] - domains.window[domain]):
             x, y, z = loaded(memory.coordinates, (first + k) * block, lanes)
             fx, fy, fz = loaded(sums.forces, (place + k) * block, lanes)
-            x, y, z = x - x0, y - y0, z - z0
-            xx, yy, zz = fma(fx, x, xx), fma(fy, y, yy), fma(fz, z, zz)
-            yz, xz, xy = fma(fy, z, yz), fma(fx, z, xz), fma(fx, y, xy)
+            x = x - x0
+            y = y - y0
+            z = z - z0
+            xx = fma(fx, x, xx)
+            yy = fma(fy, y, yy)
+            zz = fma(fz, z, zz)
+            yz = fma(fy, z, yz)
+            xz = fma(fx, z, xz)
+            xy = fma(fx, y, xy)
         for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
             sums.of_rows[APART * domain, 1 + c] += total(w)
 
@@ -177,10 +183,11 @@ def _start_energies(domain, arrays, sums):
             return
         n_lanes = count(arrays.clusters.lanes)
         window = arrays.domains.window
-        sums.of_rows[
-            arrays.domain_start[domain] * n_lanes : arrays.domain_start[domain + 1] * n_lanes
-        ] = 0.0
-        sums.of_lanes[window[domain] * SUMS * n_lanes : window[domain + 1] * SUMS * n_lanes] = 0.0
+        start = arrays.domain_start[domain] * n_lanes
+        stop = arrays.domain_start[domain + 1] * n_lanes
+        sums.of_rows[start:stop] = 0.0
+        n_sums = SUMS * n_lanes
+        sums.of_lanes[window[domain] * n_sums : window[domain + 1] * n_sums] = 0.0
 
     return start
 
@@ -225,17 +232,19 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
     scale = scale_of(steps, zero)
     stops = rows.stops[rows.layers[0] - 1]
     energy = xx = yy = zz = yz = xz = xy = zero
-    for slot in range(
-        arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes
-    ):
+    first_slot = arrays.domain_start[domain] * n_lanes
+    last_slot = arrays.domain_start[domain + 1] * n_lanes
+    for slot in range(first_slot, last_slot):
         # in a gas many rows are empty
         if rows.start[slot] == stops[slot] and not with_energy(sums):
             continue
         home = homes[slot // n_lanes] - first
         lane = slot % n_lanes
         place = home * DIMENSIONS * n_lanes + lane
-        x, y, z = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
-        at = broadcast(x, zero), broadcast(y, zero), broadcast(z, zero)
+        x = broadcast(coordinates[place], zero)
+        y = broadcast(coordinates[place + n_lanes], zero)
+        z = broadcast(coordinates[place + 2 * n_lanes], zero)
+        at = x, y, z
         after = rows.entries[np.uintp(rows.start[slot])]
         ahead = separations(coordinates, memory.far, after, at, lanes)
         fx = nothing
@@ -252,34 +261,35 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
                 now = rows.entries[entry]
                 dx, dy, dz, r2 = separations(coordinates, memory.far, now, at, lanes)
             ghost = np.uintp(now & GHOST_BITS)
-            numbers = parameters_of_lanes(
-                parameters, (first + home) * n_lanes + lane, first + np.intp(ghost), lanes
-            )
+            own_slot = (first + home) * n_lanes + lane
+            cluster = first + np.intp(ghost)
+            numbers = parameters_of_lanes(parameters, own_slot, cluster, lanes)
             near = r2 < numbers[0]
             u, f = evaluate_law(law, r2, numbers[1:])
             f = select(near, f, 0.0)
             g = as_impulse(f, scale)
             size2 = summed_squares(g, size2, steps)
-            fx, fy, fz = plus_product(g, dx, fx), plus_product(g, dy, fy), plus_product(g, dz, fz)
+            fx = plus_product(g, dx, fx)
+            fy = plus_product(g, dy, fy)
+            fz = plus_product(g, dz, fz)
             push(forces, ghost, g, (dx, dy, dz))
             if with_energy(sums):
                 u = in_steps(select(near, u, 0.0), steps)
                 energy = energy + u
             if by_pair(sums, steps):
                 gx, gy, gz = f * dx, f * dy, f * dz
-                xx, xy = plus_virial(gx, dx, xx, steps), plus_virial(gx, dy, xy, steps)
-                yy, yz = plus_virial(gy, dy, yy, steps), plus_virial(gy, dz, yz, steps)
-                zz, xz = plus_virial(gz, dz, zz, steps), plus_virial(gx, dz, xz, steps)
+                xx = plus_virial(gx, dx, xx, steps)
+                yy = plus_virial(gy, dy, yy, steps)
+                zz = plus_virial(gz, dz, zz, steps)
+                yz = plus_virial(gy, dz, yz, steps)
+                xz = plus_virial(gx, dz, xz, steps)
+                xy = plus_virial(gx, dy, xy, steps)
                 if sums.detail == PER_ATOM:
-                    for c, w in enumerate(
-                        (u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)
-                    ):
+                    shares = (u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)
+                    for c, w in enumerate(shares):
                         at_c = ((window + np.intp(ghost)) * SUMS + c) * n_lanes
-                        store(
-                            sums.of_lanes,
-                            at_c,
-                            load(sums.of_lanes, at_c, lanes) + 0.5 * in_steps(w, steps),
-                        )
+                        share = load(sums.of_lanes, at_c, lanes) + 0.5 * in_steps(w, steps)
+                        store(sums.of_lanes, at_c, share)
         n_entries = stops[slot] - rows.start[slot]
         forces[place] -= without_bias(total(fx), n_entries, lanes)
         forces[place + n_lanes] -= without_bias(total(fy), n_entries, lanes)
@@ -303,8 +313,10 @@ def separations(coordinates, far, entry, at, lanes):
     """
     n_lanes = np.uintp(count(lanes))
     x = np.uintp(entry & GHOST_BITS) * np.uintp(DIMENSIONS) * n_lanes
-    y, z = x + n_lanes, x + n_lanes + n_lanes
-    dx, dy = load(coordinates, x, lanes) - at[0], load(coordinates, y, lanes) - at[1]
+    y = x + n_lanes
+    z = y + n_lanes
+    dx = load(coordinates, x, lanes) - at[0]
+    dy = load(coordinates, y, lanes) - at[1]
     dz = load(coordinates, z, lanes) - at[2]
     apart = load(far, np.uintp(entry >> LANES_FROM) * n_lanes, lanes)
     return dx, dy, dz, fma(dx, dx, fma(dy, dy, fma(dz, dz, apart)))
@@ -313,28 +325,26 @@ def separations(coordinates, far, entry, at, lanes):
 @by_type
 def scale_of(steps, like):
     """What makes impulses of forces, in steps of momentum, in all lanes; () where forces are summed as they are."""
-    return (
-        (lambda steps, like: broadcast(steps.per_force[0], like))
-        if is_fixed(steps)
-        else lambda steps, like: ()
-    )
+    if is_fixed(steps):
+        return lambda steps, like: broadcast(steps.per_force[0], like)
+    return lambda steps, like: ()
 
 
 @by_type
 def as_impulse(f, scale):
     """f = −u′/r [energy/length²], or the same as an impulse [1/length]."""
-    return (lambda f, scale: f * scale) if f == scale else lambda f, scale: f
+    if f == scale:
+        return lambda f, scale: f * scale
+    return lambda f, scale: f
 
 
 @by_type
 def plus_product(f, x, to):
     """to + f x, lane by lane; where it is of int64, with the product rounded to a whole number, and BIAS added,
     see without_bias."""
-    return (
-        (lambda f, x, to: fma(f, x, to))
-        if to.is_float
-        else lambda f, x, to: to + biased_product(f, x)
-    )
+    if to.is_float:
+        return lambda f, x, to: fma(f, x, to)
+    return lambda f, x, to: to + biased_product(f, x)
 
 
 @by_type
@@ -422,11 +432,12 @@ def start_sums(arrays, n_laws, first_sum, forces):
         first_sum[:] = 0
         for domain in range(arrays.domains.first.size):
             window = arrays.domains.window[domain]
-            for slot in range(
-                arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes
-            ):
+            first_slot = arrays.domain_start[domain] * n_lanes
+            last_slot = arrays.domain_start[domain + 1] * n_lanes
+            for slot in range(first_slot, last_slot):
                 for entry in range(rows.start[slot], stops[slot]):
-                    first_sum[window + np.intp(rows.entries[entry] & GHOST_BITS)] -= n_laws * BIAS
+                    ghost = np.intp(rows.entries[entry] & GHOST_BITS)
+                    first_sum[window + ghost] -= n_laws * BIAS
 
     return start
 
@@ -442,7 +453,9 @@ def plus_virial(g, x, to, steps):
 @by_type
 def summed_squares(f, to, steps):
     """to + f², lane by lane, where forces are watched: in fixed-point arithmetic."""
-    return (lambda f, to, steps: fma(f, f, to)) if is_fixed(steps) else lambda f, to, steps: to
+    if is_fixed(steps):
+        return lambda f, to, steps: fma(f, f, to)
+    return lambda f, to, steps: to
 
 
 @by_type
@@ -460,7 +473,8 @@ def push(forces, ghost, f, separation):
     dx, dy, dz = separation
     n_lanes = np.uintp(count(f))
     x = ghost * np.uintp(DIMENSIONS) * n_lanes
-    y, z = x + n_lanes, x + n_lanes + n_lanes
+    y = x + n_lanes
+    z = y + n_lanes
     store(forces, x, plus_product(f, dx, load(forces, x, f)))
     store(forces, y, plus_product(f, dy, load(forces, y, f)))
     store(forces, z, plus_product(f, dz, load(forces, z, f)))

@@ -37,7 +37,7 @@ from minimd.core.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, PREPARE
 from minimd.core.neighbors.domains import LATE
 from minimd.core.potentials.law import loop_for
 from minimd.core.potentials.pair_loop import SameForAll
-from minimd.core.potentials.term import FORCES, PER_ATOM, TOTALS, PairLaw, Target
+from minimd.core.potentials.term import FORCES, TOTALS, PairLaw, Target
 from minimd.core.structure.system import System
 
 
@@ -101,11 +101,9 @@ def _collect(domain, evaluation):
         for k_lane in range(n_lanes):
             if k_lane < clusters.filled[k]:
                 i = np.uintp(clusters.atom[k * n_lanes + k_lane])
-                forces[i, 0], forces[i, 1], forces[i, 2] = (
-                    lane(x, k_lane),
-                    lane(y, k_lane),
-                    lane(z, k_lane),
-                )
+                forces[i, 0] = lane(x, k_lane)
+                forces[i, 1] = lane(y, k_lane)
+                forces[i, 2] = lane(z, k_lane)
 
 
 NONE = np.zeros(0)
@@ -121,27 +119,19 @@ class ClusterTerm(ListTerm):
         self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0
     ) -> None:
         super().__init__(system, laws)
-        self.pool = pool_for(options, len(system))
+        n_atoms = len(system)
+        self.pool = pool_for(options, n_atoms)
         self._precision = options.precision
+        is_fixed = options.precision == FIXED_POINT
         skin = skin_for(system, laws, options, displacement, LAYERS)
-        self.list = ClusterList(
-            len(system),
-            laws.cutoff,
-            skin,
-            laws.excluded,
-            options.precision == FIXED_POINT,
-            self.pool,
-        )
-        members = [one.law for one in laws.members]
-        self._add_forces, self._prepare_loop = (
-            loop_for(one, *members) for one in (add_forces_of_laws, prepare_loop)
-        )
+        self.list = ClusterList(n_atoms, laws.cutoff, skin, laws.excluded, is_fixed, self.pool)
+        members = [member.law for member in laws.members]
+        self._add_forces = loop_for(add_forces_of_laws, *members)
+        self._prepare_loop = loop_for(prepare_loop, *members)
         self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
         self._arranged_for = 0  # which arrays of the list
-        self._memory, self._made = (
-            Buffers(),
-            dict[tuple[Any, ...], tuple[ClusterEvaluation, LoopWork]](),
-        )
+        self._memory = Buffers()
+        self._evaluations: dict[tuple[Any, ...], tuple[ClusterEvaluation, LoopWork]] = {}
 
     def suits(self, system: System) -> bool:
         """See ListTerm: a cell without room for the list needs another one."""
@@ -163,64 +153,62 @@ class ClusterTerm(ListTerm):
     def _evaluation(self, target: Target) -> ClusterEvaluation:
         """What operations for a target work on: kept as long as the list is not arranged anew."""
         key = _key(target)
-        if key not in self._made:
-            arrays = self.list.arrays
-            work = self._work_of(target.detail)
-            calls = self._calls[target.detail]
-            steps = ()
+        if key in self._evaluations:
+            return self._evaluations[key][0]
+        arrays = self.list.arrays
+        work = self._work_of(target.detail)
+        calls = self._calls[target.detail]
+        steps = ()
+        if target.steps:
             # with the limit of forces divided by distances: all distances are below the cutoff
-            if target.steps:
-                steps = target.steps._replace(limit2=(MOST / self._pair_laws.cutoff) ** 2)
-            add = calls.address(self._add_forces, 0, arrays, work, steps)
-            prepare = (
-                calls.address(self._prepare_loop, arrays, work) if self._needs_preparation else 0
-            )
-            made = ClusterEvaluation(arrays, add, prepare, work.address, target.forces, steps)
-            self._made[key] = made, work
-        return self._made[key][0]
+            steps = target.steps._replace(limit2=(MOST / self._pair_laws.cutoff) ** 2)
+        add = calls.address(self._add_forces, 0, arrays, work, steps)
+        prepare = 0
+        if self._needs_preparation:
+            prepare = calls.address(self._prepare_loop, arrays, work)
+        evaluation = ClusterEvaluation(arrays, add, prepare, work.address, target.forces, steps)
+        self._evaluations[key] = evaluation, work
+        return evaluation
 
     def collect(self, target: Target) -> None:
         """See Term."""
         if target.detail == FORCES:
             return
-        _, work = self._made[_key(target)]
+        key = _key(target)
+        sums = self._evaluations[key][1].sums
         if target.detail == TOTALS:
-            energy, *virial = work.sums.of_rows[::APART].sum(axis=0)
+            energy, *virial = sums.of_rows[::APART].sum(axis=0)
             target.energies[0] += energy
             target.virials[0] += virial
         else:
-            self._add_each(work.sums, target.energies, target.virials)
-            del self._made[_key(target)]  # large
+            self._add_each(sums, target.energies, target.virials)
+            del self._evaluations[key]  # large
 
     def _arrange(self, system: System) -> None:
         """Arrays that go with those of the list."""
-        members = self._pair_laws.members
-        of_lanes = [self._source(k, one, system) for k, one in enumerate(members)]
-        self._laws: tuple[Any, ...] = tuple(
-            zip((one.law for one in members), of_lanes, strict=True)
-        )
-        self._needs_preparation = self._precision == FIXED_POINT or any(
-            not isinstance(one, SameForAll) for one in of_lanes
-        )
+        laws = []
+        self._needs_preparation = self._precision == FIXED_POINT
+        for k, member in enumerate(self._pair_laws.members):
+            source = self._source(k, member, system)
+            laws.append((member.law, source))
+            self._needs_preparation |= not isinstance(source, SameForAll)
+        self._laws: tuple[Any, ...] = tuple(laws)
         self._arranged_for = self.list.version
-        self._made.clear()
+        self._evaluations.clear()
 
     def _work_of(self, detail: int) -> LoopWork:
         """Work with accumulators: none; of each domain; or of each slot and each lane of a ghost."""
         forces = self.list.memory.forces
-        n_lanes = self.list.lanes.size
         if detail == FORCES:
-            return LoopWork(self._laws, ForceSums(forces, np.zeros((0, SUMS)), NONE, FORCES))
-        if detail == TOTALS:
-            return LoopWork(
-                self._laws,
-                TotalSums(forces, np.zeros((APART * self.list.n_domains, SUMS)), NONE, TOTALS),
-            )
-        of_lanes = np.zeros(len(self.list.ghosts.parts) * n_lanes * SUMS)
-        return LoopWork(
-            self._laws,
-            Sums(forces, np.zeros((len(self.list.clusters.atom), SUMS)), of_lanes, PER_ATOM),
-        )
+            sums: Sums = ForceSums(forces, np.zeros((0, SUMS)), NONE, detail)
+        elif detail == TOTALS:
+            of_domains = np.zeros((APART * self.list.n_domains, SUMS))
+            sums = TotalSums(forces, of_domains, NONE, detail)
+        else:
+            of_rows = np.zeros((len(self.list.clusters.atom), SUMS))
+            of_lanes = np.zeros(len(self.list.ghosts.parts) * self.list.lanes.size * SUMS)
+            sums = Sums(forces, of_rows, of_lanes, detail)
+        return LoopWork(self._laws, sums)
 
     def _add_each(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
         """Add the sums of slots and lanes to the energies (N,) and virials (N, 6) of their atoms."""
@@ -236,9 +224,8 @@ class ClusterTerm(ListTerm):
         window = self.list.domains.window
         owner = self.list.ghosts.owner
         of_lanes = sums.of_lanes.reshape(-1, SUMS, n_lanes)[: int(window[-1])]
-        owners = np.concatenate(
-            [owner[a : a + size] for a, size in zip(first, np.diff(window), strict=True)]
-        )
+        windows = zip(first, np.diff(window), strict=True)
+        owners = np.concatenate([owner[start : start + size] for start, size in windows])
         atoms = atom.reshape(-1, n_lanes)[owners]
         np.add.at(energies, atoms, of_lanes[:, 0])
         np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))
@@ -246,34 +233,33 @@ class ClusterTerm(ListTerm):
     @property
     def summary(self) -> str:  # type: ignore[override]
         """The list, for the report."""
-        n = (
-            min(self.pool.n_threads, self.list.n_domains)
-            if self.list.n_builds
-            else self.pool.n_threads
+        n_threads = self.pool.n_threads
+        if self.list.n_builds:
+            n_threads = min(n_threads, self.list.n_domains)
+        threads = "1 thread" if n_threads == 1 else f"{n_threads} threads"
+        return (
+            f"cluster list (skin {self.list.skin:.3g}, {threads}, {described(self._precision)}) "
+            f"on vectors of {self.list.lanes.size} × {BITS} bits"
         )
-        threads = f"{n} thread{'s' if n > 1 else ''}"
-        vectors = f"vectors of {self.list.lanes.size} × {BITS} bits"
-        return f"cluster list (skin {self.list.skin:.3g}, {threads}, {described(self._precision)}) on {vectors}"
 
     def _source(self, k: int, law: PairLaw, system: System) -> SameForAll | ByLane | ChargesByLane:
         """Where the loop finds the numbers of law k."""
         slots = len(self.list.ghosts.owner) * self.list.lanes.size
+        n_species, _, n_numbers = law.table.shape
         source: SameForAll | ByLane = SameForAll(tuple(law.table[0, 0].tolist()))
-        if (n := len(law.table)) > 1:
-            values = self._memory.array(
-                f"parameters of law {k}", np.float64, law.table.shape[-1] * n * slots
-            )
+        if n_species > 1:
+            size = n_numbers * n_species * slots
+            numbers = self._memory.array(f"parameters of law {k}", np.float64, size)
             species = self._memory.array(f"species of law {k}", np.int64, slots)
-            columns = tuple(values.reshape(law.table.shape[-1], -1))
+            columns = tuple(numbers.reshape(n_numbers, -1))
             source = ByLane(columns, species, slots, law.table, system.species_index)
         if law.charges is None:
             return source
-        return ChargesByLane(
-            self._memory.array(f"charges of law {k}", np.float64, slots), law.charges, source
-        )
+        charges = self._memory.array(f"charges of law {k}", np.float64, slots)
+        return ChargesByLane(charges, law.charges, source)
 
 
 def _key(target: Target) -> tuple[Any, ...]:
-    return target.detail, *(
-        (float(target.steps.per_force[0]), *target.steps[1:]) if target.steps else ()
-    )
+    if not target.steps:
+        return (target.detail,)
+    return target.detail, float(target.steps.per_force[0]), *target.steps[1:]

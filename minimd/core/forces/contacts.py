@@ -74,9 +74,8 @@ class Contact:
 
     def apart(self, length: str) -> str:
         """The distance as text.  length : its unit."""
-        ratio = (
-            "" if self.ratio is None else f" (r/{'r₀' if self.is_bond else 'σ'} = {self.ratio:.3g})"
-        )
+        rest = "r₀" if self.is_bond else "σ"
+        ratio = "" if self.ratio is None else f" (r/{rest} = {self.ratio:.3g})"
         limit = "" if self.longest is None else f" (longest = {self.longest:.4g} {length})"
         return f"{self.distance:.3g} {length} apart{ratio}{limit}"
 
@@ -104,17 +103,13 @@ def why_not_finite(system: System, potentials: Sequence[Any]) -> str:
         with quiet():  # its warnings have been given
             alone = Forces(system, potential, Options(skin=0.0))
             sums = alone.compute(PER_ATOM)
-        bad = np.flatnonzero(
-            ~(np.isfinite(sums.forces).all(axis=1) & np.isfinite(sums.energies))
-        ).tolist()
+        is_finite = np.isfinite(sums.forces).all(axis=1) & np.isfinite(sums.energies)
+        bad = np.flatnonzero(~is_finite).tolist()
         if bad:
-            found = contacts(system, [potential], np.ones(len(system)), bad[:2])
-            named = (
-                f"{one.without_number(system.units.length)}; {one.cure}"
-                for one in found
-                if not one.is_finite
-            )
-            return next(named, f"{shown(potential)} gives no finite number for atom {bad[0]}")
+            for contact in contacts(system, [potential], np.ones(len(system)), bad[:2]):
+                if not contact.is_finite:
+                    return f"{contact.without_number(system.units.length)}; {contact.cure}"
+            return f"{shown(potential)} gives no finite number for atom {bad[0]}"
     return "each potential alone is finite, but not their sum"
 
 
@@ -156,20 +151,19 @@ def contacts(
 
     inverse_masses : (N,) [1/mass], zero for atoms held fixed.  atoms : finite in their positions.
     """
-    found: list[Contact] = []
+    examined: list[Contact] = []
     known = sorted(set(atoms))
     for potential in potentials:
-        if isinstance(potential, (Nonbonded, Bond)):
-            pairs = (
-                _near_pairs(potential, system, known)
-                if isinstance(potential, Nonbonded)
-                else _bonds(potential, system, known)
-            )
-            found += [
-                _contact(potential, pair, float(inverse_masses[list(pair[:2])].sum()))
-                for pair in pairs
-            ]
-    return found
+        if isinstance(potential, Nonbonded):
+            pairs = _near_pairs(potential, system, known)
+        elif isinstance(potential, Bond):
+            pairs = _bonds(potential, system, known)
+        else:
+            continue
+        for pair in pairs:
+            inverse_mass = float(inverse_masses[list(pair[:2])].sum())
+            examined.append(_contact(potential, pair, inverse_mass))
+    return examined
 
 
 def bonded_scales(potential: Nonbonded, system: System) -> dict[frozenset[int], float]:
@@ -197,9 +191,8 @@ def _near_pairs(potential: Nonbonded, system: System, atoms: list[int]) -> Itera
             r = float(distances[k])
             pair = frozenset((atom, other))
             scale = scales.get(pair, 1.0)
-            cutoff2, *numbers = (
-                table[index[atom], index[other]] if len(table) > 1 else table[0, 0]
-            ).tolist()
+            row = table[index[atom], index[other]] if len(table) > 1 else table[0, 0]
+            cutoff2, *numbers = row.tolist()
             if pair not in seen and r * r < cutoff2 and scale != 0.0:
                 seen.add(pair)
                 yield atom, other, r, scale, tuple(numbers)
@@ -231,7 +224,6 @@ def _contact(potential: Nonbonded | Bond, pair: Pair, inverse_mass: float) -> Co
         rest, length = numbers
     is_bond = isinstance(potential, Bond)
     is_users = is_user_law(potential.law) or reads_table(potential.law)
-    kind = type(potential).__name__, is_bond, is_users
     frequency, at_rest = (
         sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest)
     )
@@ -242,13 +234,15 @@ def _contact(potential: Nonbonded | Bond, pair: Pair, inverse_mass: float) -> Co
     return Contact(
         first,
         second,
-        *kind,
-        r,
-        ratio,
-        scale * u,
-        scale * f * r,
-        frequency,
-        at_rest,
-        bool(sinks),
-        longest,
+        law=type(potential).__name__,
+        is_bond=is_bond,
+        is_users=is_users,
+        distance=r,
+        ratio=ratio,
+        energy=scale * u,
+        force=scale * f * r,
+        frequency=frequency,
+        rest_frequency=at_rest,
+        sinks=bool(sinks),
+        longest=longest,
     )

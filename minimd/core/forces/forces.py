@@ -129,7 +129,7 @@ def clear_forces(clearing, chunk):
 
 
 @dataclass(frozen=True)
-class ForceSums:
+class ForceResult:
     """What one evaluation of the forces has given; energies and virials only if they were asked for.
 
     forces : (N, 3) [energy/length], in the memory of Forces, which the next evaluation overwrites.
@@ -351,7 +351,7 @@ class Forces:
         self.n_evaluations = counts[0]
         self._builds_before = self._builds_before + counts[1] - self.n_builds
 
-    def compute(self, detail: int = FORCES, unit: float | None = None) -> ForceSums:
+    def compute(self, detail: int = FORCES, unit: float | None = None) -> ForceResult:
         """Evaluate the forces at system.positions; TOTALS and PER_ATOM also energy and virial, of all and of each atom.
 
         unit : over which impulses are computed on a grid [time].
@@ -437,17 +437,17 @@ class Forces:
             for pairs in self._lists:
                 pairs.settle()
 
-    def taken(self, target: Target) -> ForceSums:
+    def taken(self, target: Target) -> ForceResult:
         """What the operations of an evaluation have given: forces of impulses, energies and virials with tails."""
         for term in self.terms:
             term.collect(target)
         if self.grid is not None:
             np.divide(self.impulses, target.steps.per_force[0], out=self.forces)
         if target.detail == FORCES:
-            return ForceSums(self.forces)
+            return ForceResult(self.forces)
         tail_energy, trace = self.tail_corrections()
         tail_virial = trace / 3.0
-        sums = ForceSums(
+        sums = ForceResult(
             self.forces,
             float(target.energies.sum()) + tail_energy,
             target.virials.sum(axis=0)[VOIGT] + np.eye(3) * tail_virial,

@@ -187,14 +187,16 @@ def push_from_points(mesh, chunk):
                 value = fma(points, seen[at_y + np.uintp(j)], value)
                 slope = fma(points, seen[at_y + width + np.uintp(j)], slope)
                 row = row + 1 if row + 1 < shape[1] else 0
-            here = seen[at + np.uintp(k)]
-            along_x = fma(value, seen[at + width + np.uintp(k)], along_x)
-            along_y = fma(slope, here, along_y)
-            along_z = fma(value, here, along_z)
+            on_plane = seen[at + np.uintp(k)]
+            across_plane = seen[at + width + np.uintp(k)]
+            along_x = fma(value, across_plane, along_x)
+            along_y = fma(slope, on_plane, along_y)
+            along_z = fma(value, on_plane, along_z)
         window = load(seen, at_y + width + width, mesh.width)
         bend = load(seen, at_y + width + width + width, mesh.width)
         q2 = 2.0 * mesh.charges[i]  # the slope of t is −2
-        fa, fb = q2 * shape[0] * total(along_x * window), q2 * shape[1] * total(along_y * window)
+        fa = q2 * shape[0] * total(along_x * window)
+        fb = q2 * shape[1] * total(along_y * window)
         fc = q2 * shape[2] * total(along_z * bend)
         for d in range(3):
             f = inverse[d, 0] * fa + inverse[d, 1] * fb + inverse[d, 2] * fc
@@ -233,12 +235,12 @@ def charge_sum(
     wave_by_wave = PER_WAVE * len(system) * n_waves if n_waves <= MOST_CELLS else np.inf
     if is_fixed or method == "waves":
         wave_by_wave = 0.0
-    times = {
-        window: PER_SUM
-        + PER_POINT * prod(shape_for(system, window))
-        + len(system) * (PER_ATOM + PER_ROW * window.points**2 * -(-window.points // Lanes8.size))
-        for window in (windows(split) if method == "mesh" or wave_by_wave > PER_SUM else [])
-    }
+    times = {}
+    if method == "mesh" or wave_by_wave > PER_SUM:
+        for window in windows(split):
+            n_vectors = window.points**2 * -(-window.points // Lanes8.size)
+            of_atoms = len(system) * (PER_ATOM + PER_ROW * n_vectors)
+            times[window] = PER_SUM + PER_POINT * prod(shape_for(system, window)) + of_atoms
     best = min(times, key=times.__getitem__, default=None)
     if best is not None:
         shape = shape_for(system, best)
@@ -278,7 +280,8 @@ class MeshSum(ChargeSum):
         n_threads: int,
     ) -> None:
         super().__init__(system, charges, split)
-        self._window, self.shape = window, shape_for(system, window)
+        self._window = window
+        self.shape = shape_for(system, window)
         self._workers = n_threads if np.prod(self.shape) > ALONE else 1
         self._width = Lanes8() if window.points <= Lanes8.size else Lanes16()
         n = len(system)
@@ -290,10 +293,8 @@ class MeshSum(ChargeSum):
         self._order = np.zeros(n, dtype=np.int64)
         self._seen = np.zeros(6 * n * width)
         self._begins = np.zeros(a + 1, dtype=np.int64)
-        self._points, self._shares = (
-            np.zeros((a, b, c + width)),
-            system.masses / system.masses.sum(),
-        )
+        self._points = np.zeros((a, b, c + width))
+        self._shares = system.masses / system.masses.sum()
         self._sums = np.zeros((self._n_chunks, 3))
         self._repeated = np.arange(width) % c
         most = int(split.largest_wave * window.spacing * c / (2.0 * pi))
@@ -301,7 +302,8 @@ class MeshSum(ChargeSum):
         self._waves = np.stack(np.meshgrid(*waves, indexing="ij"), axis=-1)
         self._amplitudes = np.zeros((a, b, most + 1), dtype=np.complex128)
         self._rows = np.zeros((a, b, c // 2 + 1), dtype=np.complex128)
-        seen = [window.transform(one / size) for one, size in zip(waves, self.shape, strict=True)]
+        axes = zip(waves, self.shape, strict=True)
+        seen = [window.transform(frequencies / size) for frequencies, size in axes]
         self._seen2 = np.einsum("i,j,k->ijk", *seen) ** 2
         self._take(system)
 
@@ -309,9 +311,8 @@ class MeshSum(ChargeSum):
     def summary(self) -> str:  # type: ignore[override]
         """The sum, for the report."""
         points = " x ".join(map(str, self.shape))
-        return (
-            f"mesh of {points} points, of which a charge sees {self._window.points}³ ({self._said})"
-        )
+        seen = f"{self._window.points}³"
+        return f"mesh of {points} points, of which a charge sees {seen} ({self._said})"
 
     def follow(self, system: System) -> bool:
         """See Term."""
@@ -323,23 +324,22 @@ class MeshSum(ChargeSum):
 
     def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
-        atoms = (
-            system.positions,
-            self._charges,
-            self._shares,
-            self._inverse,
-            self._sizes,
-            self._pieces,
+        mesh = Mesh(
+            positions=system.positions,
+            charges=self._charges,
+            shares=self._shares,
+            inverse=self._inverse,
+            shape=self._sizes,
+            pieces=self._pieces,
+            starts=self._starts,
+            seen=self._seen,
+            order=self._order,
+            begins=self._begins,
+            points=self._points.reshape(-1),
+            sums=self._sums,
+            forces=target.forces,
+            width=self._width,
         )
-        tables = (
-            self._starts,
-            self._seen,
-            self._order,
-            self._begins,
-            self._points.reshape(-1),
-            self._sums,
-        )
-        mesh = Mesh(*atoms, *tables, target.forces, self._width)
         yield operation(self._calls, see_points, mesh, self._n_chunks)
         yield operation(self._calls, sort_atoms, mesh)
         yield operation(self._calls, put_charges, mesh, plane_chunks.py_func(self._sizes))
@@ -358,10 +358,8 @@ class MeshSum(ChargeSum):
         if detail != FORCES:
             self._kept = self._amplitudes[self._used]
             half = 0.5 * self._twice * np.abs(self._kept) ** 2
-            self._totals[0, 0], self._totals[0, 1:] = (
-                half @ self._weights[self._used],
-                half @ self._virials,
-            )
+            self._totals[0, 0] = half @ self._weights[self._used]
+            self._totals[0, 1:] = half @ self._virials
         self._amplitudes *= self._weights
         self._fill()
 
@@ -370,9 +368,8 @@ class MeshSum(ChargeSum):
         from scipy.fft import ifftn
 
         length = self.shape[2]
-        ifftn(
-            self._amplitudes, axes=(0, 1), norm="forward", overwrite_x=True, workers=self._workers
-        )
+        how = {"norm": "forward", "overwrite_x": True, "workers": self._workers}
+        ifftn(self._amplitudes, axes=(0, 1), **how)
         np.fft.irfft(self._amplitudes, length, norm="forward", out=self._points[:, :, :length])
         self._points[:, :, length:] = self._points[:, :, self._repeated]
 
@@ -389,15 +386,15 @@ class MeshSum(ChargeSum):
     def _at_atoms(self) -> NDArray[np.float64]:
         """The potential of the points at each atom."""
         seen = self._seen.reshape(len(self._charges), 3, 2, -1)[:, :, 0, : self._window.points]
-        found = np.empty(len(seen))
-        for some in np.array_split(np.arange(len(seen)), len(seen) // IN_A_BLOCK + 1):
-            a, b, c = (
-                (self._starts[some, d, None] + np.arange(seen.shape[2])) % self.shape[d]
-                for d in range(3)
-            )
+        potentials = np.empty(len(seen))
+        offsets = np.arange(seen.shape[2])
+        for block in np.array_split(np.arange(len(seen)), len(seen) // IN_A_BLOCK + 1):
+            starts = self._starts[block, :, None] + offsets
+            a, b, c = (starts[:, d] % self.shape[d] for d in range(3))
             points = self._points[a[:, :, None, None], b[:, None, :, None], c[:, None, None, :]]
-            found[some] = np.einsum("nijk,ni,nj,nk->n", points, *seen[some].swapaxes(0, 1))
-        return found
+            windows_of = seen[block].swapaxes(0, 1)
+            potentials[block] = np.einsum("nijk,ni,nj,nk->n", points, *windows_of)
+        return potentials
 
     def _take(self, system: System) -> None:
         """Weights for the present cell."""
@@ -407,10 +404,10 @@ class MeshSum(ChargeSum):
         self._used = np.nonzero((k2 > 0.0) & (k2 <= self._split.largest_wave**2))
         k = k[self._used]
         k2 = k2[self._used]
-        weights, bends = (
-            one / (self._volume * self._seen2[self._used]) for one in self._split.spectrum(k2)
-        )
+        spectrum, bend = self._split.spectrum(k2)
+        seen2 = self._volume * self._seen2[self._used]
+        weights = spectrum / seen2
         self._weights = np.zeros(self._waves.shape[:3])
         self._weights[self._used] = weights
-        self._virials = virials_of(k, weights, bends)
+        self._virials = virials_of(k, weights, bend / seen2)
         self._twice = np.where(self._used[2] > 0, 2.0, 1.0)  # k and −k

@@ -47,19 +47,15 @@ class Window(NamedTuple):
 
     def transform(self, f: Any) -> Any:
         """φ̂ of frequencies in units of 1/h."""
-        return (
-            0.5
-            * self.points
-            * (np.cos(pi * self.points * np.multiply.outer(f, NODES)) @ (self(NODES) * WEIGHTS))
-        )
+        waves = np.cos(pi * self.points * np.multiply.outer(f, NODES))
+        return 0.5 * self.points * (waves @ (self(NODES) * WEIGHTS))
 
     def pieces(self, accuracy: float, width: int) -> NDArray[np.float64]:
         """φ of each of the P points, as polynomials of t: the first point is (t + 1)/2 from the edge; (D, width)."""
 
         def at(t: NDArray[np.float64]) -> NDArray[np.float64]:
-            return self(
-                (np.add.outer(0.5 * (t + 1.0), np.arange(self.points))) * 2.0 / self.points - 1.0
-            )
+            x = np.add.outer(0.5 * (t + 1.0), np.arange(self.points))
+            return self(x * 2.0 / self.points - 1.0)
 
         t = np.linspace(-1.0, 1.0, 33)
         for degree in range(4, 24):
@@ -68,7 +64,8 @@ class Window(NamedTuple):
             if np.abs(chebyshev.chebval(t, series).T - at(t)).max() < max(FITTED * accuracy, 1e-15):
                 break
         values = np.zeros((degree + 1, width))
-        values[:, : self.points] = np.stack([chebyshev.cheb2poly(one) for one in series.T], axis=1)
+        polynomials = [chebyshev.cheb2poly(column) for column in series.T]
+        values[:, : self.points] = np.stack(polynomials, axis=1)
         return values
 
 
@@ -76,15 +73,15 @@ class Window(NamedTuple):
 def windows(split: Split) -> list[Window]:
     """A window for each number of points that does for a split; the spacing is the largest that does."""
     enough = SHARE * _left_out(split)
-    found = []
+    chosen = []
     for points in POINTS:
         for finer in np.arange(1.1, 2.5, 0.05):  # times the points that the shortest wave needs
             bandwidth = pi * points * (1.0 - 0.5 / finer) * (1.1 + 0.9 / points)
             window = Window(points, bandwidth, pi / (split.largest_wave * float(finer)))
             if _error(split, window) < enough:
-                found.append(window)
+                chosen.append(window)
                 break
-    return found
+    return chosen
 
 
 def _left_out(split: Split) -> float:
@@ -112,9 +109,8 @@ def _error(split: Split, window: Window) -> float:
     f = window.spacing / (2.0 * pi) * k * u
     of_pairs = of_itself = 0.0
     for sign in (-1.0, 1.0):
-        ratio = np.interp(np.abs(f + sign), table, transform) / np.interp(
-            np.abs(f), table, transform
-        )
+        of_alias = np.interp(np.abs(f + sign), table, transform)
+        ratio = of_alias / np.interp(np.abs(f), table, transform)
         aliased = k**2 + 2.0 * sign * step * k * u + step**2
         of_pairs += 3.0 * float((part * (spectrum * ratio) ** 2 * (k**2 + aliased)).sum())
         of_itself += step * float((part * spectrum * ratio).sum())

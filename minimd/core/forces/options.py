@@ -34,19 +34,16 @@ class Options:
 
     def __post_init__(self) -> None:
         checked_choice("precision", self.precision, get_args(Precision))
-        if (
-            checked_kind("grid", self.grid, Grid | None, "a minimd.Grid") is not None
-            and self.precision != FIXED_POINT
-        ):
+        checked_kind("grid", self.grid, Grid | None, "a minimd.Grid")
+        if self.grid is not None and self.precision != FIXED_POINT:
             raise ValueError(
                 f"a grid is for precision='fixed-point'; precision = {self.precision!r}"
             )
         if self.threads is not None:
             object.__setattr__(self, "threads", checked_count("threads", self.threads))
         if self.skin is not None:
-            object.__setattr__(
-                self, "skin", checked_number("skin", self.skin, "finite and not negative")
-            )
+            skin = checked_number("skin", self.skin, "finite and not negative")
+            object.__setattr__(self, "skin", skin)
 
     @property
     def most_threads(self) -> int:

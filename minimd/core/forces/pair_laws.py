@@ -30,27 +30,27 @@ class PairLaws:
 
     def __init__(self, system: System, members: Sequence[PairLaw]) -> None:
         by_bonds = pairs_by_bonds_apart(system.bonds)
-        pairs = np.unique(
-            np.sort(np.concatenate([*by_bonds, *(one.exclusions for one in members)])), axis=0
-        )
+        exclusions = [law.exclusions for law in members]
+        pairs = np.unique(np.sort(np.concatenate([*by_bonds, *exclusions])), axis=0)
         factors = np.ones((len(members), len(pairs)))
-        for of_law, one in zip(factors, members, strict=True):
-            for factor, some in zip(
-                (*one.bonded_scale, 0.0), (*by_bonds, one.exclusions), strict=True
-            ):
-                of_law[among(pairs, some)] = factor
+        for row, law in zip(factors, members, strict=True):
+            for factor, bonded in zip(law.bonded_scale, by_bonds, strict=True):
+                row[among(pairs, bonded)] = factor
+            row[among(pairs, law.exclusions)] = 0.0
         is_special = (factors != 1.0).any(axis=0)
         self.excluded = pairs[is_special]
         self.factors = factors[:, is_special]
         self.members = merged(members)
-        self.cutoff = max(one.cutoff for one in members)
+        self.cutoff = max(law.cutoff for law in members)
 
     def skipped(self) -> list[str]:
         """See Term."""
-        is_alike = all(len(one.table) == 1 for one in self.members)
-        return (["parameter table"] if is_alike else []) + (
-            [] if len(self.excluded) else ["exclusions"]
-        )
+        absent = []
+        if all(len(law.table) == 1 for law in self.members):
+            absent.append("parameter table")
+        if len(self.excluded) == 0:
+            absent.append("exclusions")
+        return absent
 
     def fit_clusters(self, system: System, options: Options, displacement: float) -> bool:
         """Whether clusters are used: for CLUSTERS_FROM atoms or more, a finite cutoff, heights ≥ cutoff + skin,
@@ -58,29 +58,22 @@ class PairLaws:
         if len(system) < CLUSTERS_FROM or self.cutoff == np.inf:
             return False
         reach = self.cutoff + skin_for(system, self, options, displacement, LAYERS)
-        high_enough = bool(np.all(system.cell.heights[system.cell.pbc] >= reach))
-        return high_enough and all(
-            runs_on_vectors(one.law, one.n_parameters) for one in self.members
+        is_high_enough = bool(np.all(system.cell.heights[system.cell.pbc] >= reach))
+        return is_high_enough and all(
+            runs_on_vectors(law.law, law.n_parameters) for law in self.members
         )
 
 
 def merged(members: Sequence[PairLaw]) -> list[PairLaw]:
     """The laws, that of charges put together with another one: a pass over the pairs less."""
-    charged = next((one for one in members if one.charges is not None), None)
-    other = next(
-        (
-            one
-            for one in members
-            if one.charges is None and charged and one.cutoff <= charged.cutoff
-        ),
-        None,
-    )
-    if charged is None or other is None:
+    charged = next((law for law in members if law.charges is not None), None)
+    if charged is None:
         return [*members]
-    return [
-        with_charges(other, charged),
-        *(one for one in members if one is not charged and one is not other),
-    ]
+    for other in members:
+        if other.charges is None and other.cutoff <= charged.cutoff:
+            rest = [law for law in members if law is not charged and law is not other]
+            return [with_charges(other, charged), *rest]
+    return [*members]
 
 
 class ListTerm(OwnTerm):
@@ -90,7 +83,8 @@ class ListTerm(OwnTerm):
     fits_grid = True
 
     def __init__(self, system: System, laws: PairLaws) -> None:
-        self._pair_laws, self.widest_skin = laws, widest_skin(system, laws)
+        self._pair_laws = laws
+        self.widest_skin = widest_skin(system, laws)
 
     def suits(self, system: System) -> bool:
         """Whether such a list is what the system needs in its present cell."""
@@ -109,15 +103,18 @@ class ListTerm(OwnTerm):
         return self._pair_laws.skipped()
 
 
-def deepest(one: PairLaw) -> float:
+def deepest(law: PairLaw) -> float:
     """The depth of the deepest well of a law, for any pair of species, at some distances below the cutoff [energy]."""
-    product = () if one.charges is None else (-(float(np.abs(one.charges).max()) ** 2),)
-    rows = [row for row in one.table.reshape(-1, one.table.shape[-1]).tolist() if row[0] < np.inf]
-    sought = (
-        (x * cutoff2**0.5, (*product, *numbers)) for cutoff2, *numbers in rows for x in SOUGHT_AT
-    )
-    energies = [law_at(one.law, r, numbers)[0] for r, numbers in sought]
-    return max((-u for u in energies if isfinite(u)), default=0.0)
+    product = () if law.charges is None else (-(float(np.abs(law.charges).max()) ** 2),)
+    depth = -np.inf
+    for cutoff2, *numbers in law.table.reshape(-1, law.table.shape[-1]).tolist():
+        if cutoff2 == np.inf:
+            continue
+        for x in SOUGHT_AT:
+            u = law_at(law.law, x * cutoff2**0.5, (*product, *numbers))[0]
+            if isfinite(u):
+                depth = max(depth, -u)
+    return depth if isfinite(depth) else 0.0
 
 
 def skin_for(

@@ -68,11 +68,9 @@ class PairListTerm(ListTerm):
         skin = skin_for(system, laws, options, displacement) if cutoff < np.inf else 0.0
         check_size(system, cutoff, skin)
         self.summary = "all pairs" if cutoff == np.inf else f"pair list (skin {skin:.3g})"
-        self.list, self._options = (
-            PairList(n, cutoff, skin, laws.excluded),
-            replace(options, skin=skin),
-        )
-        self._loops = [loop_for(add_pair_forces, one.law) for one in laws.members]
+        self.list = PairList(n, cutoff, skin, laws.excluded)
+        self._options = replace(options, skin=skin)
+        self._loops = [loop_for(add_pair_forces, member.law) for member in laws.members]
         self._positions = np.empty((n, 3))
         self._energies = np.empty(n)
         self._virials = np.empty((n, 6))
@@ -90,26 +88,19 @@ class PairListTerm(ListTerm):
         def update(_answer: int) -> None:
             self._update(system)
 
+        order = self.list.order
         sums = np.zeros_like(target.forces), self._energies, self._virials
-        local = Local(
-            system.positions,
-            target.forces,
-            self.list.order,
-            self.list.offsets,
-            self._positions,
-            sums,
-        )
-        laws = [
-            (one.law, source_for(one, system, self.list.order)) for one in self._pair_laws.members
-        ]
+        atoms = (system.positions, target.forces, order, self.list.offsets, self._positions)
+        local = Local(*atoms, sums)
         pairs = (self._positions, self.list.pairs)
         output = (target.steps, target.detail, sums)
-        works = [PairWork(*pairs, *law, *output) for law in laws]
         first = self._calls[0]
         yield operation(first, is_in_reach, self.list.reach, python=update)
         yield operation(first, gather_atoms, local)
-        for calls, loop, work in zip(self._calls, self._loops, works, strict=True):
-            yield operation(calls, loop, work)
+        laws = zip(self._calls, self._loops, self._pair_laws.members, strict=True)
+        for calls, loop, member in laws:
+            source = source_for(member, system, order)
+            yield operation(calls, loop, PairWork(*pairs, member.law, source, *output))
         yield operation(first, scatter_forces, local)
 
     def _update(self, system: System) -> None:
@@ -127,7 +118,5 @@ class PairListTerm(ListTerm):
 
     def skipped(self) -> Iterable[str]:
         """See Term."""
-        return [
-            *(["neighbor list (all pairs)"] if self.list.cutoff == np.inf else []),
-            *super().skipped(),
-        ]
+        absent = ["neighbor list (all pairs)"] if self.list.cutoff == np.inf else []
+        return [*absent, *super().skipped()]

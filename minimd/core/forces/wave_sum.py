@@ -120,7 +120,9 @@ def _fill_tables(waves, table, first, last):
     o = np.uintp(waves.chosen[0])
     for k in range(BLOCK):
         i = np.uintp(min(first + k, last - 1))
-        x, y, z = r[i, 0] - r[o, 0], r[i, 1] - r[o, 1], r[i, 2] - r[o, 2]
+        x = r[i, 0] - r[o, 0]
+        y = r[i, 1] - r[o, 1]
+        z = r[i, 2] - r[o, 2]
         for d in range(3):
             cells = np.floor(x * inverse[0, d] + y * inverse[1, d] + z * inverse[2, d] + CUT)
             x = x - cells * lattice[d, 0]
@@ -142,7 +144,9 @@ def _fill_tables(waves, table, first, last):
             for at in range(np.uintp(begin), np.uintp(end), np.uintp(2 * BLOCK)):
                 store(table, at + k, x)
                 store(table, at + k + np.uintp(BLOCK), y)
-                x, y = fma(x, c, -(y * s)), fma(x, s, y * c)
+                turned = fma(x, c, -(y * s))
+                y = fma(x, s, y * c)
+                x = turned
 
 
 @scalar
@@ -225,28 +229,23 @@ def weigh_waves(waves, _chunk):
                 ic = _added(waves, cell, 4 * side + 3)
                 up = waves.weights[cell, 2 * side]
                 down = waves.weights[cell, 2 * side + 1]
-                ur, ui, dr, di = rc - im, rs + ic, rc + im, ic - rs  # S for c and for −c
-                a = waves.amplitudes[cell]
-                a[4 * side] = up * ur + down * dr
-                a[4 * side + 1] = -(up * ui + down * di)
-                a[4 * side + 2] = up * ur - down * dr
-                a[4 * side + 3] = down * di - up * ui
+                # S for c and for −c
+                ur = rc - im
+                ui = rs + ic
+                dr = rc + im
+                di = ic - rs
+                amplitudes = waves.amplitudes[cell]
+                amplitudes[4 * side] = up * ur + down * dr
+                amplitudes[4 * side + 1] = -(up * ui + down * di)
+                amplitudes[4 * side + 2] = up * ur - down * dr
+                amplitudes[4 * side + 3] = down * di - up * ui
                 if waves.detail != FORCES:
+                    a = waves.rows[row, A]
                     b = waves.rows[row, B] * (1 - 2 * side)
-                    _count(
-                        waves,
-                        (waves.rows[row, A], b, c),
-                        up,
-                        waves.bends[cell, 2 * side],
-                        ur * ur + ui * ui,
-                    )
-                    _count(
-                        waves,
-                        (waves.rows[row, A], b, -c),
-                        down,
-                        waves.bends[cell, 2 * side + 1],
-                        dr * dr + di * di,
-                    )
+                    bend = waves.bends[cell, 2 * side]
+                    _count(waves, (a, b, c), up, bend, ur * ur + ui * ui)
+                    bend = waves.bends[cell, 2 * side + 1]
+                    _count(waves, (a, b, -c), down, bend, dr * dr + di * di)
     return GO_ON
 
 
@@ -272,10 +271,12 @@ def _count(waves, wave, weight, bend, size2):
     u = weight * size2
     g = 2.0 * bend * size2
     totals[0, 0] += u
-    for c, w in enumerate(
-        (u + g * kx * kx, u + g * ky * ky, u + g * kz * kz, g * ky * kz, g * kx * kz, g * kx * ky)
-    ):
-        totals[0, 1 + c] += w
+    totals[0, 1] += u + g * kx * kx
+    totals[0, 2] += u + g * ky * ky
+    totals[0, 3] += u + g * kz * kz
+    totals[0, 4] += g * ky * kz
+    totals[0, 5] += g * kx * kz
+    totals[0, 6] += g * kx * ky
 
 
 @called_kernel
@@ -376,7 +377,9 @@ class ChargeSum(OwnTerm):
     """A sum over the waves of the charges of a system.  charges : (N,) [√(energy · length)].  split : of 1/r."""
 
     def __init__(self, system: System, charges: NDArray[np.float64], split: Split) -> None:
-        self._charges, self._split, self._calls = charges, split, DirectCalls()
+        self._charges = charges
+        self._split = split
+        self._calls = DirectCalls()
         self._n_chunks = min(n_chunks_of(len(charges)), MOST_SUMS)
         self._energy = -0.5 * split.at_zero * charges**2  # of each charge with its own smooth part
         self._net = float(sum_in_any_order(charges))
@@ -428,7 +431,8 @@ class WaveSum(ChargeSum):
 
     def __init__(self, system: System, charges: NDArray[np.float64], split: Split) -> None:
         super().__init__(system, charges, split)
-        self._sizes, self._lanes = np.zeros(7, dtype=np.int64), lanes_for()
+        self._sizes = np.zeros(7, dtype=np.int64)
+        self._lanes = lanes_for()
         self._chosen = np.zeros(1, np.int64)
         rows, weights, bends = self._waves(system)
         room = int(ROOM * len(weights)) + 8
@@ -453,39 +457,37 @@ class WaveSum(ChargeSum):
 
     def follow(self, system: System) -> bool:
         """See Term."""
-        waves = self._waves(system)
-        if (
-            len(waves[1]) > len(self._weights)
-            or self._places(waves[0])[-1] + 3 * BLOCK > self._room
-        ):
+        rows, weights, bends = self._waves(system)
+        has_tables = self._places(rows)[-1] + 3 * BLOCK <= self._room
+        if len(weights) > len(self._weights) or not has_tables:
             return False
-        self._take(system, *waves)
+        self._take(system, rows, weights, bends)
         return True
 
     def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
         rounder = rounder_for(self._charges) if target.steps else ()
-        rest = np.zeros_like(target.forces[: self._n_chunks])
-        where = (
-            system.positions,
-            self._charges,
-            rounder,
-            self._lattice,
-            self._inverse,
-            self._chosen,
-            self._sizes,
+        waves = Waves(
+            positions=system.positions,
+            charges=self._charges,
+            rounder=rounder,
+            lattice=self._lattice,
+            inverse=self._inverse,
+            chosen=self._chosen,
+            sizes=self._sizes,
+            rows=self._rows,
+            weights=self._weights,
+            bends=self._bends,
+            tables=self._tables,
+            sums=self._sums,
+            amplitudes=self._amplitudes,
+            totals=self._totals,
+            rest=np.zeros_like(target.forces[: self._n_chunks]),
+            forces=target.forces,
+            steps=target.steps,
+            detail=target.detail,
+            lanes=self._lanes,
         )
-        what = (
-            self._rows,
-            self._weights,
-            self._bends,
-            self._tables,
-            self._sums,
-            self._amplitudes,
-            self._totals,
-            rest,
-        )
-        waves = Waves(*where, *what, target.forces, target.steps, target.detail, self._lanes)
         if target.steps:
             yield operation(self._calls, choose_atom, waves)
         yield operation(self._calls, sum_waves, waves, self._n_chunks)
@@ -502,38 +504,37 @@ class WaveSum(ChargeSum):
         largest = self._split.largest_wave
         self._keep(system)
         ends = np.floor(largest * np.linalg.norm(lattice, axis=1) / (2.0 * pi))
-        if (n := float(np.prod(ends + 1.0))) > MOST_CELLS:
-            needs = f"needs some {2.0 * n:.1g} waves in this cell, but at most {2 * MOST_CELLS} are allowed"
-            raise ValueError(f"cutoff of Coulomb must be larger; {self._split.cutoff:.3g} {needs}")
+        needed = float(np.prod(ends + 1.0))
+        if needed > MOST_CELLS:
+            raise ValueError(
+                f"cutoff of Coulomb must be larger; {self._split.cutoff:.3g} needs some {2.0 * needed:.1g} waves "
+                f"in this cell, but at most {2 * MOST_CELLS} are allowed"
+            )
         most = ends.astype(np.int64)
-        cells = np.stack(
-            np.meshgrid(*(np.arange(n + 1) for n in most), indexing="ij"), axis=-1
-        ).reshape(-1, 3)
-        # (C, 4)
-        k2 = (np.einsum("csi,di->csd", cells[:, None] * SIGNS, 2.0 * pi * self._inverse) ** 2).sum(
-            axis=-1
-        )
+        axes = [np.arange(n + 1) for n in most]
+        cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        k = np.einsum("csi,di->csd", cells[:, None] * SIGNS, 2.0 * pi * self._inverse)
+        k2 = (k**2).sum(axis=-1)  # (C, 4)
         a, b, c = (cells[:, None, d] for d in range(3))
-        # of ±b, and below of ±c, the same waves once
-        is_new = (SIGNS[:, 1] > 0) | ((a > 0) & (b > 0))
-        is_new = is_new & ((SIGNS[:, 2] > 0) | ((c > 0) & ((a > 0) | (b > 0))))
-        counts = is_new & (k2 > 0.0) & (k2 <= largest**2)
+        # of ±b, and of ±c, the same waves once
+        is_new_b = (SIGNS[:, 1] > 0) | ((a > 0) & (b > 0))
+        is_new_c = (SIGNS[:, 2] > 0) | ((c > 0) & ((a > 0) | (b > 0)))
+        counts = is_new_b & is_new_c & (k2 > 0.0) & (k2 <= largest**2)
         height = np.where(counts.any(axis=1), cells[:, 2] + 1, 0)
         firsts = np.flatnonzero(cells[:, 2] == 0)
         place = cells[:, 0] * (most[1] + 1) + cells[:, 1]
         n_cells = np.maximum.reduceat(height, firsts)
         kept = cells[:, 2] < n_cells[place]
-        n_cells, firsts = n_cells[n_cells > 0], firsts[n_cells > 0]
+        firsts = firsts[n_cells > 0]
+        n_cells = n_cells[n_cells > 0]
         rows = np.column_stack([cells[firsts, :2], np.cumsum(n_cells) - n_cells, n_cells])
         self._cells = cells[kept]
         counts = counts[kept]
         k2 = k2[kept]
         spectrum, bend = self._split.spectrum(np.where(counts, k2, 1.0))
-        return (
-            rows,
-            np.where(counts, spectrum, 0.0) / self._volume,
-            np.where(counts, bend, 0.0) / self._volume,
-        )
+        weights = np.where(counts, spectrum, 0.0) / self._volume
+        bends = np.where(counts, bend, 0.0) / self._volume
+        return rows, weights, bends
 
     def _places(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         """Where the tables X, Y, Z, XY and those of forces begin."""

@@ -124,8 +124,8 @@ class CellRescaling:
         if own is not None and theirs is not None and own != theirs:
             they = f"they have {own} and {theirs}: leave out the temperature of the barostat"
             raise ValueError(f"barostat and thermostat must have the same temperature; {they}")
-        found: Any = theirs if own is None else own
-        return float(found)
+        temperature: Any = theirs if own is None else own
+        return float(temperature)
 
     def next_step(self, step: int) -> int:
         """The first step after this one at which the cell is strained."""

@@ -222,9 +222,9 @@ class Engine:
             at = end if due is None else min(end, due)
             wants_energy = at == due or (with_energy and at == end)
             steps = self._own_steps
-            made = steps.advance(at - step, wants_energy, step + self.noise_shift)
-            self.interactions.n_evaluations += made * steps.n_evaluations
-            step += made
+            n_done = steps.advance(at - step, wants_energy, step + self.noise_shift)
+            self.interactions.n_evaluations += n_done * steps.n_evaluations
+            step += n_done
             if rescaling is not None and step == due:
                 self._rescale_cell(rescaling, step)
             if self.surroundings.stop_requested:
@@ -557,18 +557,21 @@ class Engine:
         """What makes up a simulation, and where it stands. Nothing is computed."""
         options = self.interactions.options
         units = self.system.units
-        chosen = {"threads": options.threads, "skin": options.skin}
-        words = [f"{name} {value:g}" for name, value in chosen.items() if value is not None]
+        grid = self.interactions.grid
+        chosen = [described(options.precision)]
+        if options.threads is not None:
+            chosen.append(f"threads {options.threads:g}")
+        if options.skin is not None:
+            chosen.append(f"skin {options.skin:g}")
         rows = self.scene_in_words()
-        rows += (
-            [("observed too", ", ".join(self.extra_observables))] if self.extra_observables else []
-        )
-        rows += [("options", ", ".join([described(options.precision), *words]))]
-        if grid := self.interactions.grid:
-            rows += [
-                ("grid", f"{grid!r}: positions, lattice vectors and momenta are rounded to it")
-            ]
-        return [*rows, ("at", f"step {self.step}, {units.shown(self.time)}")]
+        if self.extra_observables:
+            rows.append(("observed too", ", ".join(self.extra_observables)))
+        rows.append(("options", ", ".join(chosen)))
+        if grid:
+            rounded = f"{grid!r}: positions, lattice vectors and momenta are rounded to it"
+            rows.append(("grid", rounded))
+        rows.append(("at", f"step {self.step}, {units.shown(self.time)}"))
+        return rows
 
 
 def scene_in_words(
@@ -582,29 +585,32 @@ def scene_in_words(
     units = system.units
     cell = "none, open in all directions"
     if system.cell.is_periodic:
-        lengths = " × ".join(
-            f"{length:.4g}" for length in np.linalg.norm(system.cell.vectors, axis=1)
-        )
-        cell = f"{lengths} {units.length}, periodic along {' '.join(np.array(list('abc'))[system.cell.pbc])}"
-    joined = "".join(
-        f"; {len(group)} {name}" for name, group in system.groups().items() if len(group)
-    )
+        edges = np.linalg.norm(system.cell.vectors, axis=1)
+        lengths = " × ".join([f"{edge:.4g}" for edge in edges])
+        directions = " ".join(np.array(list("abc"))[system.cell.pbc])
+        cell = f"{lengths} {units.length}, periodic along {directions}"
+    atoms = f"{len(system)} atoms ({system.composition})"
+    for name, group in system.groups().items():
+        if len(group):
+            atoms += f"; {len(group)} {name}"
     shown = {
         "timestep": units.shown,
         "temperature": lambda value: f"{value:.10g} {units.temperature}",
         "friction": lambda value: f"{value / units.to_picosecond:.10g} / {units.shown_time}",
         "relaxation_time": units.shown,
     }
-    told = (
-        f"{name.replace('_', ' ')} {shown.get(name, str)(value)}"
-        for name, value in parameters.items()
-    )
-    rows = [("system", f"{len(system)} atoms ({system.composition}){joined}"), ("cell", cell)]
-    rows += (
-        [("constraints", ", ".join(map(repr, system.constraints)))] if system.constraints else []
-    )
-    rows += [*(("potential", one) for one in potentials), ("method", ", ".join((method, *told)))]
-    return rows + ([("barostat", repr(barostat))] if barostat is not None else [])
+    settings = [method]
+    for name, value in parameters.items():
+        settings.append(f"{name.replace('_', ' ')} {shown.get(name, str)(value)}")
+    rows = [("system", atoms), ("cell", cell)]
+    if system.constraints:
+        rows.append(("constraints", ", ".join(map(repr, system.constraints))))
+    for potential in potentials:
+        rows.append(("potential", potential))
+    rows.append(("method", ", ".join(settings)))
+    if barostat is not None:
+        rows.append(("barostat", repr(barostat)))
+    return rows
 
 
 def _copied(
@@ -630,27 +636,20 @@ def _copied(
 
 def _checked_method(method: Splitting) -> Any:
     """The method.  Raises TypeError for anything but a splitting with its time step."""
-    return checked_kind(
-        "method",
-        method,
-        Splitting,
-        "an integrator with its time step, such as VelocityVerlet(0.005)",
-    )
+    needed = "an integrator with its time step, such as VelocityVerlet(0.005)"
+    return checked_kind("method", method, Splitting, needed)
 
 
 def _warn_of_dropped(
-    those_of_system: Sequence[Constraint], given: Constraint | Sequence[Constraint] | None
+    of_system: Sequence[Constraint], constraints: Constraint | Sequence[Constraint] | None
 ) -> None:
     """Warn if the given constraints replace those of the system and one kind of the latter is missing."""
-    if given is None:
+    if constraints is None:
         return
-    kinds = {type(one) for one in (given if isinstance(given, Sequence) else [given])}
-    dropped = [repr(one) for one in those_of_system if type(one) not in kinds]
-    if kinds and dropped:
-        lost = (
-            f"the constraints given replace those of the system, and {', '.join(dropped)} is lost"
-        )
-        warn(lost)
+    kinds = set(map(type, constraints if isinstance(constraints, Sequence) else [constraints]))
+    lost = ", ".join(repr(constraint) for constraint in of_system if type(constraint) not in kinds)
+    if kinds and lost:
+        warn(f"the constraints given replace those of the system, and {lost} is lost")
 
 
 def _holds_center(system: AnySystem) -> bool:
@@ -668,6 +667,8 @@ def _check_center(is_held: bool, stays: bool, method: Splitting) -> None:
         return
     cause = "a force from outside or a fixed atom moves the center of mass: remove FixCom, or what moves it"
     if not method.conserves_momentum:
-        cure = "take StochasticVelocityRescaling or minimd.ase.Langevin, or remove FixCom"
-        cause = f"{method.name} moves the center of mass: {cure}"
+        cause = (
+            f"{method.name} moves the center of mass: "
+            "take StochasticVelocityRescaling or minimd.ase.Langevin, or remove FixCom"
+        )
     raise ValueError(f"atoms.constraints holds FixCom, but {cause}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -92,8 +91,10 @@ class Record(Displayed):
         if name in series:
             return np.array(series[name])
         if name == "pressure":
-            what = "it must be periodic in all three directions, pbc = (True, True, True)"
-            raise AttributeError(f"pressure was not recorded: the cell has no volume; {what}")
+            raise AttributeError(
+                "pressure was not recorded: the cell has no volume; "
+                "it must be periodic in all three directions, pbc = (True, True, True)"
+            )
         raise AttributeError(f"a record has no {name!r}; it has {', '.join(series)}")
 
     def __dir__(self) -> list[str]:
@@ -106,25 +107,24 @@ class Record(Displayed):
 
     def unit(self, name: str) -> str:
         """The unit of a series, in words; empty for a pure number, or one that minimd does not know."""
-        return (
-            self.units.time
-            if name == "time"
-            else str(getattr(self.units, SERIES.get(name) or "", ""))
-        )
+        if name == "time":
+            return self.units.time
+        return str(getattr(self.units, SERIES.get(name) or "", ""))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """All series as columns of numbers, (T,) each: vectors as momentum_x, …, tensors as stress_xx, stress_xy, …"""
-        made = {}
+        columns = {}
         for name in self._series:
             series = getattr(self, name)
-            for place in product(*(range(n) for n in series.shape[1:])):
-                suffix = (
-                    "".join("xyz"[k] for k in place)
-                    if set(series.shape[1:]) == {3}
-                    else "_".join(map(str, place))
-                )
-                made[f"{name}_{suffix}" if place else name] = series[:, *place]
-        return made
+            shape = series.shape[1:]
+            is_tensor = set(shape) == {3}
+            for place in np.ndindex(*shape):
+                if is_tensor:
+                    label = name + "_" + "".join("xyz"[k] for k in place)
+                else:
+                    label = "_".join([name, *map(str, place)])
+                columns[label] = series[:, *place]
+        return columns
 
     def to_pandas(self) -> pandas.DataFrame:
         """A data frame of columns(), with the steps as its index, and their units in its attrs["units"].
@@ -134,11 +134,9 @@ class Record(Displayed):
         try:
             from pandas import DataFrame
         except ModuleNotFoundError as error:
-            hint = (
-                "install pandas, or use record.columns(), a dict of arrays, or record.to_csv(path)"
-            )
             raise ModuleNotFoundError(
-                f"to_pandas needs pandas, which is not installed: {hint}"
+                "to_pandas needs pandas, which is not installed: install pandas, "
+                "or use record.columns(), a dict of arrays, or record.to_csv(path)"
             ) from error
         table = DataFrame(self.columns()).set_index("step")
         table.attrs["units"] = {name: unit for name in self._series if (unit := self.unit(name))}
@@ -152,8 +150,10 @@ class Record(Displayed):
         """
         columns = self.columns()
         path = checked_path("path", path)
-        rows = zip(*(column.tolist() for column in columns.values()), strict=True)
-        text = "\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""])
+        lines = [",".join(columns)]
+        for row in zip(*(column.tolist() for column in columns.values()), strict=True):
+            lines.append(",".join(map(repr, row)))
+        text = "\n".join([*lines, ""])
         write_whole(path, text, overwrite=checked_flag("overwrite", overwrite))
         return path
 
@@ -172,23 +172,25 @@ class Record(Displayed):
         if not len(self):
             return [("record", "no entries")]
         step = self.step
-        first, last = [self.units.shown(one) for one in (self.time[0], self.time[-1])]
-        what = f"{len(self)} entries of {self.n_atoms} atoms, step {step[0]} to {step[-1]}, {first} to {last}"
-        rows = [("record", what)]
-        for name in (one for one in self._series if one not in ("step", "time")):
-            series = getattr(self, name)
-            if series.ndim > 1:
-                told = f"change at most {np.abs(series - series[0]).max():.2g}"
-            else:
-                mean = (
-                    with_error(*mean_and_error(series))
-                    if series.std() > 0.0
-                    else f"{series.mean():.8g}"
-                )
-                ends = f"first {series[0]:.8g}, last {series[-1]:.8g}"
-                told = f"{ends}, mean {mean}, standard deviation {series.std():.2g}"
-            rows.append((name.replace("_", " "), f"{told} {self.unit(name)}".rstrip()))
+        first = self.units.shown(self.time[0])
+        last = self.units.shown(self.time[-1])
+        entries = f"{len(self)} entries of {self.n_atoms} atoms, step {step[0]} to {step[-1]}, {first} to {last}"
+        rows = [("record", entries)]
+        for name in self._series:
+            if name not in ("step", "time"):
+                summary = f"{_summary(getattr(self, name))} {self.unit(name)}"
+                rows.append((name.replace("_", " "), summary.rstrip()))
         return rows
 
     def __repr__(self) -> str:
         return f"Record({len(self)} entries of {', '.join(self._series)})"
+
+
+def _summary(series: NDArray[Any]) -> str:
+    """A series in words, without its unit."""
+    if series.ndim > 1:
+        return f"change at most {np.abs(series - series[0]).max():.2g}"
+    deviation = series.std()
+    mean = with_error(*mean_and_error(series)) if deviation > 0.0 else f"{series.mean():.8g}"
+    ends = f"first {series[0]:.8g}, last {series[-1]:.8g}"
+    return f"{ends}, mean {mean}, standard deviation {deviation:.2g}"

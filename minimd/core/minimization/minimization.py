@@ -252,11 +252,11 @@ class Descent:
         self._velocities = np.zeros_like(self._positions)
         self._probe = np.random.default_rng(SEED).standard_normal(self._positions.shape)
         # minimd's own laws have no finite force where they have no energy
-        own = (
-            isinstance(one, OwnPotential) and not is_user_law(getattr(one, "law", ()))
-            for one in forces.potentials
+        are_own = all(
+            isinstance(potential, OwnPotential) and not is_user_law(getattr(potential, "law", ()))
+            for potential in forces.potentials
         )
-        self._detail = FORCES if all(own) else TOTALS
+        self._detail = FORCES if are_own else TOTALS
         self.n_steps = 0
         self.largest_force = np.inf
         self.stop_requested = False
@@ -426,16 +426,9 @@ class Descent:
         pair = closest_pair(self._system)
         positions = self._positions
         cell = self._system.cell
-        words = "energy or forces are not finite: "
-        if (
-            pair is None
-            or pair.distance > self._longest
-            or n_pushes > PUSHES
-            or not np.isfinite(positions).all()
-        ):
-            raise NonFiniteError(
-                words + why_not_finite(self._system, self._interactions.potentials)
-            )
+        is_far = pair is None or pair.distance > self._longest
+        if pair is None or is_far or n_pushes > PUSHES or not np.isfinite(positions).all():
+            raise NonFiniteError(f"energy or forces are not finite: {self._cause()}")
         arm = nearest_vectors(positions, cell, np.array([pair[:2]]))[0]
         velocities = np.zeros_like(positions)
         if arm.any():
@@ -450,5 +443,9 @@ class Descent:
         velocities /= longest(velocities)[1]
         self._constraint_set.project(velocities, positions)
         if not velocities.any() or not self._moved(velocities, 0.5 * self._longest):
-            why = why_not_finite(self._system, self._interactions.potentials)
-            raise NonFiniteError(f"{words}{why}, and constraints hold them there")
+            raise NonFiniteError(
+                f"energy or forces are not finite: {self._cause()}, and constraints hold them there"
+            )
+
+    def _cause(self) -> str:
+        return why_not_finite(self._system, self._interactions.potentials)

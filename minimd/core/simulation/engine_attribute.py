@@ -25,19 +25,22 @@ class Closed:
 
     def __setattr__(self, name: str, value: Any) -> None:
         kind = type(self)
-        if "own" in vars(kind) and not (
-            name.startswith("_") or name in kind.own or hasattr(kind, name)
-        ):
-            near = get_close_matches(
-                name, [*kind.own, *(one for one in dir(kind) if not one.startswith("_"))], n=1
-            )
-            hint = HINTS.get(name) or (
-                f"did you mean {near[0]!r}?" if near else "dir(...) lists its attributes"
-            )
+        is_known = name.startswith("_") or name in kind.own or hasattr(kind, name)
+        if "own" in vars(kind) and not is_known:
+            hint = _hint(kind, name)
             raise AttributeError(
                 f"a {kind.__name__} has no attribute {name!r} that could be set; {hint}"
             )
         super().__setattr__(name, value)
+
+
+def _hint(kind: type[Closed], name: str) -> str:
+    """What a user may have meant with an attribute of this name."""
+    if name in HINTS:
+        return HINTS[name]
+    public = [attribute for attribute in dir(kind) if not attribute.startswith("_")]
+    near = get_close_matches(name, [*kind.own, *public], n=1)
+    return f"did you mean {near[0]!r}?" if near else "dir(...) lists its attributes"
 
 
 class EngineAttribute(Generic[T]):
@@ -61,10 +64,10 @@ class EngineAttribute(Generic[T]):
         if simulation is not None and self._name == "forces":
             simulation.engine.enter()
             simulation.engine.evaluate()
-        found: Any = (
-            self if simulation is None else attrgetter(self._path or self._name)(simulation.engine)
-        )
-        return found  # type: ignore[no-any-return]
+        value: Any = self
+        if simulation is not None:
+            value = attrgetter(self._path or self._name)(simulation.engine)
+        return value  # type: ignore[no-any-return]
 
     def __set__(self, simulation: Any, value: T) -> None:
         if self._path:
@@ -104,8 +107,8 @@ class MeasuredAttribute(Generic[T]):
             itself: Any = self
             return itself  # type: ignore[no-any-return]
         simulation.engine.enter()
-        found: T = measure(simulation.engine, self._name)
-        return found
+        value: T = measure(simulation.engine, self._name)
+        return value
 
     def __set__(self, _simulation: Any, _value: T) -> None:
         see = "change the velocities, by set_temperature for example, or system.cell"

@@ -43,9 +43,12 @@ def resumed(
     # not rounded to another grid than that of the run
     simulation.system.cell = contents.system.cell
     simulation.engine.go_on_from(contents.restart)
-    if other := other_potentials(contents.potentials, simulation.potentials):
-        given = f"the potentials given are not those of the last steps in {str(file)!r}: {other}"
-        warn(f"{given}; the potential energy jumps at this step")
+    other = other_potentials(contents.potentials, simulation.potentials)
+    if other:
+        warn(
+            f"the potentials given are not those of the last steps in {str(file)!r}: {other}; "
+            "the potential energy jumps at this step"
+        )
     if contents.repaired:
         warn(contents.repaired)
     return simulation
@@ -59,8 +62,10 @@ def stored_potentials(contents: H5MDContents, file: str | Path) -> Any:
 def last_step(step: int, n_steps: int | None, until_step: int | None) -> int:
     """The step at which a run ends.  Raises ValueError unless exactly one of n_steps and until_step is given."""
     if (n_steps is None) == (until_step is None):
-        given = f"n_steps = {n_steps!r}, until_step = {until_step!r}"
-        raise ValueError(f"a run needs either n_steps or until_step; {given}")
+        raise ValueError(
+            "a run needs either n_steps or until_step; "
+            f"n_steps = {n_steps!r}, until_step = {until_step!r}"
+        )
     if n_steps is not None:
         return step + checked_count("n_steps", n_steps, 0)
     return checked_count("until_step", until_step, step)

@@ -205,8 +205,8 @@ class Simulation(Closed, Displayed):
         FileNotFoundError, OSError, ValueError : for a file that does not exist, is damaged or not of minimd, or has no
             scene if no potentials are given.
         """
-        found: Self = resumed(cls, file, potentials, method, threads)
-        return found
+        simulation: Self = resumed(cls, file, potentials, method, threads)
+        return simulation
 
     def run(
         self,

@@ -496,7 +496,8 @@ class Engine:
         return not (self.interactions.act_from_outside or self.constraint_set.n_fixed)
 
     def _is_still_under(self, method: Splitting) -> bool:
-        return method.conserves_momentum and self.moves_freely and not self.counts_center
+        is_pushed = self.interactions.act_from_outside or self.constraint_set.n_fixed
+        return method.conserves_momentum and not (is_pushed or self.counts_center)
 
     @property
     def reservoir_energy(self) -> float:

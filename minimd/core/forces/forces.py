@@ -237,6 +237,7 @@ class Forces:
         self._builds_before += n_builds - self.n_builds
         self._bound = terms_bound
         self._planned_for = self.system.cell
+        self._tails = self.tail_corrections()
         self._timed = [term for term in terms if term.depends_on_time]
         self.depend_on_time = bool(self._timed)
         self.act_from_outside = any(term.acts_from_outside for term in terms_bound)
@@ -316,6 +317,7 @@ class Forces:
         if sum(not term.follow(self.system) for term in self.terms) == 0:
             self._planned_for = self.system.cell
             self._images.take(self.system.cell)
+            self._tails = self.tail_corrections()
 
     def lists_built(self) -> tuple[Built, ...]:
         """What build_lists needs to rebuild the lists that are in use."""
@@ -445,7 +447,7 @@ class Forces:
             np.divide(self.impulses, target.steps.per_force[0], out=self.forces)
         if target.detail == FORCES:
             return ForceResult(self.forces)
-        tail_energy, trace = self.tail_corrections()
+        tail_energy, trace = self._tails
         tail_virial = trace / 3.0
         sums = ForceResult(
             self.forces,
@@ -517,7 +519,7 @@ class Forces:
         return absent
 
     def tail_corrections(self) -> tuple[float, float]:
-        """Energy and virial trace of all tails."""
+        """Energy and virial trace of all tails, in the present cell."""
         energy = 0.0
         trace = 0.0
         for term in self._bound:

@@ -86,7 +86,7 @@ class H5MDWriter:
         self._h5 = admitted(h5py.File(self._disk, "w" if claim.is_new else "r+"), claim.name)
         try:
             if claim.is_new:
-                self.description = layout.description(engine) | digest.description(observers)
+                self.description = layout.description(engine) | digest.of_observers(observers)
             else:
                 self._continue()
         except BaseException:
@@ -150,7 +150,7 @@ class H5MDWriter:
             ]
             digest.set_aside_damaged(h5)
             digest.drop_frames(h5, self._n_frames)
-            put(h5, digest.description(self._observers))
+            put(h5, digest.of_observers(self._observers))
             if scene := self._engine.notes["scene"]:  # the scene with which the run goes on
                 title = self._engine.notes["title"] or contents.title
                 h5["minimd"].attrs.update({"scene": scene, "title": title})

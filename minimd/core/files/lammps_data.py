@@ -88,7 +88,7 @@ class LammpsData(NamedTuple):
     positions : (N, 3) [length], in the images that the file names.  types : (N,) their labels, or numbers as text.
     cell : (3, 3) [length], rows; its origin is not kept.  groups : bonds, angles, dihedrals, impropers, (n, 2), (n, 3)
         or (n, 4) int, from 0 on, by these names.  n_types : of these, how many types occur, where more than one.
-    masses, charges, molecules : (N,).  velocities : (N, 3).  units : LAMMPS' word.  pbc : three bools.
+    masses, charges : (N,).  velocities : (N, 3).  units : LAMMPS' word.  pbc : three bools.
     skipped : names of sections that LAMMPS itself does not have.
     """
 
@@ -99,7 +99,6 @@ class LammpsData(NamedTuple):
     n_types: dict[str, int]
     masses: Array | None
     charges: Array | None
-    molecules: Indices | None
     velocities: Array | None
     units: str | None
     pbc: tuple[bool, ...] | None
@@ -117,7 +116,7 @@ class DataFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.title, *lines = text_of(path).split("\n")
-        self.header: dict[str, list[float]] = defaultdict(lambda: 3 * [0.0])
+        self.header: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
         self.sections: dict[str, dict[int, list[str]]] = defaultdict(lambda: {1: []})
         self.labels: dict[str, dict[str, int]] = defaultdict(dict)
         self.places: dict[int, int] = {}
@@ -136,9 +135,10 @@ class DataFile:
                 keyword = " ".join(words[len(numbers) :])
                 self.header[keyword] = row_of(numbers, [NUMBER] * HEADER.get(keyword, 1))
                 if not self.header[keyword]:
-                    wanted = "numbers and a keyword, such as '0.0 10.0 xlo xhi'"
                     raise self.fault(
-                        place, f"a line of the header must be {wanted}; it is {shown(line.strip())}"
+                        place,
+                        "a line of the header must be numbers and a keyword, such as '0.0 10.0 xlo xhi'; "
+                        f"it is {shown(line.strip())}",
                     )
         for title, lines_of_labels in self.sections.items():
             if title.endswith(" Type Labels"):
@@ -148,23 +148,22 @@ class DataFile:
                 if len(self.labels[kind]) != len(rows):
                     raise self.fault(next(iter(lines_of_labels)), "labels of types must differ")
 
-    def fault(self, place: int, words: str) -> ValueError:
+    def fault(self, place: int, reason: str) -> ValueError:
         """The error for a line."""
-        return ValueError(f"file {str(self.path)!r}, line {place}: {words}")
+        return ValueError(f"file {str(self.path)!r}, line {place}: {reason}")
 
     def rules(self, layout: str, kind: str) -> list[Rule]:
         """Those of the letters of a layout.  kind : of what the types, "t", are: atom, bond, ..."""
         n_types = self.header[f"{kind} types"][0]
         labels = self.labels[kind]
-        rules = RULES | {
-            "t": (
-                f"one of {n_types:.0f} {kind} types",
-                lambda word: labels.get(word) or int(word),
-                1,
-                n_types,
-            ),
-            "a": ("id of an atom", lambda word: self.places[int(word)], 0, WHOLE),
-        }
+        types: Rule = (
+            f"one of {n_types:.0f} {kind} types",
+            lambda word: labels.get(word) or int(word),
+            1,
+            n_types,
+        )
+        atoms: Rule = ("id of an atom", lambda word: self.places[int(word)], 0, WHOLE)
+        rules = RULES | {"t": types, "a": atoms}
         return [rules.get(letter, NUMBER) for letter in layout]
 
     def rows(self, title: str, keyword: str, layout: str, kind: str = "") -> list[list[Any]]:
@@ -173,8 +172,11 @@ class DataFile:
         (place, _), *lines = self.sections[title].items()
         expected = self.header[keyword][0]
         if len(lines) != expected:
-            wanted = f"section {title} must have a line for each of the {expected:.0f} {keyword} of the header"
-            raise self.fault(place, f"{wanted}; it has {len(lines)}")
+            raise self.fault(
+                place,
+                f"section {title} must have a line for each of the {expected:.0f} {keyword} of the header; "
+                f"it has {len(lines)}",
+            )
         rules = self.rules(layout, kind)
         is_ordered = layout[0] != "w"
         rows = {}
@@ -184,10 +186,8 @@ class DataFile:
             if not row or key in rows:
                 names = ", ".join(name for name, *_ in rules)
                 once = ", the first in one line only" * is_ordered
-                raise self.fault(
-                    place,
-                    f"a line of {title} must be {names}{once}; it is {shown(' '.join(words))}",
-                )
+                line = shown(" ".join(words))
+                raise self.fault(place, f"a line of {title} must be {names}{once}; it is {line}")
             rows[key] = row
         return [row for _, row in sorted(rows.items())]
 
@@ -201,8 +201,11 @@ class DataFile:
             cell = np.diag(sizes)
             cell[[1, 2, 2], [0, 0, 1]] = self.header["xy xz yz"]
         if min(sizes) <= 0.0:
-            wanted = f"{', '.join(BOUNDS)}, or {', '.join(EDGES)}, of a right-handed cell"
-            raise self.fault(1, f"the header must have {wanted}; the vectors are {cell.tolist()}")
+            raise self.fault(
+                1,
+                f"the header must have {', '.join(BOUNDS)}, or {', '.join(EDGES)}, of a right-handed cell; "
+                f"the vectors are {cell.tolist()}",
+            )
         return cell
 
     def layout(self, given: str | None) -> str:
@@ -217,14 +220,15 @@ class DataFile:
         ]
         styles = [style for style in (*named, given) if style in LAYOUTS]
         for flags in (FLAGS, ""):
-            styles = styles or [
-                style for style, layout in LAYOUTS.items() if self.fits(layout + flags)
-            ]
+            if not styles:
+                styles = [style for style, layout in LAYOUTS.items() if self.fits(layout + flags)]
         layouts = {LAYOUTS[style] for style in styles}
         if len(layouts) != 1 or styles[0] not in READ:
-            why = f"the atom style must be certain, and one of {listed(READ)}; it is {listed(styles) or None}"
-            remedy = 'name it as atom_style="full", in a scene under [structure], or let LAMMPS write another style'
-            raise self.fault(place, f"{why}: {remedy}")
+            raise self.fault(
+                place,
+                f"the atom style must be certain, and one of {listed(READ)}; it is {listed(styles) or None}: "
+                'name it as atom_style="full", in a scene under [structure], or let LAMMPS write another style',
+            )
         (layout,) = layouts
         _, first = lines[0]
         return layout + FLAGS * (len(first) > len(layout))
@@ -280,10 +284,13 @@ def read_lammps_data(path: str | Path, atom_style: str | None = None) -> LammpsD
     for name, size in GROUPS.items():
         rows = file.rows(name.capitalize(), name, "wt" + size * "a", name[:-1])
         groups[name] = np.array([row[2:] for row in rows], np.int64).reshape(-1, size)
-        n_types[name] = len({row[1] for row in rows})
-    masses = velocities = None
+        n = len({row[1] for row in rows})
+        if n > 1:
+            n_types[name] = n
+    masses = None
     if "Masses" in file.sections:
         masses = np.array(file.rows("Masses", "atom types", "tp", "atom"))[kinds - 1, 1]
+    velocities = None
     if "Velocities" in file.sections:
         velocities = np.array(file.rows("Velocities", "atoms", "aqqq"))[:, 1:]
     names = {number: label for label, number in file.labels["atom"].items()}
@@ -294,10 +301,9 @@ def read_lammps_data(path: str | Path, atom_style: str | None = None) -> LammpsD
         types=[names.get(kind, str(kind)) for kind in kinds.tolist()],
         cell=cell,
         groups=groups,
-        n_types={name: n for name, n in n_types.items() if n > 1},
+        n_types=n_types,
         masses=masses,
         charges=column.get("q"),
-        molecules=column["m"].astype(np.int64) if "m" in column else None,
         velocities=velocities,
         units=units and units[1],
         pbc=boundary and tuple("p" in word for word in boundary[1].split()),

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from minimd.core.console.display import Displayed
 from minimd.core.console.words import printable
@@ -117,11 +118,12 @@ def checked(run: RunUniverse, damaged: str = "") -> FileCheck:
     is_free = contents.conserves_momentum
     record, figures = recomputed(run)
     lines = [*pressure_lines(record, system.masses.sum(), contents.barostat, is_free)]
-    for words in contents.potentials:
-        name, _, call = words.partition(": ")
+    for potential in contents.potentials:
+        name, _, call = potential.partition(": ")
         if name == "Coulomb":
             bound = "accuracy bounds the rms error of the forces of charges, over their rms"
             lines.append(Line("charges", call, bound, True))
+
     if contents.thin_cell:
         remedy = "TOO THIN; open it in this direction, with pbc"
         lines.append(Line("cell", contents.thin_cell, remedy, False))
@@ -170,6 +172,7 @@ def recomputed(run: RunUniverse) -> tuple[Record, list[Array]]:
                 length_error(system),
             )
         )
+
     series = {name: np.array([entry[name] for entry in entries]) for name in entries[0]}
     record = Record.of(units, len(system), series)
     return record, [np.array(column) for column in zip(*figures, strict=True)]
@@ -230,6 +233,7 @@ def comparisons(
         )
         meaning = "change of Σ p, in whole steps of the grid"
         rows.append(_compared("exact momentum", totals - totals[0], 1.0, EXACT, meaning))
+
     which = f"{damaged} are not" if damaged else "frames and restarts are"
     rows.append(
         _compared("checksums", bool(damaged), 1.0, EXACT, f"{which} those that were written")
@@ -264,12 +268,7 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
         first = int(np.argmax(above))
         end = first + int(np.argmin(above[first:]))
         peak = float(r[first + np.argmax(g[first:end])])
-        rigid = [
-            constraint.pairs
-            for constraint in system.constraints
-            if isinstance(constraint, DistanceConstraints)
-        ]
-        pairs = np.concatenate([system.bonds, *rigid])
+        pairs = joined_pairs(system)
         lengths = np.linalg.norm(nearest_vectors(system.positions, system.cell, pairs), axis=1)
         is_bond = (np.abs(lengths - peak) < 0.1 * peak).any()
         inside = ", between bonded atoms" if is_bond else ""
@@ -280,4 +279,15 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
                 has_friction = contents.method == LangevinBAOAB.name
                 slowed = ", slowed by the friction of Langevin dynamics" if has_friction else ""
                 lines.append(f"diffusion      {diffusion}{slowed}")
+
     return lines
+
+
+def joined_pairs(system: System) -> NDArray[np.int64]:
+    """(B, 2) the bonded pairs, and behind them those whose lengths are held fixed."""
+    held = [
+        constraint.pairs
+        for constraint in system.constraints
+        if isinstance(constraint, DistanceConstraints)
+    ]
+    return np.concatenate([system.bonds, *held])

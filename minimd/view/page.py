@@ -32,13 +32,12 @@ from minimd.core.files.crash_file import read_crash_report
 from minimd.core.files.h5md_reader import H5MDContents, read_file
 from minimd.core.files.turned_cell import as_in_run
 from minimd.core.forces.forces import Potential
-from minimd.core.structure.constraints import DistanceConstraints
 from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
 from minimd.mdanalysis.universes import RunUniverse, universe_of
 from minimd.past.replay import replay
-from minimd.view.check import checked
+from minimd.view.check import checked, joined_pairs
 from minimd.view.plot import drawn
 
 LEVELS = 2**16
@@ -131,6 +130,7 @@ def failure_story(
         marked = (findings.pair.first, findings.pair.second)
     elif findings.closest:
         marked = findings.closest[:2]
+
     with TemporaryDirectory() as folder:
         source = path
         steps = b""
@@ -156,6 +156,7 @@ def failure_story(
         with universe_of(source) as run:
             motion = motion_of(run, frames, marked, latest=True)
             picture = (SVG, steps) if steps else _scalable(drawn(run))
+
     return Story(
         title=f"{contents.title}: failed",
         heading=_heading(path, contents),
@@ -218,7 +219,7 @@ def motion_of(
     atoms = chosen_atoms(len(system), marked)
     most = min(most, max(2, BYTES // (6 * len(atoms))))
     frames = chosen_frames(contents.n_frames, most, latest)
-    inverses = [cell.inverse] * len(frames)
+    inverses: Any = [cell.inverse] * len(frames)
     if "cell" in record:
         inverses = np.linalg.inv(cell.reduction @ record.cell[frames])
     places = []
@@ -226,11 +227,13 @@ def motion_of(
         ts = run.trajectory[int(frame)]
         positions = as_in_run(ts, ts.positions[atoms]) / system.units.to_angstrom
         places.append(positions @ inverse)
+
     fractions = np.array(places)
     if marked:
         middle = 0.5 * cell.vectors.sum(axis=0) @ cell.inverse
         place = fractions[-1, np.searchsorted(atoms, marked[0])]
         fractions += np.where(cell.pbc, middle - place, 0.0)
+
     extent = np.ptp(fractions, axis=1)
     low = np.where(cell.pbc, 0.0, fractions.min(axis=1))
     width = np.where(cell.pbc, 1.0, np.where(extent > 0.0, extent, 1.0) * LEVELS / (LEVELS - 1))
@@ -243,12 +246,7 @@ def motion_of(
 def bonds_among(atoms: NDArray[np.int64], system: System) -> NDArray[np.int64]:
     """(B, 2) pairs of indices in atoms: bonded pairs, and pairs whose length is held fixed, if both atoms are shown;
     each pair once."""
-    held = [
-        constraint.pairs
-        for constraint in system.constraints
-        if isinstance(constraint, DistanceConstraints)
-    ]
-    joined = np.unique(np.sort(np.concatenate([system.bonds, *held]), axis=1), axis=0)
+    joined = np.unique(np.sort(joined_pairs(system), axis=1), axis=0)
     places = np.full(len(system), -1)
     places[atoms] = np.arange(len(atoms))
     pairs = places[joined]
@@ -297,9 +295,10 @@ def page(story: Story) -> str:
             f'<section class="failure"><h2>Why it failed</h2><p><strong>{cause}</strong></p>'
             f"<p>What to do: {advice}.</p><p>What happened: {fault}.</p></section>"
         )
+
     rows = [
-        f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(words)}</td></tr>'
-        for name, words in parameters(story.contents)
+        f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(content)}</td></tr>'
+        for name, content in parameters(story.contents)
     ]
     circle = '<svg viewBox="0 0 10 10" aria-hidden="true"><circle cx="5" cy="5" r="4.5" fill="{}"/></svg>'
     counts = np.bincount(system.species_index, minlength=len(species))

@@ -74,6 +74,7 @@ def view(
         raise ValueError(
             "a page needs the frames of the run, but the run wrote no .h5md file; run with trajectory='run.h5md'"
         )
+
     # these load h5py, MDAnalysis and matplotlib
     from minimd.core.files.crash_file import is_crash_file
     from minimd.core.files.h5md_reader import verify_frames
@@ -86,6 +87,7 @@ def view(
         raise ValueError(
             f"potentials are used for a failed run only; {str(path)!r} holds a run that did not fail: leave them out"
         )
+
     story = failure_story(path, frames, potentials) if has_failed else run_story(path, frames)
     motion = story.motion
     return View(page(story), path, f"{len(motion.frames)} frames of {len(motion.atoms)} atoms")

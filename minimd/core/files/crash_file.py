@@ -9,7 +9,7 @@ minimd/crash_report    findings, and the shift of the noise, as JSON
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from itertools import chain, count
@@ -26,7 +26,7 @@ from minimd.core.diagnosis.judge import RUNAWAY
 from minimd.core.diagnosis.run_guard import RunGuard
 from minimd.core.engine.engine import Snapshot
 from minimd.core.engine.observation import observe
-from minimd.core.files.trajectory import named_files
+from minimd.core.files.trajectory import Paths, named_files
 from minimd.core.forces.contacts import Contact
 from minimd.core.neighbors.queries import ClosestPair
 from minimd.core.structure.checks import COUNTS, checked_path
@@ -48,9 +48,7 @@ class CrashFile(NamedTuple):
     judgment: tuple[dict[str, float] | None, float]
 
 
-def crash_file_place(
-    crash_report: Any, trajectories: str | Path | Sequence[str | Path]
-) -> Path | None:
+def crash_file_place(crash_report: Any, trajectories: Paths) -> Path | None:
     """Where a run leaves its crash file: the path given, or for True beside its first trajectory; None if there is no
     such place.  Raises ValueError for the path of a trajectory, which the crash file would replace."""
     files = named_files("trajectory", trajectories)
@@ -177,6 +175,7 @@ def read_crash_report(path: str | Path) -> CrashFile:
             findings = CrashReport(**values)
             for part in (findings, findings.pair, findings.closest):
                 _check_types(part, len(system))
+
     # older files have no judgment
     judgment = (simulation.get("first"), simulation.get("growth", RUNAWAY))
     return CrashFile(findings, contents, start, simulation["noise_shift"], judgment)

@@ -52,6 +52,9 @@ DIGEST = "digest"
 # groups; but for the above, they do not change
 FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")
 
+Arrays = dict[str, np.ndarray]  # by name
+Numbers = dict[str, Any]
+
 
 class Restart(NamedTuple):
     """A restart that is intact.  n_frames : in the file at that time.  arrays : all of it, with those that are kept
@@ -59,12 +62,12 @@ class Restart(NamedTuple):
 
     checkpoint: Checkpoint
     n_frames: int
-    arrays: dict[str, np.ndarray]
+    arrays: Arrays
     is_earlier: bool
 
-    def states(self) -> dict[str, dict[str, np.ndarray]]:
+    def states(self) -> dict[str, Arrays]:
         """The state of each observer, by its name."""
-        states: dict[str, dict[str, np.ndarray]] = {}
+        states: dict[str, Arrays] = {}
         for name, array in self.arrays.items():
             if name.startswith(MARK):
                 _, observer, key = name.split(".")
@@ -72,7 +75,7 @@ class Restart(NamedTuple):
         return states
 
 
-def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def flattened(checkpoint: Checkpoint) -> tuple[Arrays, Numbers]:
     """A checkpoint as named arrays and numbers. Arrays that it does not have are left out."""
     state = checkpoint.state
     lists = checkpoint.lists
@@ -90,7 +93,7 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
             arrays |= {name: cell.vectors, f"{name}_reduction": cell.reduction}
     for k, built in enumerate(lists):
         arrays |= {f"list_{k}": built.positions, f"region_of_list_{k}": built.region}
-    numbers: dict[str, Any] = {
+    numbers: Numbers = {
         "step": state.step,
         "time": state.time,
         "reservoir_energy": state.reservoir_energy,
@@ -107,7 +110,7 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
     return {name: array for name, array in arrays.items() if array is not None}, numbers
 
 
-def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Checkpoint:
+def unflattened(arrays: Arrays, numbers: Numbers) -> Checkpoint:
     """The checkpoint with these flattened arrays and numbers; older files have no work."""
     state = Snapshot(
         step=int(numbers["step"]),
@@ -141,7 +144,7 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
     )
 
 
-def _stored_cell(arrays: dict[str, np.ndarray], name: str) -> Cell | None:
+def _stored_cell(arrays: Arrays, name: str) -> Cell | None:
     if name not in arrays:
         return None
     cell = Cell.of_reduction(arrays[name], arrays[f"{name}_reduction"])
@@ -234,7 +237,7 @@ def checked(
     return {path: Item(attributes)} | datasets
 
 
-def read_group(group: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def read_group(group: h5py.Group) -> tuple[Arrays, Numbers]:
     """Arrays and numbers of a restart, as in checked.  Raises ValueError if their digest is wrong, or if they are not
     of the kinds that are declared."""
     arrays = {name: group[name][()] for name in group}
@@ -291,6 +294,7 @@ def restore_observers(
             )
         if not observer.n_looks:
             observer.restore(state)
+
     if stored:
         warn(
             f"file {str(file)!r} holds the observers {listed(sorted(stored))}, which this run does not continue; "
@@ -337,15 +341,17 @@ def observers_of(h5: h5py.File, restart: Restart) -> dict[str, StoredObserver]:
                 f"observer {name} asks for more memory than there is, by {shown(arguments)}"
             ) from None
         observers[name] = observer
+
     if unknown:
         warn(
             f"observers of unknown kinds are left out: {', '.join(unknown[:5])}; "
             "to read them, register their classes: minimd.observers.KINDS[kind] = ..."
         )
+
     return observers
 
 
-def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> None:
+def add_block(h5: h5py.File, n_frames: int, entries: Arrays) -> None:
     """Append the row of a block: n_frames frames are now in the file; entries : of the frames of the block,
     by the paths of their series."""
     # a block that is written again replaces its row
@@ -418,6 +424,7 @@ def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING)
         # a visit stops if the function returns anything but None
         group.visit_links(lambda name, path=path: names.update({f"{path}/{name}": False}))
         group.visit(lambda name, path=path: names.update({f"{path}/{name}": True}))
+
     digest = 0
     for name, is_first in sorted(names.items()):
         if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):
@@ -438,6 +445,7 @@ def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING)
                 is_text = data.dtype.kind == "O"
                 content = repr(data.tolist()).encode() if is_text else data.tobytes()
                 digest = zlib.crc32(content, digest)
+
     return digest
 
 

@@ -94,6 +94,7 @@ def opened(path: str | Path) -> h5py.File:
         reason = known[0] if known else message.splitlines()[0]
         kind = BlockingIOError if isinstance(error, BlockingIOError) else OSError
         raise kind(f"file {str(path)!r} cannot be opened: {reason}") from error
+
     with damage_told(path):
         is_ours = h5.id.links.exists(b"minimd")
     if not is_ours:
@@ -151,6 +152,7 @@ def _strange_thing(h5: h5py.File) -> str:
                 return f"{name!r} {problem}"
             if room < 0:
                 return f"{name!r} and all before it claim {-room} bytes more than the file has"
+
     return ""
 
 
@@ -173,6 +175,7 @@ def _strange_in(item: Any, name: str) -> tuple[str, int]:
         # each of them could be as long as the file
         if n > MOST_TEXTS and kind.get_class() == h5t.STRING:
             return f"has the attribute {known!r} of {n} texts", 0
+
     if isinstance(item, h5g.GroupID):
         return "", n_bytes
     if not isinstance(item, h5d.DatasetID):
@@ -222,6 +225,7 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
         os.close(listening)
         os.close(telling)
         raise
+
     if child == 0:
         _tell(parent, telling, path, look)
     os.close(telling)
@@ -236,6 +240,7 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
         # not known, because this process ignores the ends of its children
         with suppress(ChildProcessError):
             status = os.waitpid(child, 0)[1]
+
     if status or not answer:
         raise _damaged(path, "its reader crashes or finds no end")
     contents, error, caught = pickle.loads(answer)
@@ -347,7 +352,7 @@ class H5MDContents(Displayed):
 
     def scene_in_words(self) -> Rows:
         """System, potentials, method and barostat."""
-        potentials = (words.partition(": ")[2] for words in self.potentials)
+        potentials = (stored.partition(": ")[2] for stored in self.potentials)
         return scene_in_words(self.system, potentials, self.method, self.parameters, self.barostat)
 
     def integrator(self) -> Splitting:
@@ -388,9 +393,9 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
         repaired = ""
         if restart.is_earlier:
             repaired = f"the newest restart in {path} is damaged; the one before it is used, of step {state.step}"
-        system = _system(group, restart.checkpoint)
+        system = _stored_system(group, restart.checkpoint)
         return H5MDContents(
-            record=_record(h5, system, n_frames),
+            record=_stored_record(h5, system, n_frames),
             system=system,
             restart=restart.checkpoint,
             step=state.step,
@@ -466,7 +471,7 @@ def _damage(path: str | Path) -> tuple[str, str]:
         return frames, digest.damaged_restart(h5)
 
 
-def _system(group: h5py.Group, restart: Checkpoint) -> System:
+def _stored_system(group: h5py.Group, restart: Checkpoint) -> System:
     names = group["species_names"]
     labels = names.asstr()[:] if h5py.check_string_dtype(names.dtype) else names[:]
     texts = group["topology"][:] if "topology" in group else np.zeros((0, 5, 1), np.uint8)
@@ -482,7 +487,7 @@ def _system(group: h5py.Group, restart: Checkpoint) -> System:
     )
 
 
-def _record(h5: h5py.File, system: System, n_frames: int) -> Record:
+def _stored_record(h5: h5py.File, system: System, n_frames: int) -> Record:
     stored = h5["observables"]
     names = [name for name in SERIES if name in stored]
     names += [name for name in stored if name not in SERIES and name != SPACING]

@@ -22,6 +22,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import h5py
@@ -87,7 +88,7 @@ def columns(
 
     for name in observables:
         unit = getattr(units, SERIES.get(name) or "", "")
-        add(f"observables/{name}", unit, lambda frame, name=name: frame.observables[name])
+        add(f"observables/{name}", unit, partial(_observed, name))
     if spacing is not None:
         add(f"observables/{SPACING}", "ps", lambda _: spacing * ps)
     if has_edges(system.cell):
@@ -100,6 +101,10 @@ def columns(
         add(force, "kJ mol-1 Angstrom-1", lambda frame: frame.forces * to["forces"])
     add(f"{TRAJECTORY}/position", "Angstrom", lambda frame: frame.positions * to["positions"])
     return chosen
+
+
+def _observed(name: str, frame: Frame) -> Any:
+    return frame.observables[name]
 
 
 def factors(units: UnitSystem) -> dict[str, float]:
@@ -151,6 +156,7 @@ def description(engine: Engine) -> dict[str, Item]:
         stored_names = np.array([name.encode() for name in names], TEXT)
     else:
         stored_names = np.array(names, np.int64)
+
     attributes = {
         "version": __version__,
         "units": system.units.name,
@@ -175,6 +181,7 @@ def description(engine: Engine) -> dict[str, Item]:
         if values.any():
             items[f"{TRAJECTORY}/{name}"] = Item({"unit": unit}, values)
             items[f"minimd/{own_name}"] = Item(other=f"{TRAJECTORY}/{name}")
+
     if len(system.topology):
         letters = system.topology.astype("S").view(np.uint8)
         items["minimd/topology"] = Item(data=letters.reshape(len(system), 5, -1))
@@ -182,6 +189,7 @@ def description(engine: Engine) -> dict[str, Item]:
         if len(members) or name == "bonds":
             items[f"connectivity/{name}"] = Item({REFERENCE: TRAJECTORY}, members)
             items[f"minimd/{name}"] = Item(other=f"connectivity/{name}")
+
     group = "minimd/constraints"
     for constraint in engine.constraints:
         if isinstance(constraint, FixedAtoms):
@@ -191,6 +199,7 @@ def description(engine: Engine) -> dict[str, Item]:
             items[group] = Item(solution)
             items[f"{group}/pairs"] = Item(data=constraint.pairs)
             items[f"{group}/lengths"] = Item(data=constraint.lengths)
+
     return items
 
 
@@ -258,7 +267,7 @@ METHOD: dict[str, tuple[Callable[[Engine], Any], Callable[[Any], Any]]] = {
     ),
     "potentials": (
         lambda engine: potentials_in_words(engine.interactions.potentials),
-        lambda stored: [printable(words) for words in stored],
+        lambda stored: [printable(call) for call in stored],
     ),
     "too_long_a_step": (lambda engine: too_long_a_step(engine) or "", _text),
     "thin_cell": (lambda engine: thin_cell(engine.system, engine.interactions.potentials), _text),
@@ -273,12 +282,12 @@ DECISIVE = "method", "parameters", "barostat"  # for the bits of steps
 def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
     """How the potentials in a file differ from those with which its run goes on, in words;
     empty if they are the same."""
-    before = sorted(AT.sub("", words) for words in stored)
-    now = sorted(AT.sub("", words) for words in potentials_in_words(potentials))
+    before = sorted(AT.sub("", call) for call in stored)
+    now = sorted(AT.sub("", call) for call in potentials_in_words(potentials))
     if before == now:
         return ""
-    left = "; ".join(words for words in before if words not in now)
-    new = "; ".join(words for words in now if words not in before)
+    left = "; ".join(call for call in before if call not in now)
+    new = "; ".join(call for call in now if call not in before)
     return f"{left or 'none'} before, {new or 'none'} now"
 
 

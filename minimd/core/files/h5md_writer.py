@@ -144,6 +144,7 @@ class H5MDWriter:
                 f"the run in {file!r} is continued with another method, barostat or precision: {methods}; "
                 "frames before and after belong to different runs"
             )
+
         restart = digest.read_restart(h5)
         digest.restore_observers(h5, file, restart, self._observers)
         self._store_forces = contents.has_forces
@@ -181,6 +182,7 @@ class H5MDWriter:
             raise ValueError(
                 f"trajectory {self.claim.name!r} is closed; it cannot take the frame of step {frame.step}"
             )
+
         if frame.step == self._last_step:
             return
         if not self._room:
@@ -195,6 +197,7 @@ class H5MDWriter:
                 path: np.empty((n_rows, *entry.shape), entry.dtype)
                 for path, entry in entries.items()
             }
+
         for column in self._columns:
             self._room[column.path][self._n_waiting] = column.entry(frame)
         self._n_waiting += 1

@@ -133,13 +133,14 @@ class DataFile:
             else:
                 numbers = [word for word in words if not word[0].isalpha()]
                 keyword = " ".join(words[len(numbers) :])
-                self.header[keyword] = row_of(numbers, [NUMBER] * HEADER.get(keyword, 1))
+                self.header[keyword] = values_of(numbers, [NUMBER] * HEADER.get(keyword, 1))
                 if not self.header[keyword]:
                     raise self.fault(
                         place,
                         "a line of the header must be numbers and a keyword, such as '0.0 10.0 xlo xhi'; "
                         f"it is {shown(line.strip())}",
                     )
+
         for title, lines_of_labels in self.sections.items():
             if title.endswith(" Type Labels"):
                 kind = title.split()[0].lower()
@@ -177,11 +178,12 @@ class DataFile:
                 f"section {title} must have a line for each of the {expected:.0f} {keyword} of the header; "
                 f"it has {len(lines)}",
             )
+
         rules = self.rules(layout, kind)
         is_ordered = layout[0] != "w"
         rows = {}
         for place, words in lines:
-            row = row_of(words, rules)
+            row = values_of(words, rules)
             key = row[0] if row and is_ordered else place
             if not row or key in rows:
                 names = ", ".join(name for name, *_ in rules)
@@ -189,6 +191,7 @@ class DataFile:
                 line = shown(" ".join(words))
                 raise self.fault(place, f"a line of {title} must be {names}{once}; it is {line}")
             rows[key] = row
+
         return [row for _, row in sorted(rows.items())]
 
     def cell(self) -> Array:
@@ -208,17 +211,18 @@ class DataFile:
             )
         return cell
 
-    def layout(self, given: str | None) -> str:
-        """That of Atoms, by the word behind the title, the atom style given, or the only one that fits the lines."""
+    def layout(self, atom_style: str | None) -> str:
+        """That of Atoms, by the word behind the title, the atom style, or the only one that fits the lines."""
         (place, comment), *lines = self.sections["Atoms"].items()
         if not lines:
             raise self.fault(
                 place, "a file must have a section Atoms with lines; this one has none"
             )
+
         named = [
             word.removesuffix("/kk") for word in comment if len(comment) == 1 or word == "hybrid"
         ]
-        styles = [style for style in (*named, given) if style in LAYOUTS]
+        styles = [style for style in (*named, atom_style) if style in LAYOUTS]
         for flags in (FLAGS, ""):
             if not styles:
                 styles = [style for style, layout in LAYOUTS.items() if self.fits(layout + flags)]
@@ -229,6 +233,7 @@ class DataFile:
                 f"the atom style must be certain, and one of {listed(READ)}; it is {listed(styles) or None}: "
                 'name it as atom_style="full", in a scene under [structure], or let LAMMPS write another style',
             )
+
         (layout,) = layouts
         _, first = lines[0]
         return layout + FLAGS * (len(first) > len(layout))
@@ -238,10 +243,10 @@ class DataFile:
         _, *lines = self.sections["Atoms"].values()
         rules = self.rules(layout, "atom")
         may_have_bonds = "m" in layout or not self.header["bonds"][0]
-        return may_have_bonds and all(row_of(words, rules) for words in lines)
+        return may_have_bonds and all(values_of(words, rules) for words in lines)
 
 
-def row_of(words: list[str], rules: list[Rule]) -> list[Any]:
+def values_of(words: list[str], rules: list[Rule]) -> list[Any]:
     """What rules make of the words of a line; nothing if a word breaks its rule, or there are more or fewer words."""
     row = []
     try:
@@ -287,6 +292,7 @@ def read_lammps_data(path: str | Path, atom_style: str | None = None) -> LammpsD
         n = len({row[1] for row in rows})
         if n > 1:
             n_types[name] = n
+
     masses = None
     if "Masses" in file.sections:
         masses = np.array(file.rows("Masses", "atom types", "tp", "atom"))[kinds - 1, 1]

@@ -164,12 +164,14 @@ def system_from_file(
                 )
             n_types = {}
             arguments |= dict.fromkeys(GROUPS) | {"bonds": bonds}
+
         for name, n in n_types.items():
             potential, groups = OF_TYPES[name]
             warn(
                 f"the {name} of {str(path)!r} are of {n} types, which {potential} does not distinguish; give it "
                 f"{groups} of one type, or arrays of parameters"
             )
+
         return System(**arguments)
 
     try:
@@ -228,11 +230,13 @@ class Door(NamedTuple):
             return self._of_ase(form, masses, cell, pbc)
         else:
             structure = self._of_mdanalysis(form, masses)
+
         if cell is not None or pbc is not None:
             own = structure.arguments["cell"]
             if cell is None:
                 cell = own.vectors if isinstance(own, Cell) else own
             structure.arguments.update(cell=cell, pbc=pbc)
+
         return structure
 
     def _form_of_content(self) -> str:
@@ -286,6 +290,7 @@ class Door(NamedTuple):
             species = species_of(symbols, data.types)
         elif units is not LJ:
             species = _elements_of(data.types, weights)
+
         arguments = {
             "positions": positions,
             "masses": weights,
@@ -305,6 +310,7 @@ class Door(NamedTuple):
             raise ValueError(
                 f"{self.source} states units = {stated}; lammps_units = {self.lammps_units!r}"
             )
+
         name = stated or self.lammps_units
         if name is None and self.units is not None and (self.units is LJ or not has_velocities):
             name = "lj" if self.units is LJ else "metal"
@@ -313,12 +319,14 @@ class Door(NamedTuple):
                 f"{self.source} does not state its units; give lammps_units='real', 'metal' or 'lj', in a scene "
                 "lammps_units under [structure], or units=minimd.units.LJ"
             )
+
         units = LJ if name == "lj" else ASE
         if self.units is not None and self.units != units:
             raise ValueError(
                 f"{self.source} is in LAMMPS' units {name}; it cannot be read with units = {self.units.name!r}, but "
                 f"with {units.name!r}"
             )
+
         return name, units
 
     def _of_mdanalysis(self, form: str, masses: Any) -> Structure:
@@ -343,6 +351,7 @@ class Door(NamedTuple):
             raise ValueError(
                 "this format keeps no elements, and ASE takes the first letters of names; write it as .gro"
             )
+
         options: dict[str, Any] = {}
         if form == DUMP:
             name, units, columns, weights = self._dump()
@@ -365,10 +374,12 @@ class Door(NamedTuple):
                 if weights is not None and units is ASE and name not in PER_PICOSECOND:
                     weights = convert(weights, "mass", name, "ASE")
                 _relabel(atoms, kinds.astype(str).tolist(), 1.0, weights)
+
         if cell is not None or pbc is not None:
             placed = Cell.of(atoms.cell.array if cell is None else cell, pbc)
             atoms.cell[:] = placed.vectors
             atoms.pbc = placed.pbc
+
         # these are all atoms of the file in its order, whatever ids they have there
         if "id" in atoms.arrays:
             atoms.arrays["id"] = np.arange(1, len(atoms) + 1)
@@ -547,6 +558,7 @@ def _check_same_atoms(path: Path, structure: Structure, beside: Structure) -> No
         raise ValueError(
             f"{second.source} with the bonds has {len(second.names)} atoms; the structure has {n}"
         )
+
     numbers = [0] * n if first.residue_of is None else first.residue_of.tolist()
     of_residue: dict[int, set[str]] = {}
     for number, name in zip(numbers, first.names, strict=True):

@@ -20,6 +20,8 @@ from minimd.core.engine.record import Frame
 from minimd.core.files.claim import Claim, read_at
 from minimd.core.structure.checks import checked_flag, checked_path
 
+Paths = str | Path | Sequence[str | Path]
+
 
 class Writer(Protocol):
     """A file that takes frames."""
@@ -65,7 +67,7 @@ SLOT = 8
 
 @contextmanager
 def open_trajectories(
-    paths: str | Path | Sequence[str | Path],
+    paths: Paths,
     engine: Engine,
     *,
     store_forces: bool,
@@ -95,6 +97,7 @@ def open_trajectories(
                 "file: name it once"
             )
         known[place] = path
+
     for path in files:
         if not append:
             checked_output(path, overwrite)
@@ -103,6 +106,7 @@ def open_trajectories(
                 "only .h5md files can be appended to, because they hold the state from which a run goes on; "
                 f"the file is {str(path)!r}"
             )
+
     writers: list[Writer] = []
     options = {
         "store_forces": store_forces,
@@ -116,7 +120,7 @@ def open_trajectories(
             if append:
                 from minimd.core.files.h5md_writer import H5MDWriter
 
-                writer = H5MDWriter.append_to(file, engine, store_forces, every, observers)
+                writer: Writer = H5MDWriter.append_to(file, engine, store_forces, every, observers)
             else:
                 writer = _new_writer(file, engine, options, overwrite)
             writers.append(writer)
@@ -225,6 +229,7 @@ def _cut_back(
             )
         file.write(first)
         file.truncate(size)
+
     return f"was cut to {size} bytes, its size at the step from which the run goes on"
 
 
@@ -257,14 +262,14 @@ def _is_h5md(file: Path) -> bool:
     return file.suffix.lower() == ".h5md"
 
 
-def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Path]:
+def named_files(name: str, paths: Paths) -> list[Path]:
     """The paths of one file or several.  name : of the argument, for messages.
     Raises ValueError for anything that is not a path."""
     several = paths if isinstance(paths, list | tuple) else [paths]
     return [checked_path(name, path) for path in several]
 
 
-def first_h5md(paths: str | Path | Sequence[str | Path]) -> Path | None:
+def first_h5md(paths: Paths) -> Path | None:
     """The first H5MD file among the trajectories of a run, or None.  Raises ValueError as named_files."""
     return next((file for file in named_files("trajectory", paths) if _is_h5md(file)), None)
 
@@ -280,20 +285,24 @@ def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] 
             f"the suffix of a trajectory must be one of {', '.join(suffixes)}; the file is {str(file)!r}"
             f"{remark * (suffixes is FORMATS)}"
         )
+
     folder = file.absolute().parent
     is_there = file.exists()
     if is_there and not overwrite:
         raise FileExistsError(
             f"output {str(file)!r} exists; choose another name, or pass overwrite=True"
         )
+
     if not folder.is_dir():
         raise FileNotFoundError(f"output folder {str(folder)!r} does not exist; make it first")
     if is_there and not file.is_file():
         raise ValueError(
             f"output {str(file)!r} must be a regular file, but it is a folder or a device; choose another name"
         )
+
     if not os.access(file if is_there else folder, os.W_OK):
         raise PermissionError(
             f"output {str(file)!r} cannot be written: {os.strerror(errno.EACCES)}"
         )
+
     return file

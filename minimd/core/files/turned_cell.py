@@ -179,6 +179,7 @@ class MDAnalysisWriter(Writer):
             self._universe = MDAnalysis.Universe.empty(
                 len(system), trajectory=True, velocities=True
             )
+
         self._turn = turn_of(system.cell, self._angstrom)
         if self._turn is not None:
             back = "; write an .h5md file too: it holds them unturned"
@@ -209,6 +210,7 @@ class MDAnalysisWriter(Writer):
                 f"trajectory {self.claim.name!r} leaves out the frame of step {step}: its frames are {self._every} "
                 "steps apart"
             )
+
         for frame in waiting:
             try:
                 if disk_usage(self.claim.place.parent).free < frame.positions.nbytes + ROOM:

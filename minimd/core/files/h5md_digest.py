@@ -278,13 +278,12 @@ def restore_observers(
     Raises ValueError if the file holds an observer of the same name with other arguments, or in a state of another
     convention. Warns of observers in the file that the run does not have.
     """
-    stored = dict(h5.get(OBSERVERS, {}))
+    stored = h5.get(OBSERVERS, {})
     states = restart.states()
     for observer in observers:
-        group = stored.pop(observer.name, None)
-        if group is None:
+        if observer.name not in stored:
             continue
-        was = json.loads(group.attrs["arguments"])
+        was = json.loads(stored[observer.name].attrs["arguments"])
         now = json.loads(json.dumps(observer.made_with()))
         state = states.get(observer.name, {})
         if was != now and observer.can_restore(state):  # else restore tells of its convention
@@ -295,9 +294,10 @@ def restore_observers(
         if not observer.n_looks:
             observer.restore(state)
 
-    if stored:
+    others = set(stored) - {observer.name for observer in observers}
+    if others:
         warn(
-            f"file {str(file)!r} holds the observers {listed(sorted(stored))}, which this run does not continue; "
+            f"file {str(file)!r} holds the observers {listed(sorted(others))}, which this run does not continue; "
             "to continue them, pass them as observers=[...]"
         )
 

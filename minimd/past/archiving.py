@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from minimd.core.console.display import Displayed
 from minimd.core.files.trajectory import open_trajectories
@@ -25,9 +24,11 @@ class Archive(Displayed):
     def __str__(self) -> str:
         frames, kept = self.n_frames
         before, after = self.n_bytes
-        sizes = f"{before / 1e6:.3g} MB -> {after / 1e6:.3g} MB, {before / after:.3g} times smaller"
-        what = f"archive        {self.file}: {kept} of {frames} frames, one every {self.every} steps; {sizes}"
-        return f"{what}\nany step       minimd frames {self.file} --at STEP"
+        return (
+            f"archive        {self.file}: {kept} of {frames} frames, one every {self.every} steps; "
+            f"{before / 1e6:.3g} MB -> {after / 1e6:.3g} MB, {before / after:.3g} times smaller\n"
+            f"any step       minimd frames {self.file} --at STEP"
+        )
 
 
 def archive(
@@ -52,19 +53,22 @@ def archive(
     past = Past(file, potentials)
     out = checked_path("out", out)
     contents = past.contents
-    steps = past.contents.record.step
+    steps = contents.record.step
     kept = [k for k, step in enumerate(steps) if k == 0 or step % every == 0]
+    first = steps[kept[0]]
     if len(kept) > 1:
-        past.observe((), steps[kept[0]], steps[kept[1]], every)
-    simulation = past.at(steps[kept[0]])
-    made: dict[str, Any] = {
-        "every": every,
-        "n_steps": int(steps[kept[-1]] - steps[kept[0]]),
-        "overwrite": overwrite,
-    }
-    with open_trajectories(out, simulation.engine, store_forces=False, **made) as [writer]:
+        past.observe((), first, steps[kept[1]], every)
+    simulation = past.at(first)
+    with open_trajectories(
+        out,
+        simulation.engine,
+        store_forces=False,
+        overwrite=overwrite,
+        every=every,
+        n_steps=int(steps[kept[-1]] - first),
+    ) as [writer]:
         for k in kept:
             writer.write(go_to(simulation, file, contents, k))
         simulation.engine.go_on_from(contents.restart)
-    sizes = Path(file).stat().st_size, out.stat().st_size
-    return Archive(out, every, (len(steps), len(kept)), sizes)
+    n_bytes = (Path(file).stat().st_size, out.stat().st_size)
+    return Archive(out, every, (len(steps), len(kept)), n_bytes)

@@ -67,18 +67,19 @@ class Past(Displayed):
         from minimd.core.files.h5md_reader import read_file  # h5py is slow to load
 
         self._last = Simulation.resume(file, potentials, threads=threads)
-        self.file, self.contents = Path(file), read_file(file)
+        self.file = Path(file)
+        self.contents = read_file(file)
         check_is_fixed(file, self.contents)
         record = self.contents.record
-        end = self.contents.step
+        timestep = self.contents.timestep
         paces = np.diff(record.time) / np.diff(record.step)
-        last = self.contents.timestep
-        if (others := paces[~np.isclose(paces, last, rtol=SAME_PACE, atol=0.0)]).size:
-            several = f"the run in {str(file)!r} has several time steps, {others[0]:g} and {last:g}"
+        others = paces[~np.isclose(paces, timestep, rtol=SAME_PACE, atol=0.0)]
+        if others.size:
             raise ValueError(
-                f"{several}: the file keeps only the last one; steps of others cannot be made again"
+                f"the run in {str(file)!r} has several time steps, {others[0]:g} and {timestep:g}: "
+                "the file keeps only the last one; steps of others cannot be made again"
             )
-        known = np.unique(np.append(record.step, max(end, record.step[-1])))
+        known = np.unique(np.append(record.step, max(self.contents.step, record.step[-1])))
         self.steps = known[known >= min(self.contents.since, known[-1])]
         self._n_bytes = self.file.stat().st_size
         self.goes_back = self._last.method.is_symmetric
@@ -86,22 +87,26 @@ class Past(Displayed):
         self.worst = gap // 2 if self.goes_back else gap - 1
 
     def __repr__(self) -> str:
-        reach = f"steps {self.steps[0]} to {self.steps[-1]}"
-        return f"Past({str(self.file)!r}, {reach}, each by making at most {self.worst})"
+        return (
+            f"Past({str(self.file)!r}, steps {self.steps[0]} to {self.steps[-1]}, "
+            f"each by making at most {self.worst})"
+        )
 
     def display_rows(self) -> Rows:
         """See Displayed."""
         first = self.steps[0]
         last = self.steps[-1]
         n_frames = self.contents.n_frames
-        size = self._n_bytes / 1e6
-        share = self.worst / max(1, last - first)
-        ways = f"from the nearest frame, forwards{' or backwards' if self.goes_back else ''}"
+        percent = 100.0 * self.worst / max(1, last - first)
+        ways = "forwards or backwards" if self.goes_back else "forwards"
         return [
-            ("past", f"{self.file}: {n_frames} frames, {size:.3g} MB"),
+            ("past", f"{self.file}: {n_frames} frames, {self._n_bytes / 1e6:.3g} MB"),
             *self.contents.scene_in_words(),
             ("steps", f"{first} to {last}, each of them to the last bit"),
-            ("cost", f"at most {self.worst} steps, {100.0 * share:.2g} % of the run, made {ways}"),
+            (
+                "cost",
+                f"at most {self.worst} steps, {percent:.2g} % of the run, made from the nearest frame, {ways}",
+            ),
         ]
 
     def cost(self, step: int) -> int:
@@ -113,12 +118,13 @@ class Past(Displayed):
         first = self.steps[0]
         last = self.steps[-1]
         if not first <= step <= last:
-            can = f"the steps of {str(self.file)!r} that can be made again{BEFORE * (self.contents.since > 0)}"
-            raise ValueError(f"step must be from {first} to {last}, {can}; step = {step}")
+            raise ValueError(
+                f"step must be from {first} to {last}, the steps of {str(self.file)!r} that can be made again"
+                f"{BEFORE * (self.contents.since > 0)}; step = {step}"
+            )
         ways = step - self.steps
-        return int(
-            ways[np.argmin(np.where((ways >= 0) | self.goes_back, np.abs(ways), COUNTS - 1))]
-        )
+        costs = np.where((ways >= 0) | self.goes_back, np.abs(ways), COUNTS - 1)
+        return int(ways[np.argmin(costs)])
 
     def at(self, step: int, *, progress: bool | None = None) -> Simulation:
         """A simulation in the state of a step; each call makes a new one. Its next steps are those of the run.
@@ -179,13 +185,14 @@ class Past(Displayed):
         """
         self.cost(checked_count("stop", stop, checked_count("start", start, 0)))
         simulation = self.at(start, progress=progress)
-        those = self.contents.record
+        stored = self.contents.record
         record = simulation.run(
             until_step=stop, every=every, observers=observers, progress=progress, crash_report=False
         )
-        steps, here, there = np.intersect1d(record.step, those.step, return_indices=True)
-        if len(other := steps[record.total_energy[here] != those.total_energy[there]]):
-            _refuse(self.file, other[0])
+        steps, now, before = np.intersect1d(record.step, stored.step, return_indices=True)
+        others = steps[record.total_energy[now] != stored.total_energy[before]]
+        if others.size:
+            _refuse(self.file, others[0])
         return record
 
 
@@ -193,13 +200,15 @@ def check_is_fixed(file: str | Path, contents: H5MDContents) -> None:
     """Raise ValueError for a run in float64, or with rigid bonds: its steps go on from velocities before they were
     projected."""
     if contents.restart.grid is None:
-        only = "only runs with precision='fixed-point' can be made again to the last bit from any of their frames"
         raise ValueError(
-            f"{only}; the run in {str(file)!r} was made with precision={contents.precision!r}"
+            "only runs with precision='fixed-point' can be made again to the last bit from any of their frames; "
+            f"the run in {str(file)!r} was made with precision={contents.precision!r}"
         )
     if contents.restart.images is not None:
-        why = "its steps cannot be made again to the last bit from a frame, only from its restart"
-        raise ValueError(f"the run in {str(file)!r} has rigid bonds: {why}")
+        raise ValueError(
+            f"the run in {str(file)!r} has rigid bonds: its steps cannot be made again to the last bit from a frame, "
+            "only from its restart"
+        )
 
 
 def go_to(simulation: Simulation, file: str | Path, contents: H5MDContents, frame: int) -> Frame:
@@ -214,22 +223,31 @@ def go_to(simulation: Simulation, file: str | Path, contents: H5MDContents, fram
     reservoir = 0.0
     if "conserved_energy" in record:
         reservoir = float(record.total_energy[frame] - record.conserved_energy[frame])
-    [at] = frames_of(file, [frame], engine.system.units)
+    [stored] = frames_of(file, [frame], engine.system.units)
     engine.restore(
         Snapshot(
-            at.step, at.time, at.positions, at.velocities, reservoir, contents.restart.state.clock
+            stored.step,
+            stored.time,
+            stored.positions,
+            stored.velocities,
+            reservoir,
+            contents.restart.state.clock,
         ),
         is_whole=True,
     )
-    if (grid := engine.interactions.grid) is not None:
+    grid = engine.interactions.grid
+    if grid is not None:
         # takes off the rounding of the units of files
         grid.take(engine.system, engine.constraint_set.inverse_masses)
     engine.leave()
-    if (found := observe(engine)).observables["total_energy"] != record.total_energy[frame]:
-        _refuse(file, at.step)
-    return found
+    observed = observe(engine)
+    if observed.observables["total_energy"] != record.total_energy[frame]:
+        _refuse(file, stored.step)
+    return observed
 
 
 def _refuse(file: str | Path, step: int) -> None:
-    what = f"the energy of step {step} of {str(file)!r} is different when it is computed again"
-    raise ValueError(f"{what}: give the potentials of the run, and observers that change nothing")
+    raise ValueError(
+        f"the energy of step {step} of {str(file)!r} is different when it is computed again: "
+        "give the potentials of the run, and observers that change nothing"
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,9 @@ from minimd.core.structure.units import LJ, SYSTEMS, UnitSystem
 
 # steps after the failure, if it does not occur again at its step: rounding differs between processors
 PATIENCE = 20
-LAST_ROWS, APART = 12, 10  # rows of the table: all of the last ones, every tenth of the others
+# rows of the table: all of the last ones, every tenth of the others
+LAST_ROWS = 12
+APART = 10
 # see ReplayedStep.row
 HEAD = "    step       time  total energy   closest pair  distance largest force      on  fastest      speed"
 WIDE = 50.0  # ratio of the largest to the smallest value above which an axis is logarithmic
@@ -60,10 +62,10 @@ class ReplayedStep(NamedTuple):
         time = self.time * units.to_picosecond
         speed = self.speed / units.to_picosecond
         pair = f"{self.first}-{self.second}" if self.first >= 0 else "none"
-        energies = (
+        return (
             f"{self.step:>8}{time:>11.5g}{self.energy:>14.8g}{pair:>15}{self.distance:>10.4g}"
+            f"{self.force:>14.4g}{self.pushed:>8}{self.fastest:>9}{speed:>11.4g}"
         )
-        return energies + f"{self.force:>14.4g}{self.pushed:>8}{self.fastest:>9}{speed:>11.4g}"
 
 
 @dataclass(frozen=True)
@@ -84,16 +86,19 @@ class Replay:
 
     def __str__(self) -> str:
         units = SYSTEMS.get(self.findings.units, LJ)
-        length = units.length
         force = f"{units.energy}/{units.length}"
         speed = f"{units.length}/{units.shown_time}"
-        named = f"{'':>8}{units.shown_time:>11}{units.energy:>14}{'':>15}{length:>10}{force:>14}{'':>17}{speed:>11}"
-        shown = [
+        names = (
+            f"{'':>8}{units.shown_time:>11}{units.energy:>14}{'':>15}{units.length:>10}"
+            f"{force:>14}{'':>17}{speed:>11}"
+        )
+        first_of_last = len(self.rows) - LAST_ROWS
+        rows = [
             row.row(units)
             for k, row in enumerate(self.rows)
-            if k % APART == 0 or k >= len(self.rows) - LAST_ROWS
+            if k % APART == 0 or k >= first_of_last
         ]
-        return "\n".join([HEAD, named, *shown, self.ending])
+        return "\n".join([HEAD, names, *rows, self.ending])
 
 
 def replay(
@@ -119,47 +124,52 @@ def replay(
     FileNotFoundError, OSError, ValueError : if the file is not a crash file, if it has no scene and no potentials are
         given, or if outputs exist or cannot be written.
     """
-    run = (past := read_crash_report(file)).run
-    found = past.findings
-    frames, drawing = (
-        _output(one, Path(file), end, overwrite)
-        for one, end in ((trajectory, "h5md"), (picture, "png"))
+    past = read_crash_report(file)
+    run = past.run
+    findings = past.findings
+    frames = _output(trajectory, Path(file), "h5md", overwrite)
+    drawing = _output(picture, Path(file), "png", overwrite)
+    simulation = Simulation(
+        run.system,
+        stored_potentials(run, file) if potentials is None else potentials,
+        run.integrator(),
+        barostat=run.barostat,
+        precision=run.precision,
+        skin=run.skin,
+        grid=run.restart.grid,
     )
-    acting = stored_potentials(run, file) if potentials is None else potentials
-    options: dict[str, Any] = {
-        "precision": run.precision,
-        "skin": run.skin,
-        "grid": run.restart.grid,
-    }
-    simulation = Simulation(run.system, acting, run.integrator(), barostat=run.barostat, **options)
     simulation.restore(past.start)
     simulation.engine.noise_shift = past.noise_shift
     simulation.guard.judge_by(*past.judgment)
     rows: list[ReplayedStep] = []
-    options = {
-        "trajectory": () if frames is None else frames, "observers": [lambda now: rows.append(ReplayedStep.of(now))],
-        "store_forces": True, "overwrite": True, "progress": False, "crash_report": False,
-    }  # fmt: skip
     failed_at = None
     try:
-        simulation.run(found.step - simulation.step + PATIENCE, every=1, **options)
-        why = "something that is not in the file, such as an observer, acted on the first run"
-        ending = f"it did not fail again up to step {simulation.step}: {why}"
+        simulation.run(
+            findings.step - simulation.step + PATIENCE,
+            every=1,
+            trajectory=() if frames is None else frames,
+            observers=[lambda now: rows.append(ReplayedStep.of(now))],
+            store_forces=True,
+            overwrite=True,
+            progress=False,
+            crash_report=False,
+        )
+        ending = (
+            f"it did not fail again up to step {simulation.step}: something that is not in the file, "
+            "such as an observer, acted on the first run"
+        )
     except (NonFiniteError, ConstraintError) as error:
-        failed_at = found.step if error.crash_report is None else error.crash_report.step
-        other = f"at another step than the first time ({found.step}): rounding differs"
-        ending = f"failed {'again' if failed_at == found.step else other}: {error}"
+        failed_at = findings.step if error.crash_report is None else error.crash_report.step
+        when = "again"
+        if failed_at != findings.step:
+            when = f"at another step than the first time ({findings.step}): rounding differs"
+        ending = f"failed {when}: {error}"
     rows = rows or [ReplayedStep.of(simulation)]
     if drawing is not None:
-        _draw(rows, found, simulation.system.units, drawing)
-    return Replay(
-        rows,
-        ending,
-        failed_at,
-        found,
-        frames if frames is not None and frames.exists() else None,
-        drawing,
-    )
+        _draw(rows, findings, simulation.system.units, drawing)
+    if frames is not None and not frames.exists():
+        frames = None
+    return Replay(rows, ending, failed_at, findings, frames, drawing)
 
 
 def _output(wanted: str | Path | bool, file: Path, end: str, overwrite: bool) -> Path | None:
@@ -168,10 +178,10 @@ def _output(wanted: str | Path | bool, file: Path, end: str, overwrite: bool) ->
     own = file.name.removesuffix(SUFFIX).removesuffix(file.suffix)
     path = file.with_name(f"{own}.replay.{end}") if wanted is True else Path(wanted)
     if path.exists() and not overwrite and wanted is not True:
-        advice = (
-            "choose another name, or replace it with overwrite=True, or --overwrite of the command"
+        raise FileExistsError(
+            f"output {str(path)!r} exists; choose another name, or replace it with overwrite=True, "
+            "or --overwrite of the command"
         )
-        raise FileExistsError(f"output {str(path)!r} exists; {advice}")
     return path
 
 
@@ -182,19 +192,16 @@ def _draw(
     from minimd.core.engine.record_picture import four_panels
 
     figure, panels = four_panels()
-    steps, energies, _, _, distances, _, forces, _, speeds = np.array(
-        [(row[0], *row[2:]) for row in rows]
-    ).T
+    columns = zip(*rows, strict=True)
+    steps, _, energies, _, _, distances, _, forces, _, speeds = map(np.array, columns)
+    speeds = speeds / units.to_picosecond
+    force = f"{units.energy}/{units.length}"
+    speed = f"{units.length}/{units.shown_time}"
     series = (
         ("total energy", units.energy, energies, "#1f5fa8"),
         ("closest pair", units.length, distances, "#1b7f5c"),
-        ("largest force", f"{units.energy}/{units.length}", forces, "#c8501e"),
-        (
-            "largest speed",
-            f"{units.length}/{units.shown_time}",
-            speeds / units.to_picosecond,
-            "#5b3f99",
-        ),
+        ("largest force", force, forces, "#c8501e"),
+        ("largest speed", speed, speeds, "#5b3f99"),
     )
     for panel, (label, unit, numbers, color) in zip(panels, series, strict=True):
         finite = numbers[np.isfinite(numbers)]

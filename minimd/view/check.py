@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from minimd.core.console.display import Displayed
 from minimd.core.console.words import printable
@@ -55,8 +56,8 @@ class Comparison:
         return self.figure <= self.tolerance
 
     def __str__(self) -> str:
-        compared = f"{self.meaning}: {self.figure:.2g}, tolerance {self.tolerance:.2g}"
-        return f"{self.name:<14} {compared}: {'ok' if self.passed else 'FAILED'}"
+        outcome = "ok" if self.passed else "FAILED"
+        return f"{self.name:<14} {self.meaning}: {self.figure:.2g}, tolerance {self.tolerance:.2g}: {outcome}"
 
 
 @dataclass(frozen=True)
@@ -75,32 +76,27 @@ class FileCheck(Displayed):
         A run that is too short to show a drift of the energy passes if the energy varies little: see Report.is_quiet.
         """
         report = self.report
-        conserved = (
-            report.energy_is_conserved is True or report.is_quiet
-        ) and report.momentum_is_conserved
-        return conserved and all(one.passed for one in self.comparisons)
+        energy = report.energy_is_conserved is True or report.is_quiet
+        return energy and report.momentum_is_conserved and self._agrees
+
+    @property
+    def _agrees(self) -> bool:
+        return all(comparison.passed for comparison in self.comparisons)
 
     @property
     def outcome(self) -> str:
         """The judgement in one line."""
-        if (
-            not self.passed
-            and self.report.energy_is_conserved is None
-            and all(one.passed for one in self.comparisons)
-        ):
-            return f"NOT PASSED: {self.report.verdict}"
-        if not all(one.passed for one in self.comparisons):
+        if not self._agrees:
             return "FAILED: see the lines that end with FAILED; the verdict above does not count"
-        return "passed" if self.passed else "FAILED"
+        if self.passed:
+            return "passed"
+        if self.report.energy_is_conserved is None:
+            return f"NOT PASSED: {self.report.verdict}"
+        return "FAILED"
 
     def __str__(self) -> str:
-        lines = (
-            self.heading,
-            *self.comparisons,
-            *self.structure,
-            self.report,
-            f"check          {self.outcome}",
-        )
+        outcome = f"check          {self.outcome}"
+        lines = (self.heading, *self.comparisons, *self.structure, self.report, outcome)
         return "\n".join(map(str, lines))
 
 
@@ -110,70 +106,76 @@ def check_file(path: str | Path) -> FileCheck:
     Stored observables are float64. Velocities are read in float32; the tolerances allow for this.
     Raises as minimd.mdanalysis.universe.
     """
-    which = damage(path)
-    with damage_told(path) if which else nullcontext(), universe_of(path) as made:
-        return checked(made, which)
+    damaged = damage(path)
+    with damage_told(path) if damaged else nullcontext(), universe_of(path) as run:
+        return checked(run, damaged)
 
 
-def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
+def checked(run: RunUniverse, damaged: str = "") -> FileCheck:
     """The check of a file with an open universe.  damaged : its damaged frames or restarts, see h5md_reader.damage."""
-    contents = made.contents
-    system = made.system
-    is_free = made.contents.conserves_momentum
-    record, found = recomputed(made)
+    contents = run.contents
+    system = run.system
+    is_free = contents.conserves_momentum
+    record, figures = recomputed(run)
     lines = [*pressure_lines(record, system.masses.sum(), contents.barostat, is_free)]
-    angular = is_free and not system.cell.is_periodic
-    bound = "accuracy bounds the rms error of the forces of charges, over their rms"
-    calls = (
-        one.removeprefix("Coulomb: ") for one in contents.potentials if one.startswith("Coulomb: ")
-    )
-    lines += [Line("charges", call, bound, True) for call in calls]
+    for potential in contents.potentials:
+        name, _, call = potential.partition(": ")
+        if name == "Coulomb":
+            bound = "accuracy bounds the rms error of the forces of charges, over their rms"
+            lines.append(Line("charges", call, bound, True))
+
     if contents.thin_cell:
-        lines.append(
-            Line("cell", contents.thin_cell, "TOO THIN; open it in this direction, with pbc", False)
-        )
-    n_dof = ConstraintSet(system, system.constraints).degrees_of_freedom(is_free)
+        remedy = "TOO THIN; open it in this direction, with pbc"
+        lines.append(Line("cell", contents.thin_cell, remedy, False))
     report = conservation_report(
-        record, angular, None, is_free, lines, n_dof, contents.too_long_a_step
+        record,
+        angular=is_free and not system.cell.is_periodic,
+        linear=is_free,
+        lines=lines,
+        n_dof=ConstraintSet(system, system.constraints).degrees_of_freedom(is_free),
+        too_long_a_step=contents.too_long_a_step,
     )
     if "temperature" in contents.parameters:  # of a thermostat
         report = replace(report, bath=(contents.parameters["temperature"], 0.0))
-    frames = f"{contents.n_frames} frame{'s' * (contents.n_frames > 1)}, steps {record.step[0]} to {record.step[-1]}"
+    plural = "s" * (contents.n_frames > 1)
     heading = (
-        f"file           {Path(made.trajectory.filename)}: {contents.title}\n"
-        f"read           by MDAnalysis {VERSION}: {frames}, {contents.method} with steps of "
+        f"file           {Path(run.trajectory.filename)}: {contents.title}\n"
+        f"read           by MDAnalysis {VERSION}: {contents.n_frames} frame{plural}, "
+        f"steps {record.step[0]} to {record.step[-1]}, {contents.method} with steps of "
         f"{system.units.shown(contents.timestep)}, {system.units.name} units\n"
         f"potentials     {printable('; '.join(contents.potentials) or 'none')}"
     )
-    return FileCheck(heading, comparisons(made, record, found, damaged), report, liquid(made))
+    return FileCheck(heading, comparisons(run, record, figures, damaged), report, liquid(run))
 
 
-def recomputed(made: RunUniverse) -> tuple[Record, list[Array]]:
+def recomputed(run: RunUniverse) -> tuple[Record, list[Array]]:
     """What MDAnalysis reads of all frames, in the units of the simulation: the stored observables, in float64; and
     K, Σ p, Σ|p| and length_error, recomputed from float32 velocities and positions, (T,), (T, 3), (T,), (T,)."""
-    system = made.system.copy()
-    masses = made.atoms.masses
-    units = made.system.units
-    rows = []
-    for ts in made.trajectory:
-        v = as_in_run(ts, ts.velocities) * (units.to_picosecond / units.to_angstrom)
+    system = run.system.copy()
+    masses = run.atoms.masses
+    units = system.units
+    entries = []
+    figures = []
+    for ts in run.trajectory:
+        velocities = as_in_run(ts, ts.velocities) * (units.to_picosecond / units.to_angstrom)
         system.positions[:] = as_in_run(ts, ts.positions) / units.to_angstrom
         if "cell" in ts.data:
             system.cell = system.cell.strained(ts.data["cell"])
-        at = {"step": ts.data["step"], "time": ts.time / units.to_picosecond}
-        at |= {name: np.array(ts.data[name]) for name in OBSERVED if name in ts.data}
-        rows.append(
+        entry = {"step": ts.data["step"], "time": ts.time / units.to_picosecond}
+        entry |= {name: np.array(ts.data[name]) for name in OBSERVED if name in ts.data}
+        entries.append(entry)
+        figures.append(
             (
-                at,
-                kinetic_energy(v, masses),
-                momentum(v, masses),
-                absolute_momentum(v, masses),
+                kinetic_energy(velocities, masses),
+                momentum(velocities, masses),
+                absolute_momentum(velocities, masses),
                 length_error(system),
             )
         )
-    stored, *found = zip(*rows, strict=True)
-    series = {name: np.array([row[name] for row in stored]) for name in stored[0]}
-    return Record.of(units, len(system), series), [np.array(one) for one in found]
+
+    series = {name: np.array([entry[name] for entry in entries]) for name in entries[0]}
+    record = Record.of(units, len(system), series)
+    return record, [np.array(column) for column in zip(*figures, strict=True)]
 
 
 def length_error(system: System) -> float:
@@ -181,69 +183,72 @@ def length_error(system: System) -> float:
     lengths."""
     positions = system.positions
     cell = system.cell
-    for one in system.constraints:
-        if isinstance(one, DistanceConstraints):
-            lengths = lengths_of(positions, cell, one)
-            images = images_of_length(positions, cell, one.pairs, lengths)
-            bonds = positions[one.pairs[:, 1]] - positions[one.pairs[:, 0]] + images
-            return float(np.abs(np.linalg.norm(bonds, axis=1) - lengths).max()) / float(
-                np.abs(positions).max()
-            )
+    for constraint in system.constraints:
+        if isinstance(constraint, DistanceConstraints):
+            lengths = lengths_of(positions, cell, constraint)
+            images = images_of_length(positions, cell, constraint.pairs, lengths)
+            first, second = constraint.pairs.T
+            bonds = positions[second] - positions[first] + images
+            errors = np.abs(np.linalg.norm(bonds, axis=1) - lengths)
+            return float(errors.max()) / float(np.abs(positions).max())
     return 0.0
 
 
 def comparisons(
-    made: RunUniverse, record: Record, found: list[Array], damaged: str
+    run: RunUniverse, record: Record, figures: list[Array], damaged: str
 ) -> list[Comparison]:
-    """Comparisons of recomputed quantities with stored ones. A figure is 0 for a zero difference, and infinite for any
-    other with a zero scale. In fixed-point arithmetic Σ p is an integer in steps of the grid in each frame."""
-    kinetic, momenta, sizes, lengths = found
-    grid = made.contents.restart.grid
-    energy = record.potential_energy + record.kinetic_energy
-    relative = "recomputed − stored, relative to"
-    stored = f"{relative} the stored value"
-    written = f"{damaged} are not" if damaged else "frames and restarts are"
-    rows: list[tuple[str, Any, Any, float, str]] = [
-        ("kinetic energy", kinetic - record.kinetic_energy, record.kinetic_energy, KINETIC, stored),
-        ("momentum", np.linalg.norm(momenta - record.momentum, axis=1), sizes, SINGLE, f"{relative} Σ|mv|"),
-        ("Σ|mv|", sizes - record.absolute_momentum, sizes, SINGLE, stored),
-        ("total energy", energy - record.total_energy, record.total_energy, EXACT,
-         "potential + kinetic − total, relative to the total"),
-        *([("lengths", lengths, 1.0, LENGTHS, "recomputed − prescribed, relative to the largest coordinate")]
-          if "constraint_violation" in record else []),
-        ("steps", np.count_nonzero(np.diff(record.step) <= 0), 1.0, EXACT,
-         "frames that are not later than the one before"),
-        ("checksums", bool(damaged), 1.0, EXACT, f"{written} those that were written"),
-    ]  # fmt: skip
-    if grid is not None and made.contents.conserves_momentum:
-        frames = frames_of(
-            made.trajectory.filename, range(made.contents.n_frames), made.system.units
+    """Comparisons of recomputed quantities with stored ones.
+    In fixed-point arithmetic Σ p is an integer in steps of the grid in each frame."""
+    contents = run.contents
+    kinetic, momenta, sizes, lengths = figures
+    total = record.total_energy
+    stored = "recomputed − stored, relative to the stored value"
+    changes = np.linalg.norm(momenta - record.momentum, axis=1)
+    sums = record.potential_energy + record.kinetic_energy - total
+    energies = record.kinetic_energy
+    rows = [
+        _compared("kinetic energy", kinetic - energies, energies, KINETIC, stored),
+        _compared("momentum", changes, sizes, SINGLE, "recomputed − stored, relative to Σ|mv|"),
+        _compared("Σ|mv|", sizes - record.absolute_momentum, sizes, SINGLE, stored),
+        _compared(
+            "total energy", sums, total, EXACT, "potential + kinetic − total, relative to the total"
+        ),
+    ]
+    if "constraint_violation" in record:
+        meaning = "recomputed − prescribed, relative to the largest coordinate"
+        rows.append(_compared("lengths", lengths, 1.0, LENGTHS, meaning))
+    n_late = np.count_nonzero(np.diff(record.step) <= 0)
+    rows.append(
+        _compared("steps", n_late, 1.0, EXACT, "frames that are not later than the one before")
+    )
+    grid = contents.restart.grid
+    if grid is not None and contents.conserves_momentum:
+        frames = frames_of(run.trajectory.filename, range(contents.n_frames), run.system.units)
+        inverse_masses = 1.0 / run.system.masses
+        totals = np.array(
+            [
+                grid.momenta(frame.velocities, inverse_masses).astype(np.int64).sum(axis=0)
+                for frame in frames
+            ]
         )
-        steps = (
-            grid.momenta(one.velocities, 1.0 / made.system.masses).astype(np.int64)
-            for one in frames
-        )
-        totals = np.array([one.sum(axis=0) for one in steps])
-        rows.insert(
-            -1,
-            (
-                "exact momentum",
-                totals - totals[0],
-                1.0,
-                EXACT,
-                "change of Σ p, in whole steps of the grid",
-            ),
-        )
+        meaning = "change of Σ p, in whole steps of the grid"
+        rows.append(_compared("exact momentum", totals - totals[0], 1.0, EXACT, meaning))
+
+    which = f"{damaged} are not" if damaged else "frames and restarts are"
+    rows.append(
+        _compared("checksums", bool(damaged), 1.0, EXACT, f"{which} those that were written")
+    )
+    return rows
+
+
+def _compared(
+    name: str, differences: Any, scales: Any, tolerance: float, meaning: str
+) -> Comparison:
+    """A figure is 0 for a zero difference, and infinite for any other with a zero scale."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return [
-            Comparison(
-                name,
-                float(np.where(figures == 0.0, 0.0, np.abs(figures) / np.abs(scales)).max()),
-                limit,
-                meaning,
-            )
-            for name, figures, scales, limit, meaning in rows
-        ]
+        ratios = np.abs(differences) / np.abs(scales)
+    figure = float(np.where(differences == 0.0, 0.0, ratios).max())
+    return Comparison(name, figure, tolerance, meaning)
 
 
 def liquid(run: str | Path | RunUniverse) -> list[str]:
@@ -252,28 +257,37 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
 
     run : a file, or its universe.  Raises as universe.
     """
-    with universe_of(run) as made:
-        contents = made.contents
-        system = made.system
+    with universe_of(run) as universe:
+        contents = universe.contents
+        system = universe.system
         if not system.cell.pbc.all() or len(system) < 2:
             return []
-        r, g = radial_distribution(made)
+        r, g = radial_distribution(universe)
         # the first interval of this has the first peak
         above = np.append(g >= 0.5 * g.max(), False)
         first = int(np.argmax(above))
-        peak = float(r[first + np.argmax(g[first : first + int(np.argmin(above[first:]))])])
-        rigid = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
-        bonds = nearest_vectors(
-            system.positions, system.cell, np.concatenate([system.bonds, *rigid])
-        )
-        apart = np.linalg.norm(bonds, axis=1)
-        inside = ", between bonded atoms" * bool((np.abs(apart - peak) < 0.1 * peak).any())
+        end = first + int(np.argmin(above[first:]))
+        peak = float(r[first + np.argmax(g[first:end])])
+        pairs = joined_pairs(system)
+        lengths = np.linalg.norm(nearest_vectors(system.positions, system.cell, pairs), axis=1)
+        is_bond = (np.abs(lengths - peak) < 0.1 * peak).any()
+        inside = ", between bonded atoms" if is_bond else ""
         lines = [f"g(r)           first peak at {peak:.3g} {system.units.length}{inside}"]
         if contents.n_frames > 1:
-            diffusion = diffusion_coefficient(made)
+            diffusion = diffusion_coefficient(universe)
             if diffusion.result.diffusivity.state != SHORT:
-                slowed = ", slowed by the friction of Langevin dynamics" * (
-                    contents.method == LangevinBAOAB.name
-                )
+                has_friction = contents.method == LangevinBAOAB.name
+                slowed = ", slowed by the friction of Langevin dynamics" if has_friction else ""
                 lines.append(f"diffusion      {diffusion}{slowed}")
+
     return lines
+
+
+def joined_pairs(system: System) -> NDArray[np.int64]:
+    """(B, 2) the bonded pairs, and behind them those whose lengths are held fixed."""
+    held = [
+        constraint.pairs
+        for constraint in system.constraints
+        if isinstance(constraint, DistanceConstraints)
+    ]
+    return np.concatenate([system.bonds, *held])

@@ -32,16 +32,16 @@ from minimd.core.files.crash_file import read_crash_report
 from minimd.core.files.h5md_reader import H5MDContents, read_file
 from minimd.core.files.turned_cell import as_in_run
 from minimd.core.forces.forces import Potential
-from minimd.core.structure.constraints import DistanceConstraints
 from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
 from minimd.mdanalysis.universes import RunUniverse, universe_of
 from minimd.past.replay import replay
-from minimd.view.check import checked
+from minimd.view.check import checked, joined_pairs
 from minimd.view.plot import drawn
 
 LEVELS = 2**16
+SVG = "image/svg+xml"  # MIME type
 BYTES = 5_000_000  # of all positions, at most: 4000 atoms in 200 frames are 4.8 MB
 ATOMS = 50_000  # at most: the number that the graphics of a laptop draws smoothly
 SAMPLED = 2000  # atoms from which the distance of neighbors is computed
@@ -97,13 +97,24 @@ class Story(NamedTuple):
 
 def run_story(path: Path, frames: int) -> Story:
     """The check of a run as text, its picture, its atoms.  Raises as minimd.mdanalysis.universe."""
-    with universe_of(path) as made:
-        motion = motion_of(made, frames)
-        contents = made.contents
-        words = "Four pictures: change of the total energy, temperature, change of the momentum, and structure; the "
-        shown = _scalable(drawn(made)), f"{words}report has their figures.", str(checked(made))
-    notes = _left_out(motion, contents.repaired)
-    return Story(contents.title, _heading(path, contents), contents, motion, (), (), *shown, notes)
+    with universe_of(path) as run:
+        motion = motion_of(run, frames)
+        contents = run.contents
+        picture = _scalable(drawn(run))
+        report = str(checked(run))
+    return Story(
+        title=contents.title,
+        heading=_heading(path, contents),
+        contents=contents,
+        motion=motion,
+        marked=(),
+        cause=(),
+        picture=picture,
+        alternative="Four pictures: change of the total energy, temperature, change of the momentum, and structure; "
+        "the report has their figures.",
+        report=report,
+        notes=_left_out(motion, contents.repaired),
+    )
 
 
 def failure_story(
@@ -113,48 +124,74 @@ def failure_story(
     Raises as minimd.replay."""
     past = read_crash_report(path)
     contents = read_file(path)
-    found = past.findings
-    source = path
-    picture = ("image/svg+xml", b"")
-    closest = found.closest[:2] if found.closest else (found.fastest,)
-    marked = (found.pair.first, found.pair.second) if found.pair else closest
-    report = str(found)
-    words = "Four pictures of the states in the file."
-    advice = f"minimd.view({path.name!r}, potentials=...)."
-    notes: tuple[str, ...] = (
-        f"The steps between these states need the potentials of the script: {advice}",
-    )
+    findings = past.findings
+    marked: tuple[int, ...] = (findings.fastest,)
+    if findings.pair:
+        marked = (findings.pair.first, findings.pair.second)
+    elif findings.closest:
+        marked = findings.closest[:2]
+
     with TemporaryDirectory() as folder:
+        source = path
+        steps = b""
+        report = str(findings)
+        alternative = "Four pictures of the states in the file."
+        notes = [
+            "The steps between these states need the potentials of the script: "
+            f"minimd.view({path.name!r}, potentials=...)."
+        ]
         if potentials is not None or past.run.scene:
             drawing = Path(folder) / "steps.svg"
-            seen = replay(path, potentials, trajectory=Path(folder) / "steps.h5md", picture=drawing)
-            source = seen.trajectory or path
-            report = f"{found}\n\n{seen}"
-            notes = ()
-            words = "Four pictures against the step: total energy, distance of the closest pair, largest force, "
-            words = f"{words}largest speed; the report has a table."
-            picture = (picture[0], drawing.read_bytes())
-        with universe_of(source) as made:
-            motion = motion_of(made, frames, marked, latest=True)
-            picture = picture if picture[1] else _scalable(drawn(made))
-    cause = (found.cause, found.advice, f"{found.fault}, at step {found.step}")
-    title = f"{contents.title}: failed"
-    told = picture, words, report, (*notes, *_left_out(motion))
-    return Story(title, _heading(path, contents), contents, motion, marked, cause, *told)
+            again = replay(
+                path, potentials, trajectory=Path(folder) / "steps.h5md", picture=drawing
+            )
+            source = again.trajectory or path
+            steps = drawing.read_bytes()
+            report = f"{findings}\n\n{again}"
+            alternative = (
+                "Four pictures against the step: total energy, distance of the closest pair, largest force, "
+                "largest speed; the report has a table."
+            )
+            notes = []
+        with universe_of(source) as run:
+            motion = motion_of(run, frames, marked, latest=True)
+            picture = (SVG, steps) if steps else _scalable(drawn(run))
+
+    return Story(
+        title=f"{contents.title}: failed",
+        heading=_heading(path, contents),
+        contents=contents,
+        motion=motion,
+        marked=marked,
+        cause=(findings.cause, findings.advice, f"{findings.fault}, at step {findings.step}"),
+        picture=picture,
+        alternative=alternative,
+        report=report,
+        notes=(*notes, *_left_out(motion)),
+    )
 
 
 def _heading(path: Path, contents: H5MDContents) -> str:
     system = contents.system
-    step = contents.system.units.shown(contents.timestep)
-    return f"{path.name}: {len(system)} atoms, {contents.method} with Δt = {step}, {system.units.name} units"
+    units = system.units
+    step = units.shown(contents.timestep)
+    return (
+        f"{path.name}: {len(system)} atoms, {contents.method} with Δt = {step}, {units.name} units"
+    )
 
 
 def _left_out(motion: Motion, repaired: str = "") -> tuple[str, ...]:
     """Sentences about frames and atoms that are not shown, and about a damaged restart."""
-    frames = len(motion.frames), motion.contents.n_frames, "frames are shown."
-    atoms = len(motion.atoms), len(motion.contents.system), "atoms are shown, evenly chosen."
-    told = [f"{shown} of {n} {words}" for shown, n, words in (frames, atoms) if shown < n]
-    return (*told, f"{repaired}.") if repaired else tuple(told)
+    sentences = []
+    n_frames = motion.contents.n_frames
+    if len(motion.frames) < n_frames:
+        sentences.append(f"{len(motion.frames)} of {n_frames} frames are shown.")
+    n_atoms = len(motion.contents.system)
+    if len(motion.atoms) < n_atoms:
+        sentences.append(f"{len(motion.atoms)} of {n_atoms} atoms are shown, evenly chosen.")
+    if repaired:
+        sentences.append(f"{repaired}.")
+    return tuple(sentences)
 
 
 def _scalable(figure: Figure) -> tuple[str, bytes]:
@@ -162,11 +199,11 @@ def _scalable(figure: Figure) -> tuple[str, bytes]:
     vectors = rendered(figure, "svg")
     if len(vectors) > LARGEST_PICTURE:
         return "image/png", rendered(figure, "png")
-    return "image/svg+xml", vectors
+    return SVG, vectors
 
 
 def motion_of(
-    made: RunUniverse, most: int, marked: Sequence[int] = (), latest: bool = False
+    run: RunUniverse, most: int, marked: Sequence[int] = (), latest: bool = False
 ) -> Motion:
     """The motion in a file whose universe is open.
 
@@ -175,42 +212,44 @@ def motion_of(
     marked : atoms that are always shown; all are shifted so that, in the last frame, the first of these is in the
         middle of the cell.
     """
-    contents = made.contents
-    system = made.system
-    cell = made.system.cell
-    record = made.contents.record
+    contents = run.contents
+    system = run.system
+    cell = system.cell
+    record = contents.record
     atoms = chosen_atoms(len(system), marked)
-    frames = chosen_frames(contents.n_frames, min(most, max(2, BYTES // (6 * len(atoms)))), latest)
-    inverses = (
-        np.linalg.inv(cell.reduction @ record.cell[frames])
-        if "cell" in record
-        else [cell.inverse] * len(frames)
-    )
-    looks = (made.trajectory[int(k)] for k in frames)
-    places = (as_in_run(ts, ts.positions[atoms]) / system.units.to_angstrom for ts in looks)
-    fractions = np.array([place @ inverse for place, inverse in zip(places, inverses, strict=True)])
+    most = min(most, max(2, BYTES // (6 * len(atoms))))
+    frames = chosen_frames(contents.n_frames, most, latest)
+    inverses: Any = [cell.inverse] * len(frames)
+    if "cell" in record:
+        inverses = np.linalg.inv(cell.reduction @ record.cell[frames])
+    places = []
+    for frame, inverse in zip(frames, inverses, strict=True):
+        ts = run.trajectory[int(frame)]
+        positions = as_in_run(ts, ts.positions[atoms]) / system.units.to_angstrom
+        places.append(positions @ inverse)
+
+    fractions = np.array(places)
     if marked:
         middle = 0.5 * cell.vectors.sum(axis=0) @ cell.inverse
-        fractions += np.where(
-            cell.pbc, middle - fractions[-1, np.searchsorted(atoms, marked[0])], 0.0
-        )
+        place = fractions[-1, np.searchsorted(atoms, marked[0])]
+        fractions += np.where(cell.pbc, middle - place, 0.0)
+
     extent = np.ptp(fractions, axis=1)
     low = np.where(cell.pbc, 0.0, fractions.min(axis=1))
     width = np.where(cell.pbc, 1.0, np.where(extent > 0.0, extent, 1.0) * LEVELS / (LEVELS - 1))
     counts = np.rint((fractions - low[:, None]) / width[:, None] * LEVELS) % LEVELS
-    apart = neighbor_distances(
-        fractions[0] @ cell.lattice, system.species_index[atoms], len(system.species_names)
-    )
+    species = system.species_index[atoms]
+    apart = neighbor_distances(fractions[0] @ cell.lattice, species, len(system.species_names))
     return Motion(contents, frames, atoms, counts.astype(np.uint16), low, width, apart)
 
 
 def bonds_among(atoms: NDArray[np.int64], system: System) -> NDArray[np.int64]:
     """(B, 2) pairs of indices in atoms: bonded pairs, and pairs whose length is held fixed, if both atoms are shown;
     each pair once."""
-    held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
-    place = np.full(len(system), -1)
-    place[atoms] = np.arange(len(atoms))
-    pairs = place[np.unique(np.sort(np.concatenate([system.bonds, *held]), axis=1), axis=0)]
+    joined = np.unique(np.sort(joined_pairs(system), axis=1), axis=0)
+    places = np.full(len(system), -1)
+    places[atoms] = np.arange(len(atoms))
+    pairs = places[joined]
     return pairs[(pairs >= 0).all(axis=1)]
 
 
@@ -234,7 +273,8 @@ def neighbor_distances(positions: Array, species: NDArray[np.int64], n_species: 
     if len(positions) < 2:
         return np.ones(n_species)
     some = np.arange(0, len(positions), ceil(len(positions) / SAMPLED))
-    nearest = cKDTree(positions).query(positions[some], k=2)[0][:, 1]
+    distances, _ = cKDTree(positions).query(positions[some], k=2)
+    nearest = distances[:, 1]
     kinds = species[some]
     medians = [
         np.median(nearest[kinds == k] if (kinds == k).any() else nearest) for k in range(n_species)
@@ -246,76 +286,78 @@ def page(story: Story) -> str:
     """A story as HTML."""
     motion = story.motion
     system = story.contents.system
-    rows = parameters(story.contents)
+    species = system.species_names
     about = json.dumps(known_to_the_program(story), allow_nan=False, separators=(",", ":"))
     failure = ""
-    counts = np.bincount(system.species_index, minlength=len(system.species_names))
     if story.cause:
-        first, advice, fault = map(html.escape, story.cause)
-        lines = f"<p><strong>{first}</strong></p><p>What to do: {advice}.</p><p>What happened: {fault}.</p>"
-        failure = f'<section class="failure"><h2>Why it failed</h2>{lines}</section>'
-    cells = ((html.escape(name), html.escape(words)) for name, words in rows)
+        cause, advice, fault = map(html.escape, story.cause)
+        failure = (
+            f'<section class="failure"><h2>Why it failed</h2><p><strong>{cause}</strong></p>'
+            f"<p>What to do: {advice}.</p><p>What happened: {fault}.</p></section>"
+        )
+
+    rows = [
+        f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(content)}</td></tr>'
+        for name, content in parameters(story.contents)
+    ]
     circle = '<svg viewBox="0 0 10 10" aria-hidden="true"><circle cx="5" cy="5" r="4.5" fill="{}"/></svg>'
-    legend = zip(
-        map(circle.format, colors(system.species_names)), system.species_names, counts, strict=True
-    )
-    known = {
-        "frames": b64(motion.counts, "<u2"),
-        "species": b64(system.species_index[motion.atoms], "<u4"),
-        "bonds": b64(bonds_among(motion.atoms, system), "<u4"),
-        "about": about.replace("<", "\\u003c"),  # safe inside a script element
-        "picture": f"data:{story.picture[0]};base64,{b64encode(story.picture[1]).decode()}",
+    counts = np.bincount(system.species_index, minlength=len(species))
+    legend = [
+        f"<li>{circle.format(color)} {html.escape(str(name))} ({n})</li>"
+        for color, name, n in zip(colors(species), species, counts, strict=True)
+    ]
+    kind, picture = story.picture
+    return Template(_page_text("page.html")).substitute(
+        title=html.escape(story.title),
+        heading=html.escape(story.heading),
+        alternative=html.escape(story.alternative),
+        report=html.escape(story.report),
+        notes=html.escape(" ".join(story.notes)),
+        version=html.escape(__version__),
+        frames=b64(motion.counts, "<u2"),
+        species=b64(system.species_index[motion.atoms], "<u4"),
+        bonds=b64(bonds_among(motion.atoms, system), "<u4"),
+        about=about.replace("<", "\\u003c"),  # safe inside a script element
+        picture=f"data:{kind};base64,{b64encode(picture).decode()}",
         # which developer tools would request
-        "library": _text("ngl.js").partition("//# sourceMappingURL")[0],
-        "library_licenses": html.escape(_text("ngl-licenses.txt")),
-        "style": _text("page.css"),
-        "program": _text("motion.js") + _text("page.js"),
-        "failure": failure,
-        "notes": " ".join(map(html.escape, story.notes)),
-        "parameters": "".join(
-            f'<tr><th scope="row">{name}</th><td>{words}</td></tr>' for name, words in cells
-        ),
-        "species_list": "".join(
-            f"<li>{shown} {html.escape(str(name))} ({n})</li>" for shown, name, n in legend
-        ),
-        "version": html.escape(__version__),
-    }
-    words = {
-        name: html.escape(getattr(story, name))
-        for name in ("title", "heading", "alternative", "report")
-    }
-    return Template(_text("page.html")).substitute(known, **words)
+        library=_page_text("ngl.js").partition("//# sourceMappingURL")[0],
+        library_licenses=html.escape(_page_text("ngl-licenses.txt")),
+        style=_page_text("page.css"),
+        program=_page_text("motion.js") + _page_text("page.js"),
+        failure=failure,
+        parameters="".join(rows),
+        species_list="".join(legend),
+    )
 
 
 def parameters(contents: H5MDContents) -> Rows:
     """System, method and potentials, in the units of the system; times and rates in ps, or τ."""
     system = contents.system
-    units = contents.system.units
-    mass, picosecond = (
-        ("u", f", of which {units.to_picosecond**-1:.5g} make a ps") if units is ASE else ("m", "")
-    )
-    words = (
+    units = system.units
+    mass = "m"
+    picosecond = ""
+    if units is ASE:
+        mass = "u"
+        picosecond = f", of which {units.to_picosecond**-1:.5g} make a ps"
+    names = (
         f"lengths in {units.length}, energies in {units.energy}, masses in {mass}, "
-        f"times in {units.time}{picosecond}"
+        f"times in {units.time}{picosecond}, temperatures in {units.temperature}"
     )
     rows = [row for row in system.display_rows() if row[0] != "units"]
-    # told above
-    rows += [
-        row for row in contents.scene_in_words() if row[0] not in {"system", "cell", "constraints"}
-    ]
-    return [*rows, ("units", f"{words}, temperatures in {units.temperature}")]
+    known = {"system", "cell", "constraints"}  # these are in rows
+    rows += [row for row in contents.scene_in_words() if row[0] not in known]
+    return [*rows, ("units", names)]
 
 
 def known_to_the_program(story: Story) -> dict[str, Any]:
     """The data for the program of the page, other than the counts: see motion.js."""
     motion = story.motion
     system = story.contents.system
-    units = story.contents.system.units
+    units = system.units
     record = motion.contents.record
     cell = motion.contents.system.cell
-    place = motion.atoms.tolist().index
     times = record.time[motion.frames] * units.to_picosecond
-    temperatures = record.temperature[motion.frames]
+    temperatures = record.temperature[motion.frames].tolist()
     return {
         "low": motion.low.tolist(),
         "width": motion.width.tolist(),
@@ -326,7 +368,7 @@ def known_to_the_program(story: Story) -> dict[str, Any]:
         "box": cell.vectors[np.any(cell.vectors != 0.0, axis=1)].tolist(),
         "steps": record.step[motion.frames].tolist(),
         "times": times.tolist(),
-        "temperatures": [value if np.isfinite(value) else None for value in temperatures.tolist()],
+        "temperatures": [value if np.isfinite(value) else None for value in temperatures],
         "units": {
             "time": units.shown_time,
             "temperature": units.temperature,
@@ -334,7 +376,7 @@ def known_to_the_program(story: Story) -> dict[str, Any]:
         },
         "radii": (0.5 * motion.apart).tolist(),
         "colors": colors(system.species_names),
-        "marked": [place(atom) for atom in story.marked],
+        "marked": np.searchsorted(motion.atoms, story.marked).tolist(),
         "names": [str(atom) for atom in story.marked],
     }
 
@@ -349,5 +391,5 @@ def b64(array: NDArray[Any], kind: str) -> str:
     return b64encode(np.ascontiguousarray(array, dtype=kind).tobytes()).decode()
 
 
-def _text(name: str) -> str:
+def _page_text(name: str) -> str:
     return (files("minimd.view") / "page" / name).read_text(encoding="utf-8")

@@ -36,22 +36,22 @@ def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
 
     Raises FileNotFoundError, OSError, ValueError as universe, or if the picture cannot be written.
     """
-    with universe_of(path) as made:
-        figure = drawn(made)
+    with universe_of(path) as run:
+        figure = drawn(run)
     return write_picture(figure, Path(path).with_suffix(".png") if out is None else Path(out))
 
 
-def drawn(made: RunUniverse) -> Figure:
+def drawn(run: RunUniverse) -> Figure:
     """The figure of plot_file, for a run whose universe is open; it is not written to a file."""
-    contents = made.contents
-    record = made.contents.record
-    units = made.system.units
-    answers = [one.result() for one in contents.observers.values() if one.n_looks]
+    contents = run.contents
+    record = contents.record
+    units = run.system.units
+    answers = [observer.result() for observer in contents.observers.values() if observer.n_looks]
     figure, panels = four_panels(len(answers))
     for draw, panel in zip((_energy, draw_temperature, draw_momentum), panels, strict=False):
         draw(panel, record.time * units.to_picosecond, record)
         panel.set_xlabel(f"time  [{units.shown_time}]")
-    _structure(panels[3], made)
+    _structure(panels[3], run)
     for panel, answer in zip(panels[4:], answers, strict=False):
         answer.draw(panel)
     for panel in panels:
@@ -74,31 +74,34 @@ def _energy(panel: Axes, times: Array, record: Record) -> None:
     panel.legend(frameon=False, fontsize=8, ncols=2, loc="lower right", borderaxespad=0.0)
 
 
-def _structure(panel: Axes, made: RunUniverse) -> None:
+def _structure(panel: Axes, run: RunUniverse) -> None:
     """g(r) if possible, else the mean-square displacement, else a note that there is none."""
-    units = made.system.units
-    title = "mean-square displacement"
-    if made.system.cell.pbc.all() and len(made.system) > 1:
-        r, g = radial_distribution(made)
+    units = run.system.units
+    if run.system.cell.pbc.all() and len(run.system) > 1:
+        r, g = radial_distribution(run)
         panel.axhline(1.0, color="0.7", lw=0.8)
         panel.plot(r, g, color=STRUCTURE, **STYLE)
-        title = "radial distribution, all atoms"
         panel.set(
             xlabel=f"r  [{units.length}]",
             ylabel="g(r)",
-            title=title,
+            title="radial distribution, all atoms",
             xlim=(0.0, r[-1]),
             ylim=(0.0, None),
         )
-    elif made.contents.n_frames > 1:
-        panel.plot(*mean_square_displacement(made), color=STRUCTURE, **STYLE)
+    elif run.contents.n_frames > 1:
+        panel.plot(*mean_square_displacement(run), color=STRUCTURE, **STYLE)
         panel.set(
             xlabel=f"lag  [{units.shown_time}]",
             ylabel=f"⟨|r(t) − r(0)|²⟩  [{units.length}²]",
-            title=title,
+            title="mean-square displacement",
         )
     else:
-        words = "one frame only, no displacement"
         panel.text(
-            0.5, 0.5, words, ha="center", va="center", transform=panel.transAxes, color="0.4"
+            0.5,
+            0.5,
+            "one frame only, no displacement",
+            ha="center",
+            va="center",
+            transform=panel.transAxes,
+            color="0.4",
         )

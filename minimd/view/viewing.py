@@ -33,8 +33,8 @@ class View:
         return path
 
     def __repr__(self) -> str:
-        size = f"{len(self.html.encode()) / 1e6:.1f} MB"
-        return f"View({str(self.file)!r}: {self.summary}; {size}; write it with .save())"
+        size = len(self.html.encode()) / 1e6
+        return f"View({str(self.file)!r}: {self.summary}; {size:.1f} MB; write it with .save())"
 
     def _repr_html_(self) -> str:
         style = f"width: 100%; height: {HEIGHT}px; border: 0"
@@ -71,8 +71,10 @@ def view(
     frames = checked_count("frames", frames, least=2)
     place = file.trajectory if isinstance(file, Record) else file
     if place is None:
-        needs = "a page needs the frames of the run, but the run wrote no .h5md file"
-        raise ValueError(f"{needs}; run with trajectory='run.h5md'")
+        raise ValueError(
+            "a page needs the frames of the run, but the run wrote no .h5md file; run with trajectory='run.h5md'"
+        )
+
     # these load h5py, MDAnalysis and matplotlib
     from minimd.core.files.crash_file import is_crash_file
     from minimd.core.files.h5md_reader import verify_frames
@@ -82,9 +84,10 @@ def view(
     path = Path(place)
     has_failed = is_crash_file(path)
     if potentials is not None and not has_failed:
-        used = "potentials are used for a failed run only"
-        raise ValueError(f"{used}; {str(path)!r} holds a run that did not fail: leave them out")
+        raise ValueError(
+            f"potentials are used for a failed run only; {str(path)!r} holds a run that did not fail: leave them out"
+        )
+
     story = failure_story(path, frames, potentials) if has_failed else run_story(path, frames)
-    return View(
-        page(story), path, f"{len(story.motion.frames)} frames of {len(story.motion.atoms)} atoms"
-    )
+    motion = story.motion
+    return View(page(story), path, f"{len(motion.frames)} frames of {len(motion.atoms)} atoms")

@@ -18,17 +18,17 @@ def atoms_of_frame(template: Atoms, frame: Frame, forces: Any, conserves_momentu
     """A copy of ASE's atoms in the state of a frame, with step and time in info, and energy, forces and stress, where
     they are known, as results of a calculator.  conserves_momentum : whether the run did."""
     atoms = template.copy()
-    seen = frame.observables
+    observables = frame.observables
     atoms.positions[:] = frame.positions
     if frame.cell is not None:
         atoms.cell[:] = frame.cell.vectors
     atoms.set_momenta(frame.velocities * atoms.get_masses()[:, None], apply_constraint=False)
     atoms.info.update(step=frame.step, time=frame.time)
-    stress = (
-        calculators_stress(seen["stress"], atoms, conserves_momentum) if "stress" in seen else None
-    )
+    stress = None
+    if "stress" in observables:
+        stress = calculators_stress(observables["stress"], atoms, conserves_momentum)
     atoms.calc = SinglePointCalculator(
-        atoms, energy=float(seen["potential_energy"]), forces=forces, stress=stress
+        atoms, energy=float(observables["potential_energy"]), forces=forces, stress=stress
     )
     return atoms
 
@@ -47,20 +47,16 @@ class ASEWriter(Writer):
     """
 
     def __init__(self, claim: Claim, engine: Engine, store_forces: bool) -> None:
-        self.claim, self._template, self._store_forces = (
-            claim,
-            atoms_from_system(engine.system),
-            store_forces,
-        )
+        self.claim = claim
+        self._template = atoms_from_system(engine.system)
+        self._store_forces = store_forces
         self._conserves_momentum = engine.conserves_momentum
-        is_binary = claim.path.suffix.lower() == ".traj"
-        if is_binary:
+        self._output: Any
+        if claim.path.suffix.lower() == ".traj":
             label_by_tags(self._template, engine.system)
-        self._output = (
-            TrajectoryWriter(claim.stream, "w")
-            if is_binary
-            else claim.stream.open("w", encoding="utf-8")
-        )
+            self._output = TrajectoryWriter(claim.stream, "w")
+        else:
+            self._output = claim.stream.open("w", encoding="utf-8")
 
     def write(self, frame: Frame) -> None:
         """Append one frame."""

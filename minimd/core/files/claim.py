@@ -54,13 +54,12 @@ class Claim:
     """
 
     def __init__(self, path: str | Path, is_new: bool = True, overwrite: bool = False) -> None:
-        self.name, self.path, self.is_new, self._replaced = (
-            str(path),
-            Path(os.path.realpath(path)),
-            is_new,
-            -1,
-        )
-        self.place, is_there = self.path, self.path.exists()
+        self.name = str(path)
+        self.path = Path(os.path.realpath(path))
+        self.is_new = is_new
+        self.place = self.path
+        self._replaced = -1
+        is_there = self.path.exists()
         if is_new and Path(path).is_symlink() and not is_there:
             raise OSError(
                 errno.ENOENT,
@@ -121,10 +120,10 @@ class Claim:
     def check(self) -> None:
         """Raise OSError if the file was removed or replaced by another program."""
         try:
-            is_there = os.path.samestat(os.lstat(self.place), os.fstat(self.descriptor))
+            is_same = os.path.samestat(os.lstat(self.place), os.fstat(self.descriptor))
         except FileNotFoundError:
             raise OSError(errno.ENOENT, "it was removed while the run was writing it") from None
-        if not is_there:
+        if not is_same:
             raise OSError(errno.EEXIST, "it was replaced while the run was writing it")
 
     def release(self) -> None:
@@ -139,8 +138,9 @@ class Claim:
         self._unlock("_replaced")
 
     def _unlock(self, which: str) -> None:
-        if (held := getattr(self, which)) >= 0:
-            os.close(held)
+        descriptor = getattr(self, which)
+        if descriptor >= 0:
+            os.close(descriptor)
         setattr(self, which, -1)
 
 
@@ -176,20 +176,17 @@ class JournaledFile(io.RawIOBase):
         view = memoryview(buffer).cast("B")
         start = self._at
         end = max(self._at, min(self._at + len(view), self.size))
-        found = bytearray(end - start)
+        content = bytearray(end - start)
         old = read_at(self._claim.descriptor, min(end, self._committed) - start, start)
-        for place, piece in (
-            (start, old),
-            (self._committed, memoryview(self._tail)[: self._n_tail]),
-            *self._pieces,
-        ):
+        tail = memoryview(self._tail)[: self._n_tail]
+        for place, piece in ((start, old), (self._committed, tail), *self._pieces):
             low = max(place, start)
             high = min(place + len(piece), end)
             if low < high:
-                found[low - start : high - start] = piece[low - place : high - place]
-        view[: len(found)] = found
+                content[low - start : high - start] = piece[low - place : high - place]
+        view[: len(content)] = content
         self._at = end
-        return len(found)
+        return len(content)
 
     def write(self, data: bytes) -> int:  # type: ignore[override]
         """Write bytes at the present place, in memory; returns their number."""
@@ -224,7 +221,8 @@ class JournaledFile(io.RawIOBase):
         before = self._committed
         pieces = self._pieces
         self._claim.check()
-        if (n_bytes := os.fstat(descriptor).st_size) < before:
+        n_bytes = os.fstat(descriptor).st_size
+        if n_bytes < before:
             raise OSError(
                 errno.EIO, f"it was cut to {n_bytes} of {before} bytes while the run was writing it"
             )
@@ -263,11 +261,10 @@ def repair(path: str | Path) -> None:
     except OSError as error:
         if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
             raise
-        why = (
-            f"the last write to it was interrupted, and cannot be finished here ({error.strerror})"
-        )
         raise OSError(
-            error.errno, f"{why}; copy it to a folder of your own, and make the copy writable"
+            error.errno,
+            f"the last write to it was interrupted, and cannot be finished here ({error.strerror}); "
+            "copy it to a folder of your own, and make the copy writable",
         ) from None
     with open(descriptor, "rb"):
         _finish(descriptor)
@@ -275,8 +272,9 @@ def repair(path: str | Path) -> None:
 
 def _finish(descriptor: int) -> None:
     """Carry out a complete journal at the end of a file, if there is one."""
-    if (found := _read_journal(descriptor)) is not None:
-        _apply(descriptor, *found)
+    journal = _read_journal(descriptor)
+    if journal is not None:
+        _apply(descriptor, *journal)
 
 
 def _end(before: int, size: int, n_bytes: int, checksum: int) -> bytes:
@@ -290,14 +288,15 @@ def _read_journal(file: int) -> tuple[int, Pieces] | None:
     end = os.fstat(file).st_size - END.size
     if end < 0:
         return None
-    before, size, n_bytes, _, magic = END.unpack(head := read_at(file, END.size, end))
+    head = read_at(file, END.size, end)
+    before, size, n_bytes, _, magic = END.unpack(head)
     first = end - n_bytes
     if magic != MAGIC or not 0 <= before <= first <= end or not 0 <= size <= first:
         return None
-    found = 0
+    checksum = 0
     for place in range(before, end, BLOCK):
-        found = zlib.crc32(read_at(file, min(BLOCK, end - place), place), found)
-    if _end(before, size, n_bytes, found) != head:
+        checksum = zlib.crc32(read_at(file, min(BLOCK, end - place), place), checksum)
+    if _end(before, size, n_bytes, checksum) != head:
         return None
     text = read_at(file, n_bytes, first)
     pieces = []
@@ -333,14 +332,14 @@ def _write_all(descriptor: int, data: bytes | memoryview, place: int) -> None:
 
 def read_at(descriptor: int, n_bytes: int, place: int) -> bytes:
     """Up to n_bytes bytes from a place on; a single call to the system reads at most 2 GB."""
-    found = b""
-    while len(found) < n_bytes:
+    content = b""
+    while len(content) < n_bytes:
         if hasattr(os, "pread"):
-            part = os.pread(descriptor, n_bytes - len(found), place + len(found))
+            part = os.pread(descriptor, n_bytes - len(content), place + len(content))
         else:  # Windows
-            os.lseek(descriptor, place + len(found), os.SEEK_SET)
-            part = os.read(descriptor, n_bytes - len(found))
+            os.lseek(descriptor, place + len(content), os.SEEK_SET)
+            part = os.read(descriptor, n_bytes - len(content))
         if not part:
             break
-        found += part
-    return found
+        content += part
+    return content

@@ -9,7 +9,7 @@ minimd/crash_report    findings, and the shift of the noise, as JSON
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from itertools import chain, count
@@ -26,10 +26,10 @@ from minimd.core.diagnosis.judge import RUNAWAY
 from minimd.core.diagnosis.run_guard import RunGuard
 from minimd.core.engine.engine import Snapshot
 from minimd.core.engine.observation import observe
-from minimd.core.files.trajectory import named_files
+from minimd.core.files.trajectory import Paths, named_files
 from minimd.core.forces.contacts import Contact
 from minimd.core.neighbors.queries import ClosestPair
-from minimd.core.structure.checks import COUNTS
+from minimd.core.structure.checks import COUNTS, checked_path
 from minimd.core.structure.errors import ConstraintError, NonFiniteError
 
 SUFFIX = ".crash.h5md"
@@ -48,18 +48,18 @@ class CrashFile(NamedTuple):
     judgment: tuple[dict[str, float] | None, float]
 
 
-def crash_file_place(
-    crash_report: Any, trajectories: str | Path | Sequence[str | Path]
-) -> Path | None:
+def crash_file_place(crash_report: Any, trajectories: Paths) -> Path | None:
     """Where a run leaves its crash file: the path given, or for True beside its first trajectory; None if there is no
     such place.  Raises ValueError for the path of a trajectory, which the crash file would replace."""
-    several = named_files("trajectory", trajectories)
+    files = named_files("trajectory", trajectories)
     if isinstance(crash_report, bool | None):
-        return several[0].with_suffix(SUFFIX) if crash_report and several else None
-    [place] = named_files("crash_report", [crash_report])
-    if place.resolve() in [file.resolve() for file in several]:
-        words = f"{str(crash_report)!r} is a trajectory of the run: choose another name"
-        raise ValueError(f"crash_report must be a file of its own; {words}")
+        return files[0].with_suffix(SUFFIX) if crash_report and files else None
+    place = checked_path("crash_report", crash_report)
+    if place.resolve() in [file.resolve() for file in files]:
+        raise ValueError(
+            f"crash_report must be a file of its own; {str(crash_report)!r} is a trajectory of the run: "
+            "choose another name"
+        )
     return place
 
 
@@ -71,28 +71,29 @@ def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iter
         yield
     except (NonFiniteError, ConstraintError) as error:
         if path is not None and error.crash_report is not None:
-            suffix = SUFFIX if path.name.endswith(SUFFIX) else path.suffix
-            numbered = (
-                path.with_name(f"{path.name.removesuffix(suffix)}-{number}{suffix}")
-                for number in count(2)
-            )
-            file = next(
-                free for free in chain([path], numbered) if overwrite or not os.path.lexists(free)
-            )
+            file = path if overwrite else _free_name(path)
             try:
                 write_crash_report(file, guard, error.crash_report)
                 error.file = file
-                again = (
-                    f"minimd replay {quote(str(file))}"
-                    if guard.engine.notes["scene"]
-                    else "minimd.replay(file, potentials)"
+                command = "minimd.replay(file, potentials)"
+                if guard.engine.notes["scene"]:
+                    command = f"minimd replay {quote(str(file))}"
+                remark = (
+                    f"Crash report in {file}; to see the last steps again: {command}; "
+                    f"in the browser: minimd view {file}"
                 )
-                look = f"to see the last steps again: {again}; in the browser: minimd view {file}"
-                hint = f"Crash report in {file}; {look}"
             except Exception as reason:  # of any kind: the error of the run itself must be raised
-                hint = f"No crash report was written: {reason}"
-            error.args = (f"{error}. {hint}",)
+                remark = f"No crash report was written: {reason}"
+            error.args = (f"{error}. {remark}",)
         raise
+
+
+def _free_name(path: Path) -> Path:
+    """The path, or if it exists, the path with the first number of a file that does not."""
+    suffix = SUFFIX if path.name.endswith(SUFFIX) else path.suffix
+    stem = path.name.removesuffix(suffix)
+    numbered = (path.with_name(f"{stem}-{number}{suffix}") for number in count(2))
+    return next(file for file in chain([path], numbered) if not os.path.lexists(file))
 
 
 def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> None:
@@ -104,18 +105,15 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     from minimd.core.files.h5md_writer import H5MDWriter
 
     engine = guard.engine
-    last = guard.engine.checkpoint()
+    last = engine.checkpoint()
     start = guard.failed_from or last.state
     first, growth = guard.judgment
     energies = {name: value for name, value in (first or {}).items() if name.endswith("energy")}
-    known = {"noise_shift": engine.noise_shift, "first": energies or None, "growth": growth}
+    simulation = {"noise_shift": engine.noise_shift, "first": energies or None, "growth": growth}
     texts = {
         "findings": json.dumps(asdict(findings)),
         "words": str(findings),
-        "simulation": json.dumps(known),
-    }
-    told = {
-        f"{REPORT}/{name}": Item(data=np.array(text.encode(), TEXT)) for name, text in texts.items()
+        "simulation": json.dumps(simulation),
     }
 
     part = temporary(path)  # so that no incomplete file has the final name
@@ -126,9 +124,9 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
             raise OSError(f"{str(part)!r} is a link to another file; remove it")
         writer = H5MDWriter(claim, engine, store_forces=True, every=every, n_frames=2)
         try:
-            writer.description |= told | checked(
-                f"{REPORT}/start", *flattened(last._replace(state=start))
-            )
+            for name, text in texts.items():
+                writer.description[f"{REPORT}/{name}"] = Item(data=np.array(text.encode(), TEXT))
+            writer.description |= checked(f"{REPORT}/start", *flattened(last._replace(state=start)))
             for snapshot in (start, last.state):
                 engine.restore(snapshot)
                 engine.enter()
@@ -165,23 +163,28 @@ def read_crash_report(path: str | Path) -> CrashFile:
         group = h5[REPORT]
         system = contents.system
         with damage_told(path):
-            texts = (group[name].asstr()[()] for name in ("simulation", "findings"))
-            told, found = (json.loads(text, object_hook=_printable) for text in texts)
+            simulation, values = (
+                json.loads(group[name].asstr()[()], object_hook=_printable)
+                for name in ("simulation", "findings")
+            )
             start = unflattened(*read_group(group["start"])).state
             system.positions = start.positions
             system.velocities = start.velocities
-            pair = found["pair"] and Contact(**found["pair"])
-            closest = found["closest"] and ClosestPair(*found["closest"])
-            findings = CrashReport(**found | {"pair": pair, "closest": closest})
-            for part in (findings, pair, closest):
+            values["pair"] = values["pair"] and Contact(**values["pair"])
+            values["closest"] = values["closest"] and ClosestPair(*values["closest"])
+            findings = CrashReport(**values)
+            for part in (findings, findings.pair, findings.closest):
                 _check_types(part, len(system))
-    judgment = told.get("first"), told.get("growth", RUNAWAY)  # older files have none
-    return CrashFile(findings, contents, start, told["noise_shift"], judgment)
+
+    # older files have no judgment
+    judgment = (simulation.get("first"), simulation.get("growth", RUNAWAY))
+    return CrashFile(findings, contents, start, simulation["noise_shift"], judgment)
 
 
-def _printable(found: dict[str, Any]) -> dict[str, Any]:
+def _printable(values: dict[str, Any]) -> dict[str, Any]:
     return {
-        name: printable(value) if isinstance(value, str) else value for name, value in found.items()
+        name: printable(value) if isinstance(value, str) else value
+        for name, value in values.items()
     }
 
 
@@ -191,7 +194,8 @@ def _check_types(part: Any, n_atoms: int) -> None:
     for name, declared in get_type_hints(type(part)).items() if part else ():
         value = getattr(part, name)
         kinds = get_args(declared) or (declared,)
+        is_number = type(value) is int
+        is_of_kind = type(value) in kinds or (is_number and float in kinds)
         least, limit = (0, n_atoms) if name in ATOMS else (-COUNTS, COUNTS)
-        is_of_kind = type(value) in kinds or (type(value) is int and float in kinds)
-        if not is_of_kind or (type(value) is int and not least <= value < limit):
+        if not is_of_kind or (is_number and not least <= value < limit):
             raise ValueError(f"its findings have {name} = {shown(value)}")

@@ -38,17 +38,17 @@ def put(h5: h5py.File, items: Mapping[str, Item]) -> None:
     file = h5.id
     for path, item in items.items():
         try:
-            there = h5o.open(file, path.encode())
+            stored = h5o.open(file, path.encode())
         except KeyError:
-            there = _new(file, path.encode(), item)
+            stored = _created(file, path.encode(), item)
         if item.data is not None:
             data = np.asarray(item.data, order="C")
             place = h5s.ALL
             if item.rows:
-                there.set_extent((item.first + len(data), *data.shape[1:]))
-                place = there.get_space()
+                stored.set_extent((item.first + len(data), *data.shape[1:]))
+                place = stored.get_space()
                 place.select_hyperslab((item.first, *(0,) * (data.ndim - 1)), data.shape)
-            there.write(h5s.create_simple(data.shape), place, data)
+            stored.write(h5s.create_simple(data.shape), place, data)
         for name, value in item.attributes.items():
             key = name.encode()
             array = np.asarray(value)
@@ -56,25 +56,24 @@ def put(h5: h5py.File, items: Mapping[str, Item]) -> None:
                 array = np.array(h5r.create(file, value.encode(), h5r.OBJECT), h5py.ref_dtype)
             elif array.dtype.kind == "U":
                 array = array.astype(TEXT)
-            if h5a.exists(there, key):
-                h5a.delete(there, key)
+            if h5a.exists(stored, key):
+                h5a.delete(stored, key)
             kind = h5t.py_create(array.dtype, logical=True)
-            space = h5s.create_simple(array.shape)
-            h5a.create(there, key, kind, space).write(array)
+            h5a.create(stored, key, kind, h5s.create_simple(array.shape)).write(array)
 
 
-def _new(file: h5g.GroupID, key: bytes, item: Item) -> h5g.GroupID | h5d.DatasetID | None:
+def _created(file: h5g.GroupID, key: bytes, item: Item) -> h5g.GroupID | h5d.DatasetID | None:
     """A new item without attributes and numbers, and the groups above it."""
     if item.other:
         return file.links.create_hard(key, file, item.other.encode())
     if item.data is None:
         return h5g.create(file, key, IN_NEW_GROUPS)
-    made = h5p.create(h5p.DATASET_CREATE)
     shape = item.data.shape
-    made.set_obj_track_times(False)
+    kind = h5t.py_create(item.data.dtype, logical=True)
+    space = h5s.create_simple(shape)
+    properties = h5p.create(h5p.DATASET_CREATE)
+    properties.set_obj_track_times(False)
     if item.rows:
-        made.set_chunk((item.rows, *shape[1:]))
-    space = h5s.create_simple(shape, (h5s.UNLIMITED, *shape[1:]) if item.rows else shape)
-    return h5d.create(
-        file, key, h5t.py_create(item.data.dtype, logical=True), space, made, IN_NEW_GROUPS
-    )
+        space = h5s.create_simple(shape, (h5s.UNLIMITED, *shape[1:]))
+        properties.set_chunk((item.rows, *shape[1:]))
+    return h5d.create(file, key, kind, space, properties, IN_NEW_GROUPS)

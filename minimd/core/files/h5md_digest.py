@@ -51,8 +51,9 @@ BLOCKS = "minimd/blocks"
 DIGEST = "digest"
 # groups; but for the above, they do not change
 FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")
-# numbers of a state; older files have no work
-STATE = {"step": int, "time": float, "reservoir_energy": float}
+
+Arrays = dict[str, np.ndarray]  # by name
+Numbers = dict[str, Any]
 
 
 class Restart(NamedTuple):
@@ -61,20 +62,20 @@ class Restart(NamedTuple):
 
     checkpoint: Checkpoint
     n_frames: int
-    arrays: dict[str, np.ndarray]
+    arrays: Arrays
     is_earlier: bool
 
-    def states(self) -> dict[str, dict[str, np.ndarray]]:
+    def states(self) -> dict[str, Arrays]:
         """The state of each observer, by its name."""
-        found: dict[str, dict[str, np.ndarray]] = {}
+        states: dict[str, Arrays] = {}
         for name, array in self.arrays.items():
             if name.startswith(MARK):
                 _, observer, key = name.split(".")
-                found.setdefault(observer, {})[key] = array
-        return found
+                states.setdefault(observer, {})[key] = array
+        return states
 
 
-def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def flattened(checkpoint: Checkpoint) -> tuple[Arrays, Numbers]:
     """A checkpoint as named arrays and numbers. Arrays that it does not have are left out."""
     state = checkpoint.state
     lists = checkpoint.lists
@@ -85,56 +86,71 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
         "velocities": state.velocities,
         "images": images,
     }
-    cells = {"cell": state.cell} | {f"cell_of_list_{k}": one.cell for k, one in enumerate(lists)}
+    cells = {"cell": state.cell}
+    cells |= {f"cell_of_list_{k}": built.cell for k, built in enumerate(lists)}
     for name, cell in cells.items():
-        arrays |= {} if cell is None else {name: cell.vectors, f"{name}_reduction": cell.reduction}
-    for k, one in enumerate(lists):
-        arrays |= {f"list_{k}": one.positions, f"region_of_list_{k}": one.region}
-    numbers = {name: getattr(state, name) for name in (*STATE, "work")}
-    numbers |= {name: getattr(checkpoint, name) for name in ("displacement", "equilibrated")}
-    numbers |= {"clock_step": clock[0], "clock_time": clock[1], "tolerance": tolerance}
-    numbers |= {"skins": np.array([one.skin for one in lists])}
-    numbers |= (
-        {} if checkpoint.grid is None else {"grid": np.array([*vars(checkpoint.grid).values()])}
-    )
+        if cell is not None:
+            arrays |= {name: cell.vectors, f"{name}_reduction": cell.reduction}
+    for k, built in enumerate(lists):
+        arrays |= {f"list_{k}": built.positions, f"region_of_list_{k}": built.region}
+    numbers: Numbers = {
+        "step": state.step,
+        "time": state.time,
+        "reservoir_energy": state.reservoir_energy,
+        "work": state.work,
+        "displacement": checkpoint.displacement,
+        "equilibrated": checkpoint.equilibrated,
+        "clock_step": clock[0],
+        "clock_time": clock[1],
+        "tolerance": tolerance,
+        "skins": np.array([built.skin for built in lists]),
+    }
+    if checkpoint.grid is not None:
+        numbers["grid"] = np.array([*vars(checkpoint.grid).values()])
     return {name: array for name, array in arrays.items() if array is not None}, numbers
 
 
-def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Checkpoint:
-    """The checkpoint with these flattened arrays and numbers."""
-
-    def cell(name: str) -> Cell | None:
-        if name not in arrays:
-            return None
-        cell = Cell.of_reduction(arrays[name], arrays[f"{name}_reduction"])
-        if round(abs(np.linalg.det(cell.reduction))) != 1:
-            raise ValueError(f"{name}_reduction gives another lattice than {name}")
-        return cell.strained(cell.vectors)  # reduced, whatever the file says
-
-    def built(k: int, skin: float) -> Built:
-        return Built(
-            skin,
-            arrays.get(f"list_{k}"),
-            cell(f"cell_of_list_{k}"),
-            arrays.get(f"region_of_list_{k}"),
-        )
-
+def unflattened(arrays: Arrays, numbers: Numbers) -> Checkpoint:
+    """The checkpoint with these flattened arrays and numbers; older files have no work."""
     state = Snapshot(
-        **{name: kind(numbers[name]) for name, kind in STATE.items()},
+        step=int(numbers["step"]),
+        time=float(numbers["time"]),
         positions=arrays["positions"],
         velocities=arrays["velocities"],
+        reservoir_energy=float(numbers["reservoir_energy"]),
         clock=(int(numbers["clock_step"]), float(numbers["clock_time"])),
         work=float(numbers.get("work", 0.0)),
-        cell=cell("cell"),
+        cell=_stored_cell(arrays, "cell"),
     )
-    lists = tuple(built(k, float(skin)) for k, skin in enumerate(numbers["skins"]))
-    images = (
-        (arrays["images"], float(numbers["tolerance"])) if len(arrays.get("images", ())) else None
-    )
-    grid = Grid(*map(float, numbers["grid"])) if "grid" in numbers else None
+    lists = [
+        Built(
+            float(skin),
+            arrays.get(f"list_{k}"),
+            _stored_cell(arrays, f"cell_of_list_{k}"),
+            arrays.get(f"region_of_list_{k}"),
+        )
+        for k, skin in enumerate(numbers["skins"])
+    ]
+    images = None
+    if len(arrays.get("images", ())):
+        images = arrays["images"], float(numbers["tolerance"])
     return Checkpoint(
-        state, float(numbers["displacement"]), lists, images, int(numbers["equilibrated"]), grid
+        state,
+        displacement=float(numbers["displacement"]),
+        lists=tuple(lists),
+        images=images,
+        equilibrated=int(numbers["equilibrated"]),
+        grid=Grid(*map(float, numbers["grid"])) if "grid" in numbers else None,
     )
+
+
+def _stored_cell(arrays: Arrays, name: str) -> Cell | None:
+    if name not in arrays:
+        return None
+    cell = Cell.of_reduction(arrays[name], arrays[f"{name}_reduction"])
+    if round(abs(np.linalg.det(cell.reduction))) != 1:
+        raise ValueError(f"{name}_reduction gives another lattice than {name}")
+    return cell.strained(cell.vectors)  # reduced, whatever the file says
 
 
 def write_restart(
@@ -147,18 +163,16 @@ def write_restart(
     """Write the newest restart; the one before becomes the earlier restart.  beside : arrays that are kept with it."""
     older = EARLIER if EARLIER in h5 else SPARE
     arrays, numbers = flattened(checkpoint)
-    arrays |= {
-        f"{MARK}{one.name}.{key}": np.asarray(part)
-        for one in observers
-        for key, part in one.state().items()
-    }
-    arrays = {**arrays, **beside}
+    for observer in observers:
+        for key, part in observer.state().items():
+            arrays[f"{MARK}{observer.name}.{key}"] = np.asarray(part)
+    arrays |= beside
+    numbers["n_frames"] = n_frames
     group = h5.require_group(older)
-    for name in [
-        name for name in group if name not in arrays or group[name].shape != arrays[name].shape
-    ]:
-        del group[name]
-    put(h5, checked(older, arrays, numbers | {"n_frames": n_frames}))
+    for name in list(group):
+        if name not in arrays or group[name].shape != arrays[name].shape:
+            del group[name]
+    put(h5, checked(older, arrays, numbers))
     if older != SPARE:
         h5.move(older, SPARE)
     if RESTART in h5:
@@ -169,45 +183,41 @@ def write_restart(
 def read_restart(h5: h5py.File) -> Restart:
     """The newest restart that is intact.  Raises ValueError if both are damaged."""
     for name in (RESTART, EARLIER):
-        if (found := _whole(h5, name)) is not None:
-            return found
+        restart = _intact(h5, name)
+        if restart is not None:
+            return restart
     raise ValueError("its restart is damaged")
 
 
 def damaged_restart(h5: h5py.File) -> str:
     """The damaged restart in words; empty if there is none. After a single commit a file has no earlier restart."""
-    if _whole(h5, RESTART) is None:
+    if _intact(h5, RESTART) is None:
         return "numbers of the newest restart"
-    return (
-        "numbers of the restart before the newest"
-        if EARLIER in h5 and _whole(h5, EARLIER) is None
-        else ""
-    )
+    if EARLIER in h5 and _intact(h5, EARLIER) is None:
+        return "numbers of the restart before the newest"
+    return ""
 
 
 def set_aside_damaged(h5: h5py.File) -> None:
     """Rename damaged restarts. They are not deleted: the bytes that they claim as theirs may belong to other data."""
     for name in (RESTART, EARLIER, SPARE):
-        if h5.get(name, getlink=True) is not None and _whole(h5, name) is None:
-            h5.move(
-                name,
-                next(
-                    free
-                    for k in count(1)
-                    if h5.get(free := f"{name}_damaged_{k}", getlink=True) is None
-                ),
-            )
+        if _is_there(h5, name) and _intact(h5, name) is None:
+            names = (f"{name}_damaged_{k}" for k in count(1))
+            h5.move(name, next(free for free in names if not _is_there(h5, free)))
 
 
-def _whole(h5: h5py.File, name: str) -> Restart | None:
+def _is_there(h5: h5py.File, name: str) -> bool:
+    return h5.get(name, getlink=True) is not None
+
+
+def _intact(h5: h5py.File, name: str) -> Restart | None:
     """The restart of a name; None if it is damaged."""
     try:
         arrays, numbers = read_group(h5[name])
         if STEPS in h5 and numbers["step"] < h5[STEPS][0]:
             return None  # frames of a run begin with it
-        return Restart(
-            unflattened(arrays, numbers), int(numbers["n_frames"]), arrays, name == EARLIER
-        )
+        checkpoint = unflattened(arrays, numbers)
+        return Restart(checkpoint, int(numbers["n_frames"]), arrays, name == EARLIER)
     except MemoryError:
         raise
     except Exception:  # HDF5 and h5py raise almost anything for bytes they do not expect
@@ -218,17 +228,16 @@ def checked(
     path: str, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]
 ) -> dict[str, Item]:
     """A group of arrays, numbers, and their digest."""
-    values = {
-        name: np.asarray(one, np.int64 if isinstance(one, int) else np.float64)
-        for name, one in numbers.items()
+    attributes = {
+        name: np.asarray(number, np.int64 if isinstance(number, int) else np.float64)
+        for name, number in numbers.items()
     }
-    values[DIGEST] = np.asarray(digest_of(arrays, numbers), np.uint32)
-    return {path: Item(values)} | {
-        f"{path}/{name}": Item(data=array) for name, array in arrays.items()
-    }
+    attributes[DIGEST] = np.asarray(digest_of(arrays, numbers), np.uint32)
+    datasets = {f"{path}/{name}": Item(data=array) for name, array in arrays.items()}
+    return {path: Item(attributes)} | datasets
 
 
-def read_group(group: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def read_group(group: h5py.Group) -> tuple[Arrays, Numbers]:
     """Arrays and numbers of a restart, as in checked.  Raises ValueError if their digest is wrong, or if they are not
     of the kinds that are declared."""
     arrays = {name: group[name][()] for name in group}
@@ -246,18 +255,19 @@ def digest_of(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any] = NOT
         digest = zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), digest)
         digest = zlib.crc32(np.ascontiguousarray(array).data, digest)
     for name in sorted(set(numbers) - {DIGEST}):
-        digest = zlib.crc32(
-            np.asarray(numbers[name], dtype=np.float64).tobytes(), zlib.crc32(name.encode(), digest)
-        )
+        digest = zlib.crc32(name.encode(), digest)
+        digest = zlib.crc32(np.asarray(numbers[name], dtype=np.float64).tobytes(), digest)
     return digest
 
 
-def description(observers: Sequence[StoredObserver]) -> dict[str, Item]:
+def of_observers(observers: Sequence[StoredObserver]) -> dict[str, Item]:
     """The arguments of the observers."""
-    told = {
-        one.name: {"kind": one.kind, "arguments": json.dumps(one.made_with())} for one in observers
+    return {
+        f"{OBSERVERS}/{observer.name}": Item(
+            {"kind": observer.kind, "arguments": json.dumps(observer.made_with())}
+        )
+        for observer in observers
     }
-    return {f"{OBSERVERS}/{name}": Item(attributes) for name, attributes in told.items()}
 
 
 def restore_observers(
@@ -268,83 +278,99 @@ def restore_observers(
     Raises ValueError if the file holds an observer of the same name with other arguments, or in a state of another
     convention. Warns of observers in the file that the run does not have.
     """
-    known = h5.get(OBSERVERS, {})
+    stored = h5.get(OBSERVERS, {})
     states = restart.states()
-    for one in observers:
-        if one.name in known:
-            was = json.loads(known[one.name].attrs["arguments"])
-            now = json.loads(json.dumps(one.made_with()))
-            state = states.get(one.name, {})
-            if was != now and one.can_restore(state):  # else restore tells of its convention
-                holds = f"file {str(file)!r} holds the observer {one.name} with the arguments {was}"
-                raise ValueError(f"{holds}; use the same arguments, or pass another name=")
-            if not one.n_looks:
-                one.restore(state)
-    if left := set(known) - {one.name for one in observers}:
-        words = f"file {str(file)!r} holds the observers {listed(sorted(left))}, which this run does not continue"
-        warn(f"{words}; to continue them, pass them as observers=[...]")
+    for observer in observers:
+        if observer.name not in stored:
+            continue
+        was = json.loads(stored[observer.name].attrs["arguments"])
+        now = json.loads(json.dumps(observer.made_with()))
+        state = states.get(observer.name, {})
+        if was != now and observer.can_restore(state):  # else restore tells of its convention
+            raise ValueError(
+                f"file {str(file)!r} holds the observer {observer.name} with the arguments {was}; "
+                "use the same arguments, or pass another name="
+            )
+        if not observer.n_looks:
+            observer.restore(state)
+
+    others = set(stored) - {observer.name for observer in observers}
+    if others:
+        warn(
+            f"file {str(file)!r} holds the observers {listed(sorted(others))}, which this run does not continue; "
+            "to continue them, pass them as observers=[...]"
+        )
 
 
 def write_answers(h5: h5py.File, observers: Sequence[StoredObserver]) -> None:
     """Write the results of the observers that have looked, in place of those in the file."""
-    for one in observers:
-        group = h5[f"{OBSERVERS}/{one.name}"]
+    for observer in observers:
+        group = h5[f"{OBSERVERS}/{observer.name}"]
         for name in list(group):
             del group[name]
-        if one.n_looks:
-            result = one.result()
-            looks = {"n_looks": one.n_looks, "last_step": one.last_step}
+        if observer.n_looks:
+            result = observer.result()
+            looks = {"n_looks": observer.n_looks, "last_step": observer.last_step}
             group.attrs.update({**looks, "units": result.scene.units, **result.numbers()})
-            # HDF5 allows no slash in names, that of a species may contain one
-            group.update(
-                {name.replace("/", "_"): series for name, series in result.columns().items()}
-            )
+            for name, series in result.columns().items():
+                # HDF5 allows no slash in names, that of a species may contain one
+                group[name.replace("/", "_")] = series
 
 
 def observers_of(h5: h5py.File, restart: Restart) -> dict[str, StoredObserver]:
     """The observers in an open file, by name, in their state at the restart;
     new ones where the convention of the state is another. A warning tells those of a kind that is not known here."""
+    stored = h5.get(OBSERVERS, {})
+    kinds = from_annex("observers by kind") if stored else {}
     states = restart.states()
-    found = {}
-    unknown = list[str]()
-    kinds = from_annex("observers by kind") if h5.get(OBSERVERS) else {}
-    for name, group in h5.get(OBSERVERS, {}).items():
+    observers: dict[str, StoredObserver] = {}
+    unknown: list[str] = []
+    for name, group in stored.items():
         arguments: dict[str, Any] = json.loads(group.attrs["arguments"])
-        if (kind := str(group.attrs["kind"])) not in kinds:
+        kind = str(group.attrs["kind"])
+        if kind not in kinds:
             unknown.append(f"{shown(name)} of the kind {shown(kind)}")
             continue
+        state = states.get(name, {})
         try:
-            found[name] = kinds[kind](**arguments)
-            if found[name].can_restore(state := states.get(name, {})):
-                found[name].restore(state)
+            observer = kinds[kind](**arguments)
+            if observer.can_restore(state):
+                observer.restore(state)
         except MemoryError:
             raise ValueError(
                 f"observer {name} asks for more memory than there is, by {shown(arguments)}"
             ) from None
+        observers[name] = observer
+
     if unknown:
-        known = "to read them, register their classes: minimd.observers.KINDS[kind] = ..."
-        warn(f"observers of unknown kinds are left out: {', '.join(unknown[:5])}; {known}")
-    return found
+        warn(
+            f"observers of unknown kinds are left out: {', '.join(unknown[:5])}; "
+            "to read them, register their classes: minimd.observers.KINDS[kind] = ..."
+        )
+
+    return observers
 
 
-def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> None:
+def add_block(h5: h5py.File, n_frames: int, entries: Arrays) -> None:
     """Append the row of a block: n_frames frames are now in the file; entries : of the frames of the block,
     by the paths of their series."""
     # a block that is written again replaces its row
     row = int(np.searchsorted(h5[BLOCKS][:, 0], n_frames)) if BLOCKS in h5 else 0
-    about = NOTHING if row else {"series": sorted(entries)}
-    put(h5, {BLOCKS: Item(about, np.array([[n_frames, digest_of(entries)]]), 64, row)})
+    attributes = NOTHING if row else {"series": sorted(entries)}
+    put(h5, {BLOCKS: Item(attributes, np.array([[n_frames, digest_of(entries)]]), 64, row)})
+
+
+def _series_of_blocks(h5: h5py.File) -> dict[str, h5py.Dataset]:
+    return {path: h5[path] for path in h5[BLOCKS].attrs["series"]}
 
 
 def damaged_frames(h5: h5py.File) -> str:
     """The frames that are not as they were written, in words; empty if there are none."""
-    series = {one: h5[one] for one in h5[BLOCKS].attrs["series"]}
+    series = _series_of_blocks(h5)
     first = 0
     for last, digest in h5[BLOCKS][:].tolist():
-        if (
-            last <= first
-            or digest_of({path: one[first:last] for path, one in series.items()}) != digest
-        ):
+        entries = {path: values[first:last] for path, values in series.items()}
+        if last <= first or digest_of(entries) != digest:
             return f"frames {first} to {last - 1}"
         first = last
     return ""
@@ -353,13 +379,13 @@ def damaged_frames(h5: h5py.File) -> str:
 def drop_frames(h5: h5py.File, n_frames: int) -> None:
     """Keep the first n_frames frames, and remove the others."""
     blocks = h5[BLOCKS]
-    series = {one: h5[one] for one in blocks.attrs["series"]}
-    for one in series.values():
-        one.resize(n_frames, axis=0)
+    series = _series_of_blocks(h5)
+    for values in series.values():
+        values.resize(n_frames, axis=0)
     blocks.resize(int(np.searchsorted(blocks[:, 0], n_frames, side="right")), axis=0)
-    first = int(blocks[-1, 0]) if len(blocks) else 0
+    first = n_whole_frames(h5)
     if first < n_frames:
-        add_block(h5, n_frames, {path: one[first:] for path, one in series.items()})
+        add_block(h5, n_frames, {path: values[first:] for path, values in series.items()})
 
 
 def n_whole_frames(h5: h5py.File) -> int:
@@ -378,49 +404,55 @@ def check_description(h5: h5py.File) -> None:
     if h5["minimd"].attrs.get(DIGEST) != _digest_of_description(h5):
         raise ValueError("the checksum of the stored description of the run does not match")
     series = {path: h5[path] for path in FIELDS if path in h5}
-    entries = (
-        (path, np.broadcast_to(np.zeros((), one.dtype), one.shape[1:]))
-        for path, one in series.items()
-    )
-    check_fields(entries, h5["minimd"])
+    entries = {
+        path: np.broadcast_to(np.zeros((), values.dtype), values.shape[1:])
+        for path, values in series.items()
+    }
+    check_fields(entries.items(), h5["minimd"])
     observed = [h5[f"observables/{name}/value"] for name in h5["observables"]]
-    if {len(one) for one in (*observed, *series.values())} - {n_whole_frames(h5)}:
+    lengths = {len(values) for values in (*observed, *series.values())}
+    if lengths - {n_whole_frames(h5)}:
         raise ValueError("its series of frames differ in length")
 
 
 def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> int:
     """CRC-32 of names, attributes and contents of everything that does not change, in order.  written : as in sign."""
     names: dict[str, bool] = {}  # False for a second name of an item that is visited under another
-    for group in FIXED:
+    for path in FIXED:
+        group = h5[path]
+        names[path] = True
         # a visit stops if the function returns anything but None
-        names[group], here = True, h5[group]
-        here.visit_links(lambda name, group=group: names.update({f"{group}/{name}": False}))
-        here.visit(lambda name, group=group: names.update({f"{group}/{name}": True}))
+        group.visit_links(lambda name, path=path: names.update({f"{path}/{name}": False}))
+        group.visit(lambda name, path=path: names.update({f"{path}/{name}": True}))
+
     digest = 0
     for name, is_first in sorted(names.items()):
         if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):
             continue
-        item = written.get(name, Item()) if is_first else Item()
-        if is_first and not written:
-            read = h5[name]
-            grows = isinstance(read, h5py.Dataset) and read.maxshape[:1] == (None,)
-            data = None
-            if isinstance(read, h5py.Dataset):
-                data = (
-                    np.empty((0, *read.shape[1:]), read.dtype)
-                    if grows
-                    else np.asarray(read[()], read.dtype)
-                )
-            item = Item(read.attrs, data, int(grows))
+        item = Item()
+        if is_first:
+            item = written.get(name, item) if written else _described(h5[name])
         item = written.get(item.other, item)
-        words = [name.encode()]
+        digest = zlib.crc32(name.encode(), digest)
         for key in sorted(set(item.attributes) - {DIGEST, REFERENCE}):
-            words.append(repr((key, np.asarray(item.attributes[key]).tolist())).encode())
-        if (data := item.data) is not None:
-            words.append(repr((data.shape[bool(item.rows) :], data.dtype.str)).encode())
+            attribute = (key, np.asarray(item.attributes[key]).tolist())
+            digest = zlib.crc32(repr(attribute).encode(), digest)
+        data = item.data
+        if data is not None:
+            layout = (data.shape[bool(item.rows) :], data.dtype.str)
+            digest = zlib.crc32(repr(layout).encode(), digest)
             if not item.rows:
-                words.append(
-                    repr(data.tolist()).encode() if data.dtype.kind == "O" else data.tobytes()
-                )
-        digest = zlib.crc32(b"".join(words), digest)
+                is_text = data.dtype.kind == "O"
+                content = repr(data.tolist()).encode() if is_text else data.tobytes()
+                digest = zlib.crc32(content, digest)
+
     return digest
+
+
+def _described(stored: h5py.Group | h5py.Dataset) -> Item:
+    """What is in a file, as an item; series that grow with the frames are left empty."""
+    if isinstance(stored, h5py.Group):
+        return Item(stored.attrs)
+    if stored.maxshape[:1] == (None,):
+        return Item(stored.attrs, np.empty((0, *stored.shape[1:]), stored.dtype), rows=1)
+    return Item(stored.attrs, np.asarray(stored[()], stored.dtype))

@@ -33,6 +33,7 @@ from minimd.core.engine.observer import StoredObserver
 from minimd.core.engine.record import SERIES, Frame, Record
 from minimd.core.files import h5md_digest as digest
 from minimd.core.files.claim import end_with, repair
+from minimd.core.files.h5_items import REFERENCE
 from minimd.core.files.h5md_schema import (
     SPACING,
     STEPS,
@@ -57,7 +58,6 @@ NUMBERS = (h5t.INTEGER, h5t.FLOAT, h5t.ENUM)  # bools and species are enumeratio
 TEXTS = (*NUMBERS, h5t.STRING)
 CRASH_TEXTS = ("findings", "words", "simulation")
 MAY_BE_TEXTS = ("minimd/species_names", *(f"minimd/crash_report/{name}" for name in CRASH_TEXTS))
-REFERENCE = b"particles_group"  # the only attribute that refers to an object
 LAYOUTS = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
 MOST_TEXTS = 256  # attributes of an object, and texts in an attribute; minimd has some 30
 DEEPEST = 8  # groups in groups; minimd has 5
@@ -89,12 +89,12 @@ def opened(path: str | Path) -> h5py.File:
             )
         h5 = h5py.File(path, "r")
     except (OSError, RuntimeError) as error:
-        words = sentence(error)
-        reason = next(
-            (told for sign, told in REASONS.items() if sign in words), words.splitlines()[0]
-        )
+        message = sentence(error)
+        known = [reason for sign, reason in REASONS.items() if sign in message]
+        reason = known[0] if known else message.splitlines()[0]
         kind = BlockingIOError if isinstance(error, BlockingIOError) else OSError
         raise kind(f"file {str(path)!r} cannot be opened: {reason}") from error
+
     with damage_told(path):
         is_ours = h5.id.links.exists(b"minimd")
     if not is_ours:
@@ -110,8 +110,9 @@ def admitted(h5: h5py.File, path: str | Path) -> h5py.File:
         with damage_told(path):
             problem = _strange_thing(h5)
         if problem:
-            remedy = "minimd writes no such thing; do not use this file"
-            raise OSError(f"file {str(path)!r} is refused: {problem}; {remedy}")
+            raise OSError(
+                f"file {str(path)!r} is refused: {problem}; minimd writes no such thing; do not use this file"
+            )
     except BaseException:
         h5.close()
         raise
@@ -136,56 +137,60 @@ def _strange_thing(h5: h5py.File) -> str:
             if kind != h5l.TYPE_HARD:
                 return f"{name!r} is a link by name, which may lead into another file"
             item = h5o.open(group, key)
-            is_group = isinstance(item, h5g.GroupID)
-            is_second = (address := h5o.get_info(item).addr) in seen
-            if is_group and (is_second or name.count("/") >= DEEPEST):
-                return f"{name!r} is a group that has a second name, or lies inside more than {DEEPEST} others"
+            address = h5o.get_info(item).addr
+            is_second = address in seen
+            if isinstance(item, h5g.GroupID):
+                if is_second or name.count("/") >= DEEPEST:
+                    return f"{name!r} is a group that has a second name, or lies inside more than {DEEPEST} others"
+                groups.append((f"{name}/", item))
             if is_second:
                 continue
             seen.add(address)
-            groups += [(f"{name}/", item)] if is_group else []
-            words, n_bytes = _strange_in(item, name)
+            problem, n_bytes = _strange_in(item, name)
             room -= n_bytes
-            if words or room < 0:
-                too_large = f"and all before it claim {-room} bytes more than the file has"
-                return f"{name!r} {words or too_large}"
+            if problem:
+                return f"{name!r} {problem}"
+            if room < 0:
+                return f"{name!r} and all before it claim {-room} bytes more than the file has"
+
     return ""
 
 
 def _strange_in(item: Any, name: str) -> tuple[str, int]:
     """What is strange in a group or dataset, in words, and the number of bytes that it asks for."""
-    if (n := h5a.get_num_attrs(item)) > MOST_TEXTS:
-        return f"has {n} attributes", 0
+    n_attributes = h5a.get_num_attrs(item)
+    if n_attributes > MOST_TEXTS:
+        return f"has {n_attributes} attributes", 0
     keys: list[bytes] = []
     h5a.iterate(item, keys.append)
     n_bytes = 0
-    is_data = isinstance(item, h5d.DatasetID)
     for key in keys:
-        one = h5a.open(item, key)
-        n = prod(one.shape)
-        kind = one.get_type()
-        named = f"has the attribute {key.decode(errors='replace')!r}"
+        attribute = h5a.open(item, key)
+        n = prod(attribute.shape)
+        kind = attribute.get_type()
         n_bytes += n * kind.get_size()
-        if kind.get_class() not in TEXTS and key != REFERENCE:
-            return f"{named} that is neither numbers nor texts", 0
+        known = key.decode(errors="replace")
+        if kind.get_class() not in TEXTS and known != REFERENCE:
+            return f"has the attribute {known!r} that is neither numbers nor texts", 0
         # each of them could be as long as the file
         if n > MOST_TEXTS and kind.get_class() == h5t.STRING:
-            return f"{named} of {n} texts", 0
-    if not is_data:
-        return "" if isinstance(item, h5g.GroupID) else "is neither a group nor a dataset", n_bytes
-    made = item.get_create_plist()
-    holds = item.get_type()
-    strange = {
-        "whose numbers lie in other files": made.get_external_count() > 0,
-        "that consists of parts of others": made.get_layout() not in LAYOUTS,
-        "whose numbers pass through filters": made.get_nfilters() > 0,
-        "of other things than numbers": holds.get_class()
-        not in (TEXTS if name in MAY_BE_TEXTS else NUMBERS),
-    }
-    words = next((f"is a dataset {words}" for words, is_so in strange.items() if is_so), "")
-    return words, n_bytes + (
-        0 if words else prod(item.get_space().get_simple_extent_dims()) * holds.get_size()
-    )
+            return f"has the attribute {known!r} of {n} texts", 0
+
+    if isinstance(item, h5g.GroupID):
+        return "", n_bytes
+    if not isinstance(item, h5d.DatasetID):
+        return "is neither a group nor a dataset", 0
+    properties = item.get_create_plist()
+    kind = item.get_type()
+    if properties.get_external_count() > 0:
+        return "is a dataset whose numbers lie in other files", 0
+    if properties.get_layout() not in LAYOUTS:
+        return "is a dataset that consists of parts of others", 0
+    if properties.get_nfilters() > 0:
+        return "is a dataset whose numbers pass through filters", 0
+    if kind.get_class() not in (TEXTS if name in MAY_BE_TEXTS else NUMBERS):
+        return "is a dataset of other things than numbers", 0
+    return "", n_bytes + prod(item.get_space().get_simple_extent_dims()) * kind.get_size()
 
 
 @contextmanager
@@ -197,9 +202,11 @@ def damage_told(path: str | Path) -> Iterator[None]:
         raise
     except Exception as error:  # HDF5 and h5py raise almost anything for bytes they do not expect
         reason = printable(" ".join(str(error).split())) or type(error).__name__
-        raise OSError(
-            f"file {str(path)!r} is damaged: {reason}; copy it again, or run again"
-        ) from error
+        raise _damaged(path, reason) from error
+
+
+def _damaged(path: str | Path, reason: str) -> OSError:
+    return OSError(f"file {str(path)!r} is damaged: {reason}; copy it again, or run again")
 
 
 def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
@@ -218,6 +225,7 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
         os.close(listening)
         os.close(telling)
         raise
+
     if child == 0:
         _tell(parent, telling, path, look)
     os.close(telling)
@@ -232,16 +240,15 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
         # not known, because this process ignores the ends of its children
         with suppress(ChildProcessError):
             status = os.waitpid(child, 0)[1]
+
     if status or not answer:
-        raise OSError(
-            f"file {str(path)!r} is damaged: its reader crashes or finds no end; copy it again, or run again"
-        )
-    found, error, given = pickle.loads(answer)
-    for one in given:
-        warn(str(one.message))
+        raise _damaged(path, "its reader crashes or finds no end")
+    contents, error, caught = pickle.loads(answer)
+    for warning in caught:
+        warn(str(warning.message))
     if error is not None:
         raise error
-    return found
+    return contents
 
 
 def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> NoReturn:
@@ -263,23 +270,20 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
             limits[resource.RLIMIT_AS] = pages * resource.getpagesize() + MEMORY + SIZES * n_bytes
         for which, limit in limits.items():
             hard = resource.getrlimit(which)[1]
-            resource.setrlimit(
-                which, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard)
-            )
-        answer: tuple[Any, Exception | None]
-        with warnings.catch_warnings(record=True) as given:
+            soft = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+            resource.setrlimit(which, (soft, hard))
+        contents: Any = None
+        problem: Exception | None = None
+        with warnings.catch_warnings(record=True) as caught:
             try:
-                answer = look(), None
+                contents = look()
             except MemoryError:
-                much = f"to read it takes more memory than {MEMORY / 1e9:.2g} GB"
-                answer = (
-                    None,
-                    OSError(f"file {str(path)!r} is damaged: {much}; copy it again, or run again"),
-                )
+                reason = f"to read it takes more memory than {MEMORY / 1e9:.2g} GB"
+                problem = _damaged(path, reason)
             except Exception as error:
-                answer = None, error
-        with open(pipe, "wb") as told:
-            pickle.dump((*answer, given), told)
+                problem = error
+        with open(pipe, "wb") as answer:
+            pickle.dump((contents, problem, caught), answer)
         status = 0
     finally:
         os._exit(status)
@@ -348,20 +352,18 @@ class H5MDContents(Displayed):
 
     def scene_in_words(self) -> Rows:
         """System, potentials, method and barostat."""
-        potentials = (one.partition(": ")[2] for one in self.potentials)
+        potentials = (stored.partition(": ")[2] for stored in self.potentials)
         return scene_in_words(self.system, potentials, self.method, self.parameters, self.barostat)
 
     def integrator(self) -> Splitting:
         """The method with its time step.  Raises ValueError if it is not a method of minimd."""
         if self.method not in METHODS:
-            made_with = (
-                f"the run was made with the method {self.method!r}, which minimd does not have"
-            )
             raise ValueError(
-                f"{made_with}; pass the method of that run: Simulation.resume(file, method=...)"
+                f"the run was made with the method {self.method!r}, which minimd does not have; "
+                "pass the method of that run: Simulation.resume(file, method=...)"
             )
-        made: Any = METHODS[self.method](**self.parameters)
-        return made
+        method: Any = METHODS[self.method](**self.parameters)
+        return method
 
 
 def read_file(path: str | Path) -> H5MDContents:
@@ -380,31 +382,34 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
         digest.check_description(h5)
         n_frames = digest.n_whole_frames(h5)
         group = h5["minimd"]
-        found = digest.read_restart(h5)
-        state = found.checkpoint.state
-        at = group.attrs
-        observers = digest.observers_of(h5, found)
-        told = f"the newest restart in {path} is damaged; the one before it is used, of step {state.step}"
-        system = _system(group, found.checkpoint)
+        attributes = group.attrs
+        restart = digest.read_restart(h5)
+        state = restart.checkpoint.state
+        observers = digest.observers_of(h5, restart)
+        lacks_results = any(
+            observer.n_looks > h5[f"{digest.OBSERVERS}/{name}"].attrs.get("n_looks", 0)
+            for name, observer in observers.items()
+        )
+        repaired = ""
+        if restart.is_earlier:
+            repaired = f"the newest restart in {path} is damaged; the one before it is used, of step {state.step}"
+        system = _stored_system(group, restart.checkpoint)
         return H5MDContents(
-            record=_record(h5, system, n_frames),
+            record=_stored_record(h5, system, n_frames),
             system=system,
-            restart=found.checkpoint,
+            restart=restart.checkpoint,
             step=state.step,
             time=state.time,
-            timestep=float(at["timestep"]),
-            since=int(at.get("since", 0)),
+            timestep=float(attributes["timestep"]),
+            since=int(attributes.get("since", 0)),
             reservoir_energy=state.reservoir_energy,
             n_frames=n_frames,
             has_forces=f"{TRAJECTORY}/force" in h5,
-            title=printable(str(at["title"])),
-            scene=str(at["scene"]),
-            repaired=told if found.is_earlier else "",
+            title=printable(str(attributes["title"])),
+            scene=str(attributes["scene"]),
+            repaired=repaired,
             observers=observers,
-            lacks_results=any(
-                one.n_looks > h5[f"{digest.OBSERVERS}/{name}"].attrs.get("n_looks", 0)
-                for name, one in observers.items()
-            ),
+            lacks_results=lacks_results,
             **read_method(group),
         )
 
@@ -414,20 +419,30 @@ def frames_of(
 ) -> Iterator[Frame]:
     """Frames of a minimd file in its units, converted to rounding; with forces (else None), cell and the observables of
     these names if the file has them.  Raises as opened."""
-    by = factors(units)
+    to = factors(units)
     with opened(path) as h5, damage_told(path):
-        places = {f"{name}s": h5[TRAJECTORY].get(f"{name}/value") for name in ("position", "force")}
-        places["velocities"], known = h5[TRAJECTORY]["velocity/value"], h5["observables"]
-        seen = {name: known[f"{name}/value"] for name in ("cell", *observables) if name in known}
+        trajectory = h5[TRAJECTORY]
+        arrays = {
+            "positions": trajectory["position/value"],
+            "velocities": trajectory["velocity/value"],
+        }
+        if "force/value" in trajectory:
+            arrays["forces"] = trajectory["force/value"]
+        stored = h5["observables"]
+        series = {
+            name: stored[f"{name}/value"] for name in ("cell", *observables) if name in stored
+        }
         for k in numbers:
-            arrays: dict[str, Any] = {
-                name: None if at is None else at[k] / by[name] for name, at in places.items()
-            }
-            values = {name: series[k] for name, series in seen.items()}
-            cell = Cell(values["cell"], np.ones(3, bool)) if "cell" in values else None
-            step = int(h5[STEPS][k])
-            time = float(h5["minimd/time"][k])
-            yield Frame(step, time, **arrays, observables=values, cell=cell)
+            frame: dict[str, Any] = {name: array[k] / to[name] for name, array in arrays.items()}
+            frame.setdefault("forces", None)
+            values = {name: entries[k] for name, entries in series.items()}
+            yield Frame(
+                int(h5[STEPS][k]),
+                float(h5["minimd/time"][k]),
+                **frame,
+                observables=values,
+                cell=Cell(values["cell"], np.ones(3, bool)) if "cell" in values else None,
+            )
 
 
 def damage(path: str | Path) -> str:
@@ -439,9 +454,9 @@ def damage(path: str | Path) -> str:
 
 def verify_frames(path: str | Path) -> None:
     """Raise OSError unless all frames of a minimd file are as they were written.  Raises as read_file, too."""
-    if which := looked_at(path, partial(_damage, path))[0]:
-        words = f"{which} are not those that were written"
-        raise OSError(f"file {str(path)!r} is damaged: {words}; copy it again, or run again")
+    frames, _ = looked_at(path, partial(_damage, path))
+    if frames:
+        raise _damaged(path, f"{frames} are not those that were written")
 
 
 def _damage(path: str | Path) -> tuple[str, str]:
@@ -449,13 +464,14 @@ def _damage(path: str | Path) -> tuple[str, str]:
     with opened(path) as h5, damage_told(path):
         digest.check_description(h5)
         n_frames = digest.read_restart(h5).n_frames
-        found = digest.n_whole_frames(h5)
-        return digest.damaged_frames(h5) or (
-            f"frames from {found} on" if found < n_frames else ""
-        ), digest.damaged_restart(h5)
+        n_whole = digest.n_whole_frames(h5)
+        frames = digest.damaged_frames(h5)
+        if not frames and n_whole < n_frames:
+            frames = f"frames from {n_whole} on"
+        return frames, digest.damaged_restart(h5)
 
 
-def _system(group: h5py.Group, restart: Checkpoint) -> System:
+def _stored_system(group: h5py.Group, restart: Checkpoint) -> System:
     names = group["species_names"]
     labels = names.asstr()[:] if h5py.check_string_dtype(names.dtype) else names[:]
     texts = group["topology"][:] if "topology" in group else np.zeros((0, 5, 1), np.uint8)
@@ -471,16 +487,14 @@ def _system(group: h5py.Group, restart: Checkpoint) -> System:
     )
 
 
-def _record(h5: h5py.File, system: System, n_frames: int) -> Record:
+def _stored_record(h5: h5py.File, system: System, n_frames: int) -> Record:
     stored = h5["observables"]
     names = [name for name in SERIES if name in stored]
     names += [name for name in stored if name not in SERIES and name != SPACING]
-    paths = {"step": STEPS, "time": "minimd/time"} | {
-        name: f"observables/{name}/value" for name in names
-    }
-    return Record.of(
-        system.units, len(system), {name: h5[place][:n_frames] for name, place in paths.items()}
-    )
+    series = {"step": h5[STEPS], "time": h5["minimd/time"]}
+    series |= {name: stored[f"{name}/value"] for name in names}
+    entries = {name: values[:n_frames] for name, values in series.items()}
+    return Record.of(system.units, len(system), entries)
 
 
 def read_observers(path: str | Path) -> dict[str, StoredObserver]:

@@ -19,6 +19,7 @@ the attribute pbc says which are periodic. P. de Buyl, P. H. Colberg, F. Höflin
 """
 
 import json
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -54,7 +55,8 @@ TRAJECTORY = "particles/trajectory"
 TIMES = f"{TRAJECTORY}/position/time"
 # the name in Timestep.data that MDAnalysis' Timestep.dt reads first; its H5MD reader fills data from observables
 SPACING = "dt"
-TOLERANCE, SOLVER = ("the tolerance of lengths",), ("the solver of lengths",)  # words, as of _held
+TOLERANCE = ("the tolerance of lengths",)  # words, as of _held
+SOLVER = ("the solver of lengths",)
 AT = re.compile(r" at 0x[0-9a-fA-F]+")  # in the words of functions
 
 
@@ -73,39 +75,36 @@ def columns(
     """All series of a file, positions last: for MDAnalysis their length is the number of frames.  spacing : time
     between observations [time]; None for a file that does not hold it."""
     units = system.units
-    to = factors(system.units)
-    ps = system.units.to_picosecond
-    named = {name: getattr(units, SERIES.get(name) or "", "") for name in observables}
-    at_edges = (
-        (lambda at: (at.cell or system.cell).vectors * to["positions"])
-        if has_edges(system.cell)
-        else None
-    )
-    at_forces = (lambda at: at.forces * to["forces"]) if store_forces else None
-    # path, unit, entry; None: the file does not hold it
-    rows: list[tuple[str, str, Callable[[Frame], Any] | None]] = [
-        ("minimd/time", units.time, lambda at: at.time),
-        (STEPS, "", lambda at: at.step),
-        (TIMES, "ps", lambda at: at.time * ps),
-        *(
-            (f"observables/{name}/value", unit, partial(_observed, name))
-            for name, unit in named.items()
-        ),
-        (f"observables/{SPACING}/value", "ps", None if spacing is None else lambda _: spacing * ps),
-        (f"{TRAJECTORY}/box/edges/value", "Angstrom", at_edges),
-        (
-            f"{TRAJECTORY}/velocity/value",
-            "Angstrom ps-1",
-            lambda at: at.velocities * to["velocities"],
-        ),
-        (f"{TRAJECTORY}/force/value", "kJ mol-1 Angstrom-1", at_forces),
-        (f"{TRAJECTORY}/position/value", "Angstrom", lambda at: at.positions * to["positions"]),
+    to = factors(units)
+    ps = units.to_picosecond
+    chosen = [
+        Column("minimd/time", units.time, lambda frame: frame.time),
+        Column(STEPS, "", lambda frame: frame.step),
+        Column(TIMES, "ps", lambda frame: frame.time * ps),
     ]
-    return [Column(path, unit, entry) for path, unit, entry in rows if entry is not None]
+
+    def add(path: str, unit: str, entry: Callable[[Frame], Any]) -> None:
+        chosen.append(Column(f"{path}/value", unit, entry))
+
+    for name in observables:
+        unit = getattr(units, SERIES.get(name) or "", "")
+        add(f"observables/{name}", unit, partial(_observed, name))
+    if spacing is not None:
+        add(f"observables/{SPACING}", "ps", lambda _: spacing * ps)
+    if has_edges(system.cell):
+        edges = f"{TRAJECTORY}/box/edges"
+        add(edges, "Angstrom", lambda frame: (frame.cell or system.cell).vectors * to["positions"])
+    velocity = f"{TRAJECTORY}/velocity"
+    add(velocity, "Angstrom ps-1", lambda frame: frame.velocities * to["velocities"])
+    if store_forces:
+        force = f"{TRAJECTORY}/force"
+        add(force, "kJ mol-1 Angstrom-1", lambda frame: frame.forces * to["forces"])
+    add(f"{TRAJECTORY}/position", "Angstrom", lambda frame: frame.positions * to["positions"])
+    return chosen
 
 
-def _observed(name: str, at: Frame) -> Any:
-    return at.observables[name]
+def _observed(name: str, frame: Frame) -> Any:
+    return frame.observables[name]
 
 
 def factors(units: UnitSystem) -> dict[str, float]:
@@ -132,89 +131,93 @@ def series(
 ) -> dict[str, Item]:
     """Series of a file from the index `first` on; what was behind it is replaced.  Series of H5MD share one step and
     one time.  entries : by path.  n_frames : as for chunk_rows."""
-    found: dict[str, Item] = {}
+    items: dict[str, Item] = {}
     for path, unit, _ in columns:
-        about = {"unit": unit} if unit and first == 0 else NOTHING
-        found[path] = Item(about, entries[path], chunk_rows(entries[path][0], n_frames), first)
+        attributes = {"unit": unit} if unit and first == 0 else NOTHING
+        values = entries[path]
+        items[path] = Item(attributes, values, chunk_rows(values[0], n_frames), first)
         group, _, name = path.rpartition("/")
         if name == "value" and first == 0 and not STEPS.startswith(group):
-            found |= {
-                f"{group}/{other.rpartition('/')[2]}": Item(other=other) for other in (STEPS, TIMES)
-            }
-    return found
+            items[f"{group}/step"] = Item(other=STEPS)
+            items[f"{group}/time"] = Item(other=TIMES)
+    return items
 
 
 def description(engine: Engine) -> dict[str, Item]:
     """All that does not change: the program, species, masses, charges, bonds, cell, method, constraints."""
     system = engine.system
-    names = engine.system.species_names
+    names = system.species_names
     boundary = ["periodic" if has_edges(system.cell) else "none"] * 3
     labels = {str(name): number for number, name in enumerate(names)}
-    kind = (
-        h5py.enum_dtype(labels, basetype=np.int64)
-        if len(labels) <= LARGEST_ENUMERATION
-        else np.dtype(np.int64)
-    )
-    texts = [name.encode() if isinstance(name, str) else name for name in names]
-    title = engine.notes["title"] or f"{len(system)} atoms of {', '.join(map(str, names))}"
-    about = {
+    kind = np.dtype(np.int64)
+    if len(labels) <= LARGEST_ENUMERATION:
+        kind = h5py.enum_dtype(labels, basetype=np.int64)
+    if isinstance(names[0], str):
+        stored_names = np.array([name.encode() for name in names], TEXT)
+    else:
+        stored_names = np.array(names, np.int64)
+
+    attributes = {
         "version": __version__,
         "units": system.units.name,
         "pbc": system.cell.pbc,
-        "title": title,
+        "title": engine.notes["title"] or f"{len(system)} atoms of {', '.join(labels)}",
+        "scene": engine.notes["scene"],
     }
-    found = {
+    items = {
         "h5md": Item({"version": [1, 1]}),
         "h5md/author": Item({"name": "N/A"}),
         "h5md/creator": Item({"name": "minimd", "version": __version__}),
         f"{TRAJECTORY}/box": Item({"dimension": 3, "boundary": boundary}),
         f"{TRAJECTORY}/species": Item(data=system.species_index.astype(kind)),
-        "minimd": Item(about | {"scene": engine.notes["scene"]} | of_method(engine)),
-        "minimd/species_names": Item(
-            data=np.array(texts, dtype=TEXT if isinstance(names[0], str) else np.int64)
-        ),
+        "minimd": Item(attributes | of_method(engine)),
+        "minimd/species_names": Item(data=stored_names),
         "minimd/cell": Item(data=system.cell.vectors),
         "minimd/species_index": Item(data=system.species_index),
     }
-    for name, second, unit in (("mass", "masses", "u"), ("charge", "charges", "e")):
-        if (values := getattr(system, second)).any():
-            found[f"{TRAJECTORY}/{name}"] = Item({"unit": unit}, values)
-            found[f"minimd/{second}"] = Item(other=f"{TRAJECTORY}/{name}")
+    per_atom = (("mass", "masses", "u"), ("charge", "charges", "e"))
+    for name, own_name, unit in per_atom:
+        values = getattr(system, own_name)
+        if values.any():
+            items[f"{TRAJECTORY}/{name}"] = Item({"unit": unit}, values)
+            items[f"minimd/{own_name}"] = Item(other=f"{TRAJECTORY}/{name}")
+
     if len(system.topology):
-        found["minimd/topology"] = Item(
-            data=system.topology.astype("S").view(np.uint8).reshape(len(system), 5, -1)
-        )
+        letters = system.topology.astype("S").view(np.uint8)
+        items["minimd/topology"] = Item(data=letters.reshape(len(system), 5, -1))
     for name, members in system.groups().items():
         if len(members) or name == "bonds":
-            found[f"connectivity/{name}"] = Item({REFERENCE: TRAJECTORY}, members)
-            found[f"minimd/{name}"] = Item(other=f"connectivity/{name}")
-    for one in engine.constraints:
-        if isinstance(one, FixedAtoms):
-            found["minimd/constraints/fixed"] = Item(data=one.atoms)
+            items[f"connectivity/{name}"] = Item({REFERENCE: TRAJECTORY}, members)
+            items[f"minimd/{name}"] = Item(other=f"connectivity/{name}")
+
+    group = "minimd/constraints"
+    for constraint in engine.constraints:
+        if isinstance(constraint, FixedAtoms):
+            items[f"{group}/fixed"] = Item(data=constraint.atoms)
         else:
-            found["minimd/constraints"] = Item({"tolerance": one.tolerance, "solver": one.solver})
-            found |= {
-                f"minimd/constraints/{name}": Item(data=getattr(one, name))
-                for name in ("pairs", "lengths")
-            }
-    return found
+            solution = {"tolerance": constraint.tolerance, "solver": constraint.solver}
+            items[group] = Item(solution)
+            items[f"{group}/pairs"] = Item(data=constraint.pairs)
+            items[f"{group}/lengths"] = Item(data=constraint.lengths)
+
+    return items
 
 
 def of_method(engine: Engine, before: Mapping[str, Any] = NOTHING) -> dict[str, Any]:
     """Method and time step of the frames that come next, and the options with which they are computed.
     before : the attributes of the group minimd in the file."""
-    now = {name: told(engine) for name, (told, _) in METHOD.items()}
+    attributes = {name: write(engine) for name, (write, _) in METHOD.items()}
     if goes_on_otherwise(engine, before):
-        now["since"] = max(engine.step, before.get("since", 0))
-    return now | {
-        name: value for name, value in engine.method.parameters.items() if isinstance(value, float)
-    }
+        attributes["since"] = max(engine.step, before.get("since", 0))
+    parameters = engine.method.parameters
+    numbers = {name: value for name, value in parameters.items() if isinstance(value, float)}
+    return attributes | numbers
 
 
 def goes_on_otherwise(engine: Engine, before: Mapping[str, Any]) -> bool:
     """Whether method, bath or a parameter of them is another one than in the attributes of the group minimd."""
     now = {name: METHOD[name][0](engine) for name in DECISIVE}
-    return any(before.get(name, now[name]) != now[name] for name in DECISIVE)
+    return any(before.get(name, value) != value for name, value in now.items())
 
 
 def read_method(group: h5py.Group) -> dict[str, Any]:
@@ -225,19 +228,20 @@ def read_method(group: h5py.Group) -> dict[str, Any]:
 def read_constraints(group: h5py.Group) -> tuple[Constraint, ...]:
     """The constraints in the group of minimd, to the last bit."""
     stored = group.get("constraints", {})
-    found: list[Constraint] = [FixedAtoms(stored["fixed"][:])] if "fixed" in stored else []
+    constraints: list[Constraint] = []
+    if "fixed" in stored:
+        constraints.append(FixedAtoms(stored["fixed"][:]))
     if "pairs" in stored:
         solver: Any = str(stored.attrs["solver"])
-        pairs = stored["pairs"][:]
-        lengths = stored["lengths"][:]
         tolerance = float(stored.attrs["tolerance"])
-        found.append(DistanceConstraints(pairs, lengths, tolerance, solver))
-    return tuple(found)
+        pairs = stored["pairs"][:]
+        constraints.append(DistanceConstraints(pairs, stored["lengths"][:], tolerance, solver))
+    return tuple(constraints)
 
 
 def potentials_in_words(potentials: Sequence[Any]) -> list[str]:
     """The class of each potential, and the call that makes it again."""
-    return [f"{type(one).__name__}: {one!r}" for one in potentials]
+    return [f"{type(potential).__name__}: {potential!r}" for potential in potentials]
 
 
 def _text(stored: Any) -> str:
@@ -246,24 +250,29 @@ def _text(stored: Any) -> str:
 
 # attribute: as written, and as read
 METHOD: dict[str, tuple[Callable[[Engine], Any], Callable[[Any], Any]]] = {
-    "method": (lambda of: of.method.name, _text),
+    "method": (lambda engine: engine.method.name, _text),
     # a seed may be larger than the integers of HDF5
-    "parameters": (lambda of: json.dumps(of.method.parameters), json.loads),
-    "conserves_momentum": (lambda of: of.conserves_momentum, bool),
-    "moves_freely": (lambda of: of.moves_freely, bool),
-    "precision": (lambda of: of.interactions.options.precision, str),
+    "parameters": (lambda engine: json.dumps(engine.method.parameters), json.loads),
+    "conserves_momentum": (lambda engine: engine.conserves_momentum, bool),
+    "moves_freely": (lambda engine: engine.moves_freely, bool),
+    "precision": (lambda engine: engine.interactions.options.precision, str),
+    # NaN for None
     "skin": (
-        lambda of: np.nan if of.interactions.options.skin is None else of.interactions.options.skin,
+        lambda engine: (
+            math.nan
+            if engine.interactions.options.skin is None
+            else engine.interactions.options.skin
+        ),
         lambda stored: None if np.isnan(stored) else float(stored),
     ),
     "potentials": (
-        lambda of: potentials_in_words(of.interactions.potentials),
-        lambda stored: [printable(one) for one in stored],
+        lambda engine: potentials_in_words(engine.interactions.potentials),
+        lambda stored: [printable(call) for call in stored],
     ),
-    "too_long_a_step": (lambda of: too_long_a_step(of) or "", _text),
-    "thin_cell": (lambda of: thin_cell(of.system, of.interactions.potentials), _text),
+    "too_long_a_step": (lambda engine: too_long_a_step(engine) or "", _text),
+    "thin_cell": (lambda engine: thin_cell(engine.system, engine.interactions.potentials), _text),
     "barostat": (
-        lambda of: "" if of.barostat is None else json.dumps(of.barostat.parameters),
+        lambda engine: "" if engine.barostat is None else json.dumps(engine.barostat.parameters),
         lambda stored: StochasticCellRescaling(**json.loads(stored)) if stored else None,
     ),
 }
@@ -273,39 +282,31 @@ DECISIVE = "method", "parameters", "barostat"  # for the bits of steps
 def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
     """How the potentials in a file differ from those with which its run goes on, in words;
     empty if they are the same."""
-    before, now = (
-        sorted(AT.sub("", one) for one in several)
-        for several in (stored, potentials_in_words(potentials))
-    )
+    before = sorted(AT.sub("", call) for call in stored)
+    now = sorted(AT.sub("", call) for call in potentials_in_words(potentials))
     if before == now:
         return ""
-    was, becomes = (
-        [one for one in several if one not in others]
-        for several, others in ((before, now), (now, before))
-    )
-    return f"{'; '.join(was) or 'none'} before, {'; '.join(becomes) or 'none'} now"
+    left = "; ".join(call for call in before if call not in now)
+    new = "; ".join(call for call in now if call not in before)
+    return f"{left or 'none'} before, {new or 'none'} now"
 
 
 def other_method(name: str, parameters: Mapping[str, Any], precision: str, engine: Engine) -> str:
     """The method, bath and precision of the last steps in a file beside those with which its run goes on, in words;
     empty if they are the same, or if only the temperature of the bath is another: who anneals means it."""
-    ours = (
-        engine.method.name,
-        json.loads(json.dumps(engine.method.parameters)),
-        engine.interactions.options.precision,
-    )
-    annealed = {
-        key: ours[1].get(key) if key == "temperature" else value
-        for key, value in parameters.items()
-    }
-    if ours == (name, annealed, precision):
+    own = json.loads(json.dumps(engine.method.parameters))
+    now = (engine.method.name, own, engine.interactions.options.precision)
+    annealed = dict(parameters)
+    if "temperature" in parameters:
+        annealed["temperature"] = own.get("temperature")
+    if now == (name, annealed, precision):
         return ""
-    before, now = (
-        f"{one}({', '.join(f'{key}={as_text(value)}' for key, value in given.items())})"
-        + ("" if ours[2] == precision else f" in {its} precision")
-        for one, given, its in ((name, parameters, precision), ours)
-    )
-    return f"{before} before, {now} now"
+    runs = []
+    for method, values, arithmetic in ((name, parameters, precision), now):
+        arguments = ", ".join(f"{key}={as_text(value)}" for key, value in values.items())
+        suffix = "" if now[2] == precision else f" in {arithmetic} precision"
+        runs.append(f"{method}({arguments}){suffix}")
+    return "{} before, {} now".format(*runs)
 
 
 def other_constraints(
@@ -317,32 +318,31 @@ def other_constraints(
     positions : (N, 3) [length]; the largest coordinate sets the rounding of lengths that were measured in positions.
     """
     was = _held(file)
-    kept = _held(simulation)
+    now = _held(simulation)
     rounding = ROUNDINGS * EPS * float(np.abs(positions).max())
-    for key in sorted(was | kept):
-        words, *atoms = key
-        if key not in was or key not in kept:
-            return f"{words.format(*atoms)} in the {'file' if key in was else 'simulation'} alone"
-        slack = was[TOLERANCE] * was[key] + rounding if len(atoms) == 2 else 0.0
-        if was[key] != kept[key] and not (slack and abs(kept[key] - was[key]) <= slack):
-            return f"{words.format(*atoms)}: {was[key]!r} in the file and {kept[key]!r} in the simulation"
+    for key in sorted(was | now):
+        template, *atoms = key
+        name = template.format(*atoms)
+        if key not in was or key not in now:
+            return f"{name} in the {'file' if key in was else 'simulation'} alone"
+        is_same = was[key] == now[key]
+        if len(atoms) == 2:
+            is_same = abs(now[key] - was[key]) <= was[TOLERANCE] * was[key] + rounding
+        if not is_same:
+            return f"{name}: {was[key]!r} in the file and {now[key]!r} in the simulation"
     return ""
 
 
 def _held(constraints: Sequence[Constraint]) -> dict[tuple[Any, ...], Any]:
     """What is held: words and atoms, with the length, or another value."""
-    found: dict[tuple[Any, ...], Any] = {}
-    for one in constraints:
-        if isinstance(one, FixedAtoms):
-            found |= dict.fromkeys(
-                (("atom {} is fixed", atom) for atom in one.atoms.tolist()), True
-            )
-        else:
-            pairs = np.sort(one.pairs, axis=1).tolist()
-            lengths = () if one.lengths is None else one.lengths.tolist()
-            found |= {
-                ("the length of atoms {}-{} is kept", *pair): length
-                for pair, length in zip(pairs, lengths, strict=False)
-            }
-            found |= {TOLERANCE: one.tolerance, SOLVER: one.solver}
-    return found
+    held: dict[tuple[Any, ...], Any] = {}
+    for constraint in constraints:
+        if isinstance(constraint, FixedAtoms):
+            held |= {("atom {} is fixed", atom): True for atom in constraint.atoms.tolist()}
+            continue
+        pairs = np.sort(constraint.pairs, axis=1).tolist()
+        lengths = () if constraint.lengths is None else constraint.lengths.tolist()
+        for pair, length in zip(pairs, lengths, strict=False):
+            held["the length of atoms {}-{} is kept", *pair] = length
+        held |= {TOLERANCE: constraint.tolerance, SOLVER: constraint.solver}
+    return held

@@ -37,7 +37,9 @@ from minimd.core.files.h5md_reader import (
 SECONDS_BETWEEN_FLUSHES = 1.0
 # shortest time between flushes, in durations of a flush: 2 % of the time; less if the block of frames is full
 MOST_OFTEN = 50.0
-BLOCK_BYTES, MOST_FRAMES = 32 * 1024**2, 4096  # of a block of frames
+# of a block of frames
+BLOCK_BYTES = 32 * 1024**2
+MOST_FRAMES = 4096
 BESIDE = "beside."  # in the names of arrays that are kept with a restart
 
 
@@ -79,14 +81,15 @@ class H5MDWriter:
         self.description: dict[str, Item] = {}
         # of frames that wait to be written, by path: it is reused, because new memory would take longer than copying
         self._room: dict[str, np.ndarray] = {}
-        self._n_frames, self._n_waiting = 0, 0  # in the file, and in memory
+        self._n_frames = 0  # in the file
+        self._n_waiting = 0  # in memory
         self._last_step = -1  # step of the frame taken last
         self._next_flush = monotonic() + SECONDS_BETWEEN_FLUSHES  # [s]
         self._disk = JournaledFile(claim)
         self._h5 = admitted(h5py.File(self._disk, "w" if claim.is_new else "r+"), claim.name)
         try:
             if claim.is_new:
-                self.description = layout.description(engine) | digest.description(observers)
+                self.description = layout.description(engine) | digest.of_observers(observers)
             else:
                 self._continue()
         except BaseException:
@@ -130,37 +133,43 @@ class H5MDWriter:
         h5 = self._h5
         file = self.claim.name
         contents = contents_of(h5, file)
-        if words := _obstacle(contents, self._engine, self._store_forces):
-            raise ValueError(f"trajectory {file!r} {words}")
-        if other := layout.other_method(
+        obstacle = _obstacle(contents, self._engine, self._store_forces)
+        if obstacle:
+            raise ValueError(f"trajectory {file!r} {obstacle}")
+        methods = layout.other_method(
             contents.method, contents.parameters, contents.precision, self._engine
-        ):
-            goes_on = f"the run in {file!r} is continued with another method, barostat or precision: {other}"
-            warn(f"{goes_on}; frames before and after belong to different runs")
+        )
+        if methods:
+            warn(
+                f"the run in {file!r} is continued with another method, barostat or precision: {methods}; "
+                "frames before and after belong to different runs"
+            )
+
         restart = digest.read_restart(h5)
         digest.restore_observers(h5, file, restart, self._observers)
         self._store_forces = contents.has_forces
         if f"observables/{layout.SPACING}" not in h5:
             self._every = None
         with self._telling("be continued"):
-            self._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
-            self._last_step = int(contents.record.step[self._n_frames - 1])
+            steps = contents.record.step
+            self._n_frames = int(np.searchsorted(steps, contents.step, side="right"))
+            self._last_step = int(steps[self._n_frames - 1])
             self.marks = [
                 array.tobytes() for name, array in restart.arrays.items() if name.startswith(BESIDE)
             ]
             digest.set_aside_damaged(h5)
             digest.drop_frames(h5, self._n_frames)
-            put(h5, digest.description(self._observers))
-            if scene := self._engine.notes["scene"]:  # the scene with which the run goes on
-                title = self._engine.notes["title"] or contents.title
-                h5["minimd"].attrs.update({"scene": scene, "title": title})
-            both = (self._engine, restart.checkpoint.state)
-            if any(
-                not np.array_equal(*(getattr(one, name) for one in both))
-                for name in ("positions", "velocities")
-            ):
+            put(h5, digest.of_observers(self._observers))
+            attributes = h5["minimd"].attrs
+            notes = self._engine.notes
+            if notes["scene"]:  # the scene with which the run goes on
+                title = notes["title"] or contents.title
+                attributes.update({"scene": notes["scene"], "title": title})
+            state = restart.checkpoint.state
+            is_same = np.array_equal(self._engine.positions, state.positions)
+            if not (is_same and np.array_equal(self._engine.velocities, state.velocities)):
                 # the frame of this step is another state
-                h5["minimd"].attrs["since"] = self._engine.step + 1
+                attributes["since"] = self._engine.step + 1
             self._describe_method()
 
     def write(self, frame: Frame) -> None:
@@ -173,6 +182,7 @@ class H5MDWriter:
             raise ValueError(
                 f"trajectory {self.claim.name!r} is closed; it cannot take the frame of step {frame.step}"
             )
+
         if frame.step == self._last_step:
             return
         if not self._room:
@@ -181,18 +191,16 @@ class H5MDWriter:
                 self._engine.system, list(frame.observables), self._store_forces, spacing
             )
             entries = {column.path: np.asarray(column.entry(frame)) for column in self._columns}
-            n_rows = int(
-                np.clip(
-                    BLOCK_BYTES // sum(entry.nbytes for entry in entries.values()), 1, MOST_FRAMES
-                )
-            )
+            n_bytes = sum(entry.nbytes for entry in entries.values())
+            n_rows = int(np.clip(BLOCK_BYTES // n_bytes, 1, MOST_FRAMES))
             self._room = {
                 path: np.empty((n_rows, *entry.shape), entry.dtype)
                 for path, entry in entries.items()
             }
+
         for column in self._columns:
             self._room[column.path][self._n_waiting] = column.entry(frame)
-        self._n_waiting = self._n_waiting + 1
+        self._n_waiting += 1
         self._last_step = frame.step
         if self._n_waiting == len(self._room[layout.STEPS]) or monotonic() >= self._next_flush:
             self.checkpoint()
@@ -211,30 +219,29 @@ class H5MDWriter:
         """Give the frames that wait, and the restart, to HDF5; at the end of this context, commit them."""
         first = self._n_frames
         n_frames = self._n_frames + self._n_waiting
-        entries = (
-            {path: room[: self._n_waiting] for path, room in self._room.items()}
-            if n_frames > first
-            else {}
-        )
+        entries = {}
+        if self._n_waiting:
+            entries = {path: room[: self._n_waiting] for path, room in self._room.items()}
         step = entries[layout.STEPS][0] if entries else self._engine.step
         is_restart = self._engine.is_whole or first == 0
         marks = self._bring_others(self.claim) if is_restart else []
         with self._telling(f"take the frame of step {step}"), uninterrupted():
             if entries:  # repeated after an error, this gives the same file
-                series = layout.series(self._columns, entries, first, self._n_expected)
-                put(self._h5, series if first else self.description | series)
+                items = layout.series(self._columns, entries, first, self._n_expected)
+                if first == 0:
+                    items = self.description | items
+                put(self._h5, items)
                 digest.add_block(self._h5, n_frames, entries)
                 if first == 0:
-                    digest.sign(self._h5, self.description | series)
+                    digest.sign(self._h5, items)
             if layout.goes_on_otherwise(self._engine, self._h5["minimd"].attrs):
                 self._describe_method()
             if is_restart:
+                checkpoint = self._engine.checkpoint()
                 beside = {
                     f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in enumerate(marks)
                 }
-                digest.write_restart(
-                    self._h5, self._engine.checkpoint(), n_frames, self._observers, beside
-                )
+                digest.write_restart(self._h5, checkpoint, n_frames, self._observers, beside)
             yield
             self._disk.commit()
             self._n_frames = n_frames
@@ -276,10 +283,10 @@ class H5MDWriter:
             yield
         except (OSError, RuntimeError) as error:
             self._give_up()
-            failed = f"trajectory {self.claim.name!r} could not {what}"
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
             raise OSError(
-                f"{failed}: {reason}; the {self._n_frames} earlier frames are valid"
+                f"trajectory {self.claim.name!r} could not {what}: {reason}; "
+                f"the {self._n_frames} earlier frames are valid"
             ) from error
 
     def _give_up(self) -> None:
@@ -290,10 +297,8 @@ class H5MDWriter:
 @contextmanager
 def uninterrupted() -> Iterator[None]:
     """Context that Ctrl-C does not interrupt; it takes effect at the end."""
-    if (
-        not hasattr(signal, "pthread_sigmask")
-        or threading.current_thread() is not threading.main_thread()
-    ):
+    is_main = threading.current_thread() is threading.main_thread()
+    if not (is_main and hasattr(signal, "pthread_sigmask")):
         yield
         return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
@@ -338,58 +343,63 @@ def _obstacle(contents: H5MDContents, engine: Engine, store_forces: bool) -> str
         **{name: np.array_equal(getattr(ours, name), getattr(theirs, name)) for name in fixed},
         "the cell": ours.cell.same_as(theirs.cell),
     }
-    if differ := [name for name, is_same in same.items() if not is_same]:
-        return (
-            f"holds another system: {differ[0]} of file and simulation differ; write to a new file"
-        )
-    held = layout.other_constraints(theirs.constraints, engine.constraints, theirs.positions)
-    baths = (
+    different = [name for name, is_same in same.items() if not is_same]
+    if different:
+        return f"holds another system: {different[0]} of file and simulation differ; write to a new file"
+    constraints = layout.other_constraints(theirs.constraints, engine.constraints, theirs.positions)
+    baths = [
         "no barostat" if bath is None else repr(bath)
         for bath in (contents.barostat, engine.barostat)
-    )
-    made = f"was written {'without' if engine.method.is_thermostat else 'with'} a thermostat"
-    has_bath = engine.has_bath
-    wanted = extras_in(contents.record)
-    records = recorded(engine)
+    ]
+    thermostat = "without" if engine.method.is_thermostat else "with"
+    extras = extras_in(contents.record)
     names = contents.record.names
+    records = recorded(engine)
     new = [name for name in records if name not in names]
     missing = [name for name in names if name not in ("step", "time", *records)]
-    begun = f"was begun without {listed(new)}, which this run records: a file has the same observables in all frames"
     obstacles = [  # whether it is there, what it is, what can be done
-        (held, f"holds a run with other constraints: {held}", "use the constraints of the file"),
+        (
+            constraints,
+            f"holds a run with other constraints: {constraints}",
+            "use the constraints of the file, or ",
+        ),
         (
             engine.step != contents.step,
             f"continues from step {contents.step}, but the simulation is at step {engine.step}",
-            "take the state of the file with minimd.Simulation.resume",
+            "take the state of the file with minimd.Simulation.resume, or ",
         ),
         (
             engine.barostat != contents.barostat,
-            "holds a run with {}; the simulation has {}".format(*baths),
+            f"holds a run with {baths[0]}; the simulation has {baths[1]}",
             "",
         ),
         (
-            has_bath != ("conserved_energy" in names),
-            f"{made}; it cannot be continued with {engine.method.name}",
+            engine.has_bath != ("conserved_energy" in names),
+            f"was written {thermostat} a thermostat; it cannot be continued with {engine.method.name}",
             "",
         ),
         (
-            set(wanted) != set(engine.extra_observables),
-            f"was begun with simulation.extra_observables = {wanted}",
-            "set the same extra_observables",
+            set(extras) != set(engine.extra_observables),
+            f"was begun with simulation.extra_observables = {extras}",
+            "set the same extra_observables, or ",
         ),
-        (new, begun, "append before you register other observables"),
+        (
+            new,
+            f"was begun without {listed(new)}, which this run records: a file has the same observables in all frames",
+            "append before you register other observables, or ",
+        ),
         (
             missing,
             f"holds {listed(missing)}, which this run does not record",
-            "register these observables",
+            "register these observables, or ",
         ),
         (
             store_forces and not contents.has_forces,
             "was begun without forces",
-            "continue it without store_forces",
+            "continue it without store_forces, or ",
         ),
     ]
-    first = ((what, cure) for is_there, what, cure in obstacles if is_there)
-    return next(
-        (f"{what}; {f'{cure}, or ' if cure else ''}write to a new file" for what, cure in first), ""
-    )
+    for is_there, obstacle, remedy in obstacles:
+        if is_there:
+            return f"{obstacle}; {remedy}write to a new file"
+    return ""

@@ -88,7 +88,7 @@ class LammpsData(NamedTuple):
     positions : (N, 3) [length], in the images that the file names.  types : (N,) their labels, or numbers as text.
     cell : (3, 3) [length], rows; its origin is not kept.  groups : bonds, angles, dihedrals, impropers, (n, 2), (n, 3)
         or (n, 4) int, from 0 on, by these names.  n_types : of these, how many types occur, where more than one.
-    masses, charges, molecules : (N,).  velocities : (N, 3).  units : LAMMPS' word.  pbc : three bools.
+    masses, charges : (N,).  velocities : (N, 3).  units : LAMMPS' word.  pbc : three bools.
     skipped : names of sections that LAMMPS itself does not have.
     """
 
@@ -99,7 +99,6 @@ class LammpsData(NamedTuple):
     n_types: dict[str, int]
     masses: Array | None
     charges: Array | None
-    molecules: Indices | None
     velocities: Array | None
     units: str | None
     pbc: tuple[bool, ...] | None
@@ -117,7 +116,7 @@ class DataFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.title, *lines = text_of(path).split("\n")
-        self.header: dict[str, list[float]] = defaultdict(lambda: 3 * [0.0])
+        self.header: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
         self.sections: dict[str, dict[int, list[str]]] = defaultdict(lambda: {1: []})
         self.labels: dict[str, dict[str, int]] = defaultdict(dict)
         self.places: dict[int, int] = {}
@@ -134,12 +133,14 @@ class DataFile:
             else:
                 numbers = [word for word in words if not word[0].isalpha()]
                 keyword = " ".join(words[len(numbers) :])
-                self.header[keyword] = row_of(numbers, [NUMBER] * HEADER.get(keyword, 1))
+                self.header[keyword] = values_of(numbers, [NUMBER] * HEADER.get(keyword, 1))
                 if not self.header[keyword]:
-                    wanted = "numbers and a keyword, such as '0.0 10.0 xlo xhi'"
                     raise self.fault(
-                        place, f"a line of the header must be {wanted}; it is {shown(line.strip())}"
+                        place,
+                        "a line of the header must be numbers and a keyword, such as '0.0 10.0 xlo xhi'; "
+                        f"it is {shown(line.strip())}",
                     )
+
         for title, lines_of_labels in self.sections.items():
             if title.endswith(" Type Labels"):
                 kind = title.split()[0].lower()
@@ -148,23 +149,22 @@ class DataFile:
                 if len(self.labels[kind]) != len(rows):
                     raise self.fault(next(iter(lines_of_labels)), "labels of types must differ")
 
-    def fault(self, place: int, words: str) -> ValueError:
+    def fault(self, place: int, reason: str) -> ValueError:
         """The error for a line."""
-        return ValueError(f"file {str(self.path)!r}, line {place}: {words}")
+        return ValueError(f"file {str(self.path)!r}, line {place}: {reason}")
 
     def rules(self, layout: str, kind: str) -> list[Rule]:
         """Those of the letters of a layout.  kind : of what the types, "t", are: atom, bond, ..."""
         n_types = self.header[f"{kind} types"][0]
         labels = self.labels[kind]
-        rules = RULES | {
-            "t": (
-                f"one of {n_types:.0f} {kind} types",
-                lambda word: labels.get(word) or int(word),
-                1,
-                n_types,
-            ),
-            "a": ("id of an atom", lambda word: self.places[int(word)], 0, WHOLE),
-        }
+        types: Rule = (
+            f"one of {n_types:.0f} {kind} types",
+            lambda word: labels.get(word) or int(word),
+            1,
+            n_types,
+        )
+        atoms: Rule = ("id of an atom", lambda word: self.places[int(word)], 0, WHOLE)
+        rules = RULES | {"t": types, "a": atoms}
         return [rules.get(letter, NUMBER) for letter in layout]
 
     def rows(self, title: str, keyword: str, layout: str, kind: str = "") -> list[list[Any]]:
@@ -173,22 +173,25 @@ class DataFile:
         (place, _), *lines = self.sections[title].items()
         expected = self.header[keyword][0]
         if len(lines) != expected:
-            wanted = f"section {title} must have a line for each of the {expected:.0f} {keyword} of the header"
-            raise self.fault(place, f"{wanted}; it has {len(lines)}")
+            raise self.fault(
+                place,
+                f"section {title} must have a line for each of the {expected:.0f} {keyword} of the header; "
+                f"it has {len(lines)}",
+            )
+
         rules = self.rules(layout, kind)
         is_ordered = layout[0] != "w"
         rows = {}
         for place, words in lines:
-            row = row_of(words, rules)
+            row = values_of(words, rules)
             key = row[0] if row and is_ordered else place
             if not row or key in rows:
                 names = ", ".join(name for name, *_ in rules)
                 once = ", the first in one line only" * is_ordered
-                raise self.fault(
-                    place,
-                    f"a line of {title} must be {names}{once}; it is {shown(' '.join(words))}",
-                )
+                line = shown(" ".join(words))
+                raise self.fault(place, f"a line of {title} must be {names}{once}; it is {line}")
             rows[key] = row
+
         return [row for _, row in sorted(rows.items())]
 
     def cell(self) -> Array:
@@ -201,30 +204,36 @@ class DataFile:
             cell = np.diag(sizes)
             cell[[1, 2, 2], [0, 0, 1]] = self.header["xy xz yz"]
         if min(sizes) <= 0.0:
-            wanted = f"{', '.join(BOUNDS)}, or {', '.join(EDGES)}, of a right-handed cell"
-            raise self.fault(1, f"the header must have {wanted}; the vectors are {cell.tolist()}")
+            raise self.fault(
+                1,
+                f"the header must have {', '.join(BOUNDS)}, or {', '.join(EDGES)}, of a right-handed cell; "
+                f"the vectors are {cell.tolist()}",
+            )
         return cell
 
-    def layout(self, given: str | None) -> str:
-        """That of Atoms, by the word behind the title, the atom style given, or the only one that fits the lines."""
+    def layout(self, atom_style: str | None) -> str:
+        """That of Atoms, by the word behind the title, the atom style, or the only one that fits the lines."""
         (place, comment), *lines = self.sections["Atoms"].items()
         if not lines:
             raise self.fault(
                 place, "a file must have a section Atoms with lines; this one has none"
             )
+
         named = [
             word.removesuffix("/kk") for word in comment if len(comment) == 1 or word == "hybrid"
         ]
-        styles = [style for style in (*named, given) if style in LAYOUTS]
+        styles = [style for style in (*named, atom_style) if style in LAYOUTS]
         for flags in (FLAGS, ""):
-            styles = styles or [
-                style for style, layout in LAYOUTS.items() if self.fits(layout + flags)
-            ]
+            if not styles:
+                styles = [style for style, layout in LAYOUTS.items() if self.fits(layout + flags)]
         layouts = {LAYOUTS[style] for style in styles}
         if len(layouts) != 1 or styles[0] not in READ:
-            why = f"the atom style must be certain, and one of {listed(READ)}; it is {listed(styles) or None}"
-            remedy = 'name it as atom_style="full", in a scene under [structure], or let LAMMPS write another style'
-            raise self.fault(place, f"{why}: {remedy}")
+            raise self.fault(
+                place,
+                f"the atom style must be certain, and one of {listed(READ)}; it is {listed(styles) or None}: "
+                'name it as atom_style="full", in a scene under [structure], or let LAMMPS write another style',
+            )
+
         (layout,) = layouts
         _, first = lines[0]
         return layout + FLAGS * (len(first) > len(layout))
@@ -234,10 +243,10 @@ class DataFile:
         _, *lines = self.sections["Atoms"].values()
         rules = self.rules(layout, "atom")
         may_have_bonds = "m" in layout or not self.header["bonds"][0]
-        return may_have_bonds and all(row_of(words, rules) for words in lines)
+        return may_have_bonds and all(values_of(words, rules) for words in lines)
 
 
-def row_of(words: list[str], rules: list[Rule]) -> list[Any]:
+def values_of(words: list[str], rules: list[Rule]) -> list[Any]:
     """What rules make of the words of a line; nothing if a word breaks its rule, or there are more or fewer words."""
     row = []
     try:
@@ -280,10 +289,14 @@ def read_lammps_data(path: str | Path, atom_style: str | None = None) -> LammpsD
     for name, size in GROUPS.items():
         rows = file.rows(name.capitalize(), name, "wt" + size * "a", name[:-1])
         groups[name] = np.array([row[2:] for row in rows], np.int64).reshape(-1, size)
-        n_types[name] = len({row[1] for row in rows})
-    masses = velocities = None
+        n = len({row[1] for row in rows})
+        if n > 1:
+            n_types[name] = n
+
+    masses = None
     if "Masses" in file.sections:
         masses = np.array(file.rows("Masses", "atom types", "tp", "atom"))[kinds - 1, 1]
+    velocities = None
     if "Velocities" in file.sections:
         velocities = np.array(file.rows("Velocities", "atoms", "aqqq"))[:, 1:]
     names = {number: label for label, number in file.labels["atom"].items()}
@@ -294,10 +307,9 @@ def read_lammps_data(path: str | Path, atom_style: str | None = None) -> LammpsD
         types=[names.get(kind, str(kind)) for kind in kinds.tolist()],
         cell=cell,
         groups=groups,
-        n_types={name: n for name, n in n_types.items() if n > 1},
+        n_types=n_types,
         masses=masses,
         charges=column.get("q"),
-        molecules=column["m"].astype(np.int64) if "m" in column else None,
         velocities=velocities,
         units=units and units[1],
         pbc=boundary and tuple("p" in word for word in boundary[1].split()),

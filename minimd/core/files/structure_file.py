@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.core.console.quiet import quiet, warn
 from minimd.core.console.whole_file import text_of
 from minimd.core.console.words import listed
-from minimd.core.files.h5md_reader import looked_at
+from minimd.core.files.h5md_reader import looked_at, read_file
 from minimd.core.files.lammps_data import read_lammps_data
 from minimd.core.structure.ase_atoms import LABELS, TYPES, stated_of, system_arguments
 from minimd.core.structure.bond_graph import GROUPS, Joined, joined_in
@@ -48,29 +48,23 @@ LAMMPS = "lammps-data"
 DUMP = "lammps-dump-text"
 SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS, ".lammpstrj": DUMP, ".dump": DUMP}
 PACKED = (".gz", ".bz2")
+MDANALYSIS = "PDB GRO MOL2 GSD TXYZ PQR PDBQT CRD DMS MMTF MMCIF"
 # suffixes of formats that MDAnalysis reads, and its names for them
-OF_MDANALYSIS = {
-    suffix: suffix[1:].upper()
-    for suffix in (
-        ".pdb",
-        ".gro",
-        ".mol2",
-        ".gsd",
-        ".txyz",
-        ".pqr",
-        ".pdbqt",
-        ".crd",
-        ".dms",
-        ".mmtf",
-        ".mmcif",
-    )
-} | {".ent": "PDB", ".arc": "TXYZ"}
+OF_MDANALYSIS = {f".{name.lower()}": name for name in MDANALYSIS.split()}
+OF_MDANALYSIS |= {".ent": "PDB", ".arc": "TXYZ"}
 INSTEAD = {
     "proteindatabank": "PDB",
     "gromacs": "GRO",
     "ENT": "PDB",
     "DATA": LAMMPS,
     "CONFIG": "dlp4",
+}
+# groups of several types: the potential that does not distinguish them, and what it takes
+OF_TYPES = {
+    "bonds": ("a bond potential", "pairs"),
+    "angles": ("an angle potential", "triples"),
+    "dihedrals": ("a dihedral potential", "quadruples"),
+    "impropers": ("an improper potential", "quadruples"),
 }
 DL_POLY = ("dlp4", "dlp-history")
 XYZ = (".xyz", ".extxyz")
@@ -153,30 +147,31 @@ def system_from_file(
             beside = _beside(path.parent / bonds, door)
         with _read_as(path, "a structure", format):
             structure = door.structure(cell, pbc, beside)
-        arguments = dict(structure.arguments)
+        arguments = structure.arguments
         n_types = structure.n_types
-        own = Joined({name: arguments[name] for name in GROUPS})
         if beside is not None:
             _check_same_atoms(path, structure, beside)
             n_types = beside.n_types
             arguments |= {name: beside.arguments[name] for name in GROUPS}
             if not np.any(arguments["charges"]):
                 arguments["charges"] = beside.arguments["charges"]
-        elif bonds is None or not isinstance(bonds, str | Path):
+        elif not takes_bonds:
+            own = Joined({name: arguments[name] for name in GROUPS})
+            if bonds is None and own:
+                warn(
+                    f'{door.source} has {own}, which are not used; use them with bonds = "file", in a scene under '
+                    "[structure], or leave them out with bonds = []"
+                )
             n_types = {}
             arguments |= dict.fromkeys(GROUPS) | {"bonds": bonds}
-        if bonds is None and own:
-            warn(
-                f'{door.source} has {own}, which are not used; use them with bonds = "file", in a scene under '
-                "[structure], or leave them out with bonds = []"
-            )
+
         for name, n in n_types.items():
-            groups = {"bonds": "pairs", "angles": "triples"}.get(name, "quadruples")
-            potential = f"{'an' if name[0] in 'ai' else 'a'} {name[:-1]} potential"
+            potential, groups = OF_TYPES[name]
             warn(
                 f"the {name} of {str(path)!r} are of {n} types, which {potential} does not distinguish; give it "
                 f"{groups} of one type, or arrays of parameters"
             )
+
         return System(**arguments)
 
     try:
@@ -191,12 +186,9 @@ def _form(path: Path, format: str | None) -> str | None:
     for packed in PACKED:
         name = name.removesuffix(packed)
     suffix = Path(name).suffix
-    form = (
-        format
-        or SUFFIXES.get(suffix)
-        or OF_MDANALYSIS.get(suffix)
-        or (suffix if suffix == ".h5md" else None)
-    )
+    form = format or SUFFIXES.get(suffix) or OF_MDANALYSIS.get(suffix)
+    if form is None and suffix == ".h5md":
+        form = suffix
     if form is not None and form not in (*ioformats, ".h5md"):
         form = form.upper()
     return INSTEAD.get(form or "", form)
@@ -209,11 +201,11 @@ class Door(NamedTuple):
     path: Path
     form: str | None
     units: UnitSystem | None
-    masses: Any = None
-    elements: Any = None
-    atom_style: str | None = None
-    lammps_units: str | None = None
-    takes_bonds: bool = True
+    masses: Any
+    elements: Any
+    atom_style: str | None
+    lammps_units: str | None
+    takes_bonds: bool
 
     @property
     def source(self) -> str:
@@ -226,7 +218,7 @@ class Door(NamedTuple):
         masses = self.masses
         if masses is None and beside is not None:
             masses = beside.stated
-        form = self.form or self._told_by_content()
+        form = self.form or self._form_of_content()
         of_lammps = self.atom_style or self.lammps_units
         if of_lammps and form not in (LAMMPS, DUMP):
             raise ValueError(f"{self.source} is no LAMMPS file; leave {of_lammps!r} out")
@@ -238,13 +230,16 @@ class Door(NamedTuple):
             return self._of_ase(form, masses, cell, pbc)
         else:
             structure = self._of_mdanalysis(form, masses)
+
         if cell is not None or pbc is not None:
             own = structure.arguments["cell"]
-            own = own.vectors if isinstance(own, Cell) else own
-            structure.arguments.update(cell=own if cell is None else cell, pbc=pbc)
+            if cell is None:
+                cell = own.vectors if isinstance(own, Cell) else own
+            structure.arguments.update(cell=cell, pbc=pbc)
+
         return structure
 
-    def _told_by_content(self) -> str:
+    def _form_of_content(self) -> str:
         """The format that ASE finds, or mmCIF.  Raises UnknownFileTypeError."""
         if ".cif" in self.path.name.lower() and "_atom_site." in text_of(self.path):
             return "MMCIF"
@@ -255,27 +250,24 @@ class Door(NamedTuple):
         return form
 
     def _of_minimd(self, masses: Any) -> Structure:
-        from minimd.core.files.h5md_reader import read_file
-
         system = read_file(self.path).system
-        if self.units not in (None, system.units):
-            states = f"{self.source} states units = {system.units.name!r}"
+        if self.units is not None and self.units != system.units:
             raise ValueError(
-                f"{states}; it cannot be read with units = {self.units and self.units.name!r}"
+                f"{self.source} states units = {system.units.name!r}; it cannot be read with units = "
+                f"{self.units.name!r}"
             )
         labels = system.species.tolist()
-        stated = Stated(
-            self.source, [str(label) for label in labels], system.positions, None, system.masses
-        )
+        names = [str(label) for label in labels]
+        stated = Stated(self.source, names, system.positions, None, system.masses)
         weights, symbols = identified(stated, masses, self.elements, is_reduced=system.units is LJ)
-        given = {"masses": weights, "species": species_of(symbols, labels)}
-        return Structure(arguments_of(system) | given, stated)
+        arguments = arguments_of(system)
+        arguments |= {"masses": weights, "species": species_of(symbols, labels)}
+        return Structure(arguments, stated)
 
     def _of_lammps(self, masses: Any) -> Structure:
         data = read_lammps_data(self.path, self.atom_style)
-        name, units = self._lammps_units(
-            data.units, data.velocities is not None and bool(data.velocities.any())
-        )
+        has_velocities = data.velocities is not None and bool(data.velocities.any())
+        name, units = self._lammps_units(data.units, has_velocities)
         if data.skipped:
             warn(
                 f"{self.source} has sections that LAMMPS does not have, which are skipped: {listed(data.skipped)}"
@@ -284,18 +276,21 @@ class Door(NamedTuple):
         def converted(values: Any, quantity: str) -> Any:
             if values is None or units is LJ:
                 return values
-            if name in PER_PICOSECOND:
-                return values * (
-                    ASE.to_picosecond * PER_PICOSECOND[name] if quantity == "velocity" else 1.0
-                )
-            return convert(values, quantity, name, "ASE")
+            if name not in PER_PICOSECOND:
+                return convert(values, quantity, name, "ASE")
+            if quantity == "velocity":
+                return values * (ASE.to_picosecond * PER_PICOSECOND[name])
+            return values
 
         positions = converted(data.positions, "distance")
         stated = Stated(self.source, data.types, positions, None, converted(data.masses, "mass"))
         weights, symbols = identified(stated, masses, self.elements, is_reduced=units is LJ)
-        species = data.types if units is LJ else _elements_of(data.types, weights)
+        species = data.types
         if self.elements is not None:
             species = species_of(symbols, data.types)
+        elif units is not LJ:
+            species = _elements_of(data.types, weights)
+
         arguments = {
             "positions": positions,
             "masses": weights,
@@ -315,6 +310,7 @@ class Door(NamedTuple):
             raise ValueError(
                 f"{self.source} states units = {stated}; lammps_units = {self.lammps_units!r}"
             )
+
         name = stated or self.lammps_units
         if name is None and self.units is not None and (self.units is LJ or not has_velocities):
             name = "lj" if self.units is LJ else "metal"
@@ -323,13 +319,14 @@ class Door(NamedTuple):
                 f"{self.source} does not state its units; give lammps_units='real', 'metal' or 'lj', in a scene "
                 "lammps_units under [structure], or units=minimd.units.LJ"
             )
+
         units = LJ if name == "lj" else ASE
-        if self.units not in (None, units):
-            given = self.units and self.units.name
+        if self.units is not None and self.units != units:
             raise ValueError(
-                f"{self.source} is in LAMMPS' units {name}; it cannot be read with units = {given!r}, but with "
-                f"{units.name!r}"
+                f"{self.source} is in LAMMPS' units {name}; it cannot be read with units = {self.units.name!r}, but "
+                f"with {units.name!r}"
             )
+
         return name, units
 
     def _of_mdanalysis(self, form: str, masses: Any) -> Structure:
@@ -341,9 +338,10 @@ class Door(NamedTuple):
         universe = universe_of_file(self.path, form)
         atoms = universe.atoms
         _check_alternatives(atoms, self.source)
+        units = self.units or ASE
         groups = dict.fromkeys(GROUPS)
         arguments = universe_arguments(
-            atoms, self.units or ASE, groups, None, self.source, masses, self.elements
+            atoms, units, groups, None, self.source, masses, self.elements
         )
         return Structure(arguments, stated_of_group(atoms, self.source, arguments["positions"]))
 
@@ -353,9 +351,10 @@ class Door(NamedTuple):
             raise ValueError(
                 "this format keeps no elements, and ASE takes the first letters of names; write it as .gro"
             )
+
         options: dict[str, Any] = {}
         if form == DUMP:
-            name, units, columns = self._dump()
+            name, units, columns, weights = self._dump()
             options["units"] = "ASE" if units is LJ else name
         frames = ase.io.read(str(self.path), format=form, do_not_split_by_at_sign=True, **options)
         atoms = frames if isinstance(frames, Atoms) else frames[-1]
@@ -364,22 +363,23 @@ class Door(NamedTuple):
         if form in XYZ_OF_ASE:
             _check_labels(text_of(self.path), len(atoms), self.source)
         if form in DL_POLY:  # ASE takes the velocities, in Å/ps, for atomic units
-            names = map(
-                "".join, zip(atoms.get_chemical_symbols(), atoms.arrays["dlp4_labels"], strict=True)
-            )
-            _relabel(atoms, [*names], (1.0 if units is LJ else ASE.to_picosecond) / DLP_V_ASE)
+            symbols = atoms.get_chemical_symbols()
+            names = map("".join, zip(symbols, atoms.arrays["dlp4_labels"], strict=True))
+            to_own = 1.0 if units is LJ else ASE.to_picosecond
+            _relabel(atoms, [*names], to_own / DLP_V_ASE)
         elif form == DUMP:
             kinds = atoms.arrays.pop("type", atoms.numbers)
             atoms.set_array(TYPES, kinds)
             if "element" not in columns:
-                masses_stated = columns.get("mass")
-                if masses_stated is not None and units is ASE and name not in PER_PICOSECOND:
-                    masses_stated = convert(masses_stated, "mass", name, "ASE")
-                _relabel(atoms, kinds.astype(str).tolist(), 1.0, masses_stated)
+                if weights is not None and units is ASE and name not in PER_PICOSECOND:
+                    weights = convert(weights, "mass", name, "ASE")
+                _relabel(atoms, kinds.astype(str).tolist(), 1.0, weights)
+
         if cell is not None or pbc is not None:
             placed = Cell.of(atoms.cell.array if cell is None else cell, pbc)
             atoms.cell[:] = placed.vectors
             atoms.pbc = placed.pbc
+
         # these are all atoms of the file in its order, whatever ids they have there
         if "id" in atoms.arrays:
             atoms.arrays["id"] = np.arange(1, len(atoms) + 1)
@@ -392,30 +392,21 @@ class Door(NamedTuple):
         )
         return Structure(arguments | joined.groups, stated, joined.n_types)
 
-    def _dump(self) -> tuple[str, UnitSystem, dict[str, NDArray[np.float64]]]:
-        """Units of a dump, and its columns; masses in the order of ids."""
+    def _dump(self) -> tuple[str, UnitSystem, list[str], NDArray[np.float64] | None]:
+        """Units of a dump, the names of its columns, and its masses in the order of ids, which ASE does not read."""
         lines = text_of(self.path).splitlines()
-        starts = [k for k, line in enumerate(lines) if line.startswith("ITEM: ATOMS")]
-        stated = next(
-            (
-                lines[k + 1].strip()
-                for k, line in enumerate(lines)
-                if line.startswith("ITEM: UNITS")
-            ),
-            None,
-        )
-        names = lines[starts[-1]].split()[2:]
-        rows = [line.split() for line in lines[starts[-1] + 1 :] if line.strip()]
-        columns: dict[str, Any] = dict.fromkeys(names)
-        if "mass" in names:
-            order = (
-                np.argsort([int(row[names.index("id")]) for row in rows])
-                if "id" in names
-                else slice(None)
-            )
-            columns["mass"] = np.array([float(row[names.index("mass")]) for row in rows])[order]
-        name, units = self._lammps_units(stated, "vx" in names)
-        return name, units, columns
+        units_at = [k for k, line in enumerate(lines) if line.startswith("ITEM: UNITS")]
+        atoms_at = [k for k, line in enumerate(lines) if line.startswith("ITEM: ATOMS")]
+        stated = lines[units_at[0] + 1].strip() if units_at else None
+        columns = lines[atoms_at[-1]].split()[2:]
+        weights = None
+        if "mass" in columns:
+            rows = [line.split() for line in lines[atoms_at[-1] + 1 :] if line.strip()]
+            weights = np.array([float(row[columns.index("mass")]) for row in rows])
+            if "id" in columns:
+                weights = weights[np.argsort([int(row[columns.index("id")]) for row in rows])]
+        name, units = self._lammps_units(stated, "vx" in columns)
+        return name, units, columns, weights
 
 
 def universe_of_file(path: Path, form: str | None) -> Any:
@@ -486,12 +477,8 @@ def _check_labels(text: str, n: int, source: str) -> None:
             f"{source} has columns behind x, y and z, which say nothing about what they are: they are not read"
         )
     for label in sorted({row[0] for row in rows}):
-        if (
-            len(label) == 2
-            and label.isupper()
-            and is_element(label.capitalize())
-            and not guessed_element(label)
-        ):
+        may_be_element = len(label) == 2 and label.isupper() and is_element(label.capitalize())
+        if may_be_element and not guessed_element(label):
             raise ValueError(
                 f"the label {label!r} of {source} may be the element {label.capitalize()} or the name of an atom; "
                 "write chemical symbols, as 'Ca' or 'C'"
@@ -502,7 +489,9 @@ def _check_alternatives(atoms: Any, source: str) -> None:
     """Raise ValueError for atoms of which a PDB file has several, at alternate locations."""
     seen: dict[tuple[Any, ...], int] = {}
     labels = getattr(atoms, "altLocs", ())
-    for k, label in enumerate(labels if any(labels) else ()):
+    if not any(labels):
+        return
+    for k, label in enumerate(labels):
         key = (atoms.segids[k], int(atoms.resids[k]), str(atoms.names[k]))
         if seen.setdefault(key, k) != k and label != labels[seen[key]]:
             raise ValueError(
@@ -539,11 +528,12 @@ def _elements_of(types: list[str], masses: Any) -> list[str]:
 def _beside(path: Path, door: Door) -> Structure:
     """Bonds, charges and masses in a file other than that of the atoms; masses of LAMMPS data in units real and metal.
     Raises ValueError if it cannot be read."""
+    source = f"file {str(path)!r}"
     with _read_as(path, "bonds", None):
         if _form(path, None) == LAMMPS:
             data = read_lammps_data(path, door.atom_style)
             masses = data.masses if (data.units or door.lammps_units) in PER_PICOSECOND else None
-            stated = Stated(f"file {str(path)!r}", data.types, data.positions, None, masses)
+            stated = Stated(source, data.types, data.positions, None, masses)
             return Structure({**data.groups, "charges": data.charges}, stated, data.n_types)
         from minimd.core.structure.mdanalysis_atoms import (
             charges_of as charges_of_group,
@@ -551,16 +541,12 @@ def _beside(path: Path, door: Door) -> Structure:
         )
 
         atoms = universe_of_file(path, None).atoms
-        stated = stated_of_group(atoms, f"file {str(path)!r}", np.zeros((len(atoms), 3)))
-        groups = {
-            name: getattr(atoms.universe, name).indices if hasattr(atoms, name) else ()
-            for name in GROUPS
-        }
-        joined = {
-            name: np.array(rows, np.int64).reshape(-1, GROUPS[name])
-            for name, rows in groups.items()
-        }
-        return Structure({**joined, "charges": charges_of_group(atoms)}, stated)
+        stated = stated_of_group(atoms, source, np.zeros((len(atoms), 3)))
+        arguments: dict[str, Any] = {"charges": charges_of_group(atoms)}
+        for name, size in GROUPS.items():
+            rows = getattr(atoms.universe, name).indices if hasattr(atoms, name) else ()
+            arguments[name] = np.array(rows, np.int64).reshape(-1, size)
+        return Structure(arguments, stated)
 
 
 def _check_same_atoms(path: Path, structure: Structure, beside: Structure) -> None:
@@ -572,14 +558,15 @@ def _check_same_atoms(path: Path, structure: Structure, beside: Structure) -> No
         raise ValueError(
             f"{second.source} with the bonds has {len(second.names)} atoms; the structure has {n}"
         )
+
+    numbers = [0] * n if first.residue_of is None else first.residue_of.tolist()
     of_residue: dict[int, set[str]] = {}
-    numbers = np.zeros(n, int) if first.residue_of is None else first.residue_of
     for number, name in zip(numbers, first.names, strict=True):
-        of_residue.setdefault(int(number), set()).add(name)
+        of_residue.setdefault(number, set()).add(name)
     for k, (name, other) in enumerate(zip(first.names, second.names, strict=True)):
-        if name not in (other, "X") and (
-            other in of_residue[int(numbers[k])] or not _may_be_same(first, second, k)
-        ):
+        if name in (other, "X"):
+            continue
+        if other in of_residue[numbers[k]] or not _may_be_same(first, second, k):
             mass = "" if second.masses is None else f" of {second.masses[k]:g} u"
             raise ValueError(
                 f"atom {k} of file {str(path)!r} is {name!r}, but {other!r}{mass} in {second.source}: both files must "
@@ -590,16 +577,18 @@ def _check_same_atoms(path: Path, structure: Structure, beside: Structure) -> No
 def _may_be_same(first: Stated, second: Stated, k: int) -> bool:
     """Whether an atom that two files call differently has one mass, as far as both are known."""
     symbol = first.elements[k] if first.elements else ""
-    symbol = symbol or guessed_element(first.names[k], first.residues[k] if first.residues else "")
-    mass = None if first.masses is None else float(first.masses[k])
-    if mass is None or np.isnan(mass):
-        mass = atomic_mass(symbol) if symbol else None
-    if symbol and symbol == guessed_element(
-        second.names[k], second.residues[k] if second.residues else ""
-    ):
+    symbol = symbol or _guess_of(first, k)
+    if symbol and symbol == _guess_of(second, k):
         return True  # whatever its mass, which may be repartitioned
+    mass = np.nan if first.masses is None else float(first.masses[k])
+    if np.isnan(mass) and symbol:
+        mass = atomic_mass(symbol)
     other = None if second.masses is None else float(second.masses[k])
-    return mass is None or other is None or abs(mass - other) <= SAME_MASS
+    return bool(np.isnan(mass)) or other is None or abs(mass - other) <= SAME_MASS
+
+
+def _guess_of(stated: Stated, k: int) -> str:
+    return guessed_element(stated.names[k], stated.residues[k] if stated.residues else "")
 
 
 @contextmanager
@@ -614,13 +603,10 @@ def _read_as(path: Path, what: str, form: str | None) -> Iterator[None]:
         if isinstance(error, ValueError) and source in str(error) and "\n" not in str(error):
             raise
         reason = " ".join(str(error).split()).rpartition("Error: ")[2]
+        is_label = isinstance(error, KeyError) and path.suffix.lower() in XYZ
         if form is None and isinstance(error, StopIteration | UnknownFileTypeError):
             reason = "its suffix and content do not show its format; pass it, such as format='lammps-data'"
-        elif (
-            isinstance(error, KeyError)
-            and path.suffix.lower() in XYZ
-            and not is_element(str(error.args[0]))
-        ):
+        elif is_label and not is_element(str(error.args[0])):
             reason = (
                 f"{error.args[0]!r} is not a chemical symbol, which ASE expects in this format; name the atoms X, and "
                 "give masses here and species to System, or both in the scene under [structure], or write LAMMPS data, "

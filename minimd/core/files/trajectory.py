@@ -3,7 +3,7 @@
 import errno
 import os
 import struct
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from importlib import import_module
@@ -20,6 +20,8 @@ from minimd.core.engine.record import Frame
 from minimd.core.files.claim import Claim, read_at
 from minimd.core.structure.checks import checked_flag, checked_path
 
+Paths = str | Path | Sequence[str | Path]
+
 
 class Writer(Protocol):
     """A file that takes frames."""
@@ -34,10 +36,10 @@ class Writer(Protocol):
         try:
             os.fsync(self.claim.descriptor)
         except OSError as error:
-            words = (
-                f"trajectory {self.claim.name!r} could not be brought to the disk: {error.strerror}"
-            )
-            raise OSError(error.errno, words) from None
+            raise OSError(
+                error.errno,
+                f"trajectory {self.claim.name!r} could not be brought to the disk: {error.strerror}",
+            ) from None
 
     def close(self) -> None:
         """Finish the file, which then is valid with any number of frames."""
@@ -65,7 +67,7 @@ SLOT = 8
 
 @contextmanager
 def open_trajectories(
-    paths: str | Path | Sequence[str | Path],
+    paths: Paths,
     engine: Engine,
     *,
     store_forces: bool,
@@ -86,31 +88,45 @@ def open_trajectories(
     folder that does not exist or cannot be written.  OSError if another run writes the file.
     """
     files = named_files("trajectory", paths)
-    for k, path in enumerate(files):
-        if same := [one for one in files[:k] if os.path.realpath(one) == os.path.realpath(path)]:
-            both = f"{str(same[0])!r} and {str(path)!r} are the same file"
-            raise ValueError(f"each trajectory must be a file of its own; {both}: name it once")
+    known: dict[str, Path] = {}
     for path in files:
-        if append and not _is_h5md(path):
-            why = "only .h5md files can be appended to, because they hold the state from which a run goes on"
-            raise ValueError(f"{why}; the file is {str(path)!r}")
+        place = os.path.realpath(path)
+        if place in known:
+            raise ValueError(
+                f"each trajectory must be a file of its own; {str(known[place])!r} and {str(path)!r} are the same "
+                "file: name it once"
+            )
+        known[place] = path
+
+    for path in files:
         if not append:
             checked_output(path, overwrite)
+        elif not _is_h5md(path):
+            raise ValueError(
+                "only .h5md files can be appended to, because they hold the state from which a run goes on; "
+                f"the file is {str(path)!r}"
+            )
+
     writers: list[Writer] = []
-    options = {"store_forces": store_forces, "every": every, "observers": observers}
-    options["n_frames"] = None if n_steps is None else n_steps // every + 2
-    options["bring_others"] = partial(_brought_to_disk, writers)
+    options = {
+        "store_forces": store_forces,
+        "every": every,
+        "observers": observers,
+        "n_frames": None if n_steps is None else n_steps // every + 2,
+        "bring_others": partial(_brought_to_disk, writers),
+    }
     with ExitStack() as closing:
         for file in sorted(files, key=_is_h5md):  # last: it tells how far the others are
             if append:
                 from minimd.core.files.h5md_writer import H5MDWriter
 
-                writers.append(H5MDWriter.append_to(file, engine, store_forces, every, observers))
+                writer: Writer = H5MDWriter.append_to(file, engine, store_forces, every, observers)
             else:
-                writers.append(_new(file, engine, options, overwrite))
-            closing.callback(writers[-1].close)
+                writer = _new_writer(file, engine, options, overwrite)
+            writers.append(writer)
+            closing.callback(writer.close)
             if append:
-                _cut_others_back(writers[-1])
+                _cut_others_back(writer)
         try:
             yield writers
         except KeyboardInterrupt as stopped:  # also by other signals; see console.Terminated
@@ -118,20 +134,18 @@ def open_trajectories(
             raise
 
 
-def _new(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -> Writer:
-    module, name, takes = FORMATS[file.suffix.lower()]
+def _new_writer(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -> Writer:
+    module, name, keywords = FORMATS[file.suffix.lower()]
     try:
         claim = Claim(file, overwrite=overwrite)
     except OSError as error:
         raise type(error)(f"output {str(file)!r} cannot be written: {error.strerror}") from None
     try:
-        made: Writer = getattr(import_module(module), name)(
-            claim, engine, **{one: options[one] for one in takes}
-        )
+        make: Callable[..., Writer] = getattr(import_module(module), name)
+        return make(claim, engine, **{keyword: options[keyword] for keyword in keywords})
     except BaseException:
         claim.release()
         raise
-    return made
 
 
 def _brought_to_disk(writers: list[Writer], claim: Claim) -> list[bytes]:
@@ -145,38 +159,44 @@ def _brought_to_disk(writers: list[Writer], claim: Claim) -> list[bytes]:
     """
     marks = []
     own = os.fstat(claim.descriptor).st_ino
-    for one in [writer for writer in writers if not _is_h5md(writer.claim.path)]:
-        path = one.claim.path
-        file = one.claim.descriptor
+    for writer in [writer for writer in writers if not _is_h5md(writer.claim.path)]:
+        path = writer.claim.path
+        file = writer.claim.descriptor
         try:
-            one.checkpoint()
+            writer.checkpoint()
         except OSError:
-            writers.remove(one)
+            writers.remove(writer)
             raise
         if path.parent == claim.path.parent:
             now = os.fstat(file)
-            ends = read_at(file, N_FIRST, 0), read_at(file, *_last_bytes(now.st_size))
-            marks.append(MARK.pack(own, now.st_ino, now.st_size, *ends) + os.fsencode(path.name))
+            first = read_at(file, N_FIRST, 0)
+            last = read_at(file, *_last_bytes(now.st_size))
+            mark = MARK.pack(own, now.st_ino, now.st_size, first, last)
+            marks.append(mark + os.fsencode(path.name))
     return marks
 
 
 def _cut_others_back(writer: Any) -> None:
     """Cut the other trajectories of a continued H5MD file to what they were at its restart; warns of what was cut,
     and what could not be."""
-    told = []
+    outcomes = []
     are_of_one_file = len({mark[:SLOT] for mark in writer.marks}) == 1  # not guesses
     for mark in writer.marks if are_of_one_file else ():
         path = writer.claim.path.parent / Path(os.fsdecode(mark[MARK.size :])).name
         try:
-            words = _cut_back(path, writer.claim.descriptor, *MARK.unpack_from(mark))
+            outcome = _cut_back(path, writer.claim.descriptor, *MARK.unpack_from(mark))
         except FileNotFoundError:
-            words = ""
+            continue
         except (OSError, ValueError, struct.error) as error:
             reason = getattr(error, "strerror", None) or error
-            words = f"is left as it is, and may hold frames later than the state from which the run goes on: {reason}"
-        told += [f"trajectory {str(path)!r} {words}"] if words else []
-    for sentence in told:
-        warn(sentence)
+            outcome = (
+                "is left as it is, and may hold frames later than the state from which the run goes on: "
+                f"{reason}"
+            )
+        if outcome:
+            outcomes.append(f"trajectory {str(path)!r} {outcome}")
+    for outcome in outcomes:
+        warn(outcome)
 
 
 def _cut_back(
@@ -192,23 +212,24 @@ def _cut_back(
     if suffix not in set(FORMATS) - {".h5md"}:
         raise ValueError("its suffix is not that of a trajectory")
     with open(locked(path), "r+b") as file:
-        now = os.fstat(file.fileno())
+        descriptor = file.fileno()
+        now = os.fstat(descriptor)
         restart = os.fstat(h5md)
         user = os.geteuid() if hasattr(os, "geteuid") else now.st_uid
         if not now.st_uid == restart.st_uid == user:
             raise ValueError("this trajectory, or the .h5md file, belongs to another user")
         if not (_has_inode(now, inode) and _has_inode(restart, own)) or now.st_size < size:
             raise ValueError("this trajectory, or the .h5md file, is a copy or was changed")
-        if now.st_size == size and read_at(file.fileno(), N_FIRST, 0) == first[:size]:
+        if now.st_size == size and read_at(descriptor, N_FIRST, 0) == first[:size]:
             return ""
-        if size < N_FIRST + N_LAST or not _has_grown(
-            file.fileno(), suffix, now.st_size, size, first, last
-        ):
+        is_long = size >= N_FIRST + N_LAST
+        if not (is_long and _has_grown(descriptor, suffix, now.st_size, size, first, last)):
             raise ValueError(
                 "this trajectory was changed, or had too few bytes to tell whether the run has written it"
             )
         file.write(first)
         file.truncate(size)
+
     return f"was cut to {size} bytes, its size at the step from which the run goes on"
 
 
@@ -222,10 +243,9 @@ def _has_grown(file: int, suffix: str, n_bytes: int, size: int, first: bytes, la
     its format changes when frames are added; a power failure may have taken the frames themselves."""
     n_changed = sum(was != now for was, now in zip(first, read_at(file, N_FIRST, 0), strict=True))
     n, begin = _last_bytes(size)
-    was, now = (
-        np.frombuffer(part[:n] + bytes(-n % SLOT), "<u8")
-        for part in (last, read_at(file, n, begin))
-    )
+    padding = bytes(-n % SLOT)
+    was = np.frombuffer(last[:n] + padding, "<u8")
+    now = np.frombuffer(read_at(file, n, begin) + padding, "<u8")
     names_later_frame = (suffix == ".traj") & (was == 0) & (now >= size) & (now < n_bytes + size)
     return n_changed <= COUNTERS and bool(((was == now) | names_later_frame).all())
 
@@ -242,15 +262,14 @@ def _is_h5md(file: Path) -> bool:
     return file.suffix.lower() == ".h5md"
 
 
-def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Path]:
+def named_files(name: str, paths: Paths) -> list[Path]:
     """The paths of one file or several.  name : of the argument, for messages.
     Raises ValueError for anything that is not a path."""
-    return [
-        checked_path(name, path) for path in (paths if isinstance(paths, list | tuple) else [paths])
-    ]
+    several = paths if isinstance(paths, list | tuple) else [paths]
+    return [checked_path(name, path) for path in several]
 
 
-def first_h5md(paths: str | Path | Sequence[str | Path]) -> Path | None:
+def first_h5md(paths: Paths) -> Path | None:
     """The first H5MD file among the trajectories of a run, or None.  Raises ValueError as named_files."""
     return next((file for file in named_files("trajectory", paths) if _is_h5md(file)), None)
 
@@ -261,24 +280,29 @@ def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] 
     file = checked_path("output", path)
     overwrite = checked_flag("overwrite", overwrite)
     if file.suffix.lower() not in suffixes:
-        other = "; docs/formats.md says how other formats are made from an .h5md file" * (
-            suffixes is FORMATS
+        remark = "; docs/formats.md says how other formats are made from an .h5md file"
+        raise ValueError(
+            f"the suffix of a trajectory must be one of {', '.join(suffixes)}; the file is {str(file)!r}"
+            f"{remark * (suffixes is FORMATS)}"
         )
-        wanted = f"the suffix of a trajectory must be one of {', '.join(suffixes)}"
-        raise ValueError(f"{wanted}; the file is {str(file)!r}{other}")
-    if file.exists() and not overwrite:
+
+    folder = file.absolute().parent
+    is_there = file.exists()
+    if is_there and not overwrite:
         raise FileExistsError(
             f"output {str(file)!r} exists; choose another name, or pass overwrite=True"
         )
-    if not file.absolute().parent.is_dir():
-        raise FileNotFoundError(
-            f"output folder {str(file.absolute().parent)!r} does not exist; make it first"
+
+    if not folder.is_dir():
+        raise FileNotFoundError(f"output folder {str(folder)!r} does not exist; make it first")
+    if is_there and not file.is_file():
+        raise ValueError(
+            f"output {str(file)!r} must be a regular file, but it is a folder or a device; choose another name"
         )
-    if file.exists() and not file.is_file():
-        words = "it is a folder or a device; choose another name"
-        raise ValueError(f"output {str(file)!r} must be a regular file, but {words}")
-    if not os.access(file if file.exists() else file.absolute().parent, os.W_OK):
+
+    if not os.access(file if is_there else folder, os.W_OK):
         raise PermissionError(
             f"output {str(file)!r} cannot be written: {os.strerror(errno.EACCES)}"
         )
+
     return file

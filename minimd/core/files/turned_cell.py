@@ -59,13 +59,13 @@ class Turn:
 
     def __init__(self, cell: Cell, to_angstrom: float = 1.0) -> None:
         if not has_edges(cell):
-            can = "only a cell with three independent vectors, periodic in some direction, can be turned"
-            raise ValueError(f"{can}; cell = {cell!r}")
-        self._vectors, self._to_angstrom, self._is_reduced = (
-            cell.vectors,
-            to_angstrom,
-            finds_all_images(cell),
-        )
+            raise ValueError(
+                "only a cell with three independent vectors, periodic in some direction, can be turned; "
+                f"cell = {cell!r}"
+            )
+        self._vectors = cell.vectors
+        self._to_angstrom = to_angstrom
+        self._is_reduced = finds_all_images(cell)
         basis = np.eye(3, dtype=np.int64) if self._is_reduced else cell.reduction
         self.combination = basis * int(handedness(basis @ cell.vectors))
 
@@ -92,14 +92,15 @@ class Turn:
 
     def in_words(self, what: str, way_back: str) -> str:
         """A sentence on what is done to the positions and cell of what; way_back : where R is found."""
-        rows = np.array2string(
-            self.of(self._vectors)[0], separator=", ", precision=6, suppress_small=True
-        )
+        rotation, _ = self.of(self._vectors)
+        rows = np.array2string(rotation, separator=", ", precision=6, suppress_small=True)
         rows = rows.replace("\n", "")
         reason = ""
         if not self._is_reduced:
-            images = "the cell is so skewed that MDAnalysis would miss nearest images"
-            reason = f"; {images}, and is replaced by its shortest vectors"
+            reason = (
+                "; the cell is so skewed that MDAnalysis would miss nearest images, and is replaced by its shortest "
+                "vectors"
+            )
         elif self.combination[0, 0] < 0:
             reason = "; the cell is left-handed, and is given as -a, -b, -c, which repeat the same lattice"
         return (
@@ -110,17 +111,16 @@ class Turn:
 
 def turn_of(cell: Cell, to_angstrom: float) -> Turn | None:
     """The Turn of a cell, or None if MDAnalysis takes the cell as it is, or cannot hold it."""
-    turn = Turn(cell, to_angstrom) if has_edges(cell) else None
-    return turn if turn is not None and turn.is_needed else None
+    if not has_edges(cell):
+        return None
+    turn = Turn(cell, to_angstrom)
+    return turn if turn.is_needed else None
 
 
 def as_in_run(ts: Any, vectors: NDArray[Any]) -> Array:
     """Vectors (..., 3) of a frame of a universe, turned back to those of the run, in float64."""
-    return (
-        vectors @ ts.data[ROTATION].T
-        if ROTATION in ts.data
-        else np.asarray(vectors, dtype=np.float64)
-    )
+    turned = np.asarray(vectors, dtype=np.float64)
+    return turned @ ts.data[ROTATION].T if ROTATION in ts.data else turned
 
 
 def cell_dimensions(cell: Cell, to_angstrom: float) -> NDArray[np.float32] | None:
@@ -179,6 +179,7 @@ class MDAnalysisWriter(Writer):
             self._universe = MDAnalysis.Universe.empty(
                 len(system), trajectory=True, velocities=True
             )
+
         self._turn = turn_of(system.cell, self._angstrom)
         if self._turn is not None:
             back = "; write an .h5md file too: it holds them unturned"
@@ -204,8 +205,12 @@ class MDAnalysisWriter(Writer):
         waiting = self._waiting
         self._waiting = []
         if self._format == "DCD" and len(waiting) > 1 and waiting[0].step % self._every:
-            frames = f"leaves out the frame of step {waiting.pop(0).step}: its frames are {self._every} steps apart"
-            warn(f"trajectory {self.claim.name!r} {frames}")
+            step = waiting.pop(0).step
+            warn(
+                f"trajectory {self.claim.name!r} leaves out the frame of step {step}: its frames are {self._every} "
+                "steps apart"
+            )
+
         for frame in waiting:
             try:
                 if disk_usage(self.claim.place.parent).free < frame.positions.nbytes + ROOM:
@@ -213,17 +218,7 @@ class MDAnalysisWriter(Writer):
                     raise OSError(ENOSPC, "no room on the disk")
                 with quiet():
                     if self._writer is None:
-                        spacing = {
-                            "nsavc": self._every,
-                            "dt": self._every * self._timestep,
-                            "istart": frame.step,
-                        }
-                        options = OPTIONS | {"DCD": spacing}
-                        its = options.get(self._format, {}) | {
-                            "n_atoms": len(frame.positions),
-                            "format": self._format,
-                        }
-                        self._writer = MDAnalysis.Writer(str(self.claim.stream), **its)
+                        self._writer = self._opened(frame)
                     self._place(frame)
                     self._check_range()
                     self._writer.write(self._universe)
@@ -235,10 +230,23 @@ class MDAnalysisWriter(Writer):
             except (OSError, RuntimeError) as error:
                 with suppress(OSError, RuntimeError):
                     self._shut()
-                words = (
-                    f"trajectory {self.claim.name!r} could not take the frame of step {frame.step}"
-                )
-                raise OSError(f"{words}: {getattr(error, 'strerror', None) or error}") from error
+                reason = getattr(error, "strerror", None) or error
+                raise OSError(
+                    f"trajectory {self.claim.name!r} could not take the frame of step {frame.step}: {reason}"
+                ) from error
+
+    def _opened(self, frame: Frame) -> Any:
+        """MDAnalysis' writer, for a file that begins with a frame."""
+        options = OPTIONS.get(self._format, {})
+        if self._format == "DCD":
+            options = {
+                "nsavc": self._every,
+                "dt": self._every * self._timestep,
+                "istart": frame.step,
+            }
+        return MDAnalysis.Writer(
+            str(self.claim.stream), n_atoms=len(frame.positions), format=self._format, **options
+        )
 
     def _shut(self) -> None:
         writer = self._writer
@@ -250,8 +258,11 @@ class MDAnalysisWriter(Writer):
         """Raise OSError if positions do not fit into an XTC file."""
         reach = np.ptp(np.vstack([self._universe.atoms.positions, np.zeros(3)]), axis=0).max()
         if self._format == "XTC" and reach > LARGEST_XTC:
-            holds = f".xtc holds positions, and distances, up to {LARGEST_XTC:.4g} Å; these reach {reach:.4g} Å"
-            raise OSError(EOVERFLOW, f"{holds}; write .trr or .h5md")
+            raise OSError(
+                EOVERFLOW,
+                f".xtc holds positions, and distances, up to {LARGEST_XTC:.4g} Å; these reach {reach:.4g} Å; "
+                "write .trr or .h5md",
+            )
 
     def _place(self, frame: Frame) -> None:
         ts = self._universe.trajectory.ts

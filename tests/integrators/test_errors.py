@@ -55,7 +55,7 @@ def steps_of(substeps, contact=None):
     members = {"name": "mine", "substeps": substeps} | ({} if contact is None else {"contact": contact})
     method = type("Mine", (Splitting,), members)
     arrays = np.zeros((3, 2, 3))
-    Steps(method(0.1), State(*arrays, np.ones(2)), Surroundings(), ForceSource(lambda *_: ())).prepare()
+    Steps(method(0.1), State(*arrays, np.ones(2)), Surroundings(), ForceSource(lambda *_: ())).advance(1)
 
 
 OF_SUBSTEPS = (mi.separable_order, mi.nystrom_order, mi.stability_limit, lambda s: mi.energy_oscillation(s, 0.1),

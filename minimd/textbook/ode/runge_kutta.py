@@ -25,8 +25,20 @@ from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.ode.functions import forward_differences
 from minimd.textbook.ode.problems import DifferentialAlgebraic, FirstOrder
 
-__all__ = ["GaussLegendre1", "GaussLegendre2", "GaussLegendre3", "GaussLegendre4", "ImplicitEuler", "RadauIIA2",
-           "RadauIIA3", "RungeKutta", "Tableau", "collocation", "gauss", "radau_iia"]  # fmt: skip
+__all__ = [
+    "GaussLegendre1",
+    "GaussLegendre2",
+    "GaussLegendre3",
+    "GaussLegendre4",
+    "ImplicitEuler",
+    "RadauIIA2",
+    "RadauIIA3",
+    "RungeKutta",
+    "Tableau",
+    "collocation",
+    "gauss",
+    "radau_iia",
+]
 
 FARTHEST = 3.0  # times the last step: how far its slopes are extrapolated at most
 TABLEAU_ROUNDING = 1e-13  # of sums of a few products of coefficients of order one
@@ -313,23 +325,59 @@ class StageStep(StageEquations):
         return self.slopes(times, y, weights, guess, h)
 
 
-def _method(title: str, name: str, tableau: Tableau, source: str, doc: str) -> type[RungeKutta]:
-    return type(
-        title, (RungeKutta,), {"__doc__": doc, "name": name, "tableau": tableau, "source": source}
-    )
+class GaussLegendre(RungeKutta):
+    """Collocation on Gauss-Legendre nodes."""
+
+    source = "J. C. Butcher, Math. Comput. 18, 50 (1964)"
 
 
-BOOK = "E. Hairer, G. Wanner, Solving ODEs II (1996)"
-GaussLegendre1, GaussLegendre2, GaussLegendre3, GaussLegendre4 = (
-    _method(f"GaussLegendre{s}", f"gauss-legendre-{s}", gauss(s), "J. C. Butcher, Math. Comput. 18, 50 (1964)",
-            f"Gauss-Legendre with {stages}: order {2 * s}, symplectic, symmetric.")
-    for s, stages in enumerate(
-        ("one stage, the implicit midpoint rule", "two stages", "three stages", "four stages"), start=1)
-)  # fmt: skip
-ImplicitEuler = _method("ImplicitEuler", "implicit-euler", radau_iia(1), f"{BOOK}, IV.3",
-                        "Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate.")  # fmt: skip
-RadauIIA2, RadauIIA3 = (
-    _method(f"RadauIIA{s}", f"radau-iia-{s}", radau_iia(s), f"B. L. Ehle (1969); {BOOK}, IV.5",
-            f"Radau IIA with {stages}: order {2 * s - 1}, stiffly accurate.")
-    for s, stages in ((2, "two stages"), (3, "three stages"))
-)  # fmt: skip
+class GaussLegendre1(GaussLegendre):
+    """Gauss-Legendre with one stage, the implicit midpoint rule: order 2, symplectic, symmetric."""
+
+    name = "gauss-legendre-1"
+    tableau = gauss(1)
+
+
+class GaussLegendre2(GaussLegendre):
+    """Gauss-Legendre with two stages: order 4, symplectic, symmetric."""
+
+    name = "gauss-legendre-2"
+    tableau = gauss(2)
+
+
+class GaussLegendre3(GaussLegendre):
+    """Gauss-Legendre with three stages: order 6, symplectic, symmetric."""
+
+    name = "gauss-legendre-3"
+    tableau = gauss(3)
+
+
+class GaussLegendre4(GaussLegendre):
+    """Gauss-Legendre with four stages: order 8, symplectic, symmetric."""
+
+    name = "gauss-legendre-4"
+    tableau = gauss(4)
+
+
+class ImplicitEuler(RungeKutta):
+    """Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate."""
+
+    name = "implicit-euler"
+    tableau = radau_iia(1)
+    source = "E. Hairer, G. Wanner, Solving ODEs II (1996), IV.3"
+
+
+class RadauIIA2(RungeKutta):
+    """Radau IIA with two stages: order 3, stiffly accurate."""
+
+    name = "radau-iia-2"
+    tableau = radau_iia(2)
+    source = "B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5"
+
+
+class RadauIIA3(RungeKutta):
+    """Radau IIA with three stages: order 5, stiffly accurate."""
+
+    name = "radau-iia-3"
+    tableau = radau_iia(3)
+    source = RadauIIA2.source

@@ -99,7 +99,7 @@ def _unboxed(_kind, value, c):
 @extending.lower_getattr_generic(AddressType)
 def _field(context, builder, kind, address, name):
     k = kind.fields.index(name)
-    return _read(context, builder, kind[k], address, kind.places[k])
+    return _value_at(context, builder, kind[k], address, kind.places[k])
 
 
 @extending.lower_builtin("static_getitem", AddressType, types.IntegerLiteral)
@@ -107,17 +107,17 @@ def _item(context, builder, signature, arguments):
     kind, _ = signature.args
     address, index = arguments
     k = index % len(kind)
-    return _read(context, builder, kind[k], address, kind.places[k])
+    return _value_at(context, builder, kind[k], address, kind.places[k])
 
 
-def _read(context, builder, kind, address, place):
+def _value_at(context, builder, kind, address, place):
     """The value of a type whose words begin at a place after an address."""
     if isinstance(kind, types.Array):
         return _array(context, builder, kind, address, place)
     if _is_word_by_word(kind):
         parts = []
         for part in kind:
-            parts.append(_read(context, builder, part, address, place))
+            parts.append(_value_at(context, builder, part, address, place))
             place += _n_words(part)
         return context.make_tuple(builder, kind, parts)
     return _word(builder, context.get_value_type(kind), address, place)

@@ -103,7 +103,7 @@ class FunctionSnapshot:
             return tuple(first for first, _ in copies), tuple(second for _, second in copies)
         else:
             self._is_clear = False
-            value = _copied(value)
+            value = _independent(value)
         return value, value
 
     def _compiled(self, function: Any) -> tuple[Any, Any]:
@@ -197,7 +197,7 @@ def globals_read(code: CodeType) -> tuple[list[str], bool]:
     return sorted(names), imports
 
 
-def _copied(value: Any) -> Any:
+def _independent(value: Any) -> Any:
     """A copy that later changes do not reach, if possible; a module's has its names, not copies of what they hold."""
     if isinstance(value, ModuleType):
         # Numba tells modules apart by their names

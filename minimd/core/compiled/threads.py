@@ -175,7 +175,7 @@ def run_operations(worker, task, operations, course):
             if answer != GO_ON:
                 _exchange(counters, ANSWER, answer)
             if _add(counters, FINISHED, 1) == n - 1:
-                _finish(counters, word, operations, course)
+                _end_phase(counters, word, operations, course)
                 break
             chunk = _take(worker, word, n)
         before = word
@@ -202,7 +202,7 @@ def _run_alone(operations, course):
 
 
 @scalar
-def _finish(counters, word, operations, course):
+def _end_phase(counters, word, operations, course):
     """What the thread does that finishes the last chunk of a phase: it opens the next one."""
     answer = _read(counters, ANSWER)
     at = word >> BITS & MOST_OPERATIONS

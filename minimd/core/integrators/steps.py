@@ -148,13 +148,13 @@ def unit_of(row: Substeps, flow: Kick | Drift) -> float:
 
 
 def first_unit(method: Row) -> float:
-    """Of the first kick of a step [time].  Errors : see row_of."""
-    row = row_of(method)
+    """Of the first kick of a step [time].  Errors : see merged_row."""
+    row = merged_row(method)
     kicks = [substep for substep in row if isinstance(substep, Kick)]
     return unit_of(row, kicks[0] if kicks else Kick(1.0)) * method.timestep
 
 
-def row_of(method: Row) -> Substeps:
+def merged_row(method: Row) -> Substeps:
     """The substeps of a method, neighbors of one kind merged.
     Raises TypeError, ValueError for anything but Kick, Drift and Thermalize, and if none has a duration."""
     row = merged(method.substeps)
@@ -166,14 +166,14 @@ def row_of(method: Row) -> Substeps:
     return row
 
 
-def _place(kind: Any, events: Events) -> int:
+def _first_place(kind: Any, events: Events) -> int:
     """Of the first event of a kind; the number of all events if there is none."""
     return next((k for k, event in enumerate(events) if isinstance(event, kind)), len(events))
 
 
 class Steps:
     """The steps of a method on a state.  around : Surroundings.  forces : where they come from.
-    Raises ValueError for arrays that kernels cannot write; TypeError, ValueError for substeps, see row_of."""
+    Raises ValueError for arrays that kernels cannot write; TypeError, ValueError for substeps, see merged_row."""
 
     def __init__(
         self, method: Row, state: State, around: Surroundings, forces: ForceSource
@@ -190,7 +190,7 @@ class Steps:
         self.counts = np.zeros(5, dtype=np.int64)
         self._calls = DirectCalls()
         self._counting = StepCounting(self.counts)
-        self._row = row_of(method)
+        self._row = merged_row(method)
         self._first_unit = first_unit(method)
         self._head, self._rest = self._cut()
         moves = [event for event in self._rest if isinstance(event, Force | Drift)]
@@ -213,7 +213,7 @@ class Steps:
         self.counts[MADE] = 0
         self.counts[TO_MAKE] = 1 if self._around.stop_requested else n_steps
         self.counts[FIRST] = first
-        has_kick = _place(Kick, self._head) < len(self._head)
+        has_kick = _first_place(Kick, self._head) < len(self._head)
         needs_forces = has_kick and not state.forces_are_current
         with_energy &= isinstance(last, Force)
         program = self._program(needs_forces, with_energy)
@@ -254,7 +254,7 @@ class Steps:
                     is_current = True
                 is_current &= not isinstance(event, Drift)
                 events.append(event)
-        n = _place(Force, tuple(events))
+        n = _first_place(Force, tuple(events))
         return tuple(events[:n]), tuple(events[n:])
 
     def _program(self, needs_forces: bool, with_energy: bool) -> Program:
@@ -282,7 +282,7 @@ class Steps:
         n_atoms = max(1, len(self._state.positions))
         self.counts[UNTIL_BREATH:] = 1 if is_slow else max(1, ATOM_STEPS // n_atoms)
         if needs_forces:
-            k = _place(Kick, head)
+            k = _first_place(Kick, head)
             unit = unit_of(self._row, head[k])  # type: ignore[arg-type]
             head = (*head[:k], Force(unit), *head[k:])
         yield from self._made_of(head, start)
@@ -292,7 +292,7 @@ class Steps:
         yield from again[:-1]
         yield again[-1]._replace(then=-len(again))
         if with_energy:
-            k = len(rest) - 1 - _place(Force, rest[::-1])
+            k = len(rest) - 1 - _first_place(Force, rest[::-1])
             unit = rest[k].unit  # type: ignore[union-attr]
             rest = (*rest[:k], Force(unit, True), *rest[k + 1 :])
         yield from self._made_of(rest, in_rest)

@@ -112,12 +112,12 @@ def exponential(x):
     r = fma(k, -REST_OF_LN_2, fma(k, -LN_2, x))
     half = np.floor(0.5 * k)  # 2ᵏ may be out of range where eˣ is not
     power = 1.0 + fma(r * r, polynomial(r, EXPONENTIAL), r)
-    power = power * _power_of_two(half) * _power_of_two(k - half)
+    power = power * _two_to_the(half) * _two_to_the(k - half)
     return select(x > math.log(MOST), math.inf, select(x < math.log(LEAST), 0.0, power))
 
 
 @scalar
-def _power_of_two(k):
+def _two_to_the(k):
     return float_of((bits_of(k + MAGIC) + BIAS) << 52)
 
 

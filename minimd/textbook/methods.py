@@ -8,7 +8,7 @@ from minimd.textbook.ode import bdf, runge_kutta
 __all__ = ["METHODS"]
 
 
-YES = {True: "yes", False: "no"}
+HEADER = ("name", "class", "order", "stages", "symmetric", "symplectic", "explicit", "source")
 
 
 class MethodTable(Displayed, dict[str, type[Method]]):
@@ -16,22 +16,12 @@ class MethodTable(Displayed, dict[str, type[Method]]):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        rows = [
-            ("name", "class", "order", "stages", "symmetric", "symplectic", "explicit", "source")
-        ]
+        rows: list[tuple[str, ...]] = [HEADER]
         for method in self.values():
-            rows.append(
-                (
-                    method.name,
-                    method.__name__,
-                    str(method.order),
-                    str(method.stages),
-                    YES[method.is_symmetric],
-                    YES[method.is_symplectic],
-                    YES[method.is_explicit],
-                    method.source,
-                )
-            )
+            properties = (method.is_symmetric, method.is_symplectic, method.is_explicit)
+            answers = ("yes" if holds else "no" for holds in properties)
+            numbers = (str(method.order), str(method.stages))
+            rows.append((method.name, method.__name__, *numbers, *answers, method.source))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return [(row[0], "  ".join(map(str.ljust, row[1:], widths[1:])).rstrip()) for row in rows]
 

@@ -8,6 +8,10 @@ from wrong_calls import answered
 
 import minimd as md
 import minimd.integrators as mi
+from minimd.core.integrators.splitting import Splitting
+from minimd.core.integrators.state import State, Surroundings
+from minimd.core.integrators.steps import ForceSource, Steps
+from minimd.core.integrators.substeps import Thermalize
 from minimd.integrators import run_adaptive, run_reversible, run_steps, run_until
 
 T, V, C = TypeError, ValueError, md.ConvergenceError
@@ -46,6 +50,16 @@ def index(pencil):
     mi.pencil_index(*pencil)
 
 
+def steps_of(substeps, contact=None):
+    """Steps of a user's method."""
+    members = {"name": "mine", "substeps": substeps} | ({} if contact is None else {"contact": contact})
+    method = type("Mine", (Splitting,), members)
+    arrays = np.zeros((3, 2, 3))
+    Steps(method(0.1), State(*arrays, np.ones(2)), Surroundings(), ForceSource(lambda *_: ())).advance(1)
+
+
+OF_SUBSTEPS = (mi.separable_order, mi.nystrom_order, mi.stability_limit, lambda s: mi.energy_oscillation(s, 0.1),
+    lambda s: mi.accurate_step(s, 0.01))  # fmt: skip
 SHIFT = [[0, 1, 0], [0, 0, 0], [0, 0, 0]], [[0, 0, 1], [1, 0, 0], [0, 0, 0]]
 # fmt: off
 GROUPS = [  # function, error, argument, and several of (what the function is called with, the value shown)
@@ -66,7 +80,9 @@ GROUPS = [  # function, error, argument, and several of (what the function is ca
     (lambda s: run_steps(OSCILLATOR, VERLET, s, 1), V, "the start", ([1.0, 0.0, 0.0], "[1.0, 0.0, 0.0]"),
         (None, "None"), (((), ()), "(0,)"), (((1.0, 2.0), (0.0,)), "(2,) and (1,)"), (((0.0,), (np.inf,)), "1 is inf")),
     (lambda s: run_steps(DECAY, GAUSS, s, 1), V, "the start", (1.0, "()"), ([[1.0]], "(1, 1)"), ([], "(0,)")),
-    (dae.path_of_x().begin, V, "y", ([1.0], "tuple of y, z"), (([np.nan],), "y of the start")),
+    (dae.path_of_x().begin, V, "y", ([1.0], "tuple of y, z"), (([np.nan],), "y of the start"), (("a",), "'a'"),
+        ((None,), "None"), (([1j],), "complex")),
+    (dae.path_of_x().begin, V, "z of the start", (([0.0], "b"), "'b'")),
     (mi.Implicit(lambda y, slope: slope - y).begin, V, "one-dimensional", ([[1.0]], "[[1.0]]")),
     (lambda p: run_steps(p, VERLET, [1.0], 1), T, "velocity-verlet", (DECAY, "FirstOrder")),
     (lambda i: run_steps(mi.index_two(KEPLER, i), RADAU, KEPLER_START, 5), V, "constraint 0 = g", (OFF, "-1.00e-01")),
@@ -102,6 +118,22 @@ GROUPS = [  # function, error, argument, and several of (what the function is ca
     (lambda h: mi.StepControl(max_step=h), V, "max_step", (0.0, "0.0")),
     (lambda a: run_adaptive(OSCILLATOR, mi.SE1, ONE, 1.0, control=mi.StepControl(atol=a)), V, "atol",
         ([1e-9, 1e-9, 1e-9], "(3,)"), ([[1e-9], [1e-9]], "(2, 1)")),
+    # coefficients
+    *((f, T, "substeps must be", (None, "None"), ("ab", "'ab'"), (0.5, "0.5"), (np.nan, "nan"), ([1.0], "[1.0]"),
+        (mi.Kick(1.0), "Kick")) for f in OF_SUBSTEPS),
+    *((f, V, "coefficient of substeps[1]", ((mi.Kick(1.0), mi.Drift(np.nan)), "nan"),
+        ((mi.Kick(1.0), mi.Drift("1")), "'1'")) for f in OF_SUBSTEPS),
+    (lambda h: mi.energy_oscillation(VERLET.substeps, h), V, "h must", ("a", "'a'"), (None, "None"), (np.nan, "nan")),
+    (lambda x: mi.accurate_step(VERLET.substeps, x), V, "oscillation", (-0.1, "-0.1"), (None, "None"), (np.nan, "nan")),
+    (lambda w: mi.compose(mi.SE1, mi.SE2, weights=w), V, "weights", ("ab", "'ab'"), (0.5, "0.5"), (np.nan, "nan"),
+        ([np.nan, 1.0], "[nan, 1.0]"), ([[0.5, 0.5]], "[[0.5, 0.5]]"), ([1.0], "1 weights")),
+    (mi.collocation, V, "nodes", (0.5, "0.5"), (None, "None"), ("a", "'a'"), ([], "[]"), ([np.nan], "nan"),
+        ([0.5, 0.5], "[0.5, 0.5]"), ([[0.5]], "[[0.5]]")),
+    # steps of a user's method
+    (steps_of, T, "substeps", ((mi.Kick(1.0), "drift"), "'drift'")),
+    (steps_of, V, "substeps", ((), "()"), ((mi.Kick(0.0),), "Kick")),
+    (lambda answer: steps_of((mi.Drift(1.0), Thermalize(1.0)), lambda *_: answer), T, "Mine.contact", ((), "none"),
+        (None, "none"), (iter(()), "none")),
     # kinds
     (lambda m: run_steps(OSCILLATOR, m, ONE, 3), T, "method", (mi.SE1, "SE1"), ("verlet", "'verlet'")),
     (lambda m: run_reversible(KEPLER, m, KEPLER_START, 1.0), T, "with its time step", (mi.SE1, "SE1")),

@@ -43,7 +43,7 @@ def _words_of(value: Any) -> list[int]:
     if isinstance(value, ByAddress):
         return [value.address]
     if isinstance(value, tuple):
-        return [word for one in value for word in _words_of(one)]
+        return [word for part in value for word in _words_of(part)]
     return list(unpack("q", pack("d", value))) if isinstance(value, float) else [int(value)]
 
 
@@ -57,7 +57,7 @@ class AddressType(types.NamedTuple):
     def __init__(self, kinds: tuple[types.Type, ...], cls: type) -> None:
         super().__init__(kinds, cls)
         self.name = f"{cls.__name__}_{sha256(self.name.encode()).hexdigest()[:16]}"
-        self.places = list(accumulate((_n_words(one) for one in self.types), initial=0))
+        self.places = list(accumulate(map(_n_words, self.types), initial=0))
 
 
 def _n_words(kind: Any) -> int:
@@ -75,9 +75,8 @@ def _is_word_by_word(kind: Any) -> bool:
 @typeof_impl.register(ByAddress)
 def _typeof(value, context):
     if "kind" not in vars(value):  # found once for each object: many share parts
-        vars(value)["kind"] = AddressType(
-            tuple(typeof_impl(one, context) for one in value), type(value)
-        )
+        kinds = tuple(typeof_impl(part, context) for part in value)
+        vars(value)["kind"] = AddressType(kinds, type(value))
     return vars(value)["kind"]
 
 
@@ -100,7 +99,7 @@ def _unboxed(_kind, value, c):
 @extending.lower_getattr_generic(AddressType)
 def _field(context, builder, kind, address, name):
     k = kind.fields.index(name)
-    return _read(context, builder, kind[k], address, kind.places[k])
+    return _value_at(context, builder, kind[k], address, kind.places[k])
 
 
 @extending.lower_builtin("static_getitem", AddressType, types.IntegerLiteral)
@@ -108,19 +107,19 @@ def _item(context, builder, signature, arguments):
     kind, _ = signature.args
     address, index = arguments
     k = index % len(kind)
-    return _read(context, builder, kind[k], address, kind.places[k])
+    return _value_at(context, builder, kind[k], address, kind.places[k])
 
 
-def _read(context, builder, kind, address, place):
+def _value_at(context, builder, kind, address, place):
     """The value of a type whose words begin at a place after an address."""
     if isinstance(kind, types.Array):
         return _array(context, builder, kind, address, place)
     if _is_word_by_word(kind):
-        places = accumulate((_n_words(one) for one in kind.types), initial=place)
-        each = [
-            _read(context, builder, one, address, at) for one, at in zip(kind, places, strict=False)
-        ]
-        return context.make_tuple(builder, kind, each)
+        parts = []
+        for part in kind:
+            parts.append(_value_at(context, builder, part, address, place))
+            place += _n_words(part)
+        return context.make_tuple(builder, kind, parts)
     return _word(builder, context.get_value_type(kind), address, place)
 
 
@@ -131,9 +130,9 @@ def _array(context, builder, kind, address, place):
     element = context.get_data_type(kind.dtype)
     itemsize = word(context.get_abi_sizeof(element))
     n = kind.ndim
-    shape, strides = (
-        [_word(builder, word, address, place + at + k) for k in range(n)] for at in (1, 1 + n)
-    )
+    sizes = [_word(builder, word, address, place + 1 + k) for k in range(2 * n)]
+    shape = sizes[:n]
+    strides = sizes[n:]
     if n == 1 and kind.layout == "C":
         strides = [itemsize]
     parts = {
@@ -166,11 +165,10 @@ def _call(returned: types.Type):
         def generate(context, builder, signature, values):
             kinds = signature.args[1].types
             convention = context.call_conv
-            code = builder.inttoptr(
-                values[0], convention.get_function_type(returned, kinds).as_pointer()
-            )
-            each = cgutils.unpack_tuple(builder, values[1], len(kinds))
-            status, result = convention.call_function(builder, code, returned, kinds, each)
+            pointer = convention.get_function_type(returned, kinds).as_pointer()
+            code = builder.inttoptr(values[0], pointer)
+            parts = cgutils.unpack_tuple(builder, values[1], len(kinds))
+            status, result = convention.call_function(builder, code, returned, kinds, parts)
             with cgutils.if_unlikely(builder, status.is_error):
                 convention.return_status_propagate(builder, status)
             return result

@@ -108,9 +108,9 @@ class KernelCache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Called by Numba before a compilation: the compiled code; None if this process must compile it."""
-        found = super().load_overload(sig, target_context)
-        if found is not None or self._lock >= 0:
-            return found
+        overload = super().load_overload(sig, target_context)
+        if overload is not None or self._lock >= 0:
+            return overload
         # take the lock of this kernel, where the file system has locks
         with suppress(OSError, ImportError):
             import fcntl  # Windows has no such locks
@@ -123,10 +123,10 @@ class KernelCache(FunctionCache):
             except BaseException:
                 self.let_others_go_on()
                 raise
-        found = super().load_overload(sig, target_context)
-        if found is not None:
+        overload = super().load_overload(sig, target_context)
+        if overload is not None:
             self.let_others_go_on()
-        return found
+        return overload
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Called by Numba after a compilation."""

@@ -61,11 +61,9 @@ def on_grid(x, step):
 @by_type
 def as_float(whole):
     """An int64, or a vector of them, as float64."""
-    return (
-        (lambda whole: as_floats(whole))
-        if isinstance(whole, Vector)
-        else lambda whole: np.float64(whole)
-    )
+    if isinstance(whole, Vector):
+        return lambda whole: as_floats(whole)
+    return lambda whole: np.float64(whole)
 
 
 class GridSteps(namedtuple("GridSteps", "per_force length momentum energy limit2")):
@@ -83,11 +81,9 @@ def is_fixed(steps: types.Type) -> bool:
 @by_type
 def in_steps(energy, steps):
     """An energy; on a grid rounded to a multiple of its step."""
-    return (
-        (lambda energy, steps: on_grid(energy, steps.energy))
-        if is_fixed(steps)
-        else lambda energy, steps: energy
-    )
+    if is_fixed(steps):
+        return lambda energy, steps: on_grid(energy, steps.energy)
+    return lambda energy, steps: energy
 
 
 # square of the largest impulse, in steps of momentum: below it, biased_product is right
@@ -111,11 +107,9 @@ def force_along(f, x, steps):
 @by_type
 def as_force(f, steps):
     """A component of a force from force_along."""
-    return (
-        (lambda f, steps: as_float(f) / steps.per_force[0])
-        if is_fixed(steps)
-        else lambda f, steps: f
-    )
+    if is_fixed(steps):
+        return lambda f, steps: as_float(f) / steps.per_force[0]
+    return lambda f, steps: f
 
 
 @by_type

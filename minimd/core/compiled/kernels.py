@@ -90,12 +90,13 @@ def cache_folder() -> Path | None:
                     if not part.is_dir():
                         part.mkdir(mode=0o700, exist_ok=True)  # for this user alone
             # perhaps only now: somebody else may have been faster in a common folder
-            if opened := open_to_others(folder):
-                hint = (
-                    "take that permission from them, or set NUMBA_CACHE_DIR to a folder of your own"
+            opened = open_to_others(folder)
+            if opened:
+                warnings.warn(
+                    f"compiled code is not kept in {base}, because other users can change {opened}; "
+                    "take that permission from them, or set NUMBA_CACHE_DIR to a folder of your own",
+                    stacklevel=2,
                 )
-                words = f"compiled code is not kept in {base}, because other users can change {opened}; {hint}"
-                warnings.warn(words, stacklevel=2)
                 continue
             with tempfile.TemporaryFile(dir=folder):
                 return folder
@@ -121,15 +122,15 @@ def open_to_others(folder: Path) -> Path | None:
         except FileNotFoundError:
             return None
         is_common = part != folder and status.st_mode & stat.S_ISVTX
-        if status.st_uid not in trusted or (
-            status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not is_common
-        ):
+        is_writable = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        if status.st_uid not in trusted or (is_writable and not is_common):
             return part
     return None
 
 
 def kernel(function, **flags):
-    """Compile a function that Python calls with arrays and numbers: lazily, once per machine."""
+    """Compile a function that Python calls with arrays and numbers: lazily, once per machine.
+    flags : of numba.njit."""
     return _cached(numba.njit(error_model="numpy", no_cfunc_wrapper=True, **flags)(function))
 
 
@@ -144,11 +145,6 @@ def _cached(compiled):
         finally:
             numba.config.CACHE_DIR = previous
     return compiled
-
-
-def shared_kernel(function):
-    """Compile a kernel that several threads run at once, see compiled.threads: it does not hold Python's lock."""
-    return kernel(function, nogil=True)
 
 
 class CalledKernel(CPUDispatcher):
@@ -254,9 +250,9 @@ class DirectCalls:
         first, address = self._codes[kernel]
         if kinds != first:
             name = getattr(kernel, "__name__", repr(kernel))
-            one_type = f"a DirectCalls passes {name} arguments of one type, {_in_words(first)}"
             raise TypeError(
-                f"{one_type}; got {_in_words(kinds)}: take another DirectCalls for these"
+                f"a DirectCalls passes {name} arguments of one type, {_in_words(first)}; got {_in_words(kinds)}: take "
+                "another DirectCalls for these"
             )
         return address
 
@@ -289,10 +285,12 @@ class CompileClock(event.Listener, threading.local):
     def on_start(self, _event: event.Event) -> None:
         """Called by Numba; compilations nest."""
         self._depth += 1
-        if self._depth == 1:
-            self._started, self._collects = perf_counter(), gc.isenabled()
-            gc.disable()
-        if self._depth == 1 and self.is_to_tell:
+        if self._depth > 1:
+            return
+        self._started = perf_counter()
+        self._collects = gc.isenabled()
+        gc.disable()
+        if self.is_to_tell:
             self._timer = threading.Timer(WAIT_BEFORE_TELLING, _tell_of_compilation)
             self._timer.daemon = True
             self._timer.start()
@@ -300,12 +298,13 @@ class CompileClock(event.Listener, threading.local):
     def on_end(self, _event: event.Event) -> None:
         """Called by Numba."""
         self._depth -= 1
-        if self._depth == 0:
-            self.seconds += perf_counter() - self._started
-            if self._collects:
-                gc.enable()
-            if self._timer is not None:
-                self._timer.cancel()
+        if self._depth > 0:
+            return
+        self.seconds += perf_counter() - self._started
+        if self._collects:
+            gc.enable()
+        if self._timer is not None:
+            self._timer.cancel()
 
 
 def _tell_of_compilation() -> None:
@@ -330,9 +329,8 @@ def announce_compilation() -> Iterator[None]:
 
 
 def _source_hash() -> str:
-    digest = hashlib.sha256(
-        f"{numba.__version__} {llvmlite.__version__} {numpy.__version__}".encode()
-    )
+    versions = f"{numba.__version__} {llvmlite.__version__} {numpy.__version__}"
+    digest = hashlib.sha256(versions.encode())
     for name, source in sorted(_kernel_sources().items()):
         digest.update(name.encode() + source)
     return digest.hexdigest()[:16]
@@ -343,34 +341,29 @@ def _kernel_sources() -> dict[str, bytes]:
     import constants or types, which may depend on those of a third file, and so on.
     Imports inside functions do not count: kernels cannot import."""
     package = Path(__file__).parents[2]  # minimd
-    names = {
-        file: ".".join(file.relative_to(package.parent).with_suffix("").parts)
-        for file in package.rglob("*.py")
-    }
-    texts = {name.removesuffix(".__init__"): file.read_bytes() for file, name in names.items()}
+    texts = {}
+    new = set[str]()
+    for file in package.rglob("*.py"):
+        module = ".".join(file.relative_to(package.parent).with_suffix("").parts)
+        module = module.removesuffix(".__init__")
+        texts[module] = file.read_bytes()
+        if HOLDS_KERNELS.search(texts[module]) or module.startswith("minimd.core.compiled."):
+            new.add(module)
     needed = set[str]()
-    new = {
-        name
-        for name, text in texts.items()
-        if HOLDS_KERNELS.search(text) or name.startswith("minimd.core.compiled.")
-    }
     while new:
         needed |= new
-        imports = [pair for name in new for pair in IMPORTED.findall(texts[name].decode())]
-        modules = {module for module, _ in imports}
-        modules.update(
-            f"{module}.{word}" for module, words in imports for word in re.findall(r"\w+", words)
-        )
-        new = modules.intersection(texts) - needed
+        imported = set[str]()
+        for name in new:
+            for module, names in IMPORTED.findall(texts[name].decode()):
+                imported.add(module)
+                imported.update(f"{module}.{name}" for name in re.findall(r"\w+", names))
+        new = imported.intersection(texts) - needed
     return {name: texts[name] for name in needed}
 
 
 def _cache_bases() -> list[Path]:
-    given = os.environ.get("NUMBA_CACHE_DIR")
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
     user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     temporary = f"minimd-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
-    return [
-        *([Path(given)] if given else []),
-        Path(user) / "minimd",
-        Path(tempfile.gettempdir()) / temporary,
-    ]
+    bases = [Path(user) / "minimd", Path(tempfile.gettempdir()) / temporary]
+    return [Path(chosen), *bases] if chosen else bases

@@ -89,7 +89,8 @@ def restrict_features(choice: str) -> None:
     if choice not in WIDER:
         raise ValueError(f"MINIMD_VECTORS must be one of {', '.join(WIDER)}; it is {choice!r}")
     if WIDER[choice]:
-        has = llvm.get_host_cpu_features()
-        signs = ("-" if name.startswith(WIDER[choice]) or not has[name] else "+" for name in has)
-        wanted = ",".join(sign + name for sign, name in zip(signs, has, strict=True))
-        numba.config.CPU_FEATURES = wanted  # type: ignore[attr-defined]
+        features = []
+        for name, is_there in llvm.get_host_cpu_features().items():
+            is_used = is_there and not name.startswith(WIDER[choice])
+            features.append(f"{'+' if is_used else '-'}{name}")
+        numba.config.CPU_FEATURES = ",".join(features)  # type: ignore[attr-defined]

@@ -28,7 +28,10 @@ ROOT = np.uint64(0xBB67AE8584CAA73B)
 ROUNDS = 10
 LAYERS = np.uint64(255)
 MANTISSA = np.uint64((1 << 52) - 1)
-INSIDE, WIDTHS, HEIGHTS = numpys.ki_double, numpys.wi_double, numpys.fi_double  # of the layers
+# of the layers
+INSIDE = numpys.ki_double
+WIDTHS = numpys.wi_double
+HEIGHTS = numpys.fi_double
 TAIL = numpys.ziggurat_nor_r  # where the lowest layer ends and the tail of the curve begins
 UNIT = 2.0**-53
 
@@ -40,9 +43,9 @@ class NoiseStream(namedtuple("NoiseStream", "key counter words place")):
 @inlined
 def new_stream(key):
     """A stream with this key, (2,) uint64; start_stream must be called before its first number."""
-    return NoiseStream(
-        key, np.zeros(4, dtype=np.uint64), np.zeros(4, dtype=np.uint64), np.zeros(1, dtype=np.int64)
-    )
+    counter = np.zeros(4, dtype=np.uint64)
+    words_of_counter = np.zeros(4, dtype=np.uint64)
+    return NoiseStream(key, counter, words_of_counter, np.zeros(1, dtype=np.int64))
 
 
 @scalar
@@ -56,8 +59,10 @@ def three_normals(stream, atom, contact, step):
     if is_x and is_y and is_z:  # 97 of 100
         return x, y, z
     start_stream(stream, atom, contact, step)
-    x, y = normal(stream), normal(stream)
-    return x, y, normal(stream)
+    x = normal(stream)
+    y = normal(stream)
+    z = normal(stream)
+    return x, y, z
 
 
 @scalar
@@ -113,17 +118,16 @@ def _inside(word):
 def _at_edge(x, layer, mantissa, stream):
     """A number that may lie above the curve, and whether it lies under it; or a number of the tail."""
     if layer > np.uint64(0):
-        height = (HEIGHTS[layer - np.uint64(1)] - HEIGHTS[layer]) * _uniform(stream) + HEIGHTS[
-            layer
-        ]
+        low = HEIGHTS[layer]
+        high = HEIGHTS[layer - np.uint64(1)]
+        height = (high - low) * _uniform(stream) + low
         return x, height < exp(-0.5 * x * x)
     while True:
         beyond = -log1p(-_uniform(stream)) * numpys.ziggurat_nor_inv_r
         level = -log1p(-_uniform(stream))
         if level + level > beyond * beyond:
-            return (
-                -(TAIL + beyond) if mantissa >> np.uint64(8) & np.uint64(1) else TAIL + beyond
-            ), True
+            x = TAIL + beyond
+            return (-x if mantissa >> np.uint64(8) & np.uint64(1) else x), True
 
 
 @scalar
@@ -137,9 +141,8 @@ def _next(stream):
     """The next word."""
     if stream.place[0] == 4:
         stream.counter[0] += np.uint64(1)
-        stream.words[0], stream.words[1], stream.words[2], stream.words[3] = _philox(
-            stream.counter, stream.key
-        )
+        for k, word in enumerate(_philox(stream.counter, stream.key)):
+            stream.words[k] = word
         stream.place[0] = 0
     stream.place[0] += 1
     return stream.words[stream.place[0] - 1]
@@ -169,7 +172,8 @@ def _words(_context, a, b):
         wide = ir.IntType(128)
         word = ir.IntType(64)
         product = builder.mul(*(builder.zext(value, wide) for value in values))
-        words = builder.trunc(builder.lshr(product, wide(64)), word), builder.trunc(product, word)
-        return context.make_tuple(builder, kind, words)
+        high = builder.trunc(builder.lshr(product, wide(64)), word)
+        low = builder.trunc(product, word)
+        return context.make_tuple(builder, kind, (high, low))
 
     return kind(types.uint64, types.uint64), generate

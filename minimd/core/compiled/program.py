@@ -80,23 +80,18 @@ class Program:
         """Make operations anew if they are outdated, and compile what is not compiled yet."""
         if not self.is_outdated:
             return
-        made = list(self._make())
-        if len(made) >= MOST_OPERATIONS:
+        operations = list(self._make())
+        if len(operations) >= MOST_OPERATIONS:
             raise ValueError(
-                f"a program has up to {MOST_OPERATIONS - 1} operations; this one has {len(made)}"
+                f"a program has up to {MOST_OPERATIONS - 1} operations; this one has {len(operations)}"
             )
-        rows = [
-            (
-                one.code,
-                0 if one.data is None else one.data.address,
-                one.n_chunks,
-                k + one.then,
-                k + one.otherwise,
-            )
-            for k, one in enumerate(made)
-        ]
-        self._rows = np.array(rows, dtype=np.int64).reshape(-1, 5)
-        self.operations = [one._replace(data=None) if one.is_kept else one for one in made]
+        self._rows = np.zeros((len(operations), 5), dtype=np.int64)
+        for k, each in enumerate(operations):
+            data = 0 if each.data is None else each.data.address
+            self._rows[k] = each.code, data, each.n_chunks, k + each.then, k + each.otherwise
+            if each.is_kept:
+                operations[k] = each._replace(data=None)
+        self.operations = operations
         self._made_for = self._version()
 
     def run(self, first: int = 0) -> None:
@@ -106,15 +101,15 @@ class Program:
         course[AT] = first
         while course[AT] < len(self.operations):
             answer = self._pool.run(self._rows, course)
-            if answer:
-                one = self.operations[course[AT]]
-                if one.python is None:
-                    raise RuntimeError(
-                        f"operation {course[AT]} returned the unknown status {answer}"
-                    )
-                if one.code:
-                    one.python(answer)
-                else:
-                    one.python()
-                course[AT] += one.again if one.code else one.then
-                self.prepare()
+            if not answer:  # the end is reached
+                continue
+            current = self.operations[course[AT]]
+            if current.python is None:
+                raise RuntimeError(f"operation {course[AT]} returned the unknown status {answer}")
+            if current.code:
+                current.python(answer)
+                course[AT] += current.again
+            else:
+                current.python()
+                course[AT] += current.then
+            self.prepare()

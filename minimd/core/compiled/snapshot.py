@@ -69,8 +69,8 @@ class FunctionSnapshot:
             self.function, self.python = self._compiled(function)
         self.digest = self._hash.hexdigest()[:32] if self._is_clear else ""
 
-    def _note(self, *words: Any) -> None:
-        self._hash.update(repr(words).encode())
+    def _note(self, *parts: Any) -> None:
+        self._hash.update(repr(parts).encode())
 
     def _value(self, value: Any) -> tuple[Any, Any]:
         """Copies of what a function reads: for kernels, and for the plain function."""
@@ -90,11 +90,7 @@ class FunctionSnapshot:
             self._note(type(value).__name__, value)
         elif isinstance(value, np.generic) and value.dtype.kind in NUMBER_KINDS:
             self._note("number", value.dtype.str, value.tobytes())
-        elif (
-            type(value) is np.ndarray
-            and value.dtype.kind in NUMBER_KINDS
-            and value.nbytes <= LARGEST_ARRAY
-        ):
+        elif type(value) is np.ndarray and _is_noted(value):
             if not (value.flags.c_contiguous or value.flags.f_contiguous):
                 self._is_clear = False  # Numba reads an array with gaps from its place in memory
             self._note(
@@ -103,10 +99,11 @@ class FunctionSnapshot:
             value = value.copy(order="K")
         elif type(value) is tuple:
             self._note("tuple", len(value))
-            copies = [self._value(one) for one in value]
+            copies = [self._value(part) for part in value]
             return tuple(first for first, _ in copies), tuple(second for _, second in copies)
         else:
-            self._is_clear, value = False, _copied(value)
+            self._is_clear = False
+            value = _independent(value)
         return value, value
 
     def _compiled(self, function: Any) -> tuple[Any, Any]:
@@ -114,11 +111,8 @@ class FunctionSnapshot:
         if id(function) in self._copies:
             self._note("again", list(self._copies).index(id(function)))
             return self._copies[id(function)]
-        if (
-            type(function) not in (CPUDispatcher, PartOfKernel)
-            or function.locals
-            or _has_fixed_signatures(function)
-        ):
+        is_plain = type(function) in (CPUDispatcher, PartOfKernel) and not function.locals
+        if not is_plain or _has_fixed_signatures(function):
             self._is_clear = False
             return function, function
         self._note("options")
@@ -141,10 +135,11 @@ class FunctionSnapshot:
         values = self._data(tuple(defaults))
         keyword_values = self._data(tuple(keywords.values()))
         self._note(tuple(keywords))
-        named = [dict(zip(keywords, each, strict=True)) or None for each in keyword_values]
-        return unread(function, values[0] or None, named[0]), unread(
-            function, values[1] or None, named[1]
-        )
+        shells = []
+        for defaults, copies in zip(values, keyword_values, strict=True):
+            named = dict(zip(keywords, copies, strict=True))
+            shells.append(unread(function, defaults or None, named or None))
+        return shells[0], shells[1]
 
     def _fill(self, function: FunctionType, first: FunctionType, second: FunctionType) -> None:
         """Give the shells copies of the globals and closure cells that the function reads."""
@@ -153,17 +148,16 @@ class FunctionSnapshot:
         for name in names:
             self._note("global", name)
             if name in function.__globals__:
-                first.__globals__[name], second.__globals__[name] = self._value(
-                    function.__globals__[name]
-                )
+                copies = self._value(function.__globals__[name])
+                first.__globals__[name], second.__globals__[name] = copies
             elif not hasattr(builtins, name):
                 self._is_clear = False  # it is not defined
-        for cell, *copies in zip(
-            *(f.__closure__ or () for f in (function, first, second)), strict=True
-        ):
+        closures = [each.__closure__ or () for each in (function, first, second)]
+        for cell, first_cell, second_cell in zip(*closures, strict=True):
             self._note("cell")
             try:
-                copies[0].cell_contents, copies[1].cell_contents = self._value(cell.cell_contents)
+                copies = self._value(cell.cell_contents)
+                first_cell.cell_contents, second_cell.cell_contents = copies
             except ValueError:  # it is empty
                 self._is_clear = False
 
@@ -193,14 +187,17 @@ def unread(
 
 def globals_read(code: CodeType) -> tuple[list[str], bool]:
     """Names of the globals that a code reads, functions defined in it included, and whether it imports modules."""
-    instructions = [one for part in _with_inner(code) for one in dis.get_instructions(part)]
-    names = sorted(
-        {one.argval for one in instructions if one.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
-    )
-    return names, any(one.opname == "IMPORT_NAME" for one in instructions)
+    names = set[str]()
+    imports = False
+    for part in _with_inner(code):
+        for instruction in dis.get_instructions(part):
+            if instruction.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
+                names.add(instruction.argval)
+            imports |= instruction.opname == "IMPORT_NAME"
+    return sorted(names), imports
 
 
-def _copied(value: Any) -> Any:
+def _independent(value: Any) -> Any:
     """A copy that later changes do not reach, if possible; a module's has its names, not copies of what they hold."""
     if isinstance(value, ModuleType):
         # Numba tells modules apart by their names
@@ -218,6 +215,11 @@ def _with_inner(code: CodeType) -> Iterator[CodeType]:
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
             yield from _with_inner(constant)
+
+
+def _is_noted(array: np.ndarray) -> bool:
+    """Whether all elements of an array enter the digest."""
+    return array.dtype.kind in NUMBER_KINDS and array.nbytes <= LARGEST_ARRAY
 
 
 def _is_trusted(module: Any) -> bool:

@@ -23,7 +23,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import call_at
-from minimd.core.compiled.kernels import code_for, kernel, scalar, shared_kernel, types_of
+from minimd.core.compiled.kernels import code_for, kernel, scalar, types_of
 
 # shared counters: the open phase, see _word; the program it belongs to; the finished chunks of the open phase; what its
 # operation has answered; and for each chunk the last phase in which it was taken
@@ -68,16 +68,18 @@ class ThreadPool:
     def __init__(self, n_threads: int) -> None:
         self.n_threads = n_threads
         self._code: Callable | None = None  # of run_operations
-        self._busy, self._counters = threading.Lock(), no_counts()
+        self._busy = threading.Lock()
+        self._counters = no_counts()
         self._task: tuple = ()
         self._core = -1
-        self._wake = [threading.Lock() for _ in range(n_threads - 1)]
-        named = enumerate(self._wake, start=1)
-        self._helpers = [
-            threading.Thread(target=self._help, args=one, daemon=True) for one in named
-        ]
-        for wake, helper in zip(self._wake, self._helpers, strict=True):
+        self._wake: list[threading.Lock] = []
+        self._helpers: list[threading.Thread] = []
+        for thread in range(1, n_threads):
+            wake = threading.Lock()
             wake.acquire()
+            helper = threading.Thread(target=self._help, args=(thread, wake), daemon=True)
+            self._wake.append(wake)
+            self._helpers.append(helper)
             helper.start()
 
     def run(self, operations: NDArray[np.int64], course: NDArray[np.int64]) -> int:
@@ -107,7 +109,8 @@ class ThreadPool:
         """Keep helpers off this core: Linux tends to wake a thread on its waker's, where it would wait for its end."""
         core = _current_core()
         if core != self._core:
-            self._core, cores = core, os.sched_getaffinity(0)
+            self._core = core
+            cores = os.sched_getaffinity(0)
             for helper in self._helpers:
                 if helper.is_alive() and helper.native_id is not None:
                     with suppress(OSError):  # it may end just now
@@ -116,7 +119,8 @@ class ThreadPool:
     def _help(self, thread: int, wake: threading.Lock) -> None:
         while True:
             wake.acquire()
-            if current := self._task:  # else it is too late
+            current = self._task
+            if current:  # else it is too late
                 counters, task, code, operations, course = current
                 code(Worker(counters, thread, self.n_threads), task, operations, course)
                 del current, code, operations, course
@@ -136,7 +140,11 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_shared_pool.cache_clear)
 
 
-@shared_kernel
+# of kernels that several threads run at once: they do not hold Python's lock
+without_lock = functools.partial(kernel, nogil=True)
+
+
+@without_lock
 def run_operations(worker, task, operations, course):
     """Run operations, from course[AT] on, until one of them answers with a number above 0, or there is none left.
 
@@ -167,7 +175,7 @@ def run_operations(worker, task, operations, course):
             if answer != GO_ON:
                 _exchange(counters, ANSWER, answer)
             if _add(counters, FINISHED, 1) == n - 1:
-                _finish(counters, word, operations, course)
+                _end_phase(counters, word, operations, course)
                 break
             chunk = _take(worker, word, n)
         before = word
@@ -185,8 +193,8 @@ def _run_alone(operations, course):
     while answer <= GO_ON and at < operations.shape[0]:
         answer = PYTHON if operations[at, CHUNKS] == 0 else GO_ON
         for chunk in range(operations[at, CHUNKS]):
-            given = call_at(operations[at, CODE], (operations[at, DATA], chunk))
-            answer = given if given != GO_ON else answer
+            reply = call_at(operations[at, CODE], (operations[at, DATA], chunk))
+            answer = reply if reply != GO_ON else answer
         if answer <= GO_ON:
             at = operations[at, THEN if answer == GO_ON else OTHERWISE]
     course[AT] = at
@@ -194,7 +202,7 @@ def _run_alone(operations, course):
 
 
 @scalar
-def _finish(counters, word, operations, course):
+def _end_phase(counters, word, operations, course):
     """What the thread does that finishes the last chunk of a phase: it opens the next one."""
     answer = _read(counters, ANSWER)
     at = word >> BITS & MOST_OPERATIONS
@@ -256,11 +264,10 @@ def _atomic(name: str):
 
     @intrinsic
     def change(_context, counters, place, number):
-        emit = _at(
-            counters,
-            lambda builder, address, number: builder.atomic_rmw(name, address, number, "seq_cst"),
-        )
-        return types.int64(counters, types.intp, types.int64), emit
+        def emit(builder, address, number):
+            return builder.atomic_rmw(name, address, number, "seq_cst")
+
+        return types.int64(counters, types.intp, types.int64), _at(counters, emit)
 
     return change
 
@@ -279,14 +286,14 @@ def _read(_context, counters, place):
 @intrinsic
 def _replace(_context, counters, place, expected, number):
     """Write a number if the counter still has the expected one; returns what it was."""
-    emit = _at(
-        counters,
-        lambda code, *values: code.extract_value(code.cmpxchg(*values, "seq_cst", "seq_cst"), 0),
-    )
-    return types.int64(counters, types.intp, types.int64, types.int64), emit
+
+    def emit(builder, *values):
+        return builder.extract_value(builder.cmpxchg(*values, "seq_cst", "seq_cst"), 0)
+
+    return types.int64(counters, types.intp, types.int64, types.int64), _at(counters, emit)
 
 
-@shared_kernel
+@without_lock
 def _linger(counters, task):
     """Stay awake for a moment after a program: in a run of steps the next one begins soon."""
     reads = 0

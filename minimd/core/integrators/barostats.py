@@ -7,6 +7,7 @@ total energy minus reservoir energy changes only by errors of the time step.
 
 from dataclasses import dataclass, field, fields
 from math import inf, log, sqrt
+from typing import Any
 
 import numpy as np
 
@@ -102,39 +103,33 @@ class StochasticCellRescaling(Displayed):
             checked_number("temperature", self.temperature, "finite and not negative")
         checked_choice("coupling", self.coupling, COUPLINGS)
         axes = np.array([axis in self.coupling for axis in AXES], dtype=np.float64)
-        object.__setattr__(
-            self, "mask", np.ones((3, 3)) if self.coupling == "triclinic" else np.diag(axes)
-        )
+        mask = np.ones((3, 3)) if self.coupling == "triclinic" else np.diag(axes)
+        object.__setattr__(self, "mask", mask)
 
     def __repr__(self) -> str:
-        given = (
-            f"{name}={value!r}" for name, value in self.parameters.items() if value is not None
-        )
-        return f"StochasticCellRescaling({', '.join(given)})"
+        arguments = (f"{name}={value!r}" for name, value in self._stated())
+        return f"StochasticCellRescaling({', '.join(arguments)})"
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        given = [
-            (name, as_text(value)) for name, value in self.parameters.items() if value is not None
-        ]
-        return [("barostat", "stochastic cell rescaling"), *given]
+        rows = [("barostat", "stochastic cell rescaling")]
+        return rows + [(name, as_text(value)) for name, value in self._stated()]
 
     @property
     def parameters(self) -> dict[str, float | int | str | None]:
         """The constructor arguments that recreate this barostat, by name."""
-        return {one.name: getattr(self, one.name) for one in fields(self) if one.init}
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.init}
+
+    def _stated(self) -> list[tuple[str, Any]]:
+        return [(name, value) for name, value in self.parameters.items() if value is not None]
 
     def strain(self, state: ThermodynamicState, duration: float, number: int) -> Array:
         """ε, (3, 3).  duration : h [time].  number : of the step; it selects the noise."""
         white = philox(self.seed, 0, number, OWN_STREAM).standard_normal((3, 3))
         if self.coupling == "isotropic":
-            spread = sqrt(
-                0.5 * state.thermal * self.compressibility * duration / self.relaxation_time
-            )
-            # λ′/λ
-            larger = 1.0 + (self._drift_of_root(state, duration) + spread * white[0, 0]) / sqrt(
-                state.volume
-            )
+            variance = 0.5 * state.thermal * self.compressibility * duration / self.relaxation_time
+            change = self._drift_of_root(state, duration) + sqrt(variance) * white[0, 0]
+            larger = 1.0 + change / sqrt(state.volume)  # λ′/λ
             return np.diag(np.full(3, 2.0 / 3.0 * log(larger) if larger > 0.0 else -inf))
         slowness = 3.0 * state.volume * self.relaxation_time
         spread = sqrt(2.0 * state.thermal * self.compressibility * duration / slowness)
@@ -163,19 +158,10 @@ class StochasticCellRescaling(Displayed):
 
     def _drift_of_root(self, state: ThermodynamicState, duration: float) -> float:
         """b = −(βλh/2τ) (P₀ − P − k_B T/2V) [√volume]."""
-        excess = (
-            float(np.trace(state.pressure)) / 3.0
-            - self.pressure
-            + 0.5 * state.thermal / state.volume
-        )
-        return (
-            0.5
-            * self.compressibility
-            * sqrt(state.volume)
-            * duration
-            / self.relaxation_time
-            * excess
-        )
+        pressure = float(np.trace(state.pressure)) / 3.0
+        excess = pressure - self.pressure + 0.5 * state.thermal / state.volume
+        root = sqrt(state.volume)
+        return 0.5 * self.compressibility * root * duration / self.relaxation_time * excess
 
     def _drift_of_strain(self, state: ThermodynamicState, duration: float) -> Array:
         """m = −(βh/3τ) 𝒫[P₀ 1 − P], (3, 3)."""
@@ -194,7 +180,8 @@ def exponential(strain: Array) -> Array:
 def turned_back(before: Array, strained: Array) -> tuple[Array, Array]:
     """Strained lattice vectors (3, 3), rows, rotated so that the first has its old direction and the first two their
     old plane; and the rotation."""
-    (frame, _), (own, triangle) = (np.linalg.qr(vectors.T) for vectors in (before, strained))
+    frame, _ = np.linalg.qr(before.T)
+    own, triangle = np.linalg.qr(strained.T)
     # of the axes: a strain turns them only slightly
     signs = np.sign(np.einsum("ij,ij->j", frame, own))
     own = own * signs

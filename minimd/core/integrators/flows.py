@@ -11,7 +11,9 @@ from minimd.core.compiled.program import GO_ON, OUT_OF_RANGE
 from minimd.core.compiled.simd import fma, select
 from minimd.core.compiled.simd.vector import MAGIC
 
-KICK, DRIFT = 0.0, 1.0  # kinds of flows
+# kinds of flows
+KICK = 0.0
+DRIFT = 1.0
 
 
 @scalar

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.console.display import Displayed, Rows, as_text, call_of
+from minimd.core.console.words import shown
 from minimd.core.structure.checks import SHORTEST, checked_number
 
 __all__ = ["Method"]
@@ -103,22 +104,16 @@ class Method(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        kind = [
-            word
-            for word, holds in (
-                ("symmetric", self.is_symmetric),
-                ("symplectic", self.is_symplectic),
-            )
-            if holds
-        ]
-        rows = [
-            (
-                "method",
-                f"{type(self).__name__}, order {self.order}{''.join(f', {word}' for word in kind)}",
-            )
-        ]
+        properties = f"{type(self).__name__}, order {self.order}"
+        if self.is_symmetric:
+            properties += ", symmetric"
+        if self.is_symplectic:
+            properties += ", symplectic"
+        rows = [("method", properties)]
         rows += [(name, as_text(value)) for name, value in self.parameters.items()]
-        return rows + ([("source", self.source)] if hasattr(self, "source") else [])
+        if hasattr(self, "source"):
+            rows.append(("source", self.source))
+        return rows
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
@@ -132,12 +127,19 @@ class Method(Displayed):
         return cls.order
 
 
+def check_class(method: Any, kind: type[Method] = Method) -> None:
+    """TypeError for anything but the class of a method.  kind : its base class."""
+    if not (isinstance(method, type) and issubclass(method, kind)):
+        raise TypeError(
+            f"method must be a class, such as VelocityVerlet, not an object; method = {shown(method)}"
+        )
+
+
 def methods_of(*modules: ModuleType) -> dict[str, Any]:
     """The methods that modules define, by name: their public classes that have an attribute `name`."""
-    classes = [
-        value
-        for module in modules
-        for name, value in vars(module).items()
-        if name in module.__all__
-    ]
-    return {method.name: method for method in classes if hasattr(method, "name")}
+    methods = {}
+    for module in modules:
+        for name, value in vars(module).items():
+            if name in module.__all__ and hasattr(value, "name"):
+                methods[value.name] = value
+    return methods

@@ -26,7 +26,15 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from minimd.core.integrators.method import Array
-from minimd.core.integrators.substeps import Drift, Kick, Substep, Substeps, mechanical
+from minimd.core.integrators.substeps import (
+    Drift,
+    Kick,
+    Substep,
+    Substeps,
+    checked_substeps,
+    mechanical,
+)
+from minimd.core.structure.checks import checked_number
 
 __all__ = [
     "accurate_step",
@@ -42,19 +50,20 @@ TOLERANCE = 1e-12  # coefficients of 14 digits pass; a condition that fails leav
 Word = tuple[type[Substep], ...]
 
 
-@cache
 def separable_order(substeps: Substeps) -> int:
-    """Order for every H = T(p) + V(q), at most HIGHEST_ORDER; 0 if the sequence is not consistent."""
-    return _first_failure(substeps, separable_residuals)
+    """Order for every H = T(p) + V(q), at most HIGHEST_ORDER; 0 if the sequence is not consistent.
+    Raises TypeError, ValueError for wrong substeps, as all functions here: see checked_substeps."""
+    return _order(checked_substeps(substeps), separable_residuals)
 
 
-@cache
 def nystrom_order(substeps: Substeps) -> int:
     """Order for H = p²/2m + V(q), at most HIGHEST_ORDER; 0 if the sequence is not consistent."""
-    return _first_failure(substeps, nystrom_residuals)
+    return _order(checked_substeps(substeps), nystrom_residuals)
 
 
-def _first_failure(substeps: Substeps, residuals: Callable[[Substeps, int], list[float]]) -> int:
+@cache
+def _order(substeps: Substeps, residuals: Callable[[Substeps, int], list[float]]) -> int:
+    """The highest order up to which there are no residuals."""
     for order in range(1, HIGHEST_ORDER + 1):
         if max(map(abs, residuals(substeps, order))) > TOLERANCE:
             return order - 1
@@ -68,17 +77,18 @@ def separable_residuals(substeps: Substeps, order: int) -> list[float]:
     letters T, V has the coefficient 1/n!. Both series are group-like, and such series agree if they agree on the Lyndon
     words, the words that come before all their rotations. For n = 1, …, 8 there are 2, 1, 2, 3, 6, 9, 18, 30 of them,
     as many as there are independent conditions (C. Reutenauer, Free Lie Algebras (1993), chapter 6)."""
-    return [
-        word_coefficient(substeps, word) - 1.0 / factorial(order) for word in lyndon_words(order)
-    ]
+    exact = 1.0 / factorial(order)
+    return [word_coefficient(substeps, word) - exact for word in lyndon_words(order)]
 
 
 @cache
 def lyndon_words(length: int) -> tuple[Word, ...]:
     """Words in Drift < Kick that come strictly before each of their rotations."""
-    words = product((0, 1), repeat=length)
-    lyndon = (word for word in words if all(word < word[k:] + word[:k] for k in range(1, length)))
-    return tuple(tuple((Drift, Kick)[letter] for letter in word) for word in lyndon)
+    lyndon = []
+    for letters in product((0, 1), repeat=length):
+        if all(letters < letters[k:] + letters[:k] for k in range(1, length)):
+            lyndon.append(tuple((Drift, Kick)[letter] for letter in letters))
+    return tuple(lyndon)
 
 
 def word_coefficient(substeps: Substeps, word: Word) -> float:
@@ -115,17 +125,16 @@ def nystrom_residuals(substeps: Substeps, order: int) -> list[float]:
     b = np.array([substeps[k].coefficient for k in kicks])
     c = np.array([drifts_sum(substeps[:k]) for k in kicks])
     a = np.tril(b * (c[:, None] - c), -1)
-    one = np.ones_like(c)
     branches = [Branch(1, c, 1.0)]
     for power in range(1, order + 1):
-        found = bunches(branches, power - 1)
-        trees = [
-            (np.prod([one, *(t.values for t in tree)], axis=0), prod(t.kappa for t in tree))
-            for tree in found
-        ]
-        branches += [
-            Branch(power + 1, a @ values, kappa / (power * (power + 1))) for values, kappa in trees
-        ]
+        trees = []
+        for tree in bunches(branches, power - 1):
+            values = np.ones_like(c)
+            for branch in tree:
+                values = values * branch.values
+            trees.append((values, prod(branch.kappa for branch in tree)))
+        for values, kappa in trees:
+            branches.append(Branch(power + 1, a @ values, kappa / (power * (power + 1))))
     residuals = [float(b @ values - kappa / order) for values, kappa in trees]
     return residuals if order > 1 else [*residuals, drifts_sum(substeps) - 1.0]
 
@@ -157,36 +166,39 @@ def propagation(substeps: Substeps, h: float) -> Array:
     matrix = np.eye(2)
     for substep in mechanical(substeps):
         c = substep.coefficient * h
-        matrix = (
-            np.array(
-                [[1.0, 0.0], [-c, 1.0]] if isinstance(substep, Kick) else [[1.0, c], [0.0, 1.0]]
-            )
-            @ matrix
-        )
+        flow = [[1.0, 0.0], [-c, 1.0]] if isinstance(substep, Kick) else [[1.0, c], [0.0, 1.0]]
+        matrix = np.array(flow) @ matrix
     return matrix
 
 
-@cache
 def stability_limit(substeps: Substeps) -> float:
     """The stability limit of h = ωΔt: |tr M(h)| ≤ 2 for all h up to it; 2 for velocity Verlet, 0 if no step is stable.
 
     tr M is a polynomial in x = h², from M = (a hb; −hc d), where a, b, c and d are polynomials in x. It is evaluated
     once between each two neighboring roots of tr M = ±2, so that no window of instability is too narrow to be found. A
     root at which tr M only touches ±2 is no limit."""
-    a, b = (Polynomial([1.0]), Polynomial([0.0]))
-    c, d = (Polynomial([0.0]), Polynomial([1.0]))
+    return _stability_limit(checked_substeps(substeps))
+
+
+@cache
+def _stability_limit(substeps: Substeps) -> float:
+    a = d = Polynomial([1.0])
+    b = c = Polynomial([0.0])
     x = Polynomial([0.0, 1.0])
     for substep in mechanical(substeps):
         if isinstance(substep, Kick):
-            c, d = c + substep.coefficient * a, d - substep.coefficient * x * b
+            c = c + substep.coefficient * a
+            d = d - substep.coefficient * x * b
         else:
-            a, b = a - substep.coefficient * x * c, b + substep.coefficient * d
+            a = a - substep.coefficient * x * c
+            b = b + substep.coefficient * d
     trace = a + d
     roots = np.concatenate([(trace - 2.0).roots(), (trace + 2.0).roots()])
-    edges = np.unique(roots[(abs(roots.imag) <= REAL * abs(roots)) & (roots.real > REAL)].real)
+    is_edge = (abs(roots.imag) <= REAL * abs(roots)) & (roots.real > REAL)
     start = 0.0
-    for end in edges:
-        if abs(np.trace(propagation(substeps, np.sqrt(0.5 * (start + end))))) - 2.0 > ROUNDING:
+    for end in np.unique(roots[is_edge].real):
+        middle = propagation(substeps, np.sqrt(0.5 * (start + end)))
+        if abs(np.trace(middle)) - 2.0 > ROUNDING:
             break
         start = end
     return float(np.sqrt(start))
@@ -198,7 +210,8 @@ def energy_oscillation(substeps: Substeps, h: float) -> float:
     A stable step M = (a b; c d) conserves the quadratic form −c q² + (a − d) q v + b v². States lie on an ellipse; on
     its axes the energy (q² + v²)/2 is largest and smallest. Velocity Verlet has h²/(8 − h²):
     1/80 at 20 steps per period.  h : ωΔt."""
-    (a, b), (c, d) = propagation(substeps, h)
+    h = checked_number("h", h)
+    (a, b), (c, d) = propagation(checked_substeps(substeps), h)
     if abs(a + d) >= 2.0:
         return float("inf")
     form = np.array([[-c, 0.5 * (a - d)], [0.5 * (a - d), b]])
@@ -206,18 +219,24 @@ def energy_oscillation(substeps: Substeps, h: float) -> float:
     return float((largest - smallest) / (largest + smallest))
 
 
-@cache
 def accurate_step(substeps: Substeps, oscillation: float) -> float:
     """The largest ωΔt, at most half the stability limit, up to which energy_oscillation stays within a fraction."""
+    checked_number("oscillation", oscillation, "finite and not negative")
+    return _accurate_step(checked_substeps(substeps), oscillation)
+
+
+@cache
+def _accurate_step(substeps: Substeps, oscillation: float) -> float:
     steps = np.linspace(0.0, 0.5 * stability_limit(substeps), SCANNED)
     too_long = [energy_oscillation(substeps, h) > oscillation for h in steps[1:]]
     if not any(too_long):
         return float(steps[-1])
-    low = steps[np.argmax(too_long)]
-    high = steps[np.argmax(too_long) + 1]
+    n_short = np.argmax(too_long)
+    low, high = steps[n_short : n_short + 2]
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (
-            (middle, high) if energy_oscillation(substeps, middle) <= oscillation else (low, middle)
-        )
+        if energy_oscillation(substeps, middle) <= oscillation:
+            low = middle
+        else:
+            high = middle
     return float(low)

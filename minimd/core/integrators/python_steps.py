@@ -35,12 +35,11 @@ def advance(
 
     around = Surroundings() if surroundings is None else surroundings
     first = 0 if around.bath is None else around.bath.step
-    made = Steps(method, state, around, ForceSource(evaluation)).advance(
-        n_steps, with_energy, first
-    )
+    steps = Steps(method, state, around, ForceSource(evaluation))
+    n_made = steps.advance(n_steps, with_energy, first)
     if around.bath is not None:
-        around.bath.step += made
-    return made
+        around.bath.step += n_made
+    return n_made
 
 
 def contact(
@@ -52,13 +51,13 @@ def contact(
         bath = Bath() if around.bath is None else around.bath
         bath.step = moment.step
         bath.contact = moment.contact
-        given = bath.energy
+        heat = bath.energy
         around.project(state)
         before = kinetic_energy(state.velocities, state.masses)
         method.thermalize(state, duration, around)
         around.project(state)
         if method.is_thermostat:
-            bath.energy = given + kinetic_energy(state.velocities, state.masses) - before
+            bath.energy = heat + kinetic_energy(state.velocities, state.masses) - before
         state.settle()
 
     yield in_python(thermalize)

@@ -11,7 +11,10 @@ Numerica 11, 341 (2002).
 from collections.abc import Sequence
 from itertools import chain
 
+import numpy as np
+
 from minimd.core.console.words import shown
+from minimd.core.integrators.method import check_class
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.substeps import (
     Drift,
@@ -25,6 +28,7 @@ from minimd.core.integrators.substeps import (
     repeated,
     scaled,
 )
+from minimd.core.structure.checks import checked_numbers
 
 __all__ = [
     "PEFRL",
@@ -107,7 +111,8 @@ class SE2(Splitting):
     source = "E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), VI.3"
 
 
-CBRT2, CBRT4 = 2.0 ** (1.0 / 3.0), 4.0 ** (1.0 / 3.0)
+CBRT2 = 2.0 ** (1.0 / 3.0)
+CBRT4 = 4.0 ** (1.0 / 3.0)
 Part = Substep | type[Splitting]
 
 
@@ -126,30 +131,40 @@ def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitt
     Raises
     ------
     TypeError : for parts of another kind or with a bath, or methods mixed with flows without weights.
-    ValueError : if there are no parts, or not as many weights as parts.
+    ValueError : if there are no parts, or not as many weights as parts, all finite numbers.
     """
+    rows: list[Substeps] = []
+    names = []
     for part in parts:
-        if not isinstance(part, (Kick, Drift)) and not (
-            isinstance(part, type) and issubclass(part, Splitting)
-        ):
-            kinds = "methods, such as VelocityVerlet, or flows, such as Kick(0.5)"
-            raise TypeError(f"parts must be {kinds}; got {shown(part)}")
-        _refuse_bath(part)
+        if isinstance(part, Kick | Drift):
+            rows.append((part,))
+            names.append(repr(part))
+        elif isinstance(part, type) and issubclass(part, Splitting):
+            rows.append(_undoable(part))
+            names.append(part.name)
+        else:
+            raise TypeError(
+                f"parts must be methods, such as VelocityVerlet, or flows, such as Kick(0.5); got {shown(part)}"
+            )
     if weights is None:
         n_methods = sum(isinstance(part, type) for part in parts)
         if 0 < n_methods < len(parts):
-            needed = "weights are given: the fraction of the time step for each part"
-            raise TypeError(f"methods and flows can be mixed only if {needed}")
+            raise TypeError(
+                "methods and flows can be mixed only if weights are given: the fraction of the time step for each part"
+            )
         weights = [1.0 / n_methods if n_methods else 1.0] * len(parts)
-    if len(weights) != len(parts) or not parts:
-        given = f"{len(parts)} parts, {len(weights)} weights"
+    expected = "finite numbers, one for each part"
+    fractions = checked_numbers("weights", weights, expected)
+    if fractions.ndim != 1 or not np.isfinite(fractions).all():
+        raise ValueError(f"weights must be {expected}; weights = {shown(weights)}")
+    if len(fractions) != len(parts) or not parts:
         raise ValueError(
-            f"there must be at least one part, and as many weights as parts; got {given}"
+            "there must be at least one part, and as many weights as parts; "
+            f"got {len(parts)} parts, {len(fractions)} weights"
         )
-    rows = (part.sequence() if isinstance(part, type) else (part,) for part in parts)
-    sequences = [scaled(row, weight) for row, weight in zip(rows, weights, strict=True)]
-    title = " ∘ ".join(part.name if isinstance(part, type) else repr(part) for part in parts)
-    substeps = merged(chain.from_iterable(reversed(sequences)))
+    title = " ∘ ".join(names)
+    sequences = map(scaled, reversed(rows), reversed(fractions.tolist()))
+    substeps = merged(chain.from_iterable(sequences))
     return _method(f"compose({title})", substeps, f"composition of its parts, {title}")
 
 
@@ -162,21 +177,19 @@ def adjoint(method: type[Splitting]) -> type[Splitting]:
     ------
     TypeError : for a method with a bath, which cannot be undone, or anything but a method.
     """
-    if not (isinstance(method, type) and issubclass(method, Splitting)):
-        raise TypeError(f"method must be a class, such as VelocityVerlet; method = {shown(method)}")
-    _refuse_bath(method)
-    return _method(
-        f"adjoint({method.name})",
-        mirrored(method.sequence()),
-        f"adjoint of {method.name}: {method.source}",
-    )
+    check_class(method, Splitting)
+    substeps = mirrored(_undoable(method))
+    name = method.name
+    return _method(f"adjoint({name})", substeps, f"adjoint of {name}: {method.source}")
 
 
-def _refuse_bath(part: Part) -> None:
-    if isinstance(part, type) and part.is_thermostat:
+def _undoable(method: type[Splitting]) -> Substeps:
+    """The sequence of a method without a bath."""
+    if method.is_thermostat:
         raise TypeError(
-            f"{part.name} is a thermostat: its steps can be neither inverted nor divided into fractions"
+            f"{method.name} is a thermostat: its steps can be neither inverted nor divided into fractions"
         )
+    return method.sequence()
 
 
 def _method(name: str, substeps: Substeps, source: str) -> type[Splitting]:
@@ -201,8 +214,11 @@ class CandyRozmus4(Splitting):
     kicks  b₁ = b₃ = 1/(2 − ∛2) = 2a₁,   b₂ = 1/(1 − ∛4) = −∛2 b₁"""
 
     name = "candy-rozmus-4"
-    _a1, _a2 = (2.0 + CBRT2 + 1.0 / CBRT2) / 6.0, (1.0 - CBRT2 - 1.0 / CBRT2) / 6.0
-    substeps = alternating(Drift, palindrome((_a1, 1.0 / (2.0 - CBRT2), _a2, 1.0 / (1.0 - CBRT4))))
+    _a1 = (2.0 + CBRT2 + 1.0 / CBRT2) / 6.0
+    _a2 = (1.0 - CBRT2 - 1.0 / CBRT2) / 6.0
+    _b1 = 1.0 / (2.0 - CBRT2)
+    _b2 = 1.0 / (1.0 - CBRT4)
+    substeps = alternating(Drift, palindrome((_a1, _b1, _a2, _b2)))
     source = (
         "J. Candy, W. Rozmus, J. Comput. Phys. 92, 230 (1991); E. Forest, R. D. Ruth, Physica D 43, 105 (1990); "
         "H. Yoshida, Phys. Lett. A 150, 262 (1990)"
@@ -215,7 +231,8 @@ class Suzuki4(Splitting):
     γ₁ = γ₂ = γ₄ = γ₅ = 1/(4 − ∛4),  γ₃ = 1 − 4γ₁ = −∛4 γ₁"""
 
     name = "suzuki-4"
-    _g1, _g3 = 1.0 / (4.0 - CBRT4), -CBRT4 / (4.0 - CBRT4)
+    _g1 = 1.0 / (4.0 - CBRT4)
+    _g3 = -CBRT4 / (4.0 - CBRT4)
     substeps = repeated(VelocityVerlet.substeps, palindrome((_g1, _g1, _g3)))
     source = "M. Suzuki, Phys. Lett. A 146, 319 (1990)"
 
@@ -259,10 +276,14 @@ class BlanesMoan4(Splitting):
     Its free parameters are chosen so that the error terms of order 5 left for quadratic kinetic energy are small."""
 
     name = "blanes-moan-rkn-4"
-    _a1, _a2 = 0.245298957184271, 0.604872665711080
-    _b1, _b2, _b3 = 0.0829844064174052, 0.396309801498368, -0.0390563049223486
-    _half = (_b1, _a1, _b2, _a2, _b3, 0.5 - (_a1 + _a2), 1.0 - 2.0 * (_b1 + _b2 + _b3))
-    substeps = alternating(Kick, palindrome(_half))
+    _a1 = 0.245298957184271
+    _a2 = 0.604872665711080
+    _a3 = 0.5 - (_a1 + _a2)
+    _b1 = 0.0829844064174052
+    _b2 = 0.396309801498368
+    _b3 = -0.0390563049223486
+    _b4 = 1.0 - 2.0 * (_b1 + _b2 + _b3)
+    substeps = alternating(Kick, palindrome((_b1, _a1, _b2, _a2, _b3, _a3, _b4)))
     source = "S. Blanes, P. C. Moan, J. Comput. Appl. Math. 142, 313 (2002), table 3"
 
 
@@ -270,10 +291,11 @@ class Yoshida6(Splitting):
     """Yoshida's solution A: order 6 from seven steps of velocity Verlet, seven kicks."""
 
     name = "yoshida-6"
-    _w3, _w2, _w1 = 0.78451361047755726382, 0.23557321335935813368, -1.17767998417887100695
-    substeps = repeated(
-        VelocityVerlet.substeps, palindrome((_w3, _w2, _w1, 1.0 - 2.0 * (_w1 + _w2 + _w3)))
-    )
+    _w1 = -1.17767998417887100695
+    _w2 = 0.23557321335935813368
+    _w3 = 0.78451361047755726382
+    _w0 = 1.0 - 2.0 * (_w1 + _w2 + _w3)
+    substeps = repeated(VelocityVerlet.substeps, palindrome((_w3, _w2, _w1, _w0)))
     source = "H. Yoshida, Phys. Lett. A 150, 262 (1990), table 1, solution A"
 
 

@@ -70,18 +70,17 @@ class Splitting(Method):
     def on(cls, problem: Problem) -> Step:
         """The step on a problem with q and v, see Partitioned.sequence_step.  Raises TypeError for other problems."""
         if not hasattr(problem, "sequence_step"):
-            needed = "a problem with q and v, SecondOrder or Partitioned"
-            raise TypeError(f"{cls.name} needs {needed}; got {type(problem).__name__}")
+            raise TypeError(
+                f"{cls.name} needs a problem with q and v, SecondOrder or Partitioned; got {type(problem).__name__}"
+            )
         return problem.sequence_step(cls.sequence())
 
     @classmethod
     def order_on(cls, problem: Problem) -> int:
         """See Method."""
-        return (
-            problem.sequence_order(cls.sequence())
-            if hasattr(problem, "sequence_order")
-            else cls.order
-        )
+        if hasattr(problem, "sequence_order"):
+            return problem.sequence_order(cls.sequence())
+        return cls.order
 
     def advance(
         self,

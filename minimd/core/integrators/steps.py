@@ -31,6 +31,7 @@ from minimd.core.compiled.program import (
     operation,
 )
 from minimd.core.compiled.threads import ThreadPool, thread_pool
+from minimd.core.console.words import shown
 from minimd.core.integrators.flows import DRIFT, KICK, Moving, move_atoms
 from minimd.core.integrators.state import GridState, State, Surroundings
 from minimd.core.integrators.substeps import Drift, Kick, Substep, Substeps, Thermalize, merged
@@ -137,44 +138,63 @@ def count_step(counting, _chunk):
     return JUMP if counts[MADE] >= counts[TO_MAKE] else GO_ON
 
 
-def unit_of(row: Substeps, one: Kick | Drift) -> float:
+def unit_of(row: Substeps, flow: Kick | Drift) -> float:
     """The coefficient over which a kick or a drift is rounded on a grid: that of its kind at an end of the step,
     if it is a whole multiple of it; two half kicks then are one kick."""
     for end in (row[0], row[-1]):
-        if type(end) is type(one) and one.coefficient % end.coefficient == 0.0:
+        if type(end) is type(flow) and flow.coefficient % end.coefficient == 0.0:
             return end.coefficient
-    return one.coefficient
+    return flow.coefficient
 
 
 def first_unit(method: Row) -> float:
-    """Of the first kick of a step [time]."""
+    """Of the first kick of a step [time].  Errors : see merged_row."""
+    row = merged_row(method)
+    kicks = [substep for substep in row if isinstance(substep, Kick)]
+    return unit_of(row, kicks[0] if kicks else Kick(1.0)) * method.timestep
+
+
+def merged_row(method: Row) -> Substeps:
+    """The substeps of a method, neighbors of one kind merged.
+    Raises TypeError, ValueError for anything but Kick, Drift and Thermalize, and if none has a duration."""
     row = merged(method.substeps)
-    return (
-        unit_of(row, next((one for one in row if isinstance(one, Kick)), Kick(1.0)))
-        * method.timestep
-    )
+    if not row:
+        raise ValueError(
+            f"{type(method).__name__} must have at least one substep with a duration; "
+            f"substeps = {shown(method.substeps)}"
+        )
+    return row
+
+
+def _first_place(kind: Any, events: Events) -> int:
+    """Of the first event of a kind; the number of all events if there is none."""
+    return next((k for k, event in enumerate(events) if isinstance(event, kind)), len(events))
 
 
 class Steps:
-    """The steps of a method on a state.  around : Surroundings.  forces : Evaluation."""
+    """The steps of a method on a state.  around : Surroundings.  forces : where they come from.
+    Raises ValueError for arrays that kernels cannot write; TypeError, ValueError for substeps, see merged_row."""
 
     def __init__(
         self, method: Row, state: State, around: Surroundings, forces: ForceSource
     ) -> None:
-        if not all(part.flags.carray for part in (state.positions, state.velocities, state.pushes)):
+        arrays = (state.positions, state.velocities, state.pushes)
+        if not all(array.flags.carray for array in arrays):
             raise ValueError(
-                "positions, velocities and forces of a State must be contiguous arrays that can be "
-                "written"
+                "positions, velocities and forces of a State must be contiguous arrays that can be written"
             )
         self._method = method
         self._state = state
         self._around = around
         self._forces = forces
-        self.counts, self._calls = np.zeros(5, dtype=np.int64), DirectCalls()
-        self._counting, self._row = StepCounting(self.counts), merged(method.substeps)
+        self.counts = np.zeros(5, dtype=np.int64)
+        self._calls = DirectCalls()
+        self._counting = StepCounting(self.counts)
+        self._row = merged_row(method)
         self._first_unit = first_unit(method)
         self._head, self._rest = self._cut()
-        self._last = next((one for one in self._rest[::-1] if isinstance(one, Force | Drift)), None)
+        moves = [event for event in self._rest if isinstance(event, Force | Drift)]
+        self._last = moves[-1] if moves else None
         self._programs: dict[tuple[bool, bool], Program] = {}
 
     def advance(self, n_steps: int, with_energy: bool = False, first: int = 0) -> int:
@@ -190,10 +210,11 @@ class Steps:
         if isinstance(state, GridState) and state.unit != unit:
             state.forces_are_current = False
             state.unit = unit
-        self.counts[:UNTIL_BREATH] = 0, 1 if self._around.stop_requested else n_steps, first
-        needs_forces = not state.forces_are_current and any(
-            isinstance(one, Kick) for one in self._head
-        )
+        self.counts[MADE] = 0
+        self.counts[TO_MAKE] = 1 if self._around.stop_requested else n_steps
+        self.counts[FIRST] = first
+        has_kick = _first_place(Kick, self._head) < len(self._head)
+        needs_forces = has_kick and not state.forces_are_current
         with_energy &= isinstance(last, Force)
         program = self._program(needs_forces, with_energy)
         state.forces_are_current = False
@@ -214,7 +235,7 @@ class Steps:
     @property
     def n_evaluations(self) -> int:
         """Of each step, in a run of them."""
-        return sum(isinstance(one, Force) for one in self._rest)
+        return sum(isinstance(event, Force) for event in self._rest)
 
     def _cut(self) -> tuple[Events, Events]:
         """The events of a step in a run of them: those before its first evaluation of forces, and all from there on."""
@@ -226,25 +247,25 @@ class Steps:
         events = list[Event]()
         for _ in range(2):  # the second time the first kick may have the forces of the step before
             events.clear()
-            for one in row:
-                if isinstance(one, Kick):
-                    own = unit_of(self._row, one)
+            for event in row:
+                if isinstance(event, Kick):
+                    own = unit_of(self._row, event)
                     if not is_current or (own != unit and isinstance(self._state, GridState)):
                         events.append(Force(own))
                     unit = own
                     is_current = True
-                is_current &= not isinstance(one, Drift)
-                events.append(one)
-        n = next((k for k, one in enumerate(events) if isinstance(one, Force)), len(events))
+                is_current &= not isinstance(event, Drift)
+                events.append(event)
+        n = _first_place(Force, tuple(events))
         return tuple(events[:n]), tuple(events[n:])
 
     def _program(self, needs_forces: bool, with_energy: bool) -> Program:
         """See _operations."""
         key = needs_forces, with_energy
         if key not in self._programs:
-            self._programs[key] = Program(
-                partial(self._operations, *key), self._forces.version, self._forces.pool()
-            )
+            forces = self._forces
+            make = partial(self._operations, *key)
+            self._programs[key] = Program(make, forces.version, forces.pool())
         return self._programs[key]
 
     def _operations(self, needs_forces: bool, with_energy: bool) -> Iterator[Operation]:
@@ -254,24 +275,28 @@ class Steps:
         in_rest = Moment(self.counts, -1)
         rest = self._rest
         head = self._head
-        for one in head:
-            in_rest = in_rest.after(one)
-        first = next((k for k, one in enumerate(head) if isinstance(one, Kick)), 0)
-        new = (Force(unit_of(self._row, head[first])),) if needs_forces else ()  # type: ignore[arg-type]
+        for event in head:
+            in_rest = in_rest.after(event)
         again = list(self._made_of((*rest, Beginning(), *head), in_rest))
-        is_slow = any(one.code == 0 for one in again)  # there may be much time in a call of Python
-        self.counts[UNTIL_BREATH:] = (
-            1 if is_slow else max(1, ATOM_STEPS // max(1, len(self._state.positions)))
-        )
-        yield from self._made_of((*head[:first], *new, *head[first:]), start)
+        is_slow = any(
+            each.code == 0 for each in again
+        )  # there may be much time in a call of Python
+        n_atoms = max(1, len(self._state.positions))
+        self.counts[UNTIL_BREATH:] = 1 if is_slow else max(1, ATOM_STEPS // n_atoms)
+        if needs_forces:
+            k = _first_place(Kick, head)
+            unit = unit_of(self._row, head[k])  # type: ignore[arg-type]
+            head = (*head[:k], Force(unit), *head[k:])
+        yield from self._made_of(head, start)
         yield operation(
             self._calls, count_step, self._counting, otherwise=1 + len(again), python=self._breathe
         )
         yield from again[:-1]
         yield again[-1]._replace(then=-len(again))
         if with_energy:
-            k = max(k for k, one in enumerate(rest) if one is self._last)
-            rest = *rest[:k], self._last._replace(with_energy=True), *rest[k + 1 :]  # type: ignore[union-attr]
+            k = len(rest) - 1 - _first_place(Force, rest[::-1])
+            unit = rest[k].unit  # type: ignore[union-attr]
+            rest = (*rest[:k], Force(unit, True), *rest[k + 1 :])
         yield from self._made_of(rest, in_rest)
 
     def _breathe(self, _answer: int) -> None:
@@ -281,49 +306,67 @@ class Steps:
 
     def _made_of(self, events: Events, moment: Moment) -> Iterator[Operation]:
         """The operations of events, from a moment on; kicks and drifts in a row are one of them."""
-        state = self._state
         around = self._around
         forces = self._forces
         timestep = self._method.timestep
         flows: list[tuple[float, float, float]] = []
-        for one in events:
-            if isinstance(one, Kick) or (isinstance(one, Drift) and around.constraints is None):
-                unit = unit_of(self._row, one) * timestep
-                flows.append(
-                    (KICK if isinstance(one, Kick) else DRIFT, one.coefficient * timestep, unit)
-                )
-            elif flows and not isinstance(one, Beginning):
+        for event in events:
+            if isinstance(event, Kick) or (isinstance(event, Drift) and around.constraints is None):
+                kind = KICK if isinstance(event, Kick) else DRIFT
+                unit = unit_of(self._row, event) * timestep
+                flows.append((kind, event.coefficient * timestep, unit))
+            elif flows and not isinstance(event, Beginning):
                 yield self._passed(flows)
                 flows = []
-            if isinstance(one, Force):
-                yield from forces.operations(one.with_energy, one.unit * timestep, moment)
-                if forces.power is not None:
-                    yield in_python(self._note_power)
-            elif isinstance(one, Kick) and forces.power is not None:
-                yield in_python(partial(self._work, one.coefficient * timestep))
-            elif isinstance(one, Drift) and around.constraints is not None:
-                if isinstance(state, GridState):
-                    yield in_python(partial(around.drift, state, one.coefficient * timestep))
-                else:
-                    yield from around.constraints.drifts(
-                        state.positions, state.velocities, one.coefficient * timestep
-                    )
-            elif isinstance(one, Projection):
-                yield from projected(state, around)
-            elif isinstance(one, Thermalize):
-                yield from self._method.contact(state, one.coefficient * timestep, around, moment)
-            moment = moment.after(one)
+            match event:
+                case Force(unit, with_energy):
+                    yield from forces.operations(with_energy, unit * timestep, moment)
+                    if forces.power is not None:
+                        yield in_python(self._note_power)
+                case Kick(coefficient) if forces.power is not None:
+                    yield in_python(partial(self._work, coefficient * timestep))
+                case Drift(coefficient) if around.constraints is not None:
+                    yield from self._constrained(coefficient * timestep)
+                case Projection():
+                    yield from projected(self._state, around)
+                case Thermalize(coefficient):
+                    yield from self._contact(coefficient * timestep, moment)
+            moment = moment.after(event)
         if flows:
             yield self._passed(flows)
+
+    def _constrained(self, duration: float) -> Iterable[Operation]:
+        """A drift that keeps constrained lengths."""
+        state = self._state
+        around = self._around
+        if isinstance(state, GridState):
+            return [in_python(partial(around.drift, state, duration))]
+        return around.constraints.drifts(state.positions, state.velocities, duration)  # type: ignore[union-attr]
+
+    def _contact(self, duration: float, moment: Moment) -> list[Operation]:
+        """A contact with the bath of the method."""
+        method = self._method
+        operations = list(method.contact(self._state, duration, self._around, moment) or ())
+        if not operations:
+            raise TypeError(
+                f"{type(method).__name__}.contact must yield at least one operation, see Splitting.contact; it yields "
+                "none, so that its bath would do nothing"
+            )
+        return operations
 
     def _passed(self, flows: list[tuple[float, float, float]]) -> Operation:
         """Kicks and drifts in one pass over memory."""
         state = self._state
-        n_chunks = n_chunks_of(len(self._state.positions))
-        r, v, f = (part.reshape(-1) for part in (state.positions, state.velocities, state.pushes))
-        are_alike = int((state.inverse_masses == state.inverse_masses[0]).all())
+        n_chunks = n_chunks_of(len(state.positions))
         moving = Moving(
-            r, v, f, state.inverse_masses, np.array(flows), state.steps, n_chunks, are_alike
+            state.positions.reshape(-1),
+            state.velocities.reshape(-1),
+            state.pushes.reshape(-1),
+            state.inverse_masses,
+            np.array(flows),
+            state.steps,
+            n_chunks,
+            int((state.inverse_masses == state.inverse_masses[0]).all()),
         )
         return operation(self._calls, move_atoms, moving, n_chunks, python=self._check_range)
 

@@ -2,8 +2,11 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, cycle
 from math import isclose
+
+from minimd.core.console.words import shown
+from minimd.core.structure.checks import checked_number
 
 __all__ = ["Drift", "Kick"]
 
@@ -35,10 +38,25 @@ Substep = Kick | Drift | Thermalize
 Substeps = tuple[Substep, ...]
 
 
+def checked_substeps(substeps: Iterable[Substep]) -> Substeps:
+    """The substeps as a tuple.
+    Raises TypeError for anything but Kick, Drift and Thermalize, ValueError for a coefficient that is not finite."""
+    sequence = tuple(substeps) if isinstance(substeps, Iterable) else (substeps,)
+    if isinstance(substeps, Substep) or not all(isinstance(each, Substep) for each in sequence):
+        raise TypeError(
+            "substeps must be a sequence of Kick, Drift and Thermalize, such as (Kick(0.5), Drift(1.0), Kick(0.5)); "
+            f"substeps = {shown(substeps)}"
+        )
+    for k, substep in enumerate(sequence):
+        checked_number(f"coefficient of substeps[{k}]", substep.coefficient)
+    return sequence
+
+
 def merged(substeps: Iterable[Substep]) -> Substeps:
-    """The same flow with neighbors of one kind merged, φ_a ∘ φ_b = φ_{a+b}, and substeps of no duration left out."""
+    """The same flow with neighbors of one kind merged, φ_a ∘ φ_b = φ_{a+b}, and substeps of no duration left out.
+    Errors : see checked_substeps."""
     sequence: list[Substep] = []
-    for substep in substeps:
+    for substep in checked_substeps(substeps):
         if sequence and type(sequence[-1]) is type(substep):
             substep = type(substep)(sequence.pop().coefficient + substep.coefficient)
         if substep.coefficient != 0.0:
@@ -68,10 +86,8 @@ def mirrored(substeps: Substeps) -> Substeps:
 
 def alternating(kind: type[Substep], coefficients: Iterable[float]) -> Substeps:
     """Kicks and drifts in turn, beginning with one kind."""
-    other = Drift if kind is Kick else Kick
-    return tuple(
-        (other if k % 2 else kind)(coefficient) for k, coefficient in enumerate(coefficients)
-    )
+    kinds = cycle((kind, Drift if kind is Kick else Kick))
+    return tuple(kind(coefficient) for kind, coefficient in zip(kinds, coefficients, strict=False))
 
 
 def palindrome(half: Sequence[float]) -> tuple[float, ...]:
@@ -79,14 +95,14 @@ def palindrome(half: Sequence[float]) -> tuple[float, ...]:
     return (*half, *half[-2::-1])
 
 
-def are_alike(one: Substeps, other: Substeps) -> bool:
+def are_alike(first: Substeps, second: Substeps) -> bool:
     """Whether two sequences are equal, to rounding."""
-    return len(one) == len(other) and all(
-        type(a) is type(b)
-        and isclose(
-            a.coefficient, b.coefficient, rel_tol=COEFFICIENT_ROUNDING, abs_tol=COEFFICIENT_ROUNDING
-        )
-        for a, b in zip(one, other, strict=True)
+    if list(map(type, first)) != list(map(type, second)):
+        return False
+    rounding = COEFFICIENT_ROUNDING
+    return all(
+        isclose(a.coefficient, b.coefficient, rel_tol=rounding, abs_tol=rounding)
+        for a, b in zip(first, second, strict=True)
     )
 
 

@@ -9,6 +9,7 @@ Chodera, G. E. Crooks, Phys. Rev. X 3, 011007 (2013).
 
 from collections import namedtuple
 from collections.abc import Iterator
+from functools import partial
 from math import exp, sqrt
 from typing import Self
 
@@ -86,8 +87,9 @@ class Thermostat(Splitting):
     ) -> Self:
         """The thermostat with this relaxation time, τ > 0 [time]; scene files know no other parameter.
         Other arguments : see Thermostat."""
-        why = f"{cls.name} cannot be used in a scene, because it has no with_relaxation_time"
-        raise NotImplementedError(f"{why}; run it from a script")
+        raise NotImplementedError(
+            f"{cls.name} cannot be used in a scene, because it has no with_relaxation_time; run it from a script"
+        )
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
@@ -109,9 +111,8 @@ class Thermostat(Splitting):
         """The operations of touch, at once."""
         bath = bath_of(around)
         moment = Moment(np.array([0, 0, bath.step]), contact=bath.contact)
-        Program(
-            lambda: self.touch(state, duration, around, moment), lambda: 0, thread_pool(1)
-        ).run()
+        touch = partial(self.touch, state, duration, around, moment)
+        Program(touch, lambda: 0, thread_pool(1)).run()
         bath.contact += 1
 
     def noise_at(self, moment: Moment) -> "Noise":
@@ -183,10 +184,17 @@ class LangevinBAOAB(Thermostat):
         is_held = around.constraints is not None
         kept = exp(-self.friction * duration)
         spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
-        atoms = (state.velocities, state.inverse_masses, state.masses)
-        noise = self.noise_at(moment)
         touch = Touch(
-            *atoms, kept, spread, noise, np.zeros(n_chunks), bath.heat, int(is_held), state.steps
+            state.velocities,
+            state.inverse_masses,
+            state.masses,
+            kept,
+            spread,
+            self.noise_at(moment),
+            np.zeros(n_chunks),
+            bath.heat,
+            int(is_held),
+            state.steps,
         )
         calls = CALLS[bool(state.steps)]
         yield from projected(state, around)
@@ -219,18 +227,18 @@ def touch_atoms(touch, chunk):
     n = masses.size
     stream = new_stream(touch.noise.key)
     noise = touch.noise
-    given = 0.0
+    heat = 0.0
     step = step_of(noise)
     for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
         if touch.inverse_masses[i] > 0.0:
-            given -= kinetic_energy_at(velocities, masses, i, touch.steps)
+            heat -= kinetic_energy_at(velocities, masses, i, touch.steps)
             scale = touch.spread * sqrt(touch.inverse_masses[i])
             for c, xi in enumerate(three_normals(stream, i, noise.contact, step)):
                 v = mixed(velocities[i, c], xi, touch.kept, scale)
                 velocities[i, c] = settled(v, touch.inverse_masses[i], touch.steps)
             if not touch.is_held:
-                given += kinetic_energy_at(velocities, masses, i, touch.steps)
-    touch.parts[chunk] = given
+                heat += kinetic_energy_at(velocities, masses, i, touch.steps)
+    touch.parts[chunk] = heat
     return GO_ON
 
 
@@ -247,19 +255,18 @@ def add_kinetic(touch, chunk):
 @called_kernel
 def count_heat(touch, _chunk):
     """The heat of all chunks."""
-    given = 0.0
+    heat = 0.0
     for part in touch.parts:
-        given += part
-    touch.heat[0] += given
+        heat += part
+    touch.heat[0] += heat
     return GO_ON
 
 
 @scalar
 def kinetic_energy_at(velocities, masses, i, steps):
     """½ m v² of atom i [energy]; on a grid rounded to it."""
-    return in_steps(
-        kinetic_energy_of(masses[i], velocities[i, 0], velocities[i, 1], velocities[i, 2]), steps
-    )
+    x, y, z = velocities[i, 0], velocities[i, 1], velocities[i, 2]
+    return in_steps(kinetic_energy_of(masses[i], x, y, z), steps)
 
 
 @by_type
@@ -327,15 +334,19 @@ class StochasticVelocityRescaling(Thermostat):
         bath = bath_of(around)
         n_chunks = n_chunks_of(len(state.velocities))
         calls = CALLS[bool(state.steps)]
-        numbers = (
+        rescaling = Rescaling(
+            state.velocities,
+            state.inverse_masses,
+            state.masses,
             exp(-duration / self.relaxation_time),
             bath.k_B * self.temperature,
             float(state.masses.sum()),
-        )
-        atoms = (state.velocities, state.inverse_masses, state.masses)
-        memory = (np.zeros((n_chunks, 4)), np.zeros(4))
-        rescaling = Rescaling(
-            *atoms, *numbers, bath.thermal, self.noise_at(moment), *memory, bath.heat, state.steps
+            bath.thermal,
+            self.noise_at(moment),
+            np.zeros((n_chunks, 4)),
+            np.zeros(4),
+            bath.heat,
+            state.steps,
         )
         yield from projected(state, around)
         yield operation(calls, sum_motion, rescaling, n_chunks)
@@ -367,9 +378,10 @@ def sum_motion(rescaling, chunk):
     n_chunks = rescaling.parts.shape[0]
     x = y = z = energy = 0.0
     for i in range(chunk * masses.size // n_chunks, (chunk + 1) * masses.size // n_chunks):
-        x, y = x + on_steps(masses[i] * v[i, 0], steps), y + on_steps(masses[i] * v[i, 1], steps)
-        z = z + on_steps(masses[i] * v[i, 2], steps)
-        energy = energy + kinetic_energy_at(v, masses, i, steps)
+        x += on_steps(masses[i] * v[i, 0], steps)
+        y += on_steps(masses[i] * v[i, 1], steps)
+        z += on_steps(masses[i] * v[i, 2], steps)
+        energy += kinetic_energy_at(v, masses, i, steps)
     for c, part in enumerate((x, y, z, energy)):
         rescaling.parts[chunk, c] = part
     return GO_ON
@@ -394,11 +406,12 @@ def draw_scale(rescaling, _chunk):
         return GO_ON
     stream = new_stream(rescaling.noise.key)
     start_stream(stream, 0, rescaling.noise.contact, step_of(rescaling.noise))
-    one = normal(stream)
+    xi = normal(stream)
     share = (1.0 - kept) * 0.5 * rescaling.thermal_energy / kinetic
-    squares = sum_of_squares(stream, n_dof - 1) + one * one
-    square = max(kept + share * squares + 2.0 * one * sqrt(kept * share), 0.0)
-    motion[3] = -sqrt(square) if share > 0.0 and one < -sqrt(kept / share) else sqrt(square)
+    squares = sum_of_squares(stream, n_dof - 1) + xi * xi
+    square = max(kept + share * squares + 2.0 * xi * sqrt(kept * share), 0.0)
+    is_reversed = share > 0.0 and xi < -sqrt(kept / share)
+    motion[3] = -sqrt(square) if is_reversed else sqrt(square)
     rescaling.heat[0] += in_steps(kinetic * (square - 1.0), rescaling.steps)
     return GO_ON
 
@@ -411,7 +424,9 @@ def rescale_atoms(rescaling, chunk):
     n = rescaling.masses.size
     n_chunks = rescaling.parts.shape[0]
     scale = motion[3]
-    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks if scale != 1.0 else 0):
+    if scale == 1.0:
+        return GO_ON
+    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
         for c in range(3):
             moved = (1.0 - scale) * motion[c] + scale * v[i, c]
             v[i, c] = settled(moved, rescaling.inverse_masses[i], rescaling.steps)
@@ -421,6 +436,8 @@ def rescale_atoms(rescaling, chunk):
 def bath_of(around: Surroundings) -> Bath:
     """The bath that a thermostat needs.  Raises ValueError if there is none."""
     if around.bath is None:
-        remedy = "pass surroundings=Surroundings(bath=Bath(k_B, n_dof))"
-        raise ValueError(f"a thermostat needs a bath to count the energy it gives: {remedy}")
+        raise ValueError(
+            "a thermostat needs a bath to count the energy it gives: "
+            "pass surroundings=Surroundings(bath=Bath(k_B, n_dof))"
+        )
     return around.bath

@@ -195,9 +195,10 @@ def overlap(first, second):
     """Σ a·b of two (N, 3) arrays."""
     total = 0.0
     for i in range(first.shape[0]):
-        total += (
-            first[i, 0] * second[i, 0] + first[i, 1] * second[i, 1] + first[i, 2] * second[i, 2]
-        )
+        x = first[i, 0] * second[i, 0]
+        y = first[i, 1] * second[i, 1]
+        z = first[i, 2] * second[i, 2]
+        total += x + y + z
     return total
 
 
@@ -348,14 +349,13 @@ class Descent:
             self._positions[:] = before
             self._velocities[:] = 0.0
             if refused > REFUSALS:
-                kinds = (
-                    (ConstraintError, "keeps the constraints"),
-                    (NonFiniteError, "leads to a finite energy"),
-                )
-                kind, wanted = kinds[has_moved]
-                raise kind(
-                    f"the minimization found no step that {wanted}, down to one of "
-                    f"{timestep**2 * self.largest_force:.2g} {self._system.units.length}"
+                step = f"{timestep**2 * self.largest_force:.2g} {self._system.units.length}"
+                if has_moved:
+                    raise NonFiniteError(
+                        f"the minimization found no step that leads to a finite energy, down to one of {step}"
+                    )
+                raise ConstraintError(
+                    f"the minimization found no step that keeps the constraints, down to one of {step}"
                 )
 
     def _try_curvature(self) -> None:
@@ -406,10 +406,8 @@ class Descent:
         except RangeError:
             return False
         largest = max(sums.forces.max(), -sums.forces.min())
-        is_finite = np.isfinite(largest) and (
-            not sums.has_energy or np.isfinite(sums.potential_energy)
-        )
-        if not is_finite:
+        energy = sums.potential_energy if sums.has_energy else 0.0
+        if not np.isfinite([largest, energy]).all():
             return False
         self._forces[:] = sums.forces * min(1.0, LARGEST / max(largest, 1.0))
         self._constraint_set.project(self._forces, self._positions)
@@ -426,9 +424,9 @@ class Descent:
         pair = closest_pair(self._system)
         positions = self._positions
         cell = self._system.cell
-        is_far = pair is None or pair.distance > self._longest
-        if pair is None or is_far or n_pushes > PUSHES or not np.isfinite(positions).all():
-            raise NonFiniteError(f"energy or forces are not finite: {self._cause()}")
+        is_hopeless = n_pushes > PUSHES or not np.isfinite(positions).all()
+        if pair is None or pair.distance > self._longest or is_hopeless:
+            raise NonFiniteError(self._reason())
         arm = nearest_vectors(positions, cell, np.array([pair[:2]]))[0]
         velocities = np.zeros_like(positions)
         if arm.any():
@@ -443,9 +441,8 @@ class Descent:
         velocities /= longest(velocities)[1]
         self._constraint_set.project(velocities, positions)
         if not velocities.any() or not self._moved(velocities, 0.5 * self._longest):
-            raise NonFiniteError(
-                f"energy or forces are not finite: {self._cause()}, and constraints hold them there"
-            )
+            raise NonFiniteError(f"{self._reason()}, and constraints hold them there")
 
-    def _cause(self) -> str:
-        return why_not_finite(self._system, self._interactions.potentials)
+    def _reason(self) -> str:
+        cause = why_not_finite(self._system, self._interactions.potentials)
+        return f"energy or forces are not finite: {cause}"

@@ -10,6 +10,7 @@ reason. E. Hairer, G. Wanner, Solving ODEs II (1996), VI.1, VII.1.
 """
 
 from functools import partial
+from itertools import accumulate
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array
+from minimd.core.structure.checks import checked_numbers
 from minimd.textbook.dae.implicit import ADVICE
 from minimd.textbook.ode.functions import (
     CENTRAL,
@@ -53,10 +55,10 @@ class Hessenberg(DifferentialAlgebraic):
 
     def __init__(self, solver: Newton, *functions: Function) -> None:
         super().__init__(solver)
-        self._functions = [
-            taking(function, " ".join(("t", *self.names[:n])), name)
-            for function, (name, n) in zip(functions, self.functions, strict=True)
-        ]
+        self._functions = []
+        for function, (name, n) in zip(functions, self.functions, strict=True):
+            arguments = " ".join(("t", *self.names[:n]))
+            self._functions.append(taking(function, arguments, name))
         self.f = self._functions[0]
         self.g = self._functions[-1]
 
@@ -78,9 +80,8 @@ class Hessenberg(DifferentialAlgebraic):
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """(y′ − f, g), or (y′ − f, z′ − k, g)."""
         *rates, g = self._answers(t, *self.parts(y))
-        return np.concatenate(
-            [*(own - rate for own, rate in zip(self.parts(slope), rates, strict=False)), g]
-        )
+        n = self._slices[-1].start
+        return np.concatenate([slope[:n] - np.concatenate(rates), g])
 
     def field(self, t: float, y: Array) -> Array:
         """(f, 0), or (f, k, 0): zero for the algebraic variables."""
@@ -94,61 +95,66 @@ class Hessenberg(DifferentialAlgebraic):
             return self.g(t, *parts[: self.functions[-1][1]])
         rate = self.f(t, *parts[:2])
         second = self._highest_derivative(t, *parts) if k == 2 else np.zeros_like(rate)
-        return time_derivative(
-            lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second),
-            k,
-            unit_of_time(y, rate, second),
-        )
+
+        def path(e: float) -> Array:
+            return self.g(t + e, y + e * rate + e * e / 2.0 * second)
+
+        return time_derivative(path, k, unit_of_time(y, rate, second))
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """1 for the differential variables, 0 for the algebraic ones."""
-        n_differential = self._slices[-1].start
-        return np.diag(np.repeat([1.0, 0.0], [n_differential, y.size - n_differential]))
+        is_differential = np.arange(y.size) < self._slices[-1].start
+        return np.diag(is_differential.astype(float))
 
     def _consistent(self, start: Any, t: float, kept: float, refused: float) -> Array:
         """The state whose parts are roots of the constraints that determine them.  kept, refused : moves of a part,
         relative to its size, up to which it stays as it is, and above which the start is refused."""
         parts = self._begun(start, t)
-        last = len(self.chain) - 1
-        for k, chained in enumerate(self.chain):
-            i = len(parts) - len(self.chain) + k
+        n_fixed = len(parts) - len(self.chain)
+        for i, equation in enumerate(self.chain, n_fixed):
+            k = i - n_fixed
+            is_last = i == len(parts) - 1
+            name = self.names[i]
+            part = parts[i]
             step = WIDE if k > 0 else CENTRAL
 
             def violation(x: Array) -> Array:
                 return self.constraint(k, t, *parts[:i], x, *parts[i + 1 :])
 
-            sizes = [np.abs(part).max() for part in parts]
-            # else it is only rounding
-            own = sizes[i] if sizes[i] > KEPT * max(sizes) else max(sizes)
-            if k == last:
+            if is_last:
                 own = self._size_of_algebraic(t, parts)
-            if not are_independent(violation, parts[i], step, own):
+            else:
+                own = np.abs(part).max()
+                largest = max(np.abs(other).max() for other in parts)
+                if own <= KEPT * largest:  # it is only rounding
+                    own = largest
+            if not are_independent(violation, part, step, own):
                 raise ValueError(
                     f"{self.regular} must have full rank at the start, t = {t:g}, or the index is higher than "
-                    f"{self.index}: the constraints 0 = {chained} do not determine {self.names[i]}"
+                    f"{self.index}: the constraints 0 = {equation} do not determine {name}"
                 )
-            root = nearest_root(violation, parts[i], step, size=own)
-            move = np.abs(root - parts[i]).max()
+            root = nearest_root(violation, part, step, size=own)
+            move = np.abs(root - part).max()
             size = max(own, np.abs(root).max())
-            if k < last and move > refused * size:
-                off = violation(parts[i])
-                worst = np.argmax(np.abs(off))
+            if not is_last and move > refused * size:
+                defect = violation(part)
+                worst = np.argmax(np.abs(defect))
+                kind = "hidden constraint" if k > 0 else "constraint"
                 raise ValueError(
-                    f"the start violates the {'hidden ' if k else ''}constraint 0 = {chained}: its element {worst} "
-                    f"is {off[worst]:.2e} at t = {t:g}, and {self.names[i]} would have to move by {move:.1e}; "
-                    f"{ADVICE}"
+                    f"the start violates the {kind} 0 = {equation}: its element {worst} is {defect[worst]:.2e} "
+                    f"at t = {t:g}, and {name} would have to move by {move:.1e}; {ADVICE}"
                 )
-            if k == last or move > kept * size:
+            if is_last or move > kept * size:
                 parts[i] = root
         return np.concatenate(parts)
 
     def _size_of_algebraic(self, t: float, parts: list[Array]) -> float:
         """Size of algebraic variables that would change the highest derivative of the path by its own size."""
         *others, algebraic = parts
-        here = self._highest_derivative(t, *parts)
-        response = np.abs(self._highest_derivative(t, *others, algebraic + 1.0) - here).max()
-        wanted = np.abs(here).max() or np.abs(parts[0]).max()
-        return float(wanted / response) if wanted > 0.0 < response else 1.0
+        highest = self._highest_derivative(t, *parts)
+        response = np.abs(self._highest_derivative(t, *others, algebraic + 1.0) - highest).max()
+        size = np.abs(highest).max() or np.abs(parts[0]).max()
+        return float(size / response) if size > 0.0 < response else 1.0
 
     def _highest_derivative(self, t: float, *parts: Array) -> Array:
         """The derivative of y in the last constraint of the chain: it depends on the algebraic variables."""
@@ -156,19 +162,20 @@ class Hessenberg(DifferentialAlgebraic):
 
     def _begun(self, start: Any, t: float) -> list[Array]:
         """The parts of a start, with zeros for algebraic variables that are not given; sizes are remembered."""
-        # as g depends on it
         names = self.names
-        is_guess_needed = self.functions[-1][1] == len(names)
-        if not isinstance(start, tuple) or not len(names) - (not is_guess_needed) <= len(
-            start
-        ) <= len(names):
+        n = len(names)
+        is_guess_needed = self.functions[-1][1] == n  # as g depends on it
+        n_least = n if is_guess_needed else n - 1
+        if not isinstance(start, tuple) or not n_least <= len(start) <= n:
+            option = "as a guess, because g depends on it" if is_guess_needed else "may be left out"
             raise ValueError(
-                f"the start must be a tuple of {', '.join(names)} ({names[-1]} "
-                f"{'as a guess, because g depends on it' if is_guess_needed else 'may be left out'}); got "
-                f"{shown(start)}"
+                f"the start must be a tuple of {', '.join(names)} ({names[-1]} {option}); got {shown(start)}"
             )
-        parts = [np.array(part, dtype=float).reshape(-1) for part in start]
-        if len(parts) < len(names):
+        parts = []
+        for name, part in zip(names, start, strict=False):
+            numbers = checked_numbers(f"{name} of the start", part, "numbers")
+            parts.append(numbers.reshape(-1))
+        if len(parts) < n:
             parts.append(np.zeros(self.constraint(0, t, *parts).size))
         for name, part in zip(names, parts, strict=True):
             if part.size == 0 or not np.isfinite(part).all():
@@ -176,16 +183,11 @@ class Hessenberg(DifferentialAlgebraic):
                     f"{name} of the start must have at least one element, and finite ones; got {part}"
                 )
         sizes = [part.size for part in parts]
-        self._slices = tuple(
-            slice(end - size, end)
-            for end, size in zip(np.cumsum(sizes).tolist(), sizes, strict=True)
-        )
-        self.levels = np.repeat(
-            np.maximum(np.arange(len(parts)) + self.index - len(parts), 0), sizes
-        )
-        for (name, _), answer, part in zip(
-            self.functions, self._answers(t, *parts), parts, strict=True
-        ):
+        ends = list(accumulate(sizes, initial=0))
+        self._slices = tuple(map(slice, ends, ends[1:]))
+        self.levels = np.repeat(np.maximum(np.arange(n) + self.index - n, 0), sizes)
+        answers = self._answers(t, *parts)
+        for (name, _), answer, part in zip(self.functions, answers, parts, strict=True):
             if answer.size != part.size:
                 raise ValueError(
                     f"{name} must answer with as many numbers as it has variables, {part.size} as in the start; got "
@@ -195,9 +197,8 @@ class Hessenberg(DifferentialAlgebraic):
 
     def _answers(self, t: float, *parts: Array) -> Parts:
         """The values of the functions, in the order of the parts."""
-        return tuple(
-            f(t, *parts[:n]) for f, (_, n) in zip(self._functions, self.functions, strict=True)
-        )
+        pairs = zip(self._functions, self.functions, strict=True)
+        return tuple(f(t, *parts[:n]) for f, (_, n) in pairs)
 
 
 class Hessenberg1(Hessenberg):
@@ -268,11 +269,11 @@ class Hessenberg3(Hessenberg):
         y, z, _ = parts
         rate = self.f(t, y, z)
         z_rate = self.k(t, *parts)
-        return time_derivative(
-            lambda e: self.f(t + e, y + e * rate, z + e * z_rate),
-            1,
-            min(unit_of_time(y, rate), unit_of_time(z, z_rate)),
-        )
+
+        def path(e: float) -> Array:
+            return self.f(t + e, y + e * rate, z + e * z_rate)
+
+        return time_derivative(path, 1, min(unit_of_time(y, rate), unit_of_time(z, z_rate)))
 
 
 class Mechanical(Hessenberg):
@@ -330,9 +331,8 @@ class Mechanical(Hessenberg):
     def field(self, t: float, y: Array) -> Array:
         """v, M⁻¹ (f − Gᵀ λ), and zero for λ."""
         parts = self.parts(y)
-        return np.concatenate(
-            [parts[1], self._highest_derivative(t, *parts), np.zeros(parts[2].size)]
-        )
+        acceleration = self._highest_derivative(t, *parts)
+        return np.concatenate([parts[1], acceleration, np.zeros(parts[2].size)])
 
     def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """∂F/∂y, by blocks: ∂(q′ − v)/∂v = −1, G and Gᵀ; the others by finite differences."""
@@ -343,12 +343,12 @@ class Mechanical(Hessenberg):
         def momentum(q: Array, v: Array) -> Array:
             return np.dot(self.mass(q), v_slope) - self._pull(t, q, v, multipliers)
 
-        here = momentum(q, v)
+        momenta = momentum(q, v)
         jacobian = self.jacobian(t, q)
         matrix = np.zeros((y.size, y.size))
         matrix[of_q, of_v] = -np.eye(q.size)
-        matrix[of_v, of_q] = forward_differences(lambda x: momentum(x, v), q, here)
-        matrix[of_v, of_v] = forward_differences(lambda x: momentum(q, x), v, here)
+        matrix[of_v, of_q] = forward_differences(lambda x: momentum(x, v), q, momenta)
+        matrix[of_v, of_v] = forward_differences(lambda x: momentum(q, x), v, momenta)
         matrix[of_v, of_multipliers] = jacobian.T
         matrix[of_multipliers, of_q] = jacobian
         return matrix
@@ -366,9 +366,9 @@ class Mechanical(Hessenberg):
             return super().constraint(k, t, *parts)
         q, v, _ = parts
         q_second = self._highest_derivative(t, *parts)
-        return self.jacobian(t, q) @ q_second + time_derivative(
-            lambda e: self.g(t + e, q + e * v), 2, unit_of_time(q, v, q_second)
-        )
+        unit = unit_of_time(q, v, q_second)
+        turning = time_derivative(lambda e: self.g(t + e, q + e * v), 2, unit)
+        return self.jacobian(t, q) @ q_second + turning
 
     def mass(self, q: Array) -> Array:
         """M(q), (n, n)."""

@@ -94,17 +94,16 @@ class Implicit(DifferentialAlgebraic):
         """y, after solving F = 0 and its derivatives up to the index minus one.
         least : mobility of variables whose derivative occurs in F."""
         is_pair = isinstance(start, tuple) and len(start) == 2 and np.ndim(start[0]) == 1
-        y, slope = (
-            checked_numbers("start", part, "numbers")
-            for part in (start if is_pair else (start, np.zeros(np.shape(start))))
-        )
-        is_finite = np.isfinite(y).all() and np.isfinite(slope).all()
-        if y.ndim != 1 or y.size == 0 or y.shape != slope.shape or not is_finite:
+        pair = start if is_pair else (start, np.zeros(np.shape(start)))
+        y, slope = (checked_numbers("start", part, "numbers") for part in pair)
+        are_alike = y.ndim == 1 and y.size > 0 and y.shape == slope.shape
+        if not are_alike or not np.isfinite([y, slope]).all():
             raise ValueError(
                 "the start must be y, or (y, y′), one-dimensional arrays of the same length with finite elements; "
                 f"got {shown(start)}"
             )
-        if (n_equations := self.residual(t, y, slope).size) != y.size:
+        n_equations = self.residual(t, y, slope).size
+        if n_equations != y.size:
             raise ValueError(
                 f"there must be as many equations as variables; F has {n_equations}, y has {y.size}"
             )
@@ -121,19 +120,13 @@ class Implicit(DifferentialAlgebraic):
                 "differentiate constraints"
             )
         if self.index > 1:
-            y, slope = self._solved(
-                t,
-                y,
-                [slope, *np.zeros((self.index - 1, y.size))],
-                mobility,
-                unit_of_time(np.append(y, size), slope),
-                size,
-            )
+            jet = [slope, *np.zeros((self.index - 1, y.size))]
+            unit = unit_of_time(np.append(y, size), slope)
+            y, slope = self._solved(t, y, jet, mobility, unit, size)
         # the larger levels of those at the start and at a random point near it, where no derivative vanishes by chance
         aside = 0.01 * (np.abs(y).max() or 1.0) * np.random.default_rng(0).uniform(0.5, 1.0, y.size)
-        self.levels = np.maximum(
-            _levels(*self._pencil(t, y, slope)), _levels(*self._pencil(t, y + aside, slope))
-        )
+        levels = [_levels(*self._pencil(t, state, slope)) for state in (y, y + aside)]
+        self.levels = np.maximum(*levels)
         self._slope = slope
         return y
 
@@ -151,43 +144,41 @@ class Implicit(DifferentialAlgebraic):
         order = len(jet)
         scales = unit ** np.arange(1, order + 1)
         is_free = mobility > 0.0
+        n_free = is_free.sum()
 
-        def taken(x: Array) -> tuple[Array, Array]:
-            moved = y.copy()
-            moved[is_free] = mobility[is_free] * x[: is_free.sum()]
-            return moved, x[is_free.sum() :].reshape(order, -1) / scales[:, None]
+        def series(x: Array) -> list[Array]:
+            """y, y′, y″, … of the unknowns."""
+            state = y.copy()
+            state[is_free] = mobility[is_free] * x[:n_free]
+            return [state, *(x[n_free:].reshape(order, -1) / scales[:, None])]
 
-        def array(x: Array) -> Array:
+        def derivative_array(x: Array) -> Array:
             """F and its time derivatives along y + ε y′ + ε²/2 y″ + …, with time in this unit."""
-            moved, derivatives = taken(x)
-            states = [moved, *derivatives]
+            states = series(x)
 
             def path(e: float) -> Array:
                 return self.residual(t + e, _taylor(states, e), _taylor(states[1:], e))
 
-            return np.concatenate(
-                [path(0.0), *(unit**k * time_derivative(path, k, unit) for k in range(1, order))]
-            )
+            derivatives = [unit**k * time_derivative(path, k, unit) for k in range(1, order)]
+            return np.concatenate([path(0.0), *derivatives])
 
-        known = [scale * derivative for scale, derivative in zip(scales, jet, strict=True)]
-        guess = np.concatenate([y[is_free] / mobility[is_free], *known])
+        guess = np.concatenate([y[is_free] / mobility[is_free], *(scales[:, None] * jet)])
         step, dependent = (CENTRAL, RANK) if order == 1 else (WIDE, NOISY_RANK)
-        x = nearest_root(array, guess, step, dependent, size)
-        left = array(x)
-        terms = np.abs(central_differences(array, x, step, size))
-        allowed = SOLVED * (terms @ np.abs(x)) + NEGLIGIBLE * terms.max(axis=1) * max(
-            np.abs(x).max(), size
-        )
-        k = np.argmax(np.abs(left) - allowed)
-        if not abs(left[k]) <= allowed[k]:
+        x = nearest_root(derivative_array, guess, step, dependent, size)
+        rest = derivative_array(x)
+        terms = np.abs(central_differences(derivative_array, x, step, size))
+        largest = max(np.abs(x).max(), size)
+        allowed = SOLVED * (terms @ np.abs(x)) + NEGLIGIBLE * terms.max(axis=1) * largest
+        k = np.argmax(np.abs(rest) - allowed)
+        if not abs(rest[k]) <= allowed[k]:
             n, equation = divmod(k, y.size)
             raise ValueError(
                 f"the start violates F(t, y, y′) = 0: {ORDINALS[n]}equation {equation} stays at "
-                f"{left[k] / unit**n:.2e} at t = {t:g} for every choice of y′ and of the variables that have no "
+                f"{rest[k] / unit**n:.2e} at t = {t:g} for every choice of y′ and of the variables that have no "
                 f"derivative in F; {ADVICE}"
             )
-        moved, derivatives = taken(x)
-        return moved, derivatives[0]
+        state, slope, *_ = series(x)
+        return state, slope
 
 
 def _matrix(function: Function, name: str) -> Function:
@@ -199,8 +190,8 @@ def _matrix(function: Function, name: str) -> Function:
 def _taylor(coefficients: list[Array], e: float) -> Array:
     """Σ eʲ/j! c_j, by Horner's rule."""
     total = np.zeros_like(coefficients[0])
-    for j in range(len(coefficients), 0, -1):
-        total = coefficients[j - 1] + total * (e / j)
+    for j, coefficient in reversed(list(enumerate(coefficients, 1))):
+        total = coefficient + total * (e / j)
     return total
 
 
@@ -251,6 +242,7 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
         rank = int((sizes > tolerance * max(sizes[0], np.abs(a).max())).sum())
         if rank == n:
             return index
+        regular = left[:, :rank].T
         constraints = left[:, rank:].T @ a
         independent = np.linalg.svd(constraints, compute_uv=False)
         if not independent[-1] > tolerance or index == n:
@@ -259,8 +251,8 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
                 f"equations without y′ depend on each other (singular values from {independent[0]:.1e} to "
                 f"{independent[-1]:.1e}), so that some variable is not determined"
             )
-        m = np.vstack([left[:, :rank].T @ m, constraints])
-        a = np.vstack([left[:, :rank].T @ a, np.zeros_like(constraints)])
+        m = np.vstack([regular @ m, constraints])
+        a = np.vstack([regular @ a, np.zeros_like(constraints)])
         sizes = np.linalg.norm(m, axis=1)
         m = m / sizes[:, None]
         a = a / sizes[:, None]

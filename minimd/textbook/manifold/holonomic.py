@@ -80,17 +80,22 @@ class Holonomic(SecondOrder):
 
     def jacobian(self, q: Array) -> Array:
         """G(q), (m, n)."""
-        given = self._jacobian
-        return derivative(self.violation, given and (lambda x: given(x.reshape(self.shape))), q)
+        jacobian = self._jacobian
+        shaped = jacobian and (lambda x: jacobian(x.reshape(self.shape)))
+        return derivative(self.violation, shaped, q)
 
     def directions(self, gradient: Array) -> Array:
         """M⁻¹ Gᵀ, (n, m), of a gradient G."""
-        return gradient.T / np.broadcast_to(self._masses, self.shape).reshape(-1)[:, None]
+        return gradient.T / self._each_mass()[:, None]
+
+    def _each_mass(self) -> Array:
+        """(n,) masses of all coordinates."""
+        return np.broadcast_to(self._masses, self.shape).reshape(-1)
 
     def begin(self, start: tuple[ArrayLike, ArrayLike], t0: float = 0.0) -> Array:
         """(q, v) as one state, projected onto the manifold."""
         q, v = np.split(super().begin(start), 2)
-        masses = np.broadcast_to(self._masses, self.shape).reshape(-1)
+        masses = self._each_mass()
         if not (masses > 0.0).all():
             raise ValueError(f"masses must be positive; the smallest is {masses.min()}")
         sizes = np.linalg.svd(self.jacobian(q) / np.sqrt(masses), compute_uv=False)
@@ -99,16 +104,16 @@ class Holonomic(SecondOrder):
                 "the gradients of g must be independent at the start; singular values of G M^(-1/2) from "
                 f"{sizes[0]:.1e} to {sizes[-1]:.1e}"
             )
-        off = np.abs(self.violation(q)).max()
-        q1 = projected(self, q, q) if off > 0.0 else q
+        violation = np.abs(self.violation(q)).max()
+        q1 = projected(self, q, q) if violation > 0.0 else q
         v1 = tangent(self, q1, v)
-        moved = np.abs(q1 - q).max()
-        turned = np.abs(v1 - v).max()
-        if moved > KEPT * np.abs(q).max() or turned > KEPT * max(
-            np.abs(v).max(), np.finfo(float).tiny
-        ):
+        move = np.abs(q1 - q).max()
+        turn = np.abs(v1 - v).max()
+        speed = max(np.abs(v).max(), np.finfo(float).tiny)
+        if move > KEPT * np.abs(q).max() or turn > KEPT * speed:
             warn(
-                f"the start was projected onto the constraints: q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}"
+                f"the start was projected onto the constraints: q by {move:.1e} (g was {violation:.1e}), v by "
+                f"{turn:.1e}"
             )
         self.remark = remark_on_differences(self.violation, self._jacobian, q1)
         return np.concatenate([q1, v1])
@@ -127,8 +132,9 @@ class Holonomic(SecondOrder):
         """Compositions of velocity Verlet keep their order, as each of their steps is a RATTLE step; others have 2 at
         most."""
         order = nystrom_order(substeps)
-        verlet = repeated(VERLET, [one.coefficient for one in substeps if isinstance(one, Drift)])
-        return order if are_alike(substeps, verlet) else min(order, 2)
+        drifts = [substep.coefficient for substep in substeps if isinstance(substep, Drift)]
+        is_composed = are_alike(substeps, repeated(VERLET, drifts))
+        return order if is_composed else min(order, 2)
 
     def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
         """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
@@ -136,23 +142,21 @@ class Holonomic(SecondOrder):
         gradient = self.jacobian(q)
         turning = time_derivative(lambda e: self.jacobian(q + e * v) @ v, 1, unit_of_time(q, v))
         force = self.f(t, q.reshape(self.shape), v.reshape(self.shape))
-        return np.asarray(
-            np.linalg.solve(gradient @ self.directions(gradient), gradient @ force + turning)
-        )
+        matrix = gradient @ self.directions(gradient)
+        return np.asarray(np.linalg.solve(matrix, gradient @ force + turning))
 
 
 def projected(problem: Holonomic, q0: Array, q: Array, iteration: Iteration | None = None) -> Array:
     """The point q + M⁻¹ G(q0)ᵀ λ with g = 0.  Raises ConvergenceError if there is none near q."""
     directions = problem.directions(problem.jacobian(q0))
-    residual = lambda x: problem.violation(q + directions @ x)  # noqa: E731
-    jacobian = lambda x: problem.jacobian(q + directions @ x) @ directions  # noqa: E731
-    solve = (iteration or problem.solver.iteration()).solve
-    return q + directions @ solve(
-        residual,
+    iteration = iteration or problem.solver.iteration()
+    multipliers = iteration.solve(
+        lambda x: problem.violation(q + directions @ x),
         np.zeros(directions.shape[1]),
-        jacobian,
+        lambda x: problem.jacobian(q + directions @ x) @ directions,
         scale=np.abs(q).max() / np.abs(directions).max(),
     )
+    return q + directions @ multipliers
 
 
 def tangent(problem: Holonomic, q: Array, v: Array) -> Array:

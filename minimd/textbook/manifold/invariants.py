@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.core.compiled.machine import EPS
-from minimd.core.console.words import shown
-from minimd.core.integrators.method import Array, Method, Problem, Step
+from minimd.core.integrators.method import Array, Method, Problem, Step, check_class
 from minimd.core.structure.checks import checked_kind, checked_number, checked_numbers
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.dae.hessenberg import Hessenberg2
@@ -68,9 +67,9 @@ class Invariants:
     ) -> None:
         self.g = _of_state(g, "g")
         self.jacobian = jacobian if jacobian is None else _of_state(jacobian, "jacobian")
-        self.value = (
-            value if value is None else checked_numbers("value", value, "numbers").reshape(-1)
-        )
+        self.value = None
+        if value is not None:
+            self.value = checked_numbers("value", value, "numbers").reshape(-1)
 
     def through(self, y: Array, shape: Shape = None) -> "Manifold":
         """The manifold g = value, or g = g(y) if no value was given.
@@ -84,7 +83,6 @@ class Manifold:
 
     def __init__(self, invariants: Invariants, y: Array, shape: Shape) -> None:
         answer = invariants.g(y, shape)
-        given = invariants.jacobian
         self.value = answer if invariants.value is None else invariants.value
         self._invariants = invariants
         self._shape = shape
@@ -99,9 +97,12 @@ class Manifold:
             )
         if not (np.isfinite(answer).all() and np.isfinite(self.value).all()):
             raise ValueError(
-                f"g and its value must be finite at the start; g = {_shown(answer)}, value = {_shown(self.value)}"
+                f"g and its value must be finite at the start; g = {_brief(answer)}, value = {_brief(self.value)}"
             )
-        if given is not None and (size := given(y, shape).size) != answer.size * y.size:
+        if invariants.jacobian is None:
+            return
+        size = invariants.jacobian(y, shape).size
+        if size != answer.size * y.size:
             raise ValueError(
                 f"jacobian must have {answer.size} × {y.size} numbers, ∂g/∂y; got {size}"
             )
@@ -112,21 +113,21 @@ class Manifold:
 
     def jacobian(self, y: Array) -> Array:
         """(m, n) G(y)."""
-        given = self._invariants.jacobian
-        return derivative(self.defect, given and (lambda x: given(x, self._shape)), y)
+        jacobian: Any = self._invariants.jacobian
+        of_state = jacobian and (lambda x: jacobian(x, self._shape))
+        return derivative(self.defect, of_state, y)
 
     def frame(self, y: Array) -> tuple[Array, Array]:
         """Gᵀ = Q R: (n, m) orthonormal directions Q that span the gradients, and upper triangular (m, m) R.
         Raises ConvergenceError where the gradients of the invariants are not independent."""
         gradients = self.jacobian(y).T
         q, r = np.linalg.qr(gradients)
-        sines = np.abs(np.diagonal(r)) / np.maximum(
-            np.linalg.norm(gradients, axis=0), np.finfo(float).tiny
-        )
-        if not np.all(sines > PARALLEL):
-            k = np.argmin(sines > PARALLEL)
+        sizes = np.maximum(np.linalg.norm(gradients, axis=0), np.finfo(float).tiny)
+        is_independent = np.abs(np.diagonal(r)) / sizes > PARALLEL
+        if not is_independent.all():
+            k = np.argmin(is_independent)
             raise ConvergenceError(
-                f"invariant {k} is not independent: its gradient {_shown(gradients[:, k])} vanishes, or lies in the "
+                f"invariant {k} is not independent: its gradient {_brief(gradients[:, k])} vanishes, or lies in the "
                 "span of earlier gradients; the Jacobian of invariants must have full rank"
             )
         return q, r
@@ -145,8 +146,8 @@ Begun = Callable[[Array, Shape], None]
 class Corrected(Problem):
     """A problem with a correction of y′, a function of the state.  begun : called with each start and its shape."""
 
-    def keep(self, problem: Any, correction: Map, begun: Begun) -> None:
-        """What is corrected."""
+    def __init__(self, problem: Any, correction: Map, begun: Begun, *functions: Function) -> None:
+        super().__init__(*functions, solver=problem.solver)  # type: ignore[call-arg]
         self._problem = problem
         self._correction = correction
         self._begun = begun
@@ -177,25 +178,23 @@ def corrected(
 ) -> CorrectedPartitioned | CorrectedFirstOrder:
     """A problem of the same kind with a term added to y′; one with q and v is then Partitioned, and its steps implicit.
     Raises TypeError for problems of other kinds."""
-    new: CorrectedPartitioned | CorrectedFirstOrder
-    if isinstance(problem, Partitioned):
-
-        def of(q: Array, v: Array) -> Array:
-            return correction(np.concatenate([q.reshape(-1), v.reshape(-1)]))
-
-        new = CorrectedPartitioned(
-            lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size],
-            lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :],
-            solver=problem.solver,
-        )
-    elif isinstance(problem, FirstOrder):
-        new = CorrectedFirstOrder(problem.field, solver=problem.solver)
-    else:
+    if isinstance(problem, FirstOrder):
+        return CorrectedFirstOrder(problem, correction, begun, problem.field)
+    if not isinstance(problem, Partitioned):
         raise TypeError(
             f"y′ can be corrected in SecondOrder, Partitioned and FirstOrder problems; got {type(problem).__name__}"
         )
-    new.keep(problem, correction, begun)
-    return new
+
+    def of(q: Array, v: Array) -> Array:
+        return correction(np.concatenate([q.reshape(-1), v.reshape(-1)]))
+
+    return CorrectedPartitioned(
+        problem,
+        correction,
+        begun,
+        lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size],
+        lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :],
+    )
 
 
 def stabilized(
@@ -272,10 +271,7 @@ def with_multipliers(method: type[Method], invariants: Invariants) -> type[Metho
 def _wrapped(
     method: type[Method], invariants: Invariants, verb: str, step: "type[ManifoldStep]"
 ) -> type[Method]:
-    if not (isinstance(method, type) and issubclass(method, Method)):
-        raise TypeError(
-            f"method must be a class, such as RadauIIA3, not an object; method = {shown(method)}"
-        )
+    check_class(method)
     check_invariants(invariants)
     name = f"{verb}({method.name})"
     members = {
@@ -301,7 +297,7 @@ class ManifoldStep:
     def __init__(self, problem: Problem, method: type[Method], invariants: Invariants) -> None:
         self._shape = problem.shape
         self._invariants = invariants
-        self._manifold: Manifold | None = None  # known with the first state
+        self._manifold: Any = None  # known with the first state
         self._step: Step = method.on(problem)
 
     @property
@@ -313,9 +309,9 @@ class ManifoldStep:
         """y(t+h)."""
         if self._manifold is None:
             self._manifold = self._invariants.through(y, self._shape)
-        return self._moved(self._manifold, t, y, h)
+        return self._moved(t, y, h)
 
-    def _moved(self, manifold: Manifold, t: float, y: Array, h: float) -> Array:
+    def _moved(self, t: float, y: Array, h: float) -> Array:
         raise NotImplementedError
 
 
@@ -324,7 +320,8 @@ class StandardProjection(ManifoldStep):
 
     is_symmetric = False
 
-    def _moved(self, manifold: Manifold, t: float, y: Array, h: float) -> Array:
+    def _moved(self, t: float, y: Array, h: float) -> Array:
+        manifold = self._manifold
         free = self._step(t, y, h)
         if not manifold.defect(free).any():
             return free
@@ -335,7 +332,8 @@ class StandardProjection(ManifoldStep):
 class SymmetricProjection(ManifoldStep):
     """ỹ = Φ(y₀ + G(y₀)ᵀ μ), y₁ = ỹ + G(y₁)ᵀ μ."""
 
-    def _moved(self, manifold: Manifold, t: float, y: Array, h: float) -> Array:
+    def _moved(self, t: float, y: Array, h: float) -> Array:
+        manifold = self._manifold
         gradients = manifold.jacobian(y).T
 
         def arrive(mu: Array) -> Array:
@@ -360,17 +358,16 @@ class MultiplierStep(ManifoldStep):
 
     def _pull(self, y: Array) -> Array:
         """−G(y)ᵀ z."""
-        return (
-            -self._manifold.jacobian(y).T @ self._z
-            if self._z.any() and self._manifold
-            else np.zeros(y.size)
-        )
+        if not self._z.any():
+            return np.zeros(y.size)
+        return -self._manifold.jacobian(y).T @ self._z
 
-    def _moved(self, manifold: Manifold, t: float, y: Array, h: float) -> Array:
+    def _moved(self, t: float, y: Array, h: float) -> Array:
         def arrive(z: Array) -> Array:
             self._z = z
             return self._step(t, y, h)
 
+        manifold = self._manifold
         return arrival(manifold, arrive, lambda: -h * _gram(manifold, y))
 
 
@@ -420,21 +417,15 @@ def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Arra
     z = np.zeros(manifold.value.size)
     y = best = arrive(z)
     # rounding errors of the invariants are EPS times |g₀|, or Σ |G y|, whose terms may cancel in g
-    scale = (
-        np.maximum(np.abs(manifold.value), np.abs(manifold.jacobian(y)) @ np.abs(y))
-        + np.finfo(float).tiny
-    )
+    terms = np.abs(manifold.jacobian(y)) @ np.abs(y)
+    scale = np.maximum(np.abs(manifold.value), terms) + np.finfo(float).tiny
     defect = manifold.defect(y)
     least = np.max(np.abs(defect) / scale)
     n_stalls = 0
     matrix = slope() if least > EPS else np.eye(z.size)
     for _ in range(MAX_CORRECTIONS):
-        if (
-            least <= EPS
-            or n_stalls > 1
-            or not np.isfinite(defect).all()
-            or not np.linalg.det(matrix)
-        ):
+        has_ended = least <= EPS or n_stalls > 1
+        if has_ended or not np.isfinite(defect).all() or not np.linalg.det(matrix):
             break
         dz = -np.linalg.solve(matrix, defect)
         z = z + dz
@@ -444,7 +435,9 @@ def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Arra
         if error < least or error > SMALL:  # else it is rounding, from which no slope follows
             matrix = matrix + np.outer(defect, dz) / (dz @ dz)
         n_stalls += least <= error <= SMALL
-        best, least = (y, error) if error < least else (best, least)
+        if error < least:
+            best = y
+            least = error
     if least <= SMALL:
         return best
     k = np.argmax(np.abs(defect) / scale)
@@ -464,7 +457,7 @@ def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:
     taken, call = reading(
         function, "t y q v", name, "q v", "a function of y, or of q and v", unknown="y"
     )
-    takes_halves = {"q", "v"} & set(taken)
+    takes_halves = "q" in taken or "v" in taken
     if "t" in taken:
         raise TypeError(
             f"{name} must not depend on t; invariants are functions of y, or of q and v"
@@ -481,5 +474,5 @@ def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:
     return answer
 
 
-def _shown(numbers: Array) -> str:
-    return np.array2string(np.asarray(numbers), precision=3, threshold=8)
+def _brief(numbers: Array) -> str:
+    return np.array2string(numbers, precision=3, threshold=8)

@@ -68,20 +68,23 @@ class BDFStep:
                 "step doubling, reversible steps and projections require that: use run_steps or run_until, or a "
                 "one-step method such as RadauIIA3"
             )
-        if len(self._states) < self._k:
-            y_new = self._start(t, y, h)
-        else:
-            alpha = slope_weights(np.append(0.0, -np.cumsum([h, *self._steps])) / h)
-            base = -(alpha[1:] @ np.array(self._states)) / alpha[0]
-            weights = np.array([[h / alpha[0]]])
-            guess = self._problem.field(t, y) if self._slope is None else self._slope
-            self._slope = self._equations.slopes(
-                np.array([t + h]), base, weights, guess.reshape(1, -1), h
-            )
-            y_new = base + weights[0, 0] * self._slope[0]
+        is_start = len(self._states) < self._k
+        y_new = self._start(t, y, h) if is_start else self._next(t, y, h)
         self._states.appendleft(y_new)
         self._steps.appendleft(h)
         return y_new
+
+    def _next(self, t: float, y: Array, h: float) -> Array:
+        """The state that follows from the last k."""
+        alpha = slope_weights(np.append(0.0, -np.cumsum([h, *self._steps])) / h)
+        base = -(alpha[1:] @ np.array(self._states)) / alpha[0]
+        weight = h / alpha[0]
+        if self._slope is None:
+            self._slope = self._problem.field(t, y)
+        guess = self._slope.reshape(1, -1)
+        times = np.array([t + h])
+        self._slope = self._equations.slopes(times, base, np.array([[weight]]), guess, h)
+        return base + weight * self._slope[0]
 
 
 def slope_weights(nodes: Array) -> Array:
@@ -89,20 +92,43 @@ def slope_weights(nodes: Array) -> Array:
 
     B. Fornberg, SIAM Rev. 40, 685 (1998): α_j = ℓ_j′(x₀) = Π_{i≠0,j} (x₀ − x_i) / Π_{i≠j} (x_j − x_i), and Σ α_j = 0.
     """
-    away = nodes[:, None] - nodes
-    np.fill_diagonal(away, 1.0)
-    alpha = np.prod(away[0]) / away[0] / np.prod(away, axis=1)
+    distances = nodes[:, None] - nodes
+    np.fill_diagonal(distances, 1.0)
+    alpha = np.prod(distances[0]) / distances[0] / np.prod(distances, axis=1)
     alpha[0] = -alpha[1:].sum()
     return np.asarray(alpha)
 
 
-BDF1, BDF2, BDF3, BDF4, BDF5 = (
-    type(
-        f"BDF{k}",
-        (BDF,),
-        {"__doc__": f"BDF with {steps}: order {k}.", "name": f"bdf-{k}", "n_past": k},
-    )
-    for k, steps in enumerate(
-        ("one step, implicit Euler", "two steps", "three steps", "four steps", "five steps"), 1
-    )
-)
+class BDF1(BDF):
+    """BDF with one step, implicit Euler: order 1."""
+
+    name = "bdf-1"
+    n_past = 1
+
+
+class BDF2(BDF):
+    """BDF with two steps: order 2."""
+
+    name = "bdf-2"
+    n_past = 2
+
+
+class BDF3(BDF):
+    """BDF with three steps: order 3."""
+
+    name = "bdf-3"
+    n_past = 3
+
+
+class BDF4(BDF):
+    """BDF with four steps: order 4."""
+
+    name = "bdf-4"
+    n_past = 4
+
+
+class BDF5(BDF):
+    """BDF with five steps: order 5."""
+
+    name = "bdf-5"
+    n_past = 5

@@ -30,7 +30,7 @@ Methods in ODEs (1962), 6.4; E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs 
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, repeat
 from math import copysign, isfinite, log
 from typing import Any
@@ -41,7 +41,7 @@ from numpy.typing import ArrayLike
 from minimd.core.compiled.machine import EPS
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import shown
-from minimd.core.integrators.method import Array, Method, Problem
+from minimd.core.integrators.method import Array, Method, Problem, check_class
 from minimd.core.structure.checks import (
     COUNTS,
     checked_count,
@@ -104,14 +104,16 @@ class Solution(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        size = (
-            f"q and v of shape {self.shape}"
-            if self.shape is not None
-            else f"{self.y.shape[1]} numbers"
-        )
-        rows = [("states", f"{len(self.t)} of {size}, t = {self.t[0]:.6g} to {self.t[-1]:.6g}")]
-        rows += [("evaluations", f"{self.nfev}"), ("outcome", self.message)]
-        return rows + ([("rejected", f"{self.n_rejected} steps")] if self.n_rejected else [])
+        n = self.y.shape[1]
+        size = f"{n} numbers" if self.shape is None else f"q and v of shape {self.shape}"
+        rows = [
+            ("states", f"{len(self.t)} of {size}, t = {self.t[0]:.6g} to {self.t[-1]:.6g}"),
+            ("evaluations", f"{self.nfev}"),
+            ("outcome", self.message),
+        ]
+        if self.n_rejected:
+            rows.append(("rejected", f"{self.n_rejected} steps"))
+        return rows
 
     @property
     def q(self) -> Array:
@@ -168,37 +170,35 @@ class Path:
                 kept_times.append(t)
                 kept_states.append(y)
                 n += 1
-        except (ConvergenceError, NonFiniteError) as reason:
-            told, advice = (
-                ("", "")
-                if timestep is None
-                else (f" with timestep {timestep:g}", "; reduce the timestep")
-            )
-            self.stopped = f"step {n + 1} from t = {kept_times[-1]:g}{told}: {reason}{advice}"
-            raise failed(type(reason), self.solution()) from None
+        except (ConvergenceError, NonFiniteError) as error:
+            step = f"step {n + 1} from t = {kept_times[-1]:g}"
+            if timestep is None:
+                self.stopped = f"{step}: {error}"
+            else:
+                self.stopped = f"{step} with timestep {timestep:g}: {error}; reduce the timestep"
+            raise failed(type(error), self.solution()) from None
         return self.solution()
 
     def solution(self) -> Solution:
         """Of the states so far."""
-        reached = f"{REACHED}; {self.problem.remark}" if self.problem.remark else REACHED
-        nfev = sum(getattr(one, "nfev", 0) for one in self.counts)
-        message = self.stopped or reached
-        t = np.array(self.times)
+        remark = self.problem.remark
+        densities = [self.densities[t] for t in self.times] if self.densities else None
         return Solution(
-            t,
-            np.array(self.states),
-            nfev,
-            self.problem.shape,
-            not self.stopped,
-            message,
-            self.n_rejected,
-            np.array([self.densities[t] for t in self.times]) if self.densities else None,
+            t=np.array(self.times),
+            y=np.array(self.states),
+            nfev=sum(getattr(step, "nfev", 0) for step in self.counts),
+            shape=self.problem.shape,
+            success=not self.stopped,
+            message=self.stopped or (f"{REACHED}; {remark}" if remark else REACHED),
+            n_rejected=self.n_rejected,
+            density=None if densities is None else np.array(densities),
         )
 
 
-def failed(
-    kind: type[ConvergenceError | NonFiniteError], path: Solution
-) -> ConvergenceError | NonFiniteError:
+Failure = ConvergenceError | NonFiniteError
+
+
+def failed(kind: type[Failure], path: Solution) -> Failure:
     """The error of a run, with the words and the path of its solution, error.solution."""
     error = kind(path.message)
     error.solution = path
@@ -258,20 +258,20 @@ def _fixed(
             y = step(t0 + (n - 1) * h, y, length)
             yield t0 + n * h, y
 
-    found = path.through(states(), h)
+    solution = path.through(states(), h)
+    t = solution.t
+    y = solution.y
     if t_end is not None:
-        found.t[-1] = t_end
-    if np.isfinite(found.y[-1]).all():
-        return found
-    first = np.argmin(np.isfinite(found.y).all(axis=1))
+        t[-1] = t_end
+    if np.isfinite(y[-1]).all():
+        return solution
+    first = np.argmin(np.isfinite(y).all(axis=1))
     why = (
-        f"the state is not finite at t = {found.t[first]:g}; the last finite one is at t = {found.t[first - 1]:g}; "
+        f"the state is not finite at t = {t[first]:g}; the last finite one is at t = {t[first - 1]:g}; "
         f"reduce the timestep ({h:g}), or look for a singularity of the problem"
     )
-    raise failed(
-        NonFiniteError,
-        Solution(found.t[:first], found.y[:first], found.nfev, found.shape, False, why),
-    )
+    finite = replace(solution, t=t[:first], y=y[:first], success=False, message=why)
+    raise failed(NonFiniteError, finite)
 
 
 def check_method(method: Method) -> None:
@@ -327,10 +327,10 @@ class StepControl:
             )
         if self.first_step is not None:
             checked_number("first_step", self.first_step, "positive and finite")
-        longest = (
-            self.max_step if self.max_step == np.inf else checked_number("max_step", self.max_step)
-        )
-        if not 0.0 <= checked_number("min_step", self.min_step) <= longest or longest == 0.0:
+        if self.max_step != np.inf:
+            checked_number("max_step", self.max_step)
+        least = checked_number("min_step", self.min_step)
+        if not 0.0 <= least <= self.max_step or self.max_step == 0.0:
             raise ValueError(
                 f"0 <= min_step <= max_step is needed; min_step = {self.min_step!r}, max_step = {self.max_step!r}"
             )
@@ -345,8 +345,9 @@ class StepControl:
         """The first step: first_step, or a hundredth of the time in which the state changes by its own size."""
         size = self._norm(y, np.abs(y))
         rate = self._norm(slope, np.abs(y))
-        guess = min(span, 0.01 * size / rate if size > 0.0 < rate < np.inf else 1e-3 * span)
-        return self.clipped(self.first_step or max(guess, shortest))
+        is_moving = size > 0.0 < rate < np.inf
+        guess = 0.01 * size / rate if is_moving else 1e-3 * span
+        return self.clipped(self.first_step or max(min(span, guess), shortest))
 
     def after(self, h: float, error: float, order: int) -> float:
         """The next step: it should just meet the tolerance, as the error of a step grows as hᵖ⁺¹."""
@@ -392,16 +393,14 @@ def run_adaptive(
     solution.success is False.
     """
     checked_span(t0, t_end)
-    if not (isinstance(method, type) and issubclass(method, Method)):
-        raise TypeError(
-            f"method must be a class, such as VelocityVerlet, not an object; method = {shown(method)}"
-        )
+    check_class(method)
     checked_kind("control", control, StepControl, "StepControl(rtol, atol)")
     path = Path(problem, start, t0)
-    if (given := np.shape(control.atol)) not in ((), path.states[0].shape):
+    y = path.states[0]
+    shape = np.shape(control.atol)
+    if shape not in ((), y.shape):
         raise ValueError(
-            f"atol must be a number, or an array of length {path.states[0].size}, one for each component of y; got "
-            f"shape {given}"
+            f"atol must be a number, or an array of length {y.size}, one for each component of y; got shape {shape}"
         )
     return path.through(_adaptive(path, method, t_end, control))
 
@@ -410,7 +409,7 @@ def _adaptive(path: Path, method: type[Method], t_end: float, control: StepContr
     """The accepted states, each after two steps of h/2."""
     problem = path.problem
     order = method.order_on(problem)
-    tried = 0
+    n = 0
     t = path.times[0]
     y = path.states[0]
     # each remembers its own last state
@@ -419,25 +418,27 @@ def _adaptive(path: Path, method: type[Method], t_end: float, control: StepContr
     direction = copysign(1.0, t_end - t)
     span = abs(t_end - t)
     h = control.first(problem.field(t, y), y, span, control.shortest(t, span))
-    while (rest := abs(t_end - t)) > 0.0:
+    while t != t_end:
+        rest = abs(t_end - t)
         is_last = h >= rest * (1.0 - LEFTOVER)
         h = min(h, rest)
         signed = direction * h
+        half = 0.5 * signed
         try:
-            one = coarse(t, y, signed)
-            two = fine(t + 0.5 * signed, fine(t, y, 0.5 * signed), 0.5 * signed)
+            y_coarse = coarse(t, y, signed)
+            y_fine = fine(t + half, fine(t, y, half), half)
         except ConvergenceError as reason:
             error = np.inf
             why = str(reason)
         else:
-            weights = (
-                problem.error_weights(signed) if isinstance(problem, DifferentialAlgebraic) else 1.0
-            )
-            error = control.excess(weights * (two - one) / (2.0**order - 1.0), y, two)
+            difference = y_fine - y_coarse
+            if isinstance(problem, DifferentialAlgebraic):
+                difference = problem.error_weights(signed) * difference
+            error = control.excess(difference / (2.0**order - 1.0), y, y_fine)
             why = f"its error is {error:.1e} times what is allowed"
         if error <= 1.0:
             t = t_end if is_last else t + signed
-            y = two
+            y = y_fine
             yield t, y
         elif h <= control.shortest(t, span):
             path.stopped = (
@@ -447,11 +448,11 @@ def _adaptive(path: Path, method: type[Method], t_end: float, control: StepContr
             return
         else:
             path.n_rejected += 1
-        tried += 1
-        if tried >= control.max_steps and t != t_end:
+        n += 1
+        if n >= control.max_steps and t != t_end:
             path.stopped = (
-                f"stopped at t = {t:g} after {tried} steps, the last of {h:.1e}; loosen rtol and atol, or raise "
-                "max_steps"
+                f"stopped at t = {t:g} after {n} steps, the last of {h:.1e}; "
+                "loosen rtol and atol, or raise max_steps"
             )
             return
         h = control.after(h, error, order)
@@ -534,9 +535,8 @@ def _reversible(path: Path, method: Method, t_end: float, control: DensityContro
     while (t_end - t) * copysign(1.0, epsilon) > 0.0 and n < control.max_steps:
         rho += 0.5 * change
         if not rho > 0.0 or t + epsilon / rho == t:
-            raise ConvergenceError(
-                f"the density of steps {'fell' if rho <= 0.0 else 'grew'} to {rho:.1e}"
-            )
+            change_of_density = "fell" if rho <= 0.0 else "grew"
+            raise ConvergenceError(f"the density of steps {change_of_density} to {rho:.1e}")
         h = epsilon / rho
         rest = t_end - t
         is_last = abs(h) >= abs(rest) - LEFTOVER * max(abs(t), abs(t_end))
@@ -568,9 +568,8 @@ class _Fall:
         if speed == 0.0:
             return 0.0
         delta = DIFFERENCE * max(float(np.linalg.norm(q)) / speed, self.timestep)
-        ahead, behind = (
-            float(np.linalg.norm(self.problem.f(t, q + side * v, v))) for side in (delta, -delta)
-        )
+        ahead = float(np.linalg.norm(self.problem.f(t, q + delta * v, v)))
+        behind = float(np.linalg.norm(self.problem.f(t, q - delta * v, v)))
         self.nfev += 2
         is_known = ahead > 0.0 < behind and isfinite(ahead * behind)
         return EXPONENT * log(ahead / behind) / (2.0 * delta) if is_known else 0.0
@@ -634,14 +633,15 @@ def _stormer(
         raise ValueError(
             f"q0, v0 and f(q0) must have the same shape; got {q0.shape}, {v0.shape} and {a0.shape}"
         )
-    q, increments, v = (np.empty((n_steps + n, *q0.shape)) for n in (2, 1, 1))
+    n_states = n_steps + 1
+    q = np.empty((n_states + 1, *q0.shape))
+    increments = np.empty((n_states, *q0.shape))
     increments[0] = timestep * v0 + 0.5 * timestep**2 * a0
     q[0] = q0
     q[1] = q0 + increments[0]
-    v[0] = v0
-    for n in range(1, n_steps + 1):
+    for n in range(1, n_states):
         advance(q, increments, n, timestep**2 * np.asarray(f(q[n])))
-    v[1:] = (increments[1:] + increments[:-1]) / (2.0 * timestep)
-    t = np.linspace(0.0, n_steps * timestep, n_steps + 1)
-    y = np.concatenate([part.reshape(len(t), -1) for part in (q[:-1], v)], axis=1)
-    return Solution(t, y, nfev=n_steps + 1, shape=q0.shape)
+    v = [v0, *(increments[1:] + increments[:-1]) / (2.0 * timestep)]
+    t = np.linspace(0.0, n_steps * timestep, n_states)
+    y = np.stack([q[:-1], v], axis=1).reshape(n_states, -1)
+    return Solution(t, y, nfev=n_states, shape=q0.shape)

@@ -32,34 +32,36 @@ Path = Callable[[float], Array]
 
 
 def arguments(
-    function: Function, names: str, label: str, usual: str | None, wanted: str, unknown: str
-) -> tuple[str, ...]:
+    function: Function, names: str, label: str, usual: str, wanted: str, unknown: str
+) -> list[str]:
     """Which of the named arguments a function takes: by their names and in their order, else by their number, if it
     takes all of them or the usual ones.
-    names, usual : separated by blanks.  unknown : what a function takes that cannot be asked, if not the usual.
+    names, usual : separated by blanks; all are usual if none is.  unknown : what a function takes that cannot be
+    asked, if not the usual.
     Raises TypeError for anything else; label is its name in the message, wanted what it should be."""
-    every = tuple(names.split())
-    most = every if usual is None else tuple(usual.split())
     checked_kind(label, function, Callable, wanted)
+    every = names.split()
+    most = usual.split() or every
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):  # written in C, such as numpy.sin
-        return (unknown,) if unknown else most
-    bare = (
-        one for one in parameters if one.default is one.empty and one.kind is not one.VAR_KEYWORD
-    )
-    taken = tuple(f"*{one.name}" if one.kind is one.VAR_POSITIONAL else one.name for one in bare)
-    if taken == tuple(name for name in every if name in taken):
+        return unknown.split() or most
+    taken = []
+    for parameter in parameters:
+        if parameter.kind is parameter.VAR_POSITIONAL:
+            taken.append(f"*{parameter.name}")
+        elif parameter.kind is not parameter.VAR_KEYWORD and parameter.default is parameter.empty:
+            taken.append(parameter.name)
+    if taken == [name for name in every if name in taken]:
         return taken
     places = every if len(taken) == len(every) else most
     pairs = zip(taken, places, strict=False)
-    if len(taken) == len(places) and all(
-        given == place or given not in every for given, place in pairs
-    ):
+    are_other_names = all(name == place or name not in every for name, place in pairs)
+    if len(taken) == len(places) and are_other_names:
         return places
-    alone = "" if most == every else f"{', '.join(most)}, or "
+    alternative = "" if most == every else f"{', '.join(most)}, or "
     raise TypeError(
-        f"{label} must take {alone}some of {', '.join(every)}, in this order and under these names; it takes "
+        f"{label} must take {alternative}some of {', '.join(every)}, in this order and under these names; it takes "
         f"({', '.join(taken)})"
     )
 
@@ -68,16 +70,15 @@ def reading(
     function: Function,
     names: str,
     label: str,
-    usual: str | None = None,
+    usual: str = "",
     wanted: str = "a function",
     unknown: str = "",
-) -> tuple[tuple[str, ...], Function]:
+) -> tuple[list[str], Function]:
     """Which of the named arguments a function takes, and the function as one of all of them.  See arguments."""
     taken = arguments(function, names, label, usual, wanted, unknown)
     # written out, as a named tuple does it: a call through *values takes longer than many a force
-    return taken, eval(
-        f"lambda {', '.join(names.split())}: function({', '.join(taken)})", {"function": function}
-    )
+    code = f"lambda {', '.join(names.split())}: function({', '.join(taken)})"
+    return taken, eval(code, {"function": function})
 
 
 def taking(function: Function, names: str, label: str) -> Function:
@@ -146,17 +147,18 @@ ENOUGH = 1e-9
 
 def forward_differences(function: Map, x: Array, at_x: Array) -> Array:
     """∂function/∂x, one column per variable: half the evaluations of central differences.  at_x : function(x)."""
-    return _differences(
-        function, x, FORWARD * np.maximum(np.abs(x), LEAST * (np.abs(x).max() or 1.0)), at_x
-    )
+    return _differences(function, x, FORWARD * _sizes(x, LEAST), at_x)
 
 
 def central_differences(function: Map, x: Array, step: float = CENTRAL, size: float = 0.0) -> Array:
     """∂function/∂x, one column per variable.  step : relative to each variable; wide for noisy functions.
     size : of the largest variable, where x may be smaller by chance."""
-    return _differences(
-        function, x, step * np.maximum(np.abs(x), LEAST * (max(np.abs(x).max(), size) or 1.0))
-    )
+    return _differences(function, x, step * _sizes(x, LEAST, size))
+
+
+def _sizes(x: Array, least: float, largest: float = 0.0) -> Array:
+    """(n,) sizes of variables.  least : relative to the largest, which is at least as large as given; none is zero."""
+    return np.maximum(np.abs(x), least * (max(np.abs(x).max(), largest) or 1.0))
 
 
 def _differences(function: Map, x: Array, steps: Array, at_x: Array | None = None) -> Array:
@@ -164,13 +166,15 @@ def _differences(function: Map, x: Array, steps: Array, at_x: Array | None = Non
     columns = []
     for k, step in enumerate(steps):
         ahead = x.copy()
-        behind = x.copy()
         ahead[k] += step
-        behind[k] -= step if at_x is None else 0.0
-        columns.append(
-            (function(ahead) - (function(behind) if at_x is None else at_x))
-            / (ahead[k] - behind[k])
-        )
+        values = function(ahead)
+        behind = x.copy()
+        if at_x is None:
+            behind[k] -= step
+            change = values - function(behind)
+        else:
+            change = values - at_x
+        columns.append(change / (ahead[k] - behind[k]))
     return np.stack(columns, axis=-1)
 
 
@@ -179,39 +183,33 @@ def accurate_differences(function: Map, x: Array, narrowed: float = 1.0) -> Arra
     six evaluations of it for a variable.
     Spacings are up to 1/256 of a variable, and are narrowed while the formulas of order 6 and 4 differ, or the function
     has no value there.  narrowed : factor of all spacings.  The result is NaN where no spacing gives one."""
-    here = function(x)
-    sizes = np.maximum(np.abs(x), LEAST_WIDE * (np.abs(x).max() or 1.0))
-    units = narrowed * np.exp2(np.floor(np.log2(sizes)))
+    at_x = np.tile(function(x), (x.size, 1))
+    units = narrowed * np.exp2(np.floor(np.log2(_sizes(x, LEAST_WIDE))))
 
     def along_each(e: float) -> Array:
         return np.array([function(x + step) for step in np.diag(e * units)])
 
-    return (
-        _derivative(along_each, np.tile(here, (x.size, 1)), 1, NARROWING.tolist(), ENOUGH)
-        / units[:, None]
-    ).T
+    rows = _derivative(along_each, at_x, 1, NARROWING.tolist(), ENOUGH) / units[:, None]
+    return rows.T
 
 
-def derivative(function: Map, given: Map | None, x: Array) -> Array:
-    """∂function/∂x, (m, n): as given, as a function of x with m n numbers, else by accurate differences."""
-    return (
-        accurate_differences(function, x)
-        if given is None
-        else np.array(given(x), float).reshape(-1, x.size)
-    )
+def derivative(function: Map, jacobian: Map | None, x: Array) -> Array:
+    """∂function/∂x, (m, n): of the user, a function of x with m n numbers, else by accurate differences."""
+    if jacobian is None:
+        return accurate_differences(function, x)
+    return np.array(jacobian(x), float).reshape(-1, x.size)
 
 
 def error_of_differences(function: Map, x: Array) -> float:
     """Relative error of accurate_differences, estimated from those with half the spacing."""
     wide = accurate_differences(function, x)
-    return float(
-        np.abs(wide - accurate_differences(function, x, 0.5)).max() / (np.abs(wide).max() or 1.0)
-    )
+    narrow = accurate_differences(function, x, 0.5)
+    return float(np.abs(wide - narrow).max() / (np.abs(wide).max() or 1.0))
 
 
-def remark_on_differences(function: Map, given: Any, x: Array) -> str:
-    """Says that G = ∂g/∂q, if it is not given, is found by accurate differences, with their error at x."""
-    if given is not None:
+def remark_on_differences(function: Map, jacobian: Any, x: Array) -> str:
+    """Says that G = ∂g/∂q is found by accurate differences, with their error at x, if the user gives none."""
+    if jacobian is not None:
         return ""
     error = max(error_of_differences(function, x), EPS)
     return f"G = ∂g/∂q by differences, with a relative error of {error:.0e} at the start"
@@ -220,11 +218,10 @@ def remark_on_differences(function: Map, given: Any, x: Array) -> str:
 def unit_of_time(y: Array, *derivatives: Array) -> float:
     """The time in which a path y + ε y′ + ε²/2 y″ changes by its own size; 1 if it rests."""
     size = np.abs(y).max() or 1.0
-    rates = [
-        0.0,
-        *((np.abs(d).max() / size) ** (1.0 / k) for k, d in enumerate(derivatives, start=1)),
-    ]
-    return 1.0 / max(rates) if max(rates) > RESTING else 1.0
+    fastest = 0.0
+    for k, derivative in enumerate(derivatives, start=1):
+        fastest = max(fastest, (np.abs(derivative).max() / size) ** (1.0 / k))
+    return 1.0 / fastest if fastest > RESTING else 1.0
 
 
 def time_derivative(path: Path, order: int, unit: float) -> Array:
@@ -233,30 +230,29 @@ def time_derivative(path: Path, order: int, unit: float) -> Array:
 
 
 def _derivative(
-    path: Path, here: Array, order: int, spacings: list[float], enough: float = 0.0
+    path: Path, start: Array, order: int, spacings: list[float], enough: float = 0.0
 ) -> Array:
     """A derivative at 0, each element from the spacing with its least estimated error: |order 6 − order 4| + rounding.
-    here : path(0).  spacings : widest first.  enough : relative error with which an element is settled."""
-    best = np.full(here.shape, np.nan)
-    least = np.full(here.shape, np.inf)
-    largest = np.zeros(here.shape)
+    start : path(0).  spacings : widest first.  enough : relative error with which an element is settled."""
+    best = np.full(start.shape, np.nan)
+    least = np.full(start.shape, np.inf)
+    largest = np.zeros(start.shape)
     for spacing in spacings:
         try:
             with np.errstate(all="ignore"):
-                values = np.array([path(k * spacing) for k in OFFSETS]) - here
+                values = np.array([path(k * spacing) for k in OFFSETS]) - start
         except (ValueError, ArithmeticError):  # outside the domain of a function such as math.sqrt
             continue
-        sixth, fourth = (
-            np.tensordot(weights, values, 1) / spacing**order for weights in WEIGHTS[order]
-        )
+        scale = spacing**order
+        sixth, fourth = (np.tensordot(weights, values, 1) / scale for weights in WEIGHTS[order])
         changes = np.abs(values).max(axis=0)
         largest = np.fmax(largest, changes)
-        error = np.abs(sixth - fourth) + NOISE * largest / spacing**order
+        error = np.abs(sixth - fourth) + NOISE * largest / scale
         better = error < least
         best[better] = sixth[better]
         least[better] = error[better]
         is_noise = (error > GROWN * least) & (np.abs(sixth - best) < NEAR * np.abs(best))
-        least[is_noise | (error <= enough * changes / spacing**order)] = 0.0
+        least[is_noise | (error <= enough * changes / scale)] = 0.0
         if not least.any():
             break
     return best

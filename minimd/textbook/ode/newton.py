@@ -138,6 +138,7 @@ class Iteration:
         scale : least sizes of the unknowns for relative errors, one number or an array; the equations are scaled by an
             array too.  floor : the same for corrections that no longer shrink; scale if not given.
         nothing : corrections up to this size end the iteration, whatever the unknowns."""
+        floor = scale if floor is None else floor
         before = np.inf
         last = np.inf
         slow = self.solver.slow
@@ -156,9 +157,7 @@ class Iteration:
             if size <= EPS or np.abs(dx).max() <= nothing:
                 return x
             if size >= slow * before:
-                is_small = (
-                    _relative_size(dx, x, scale if floor is None else floor) <= self.solver.small
-                )
+                is_small = _relative_size(dx, x, floor) <= self.solver.small
                 if size <= NEAR or (is_small and size > STALLED * last):
                     return x
                 last = size if is_small else np.inf
@@ -167,18 +166,17 @@ class Iteration:
             else:
                 before = size
         self._factors = None
-        largest = (
-            f"largest residual {np.abs(r).max():.1e}"
-            if np.isfinite(r).all()
-            else "their residual is not finite"
-        )
-        raise ConvergenceError(f"the equations of the step were not solved: {largest}")
+        residual_reached = "their residual is not finite"
+        if np.isfinite(r).all():
+            residual_reached = f"largest residual {np.abs(r).max():.1e}"
+        raise ConvergenceError(f"the equations of the step were not solved: {residual_reached}")
 
 
 def _relative_size(dx: Array, x: Array, scale: Sizes) -> float:
     """Largest |Δx| relative to |x|, or to scale where that is larger; without a scale, relative to the largest |x|."""
-    floor = np.maximum(np.abs(x), scale if np.any(scale) else np.abs(x).max())
-    return float(np.max(np.abs(dx) / np.maximum(floor, np.finfo(float).tiny)))
+    sizes = np.abs(x)
+    sizes = np.maximum(sizes, scale if np.any(scale) else sizes.max())
+    return float(np.max(np.abs(dx) / np.maximum(sizes, np.finfo(float).tiny)))
 
 
 def nearest_root(
@@ -195,15 +193,16 @@ def nearest_root(
         c = function(x)
         if not (c.any() and np.isfinite(c).all()):
             return x
-        dx = np.linalg.lstsq(central_differences(function, x, step, size), -c, rcond=dependent)[0]
+        jacobian = central_differences(function, x, step, size)
+        dx = np.linalg.lstsq(jacobian, -c, rcond=dependent)[0]
         move = np.abs(dx).max()
         largest = max(size, np.abs(x + dx).max())
         if move > 0.5 * least and move <= SMALL_OF_NOISY * largest:
-            return x
+            break
         x = x + dx
         least = move
         if move <= EPS * largest:
-            return x
+            break
     return x
 
 

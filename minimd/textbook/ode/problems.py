@@ -69,9 +69,7 @@ class FirstOrder(Problem):
         self, f: Function, jacobian: Function | None = None, solver: Newton = Newton()
     ) -> None:
         self._f = reading(f, "t y", "f", "y")[1]
-        self.jacobian = (
-            jacobian if jacobian is None else reading(jacobian, "t y", "jacobian", "y")[1]
-        )
+        self.jacobian = jacobian and reading(jacobian, "t y", "jacobian", "y")[1]
         self.solver = checked_solver(solver)
 
     def begin(self, start: ArrayLike, t0: float = 0.0) -> Array:
@@ -118,14 +116,15 @@ class Partitioned(Problem):
     ) -> None:
         self.g = VectorField(g, "v", "g")
         self.f = VectorField(f, "q", "f")
-        self.g_q = g_q if g_q is None else VectorField(g_q, "t q v", "g_q")
-        self.f_v = f_v if f_v is None else VectorField(f_v, "t q v", "f_v")
+        self.g_q = None if g_q is None else VectorField(g_q, "", "g_q")
+        self.f_v = None if f_v is None else VectorField(f_v, "", "f_v")
         self.solver = checked_solver(solver)
         self.shape: tuple[int, ...] = ()  # of q and of v, known once there is a start
 
     def __repr__(self) -> str:
-        g, f = (f"{field.name}({', '.join(field.takes)})" for field in (self.g, self.f))
-        return f"{type(self).__name__}({f if isinstance(self, SecondOrder) else f'{g}, {f}'})"
+        fields = (self.f,) if isinstance(self, SecondOrder) else (self.g, self.f)
+        functions = (f"{field.name}({', '.join(field.takes)})" for field in fields)
+        return f"{type(self).__name__}({', '.join(functions)})"
 
     @property
     def is_separable(self) -> bool:
@@ -161,7 +160,9 @@ class Partitioned(Problem):
         n = y.size // 2
         q = y[:n]
         v = y[n:]
-        return (q, v) if len(self.shape) == 1 else (q.reshape(self.shape), v.reshape(self.shape))
+        if len(self.shape) == 1:
+            return q, v
+        return q.reshape(self.shape), v.reshape(self.shape)
 
     def field(self, t: float, y: Array) -> Array:
         """(g, f) as one array of length 2n."""
@@ -253,17 +254,18 @@ class SequenceStep:
         self._problem = problem
         self._iteration = problem.solver.iteration()
         self._substeps = [(isinstance(substep, Kick), substep.coefficient) for substep in substeps]
-        self._known: tuple[Array | None, Array | None] = None, None
+        self._last: Array | None = None  # state, and its force if it is known
+        self._force: Array | None = None
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
         problem = self._problem
         n = y.size // 2
-        force = self._known[1] if self._known[0] is y else None
+        force = self._force if self._last is y else None
         y = y.copy()
         q = y[:n]
         v = y[n:]
-        q_shaped, v_shaped = (q, v) if len(problem.shape) == 1 else problem.halves(y)
+        q_shaped, v_shaped = problem.halves(y)
         for is_kick, coefficient in self._substeps:
             duration = coefficient * h
             if is_kick:
@@ -271,16 +273,17 @@ class SequenceStep:
                     force = problem.f(t, q_shaped, v_shaped)
                     self.nfev += 1
                 push(v, duration, force)
+                continue
+            if problem.drifts_on_lines:
+                push(q, duration, v)
             else:
-                if problem.drifts_on_lines:
-                    push(q, duration, v)
-                else:
-                    problem.drift(t, q, v, duration, self._iteration)
-                t += duration
-                force = None
+                problem.drift(t, q, v, duration, self._iteration)
+            t += duration
+            force = None
         if not problem.drifts_on_lines:
             problem.settle(q, v)
-        self._known = y, force
+        self._last = y
+        self._force = force
         return y
 
 
@@ -291,13 +294,14 @@ class EulerStep:
         self.nfev = 0
         self._problem = problem
         self._factors = list[tuple[type[Substep], float, Iteration]]()
+        rounding = COEFFICIENT_ROUNDING * len(substeps)
         rest = 0.0
         # kick-first and drift-first in turn, each with the rest of its neighbor
         for substep in substeps:
             rest = substep.coefficient - rest
-            if abs(rest) > COEFFICIENT_ROUNDING * len(substeps):
+            if abs(rest) > rounding:
                 self._factors.append((type(substep), rest, problem.solver.iteration()))
-        if abs(rest) > COEFFICIENT_ROUNDING * len(substeps):
+        if abs(rest) > rounding:
             raise TypeError(
                 "a sequence whose kicks and drifts do not add up to the same time has no implicit form"
             )
@@ -305,21 +309,16 @@ class EulerStep:
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
         problem = self._problem
-        n = y.size // 2
-        q, v = y[:n].copy(), y[n:].copy()
+        q, v = np.split(y.copy(), 2)
         for kind, weight, iteration in self._factors:
             duration = weight * h
             if kind is Kick:
-                v = self._solved(
-                    problem.f, problem.f_v, v, lambda x: (t, q, x), duration, iteration
-                )
+                v = self._solved("v", v, lambda x: (t, q, x), duration, iteration)
                 q = q + duration * self._value(problem.g, t, q, v)
                 t += duration
             else:
                 t += duration
-                q = self._solved(
-                    problem.g, problem.g_q, q, lambda x: (t, x, v), duration, iteration
-                )
+                q = self._solved("q", q, lambda x: (t, x, v), duration, iteration)
                 v = v + duration * self._value(problem.f, t, q, v)
         return np.concatenate([q, v])
 
@@ -329,26 +328,24 @@ class EulerStep:
         return field(t, q.reshape(shape), v.reshape(shape))
 
     def _solved(
-        self,
-        field: VectorField,
-        jacobian: VectorField | None,
-        x0: Array,
-        place: Place,
-        duration: float,
-        iteration: Iteration,
+        self, unknown: str, x0: Array, place: Place, duration: float, iteration: Iteration
     ) -> Array:
         """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one is constant.  place : (t, q, v)
         with this x."""
+        problem = self._problem
+        field = problem.f if unknown == "v" else problem.g
+        jacobian: Any = problem.f_v if unknown == "v" else problem.g_q
 
         def moved(x: Array) -> Array:
             return x0 + duration * self._value(field, *place(x))
 
+        def slope(x: Array) -> Array:
+            matrix = self._value(jacobian, *place(x)).reshape(x.size, x.size)
+            return np.eye(x.size) - duration * matrix
+
         guess = moved(x0)
-        if ("v" if field is self._problem.f else "q") not in field.takes:
+        if unknown not in field.takes:
             return guess
-        slope: Any = jacobian and (
-            lambda x: (
-                np.eye(x.size) - duration * self._value(jacobian, *place(x)).reshape(x.size, x.size)
-            )
+        return iteration.solve(
+            lambda x: x - moved(x), guess, jacobian and slope, duration, np.abs(x0).max()
         )
-        return iteration.solve(lambda x: x - moved(x), guess, slope, duration, np.abs(x0).max())

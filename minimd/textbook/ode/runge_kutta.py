@@ -10,6 +10,7 @@ E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic
 E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5.
 """
 
+from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any, ClassVar, NamedTuple
 
@@ -17,14 +18,27 @@ import numpy as np
 from numpy.polynomial.legendre import Legendre
 from numpy.typing import ArrayLike
 
+from minimd.core.console.words import shown
 from minimd.core.integrators.method import Array, ClassProperty, Method, Problem, Step
 from minimd.core.structure.checks import checked_count, checked_numbers
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.ode.functions import forward_differences
 from minimd.textbook.ode.problems import DifferentialAlgebraic, FirstOrder
 
-__all__ = ["GaussLegendre1", "GaussLegendre2", "GaussLegendre3", "GaussLegendre4", "ImplicitEuler", "RadauIIA2",
-           "RadauIIA3", "RungeKutta", "Tableau", "collocation", "gauss", "radau_iia"]  # fmt: skip
+__all__ = [
+    "GaussLegendre1",
+    "GaussLegendre2",
+    "GaussLegendre3",
+    "GaussLegendre4",
+    "ImplicitEuler",
+    "RadauIIA2",
+    "RadauIIA3",
+    "RungeKutta",
+    "Tableau",
+    "collocation",
+    "gauss",
+    "radau_iia",
+]
 
 FARTHEST = 3.0  # times the last step: how far its slopes are extrapolated at most
 TABLEAU_ROUNDING = 1e-13  # of sums of a few products of coefficients of order one
@@ -58,19 +72,17 @@ class Tableau(NamedTuple):
     @property
     def is_symplectic(self) -> bool:
         """Whether M = 0, to rounding."""
-        return bool(np.abs(self.symplecticity_defect).max() < TABLEAU_ROUNDING)
+        return _vanishes(self.symplecticity_defect)
 
     @property
     def is_symmetric(self) -> bool:
         """Whether β_{s+1−i,s+1−j} + β_ij = w_j: the method is its own adjoint (stages in order of their nodes)."""
-        return bool(
-            np.abs(self.beta[::-1, ::-1] + self.beta - self.weights).max() < TABLEAU_ROUNDING
-        )
+        return _vanishes(self.beta[::-1, ::-1] + self.beta - self.weights)
 
     @property
     def is_stiffly_accurate(self) -> bool:
         """Whether the last stage is the new state."""
-        return bool(np.abs(self.beta[-1] - self.weights).max() < TABLEAU_ROUNDING)
+        return _vanishes(self.beta[-1] - self.weights)
 
     @property
     def is_explicit(self) -> bool:
@@ -82,7 +94,7 @@ class Tableau(NamedTuple):
         """Largest η for which C(η) holds, see order: the order of the stages."""
         c = self.nodes[:, None]
         k = np.arange(1, HIGHEST_ORDER + 1)
-        return _first_failure(self.beta @ c ** (k - 1) - c**k / k)
+        return _n_held(self.beta @ c ** (k - 1) - c**k / k)
 
     @property
     def order(self) -> int:
@@ -94,28 +106,33 @@ class Tableau(NamedTuple):
         c = self.nodes
         k = np.arange(1, HIGHEST_ORDER + 1)
         powers = c[:, None] ** (k - 1)
-        b = _first_failure(w @ powers - 1.0 / k)
+        b = _n_held([w @ powers - 1.0 / k])
         eta = self.stage_order
-        zeta = _first_failure(
-            (w[:, None] * powers).T @ self.beta - w * (1.0 - c ** k[:, None]) / k[:, None], axis=1
-        )
-        return min(b, eta + zeta + 1, 2 * eta + 2)
+        column = k[:, None]
+        d = (w[:, None] * powers).T @ self.beta - w * (1.0 - c**column) / column
+        return min(b, eta + _n_held(d.T) + 1, 2 * eta + 2)
 
 
-def _first_failure(defects: Array, axis: int = 0) -> int:
-    """How many conditions, along the other axis, hold before the first that fails."""
-    worst = np.abs(np.atleast_2d(defects)).max(axis=axis)
-    return (
-        int(np.argmax(worst > TABLEAU_ROUNDING)) if (worst > TABLEAU_ROUNDING).any() else worst.size
-    )
+def _vanishes(defects: Array) -> bool:
+    return bool(np.abs(defects).max() < TABLEAU_ROUNDING)
+
+
+def _n_held(defects: ArrayLike) -> int:
+    """How many conditions, one for each column of defects, hold before the first that fails."""
+    fails = np.abs(defects).max(axis=0) > TABLEAU_ROUNDING
+    return int(np.argmax(fails)) if fails.any() else fails.size
 
 
 def collocation(nodes: ArrayLike) -> Tableau:
-    """The collocation method on s different nodes, in units of the step."""
-    c = checked_numbers("nodes", nodes, "numbers")
-    return Tableau(
-        np.array([_lagrange_integrals(c, node) for node in c]), _lagrange_integrals(c, 1.0), c
-    )
+    """The collocation method on s different nodes, (s,), in units of the step.
+    Raises ValueError for anything but a sequence of different, finite numbers, at least one."""
+    c = checked_numbers("nodes", nodes, "a sequence of numbers")
+    if c.ndim != 1 or np.unique(c).size != c.size or c.size == 0 or not np.isfinite(c).all():
+        raise ValueError(
+            f"nodes must be a sequence of different, finite numbers, at least one; nodes = {shown(nodes)}"
+        )
+    beta = np.array([_lagrange_integrals(c, node) for node in c])
+    return Tableau(beta, _lagrange_integrals(c, 1.0), c)
 
 
 def gauss(n_stages: int) -> Tableau:
@@ -143,11 +160,11 @@ def _lagrange_integrals(nodes: Array, end: float) -> Array:
     x, w = np.polynomial.legendre.leggauss(nodes.size)
     x = end * (1.0 + x) / 2.0
     w = end * w / 2.0
+    distances = nodes[:, None] - nodes
+    np.fill_diagonal(distances, 1.0)
     # of ℓ_j at x_k, for [k, j]
-    factors = (x[:, None, None] - nodes) / np.where(
-        np.eye(nodes.size, dtype=bool), 1.0, nodes[:, None] - nodes
-    )
-    factors[:, np.arange(nodes.size), np.arange(nodes.size)] = 1.0
+    factors = (x[:, None, None] - nodes) / distances
+    factors[:, np.eye(nodes.size, dtype=bool)] = 1.0
     return w @ factors.prod(axis=2)
 
 
@@ -166,13 +183,10 @@ class RungeKutta(Method):
         """The step on any problem; those of index 3 need a method whose last stage is the next state.
         Raises TypeError for Gauss-Legendre methods on problems of index 3, where errors of the multipliers do not
         shrink with the time step; and for a tableau with equal nodes, as explicit methods have them."""
-        if (
-            isinstance(problem, DifferentialAlgebraic)
-            and problem.index > 2
-            and not cls.tableau.is_stiffly_accurate
-        ):
+        index = problem.index if isinstance(problem, DifferentialAlgebraic) else 0
+        if index > 2 and not cls.tableau.is_stiffly_accurate:
             raise TypeError(
-                f"{cls.name} does not converge on problems of index {problem.index}, whose multipliers stay wrong "
+                f"{cls.name} does not converge on problems of index {index}, whose multipliers stay wrong "
                 "however short the steps; take RadauIIA3 or BDF3, or a Holonomic problem with a splitting"
             )
         nodes = cls.tableau.nodes.tolist()
@@ -186,11 +200,11 @@ class RungeKutta(Method):
     @classmethod
     def order_on(cls, problem: Problem) -> int:
         """Order of the error estimate: that of algebraic variables, weighted as in error_weights, where it is lower."""
-        if not isinstance(problem, DifferentialAlgebraic) or (
-            problem.index <= 1 and cls.tableau.is_stiffly_accurate
-        ):
+        if not isinstance(problem, DifferentialAlgebraic):
             return cls.order
-        return cls.tableau.stage_order
+        tableau = cls.tableau
+        is_full = problem.index <= 1 and tableau.is_stiffly_accurate
+        return tableau.order if is_full else tableau.stage_order
 
 
 class StageEquations:
@@ -212,27 +226,27 @@ class StageEquations:
         """(s, n) K with F(t_i, b_i + Σ_j weights_ij K_j, K_i) = 0.  Raises ConvergenceError with the largest residual.
         times : (s,).  base : (n,) b, the same for all stages.  weights : (s, s) h β.  guess : (s, n).  h : [time]."""
 
-        def residual(unknowns: Array) -> Array:
+        n = base.size
+
+        def stages(unknowns: Array) -> Iterator[tuple[float, Array, Array]]:
             k = unknowns.reshape(guess.shape)
-            return np.concatenate(
-                [self._residual(*stage) for stage in zip(times, base + weights @ k, k, strict=True)]
-            )
+            return zip(times, base + weights @ k, k, strict=True)
+
+        def residual(unknowns: Array) -> Array:
+            return np.concatenate([self._residual(*stage) for stage in stages(unknowns)])
 
         def jacobian(unknowns: Array) -> Array:
-            k = unknowns.reshape(guess.shape)
-            n = base.size
-            matrix = np.empty((k.size, k.size))
-            for i, stage in enumerate(zip(times, base + weights @ k, k, strict=True)):
+            matrix = np.empty((unknowns.size, unknowns.size))
+            for i, stage in enumerate(stages(unknowns)):
+                own = slice(i * n, (i + 1) * n)
                 of_state, of_slope = self._jacobians(*stage)
-                rows = matrix[i * n : (i + 1) * n]
-                rows[:] = np.kron(weights[i], of_state)
-                rows[:, i * n : (i + 1) * n] += of_slope
+                matrix[own] = np.kron(weights[i], of_state)
+                matrix[own, own] += of_slope
             return matrix
 
+        key = (h, *weights[0])
         sizes = self._sizes(base, guess, h)
-        slopes = self._iteration.solve(
-            residual, guess.reshape(-1), jacobian, (h, *weights[0]), *sizes
-        )
+        slopes = self._iteration.solve(residual, guess.reshape(-1), jacobian, key, *sizes)
         return slopes.reshape(guess.shape)
 
     def _residual(self, t: float, y: Array, slope: Array) -> Array:
@@ -246,10 +260,10 @@ class StageEquations:
             self.nfev += y.size
             return problem.state_jacobian(t, y, slope), problem.slope_jacobian(t, y, slope)
         if isinstance(problem, FirstOrder) and problem.jacobian is not None:
-            return -np.asarray(problem.jacobian(t, y), dtype=float), np.eye(y.size)
-        of_state = forward_differences(
-            lambda x: self._residual(t, x, slope), y, self._residual(t, y, slope)
-        )
+            of_state = -np.asarray(problem.jacobian(t, y), dtype=float)
+        else:
+            at_y = self._residual(t, y, slope)
+            of_state = forward_differences(lambda x: self._residual(t, x, slope), y, at_y)
         return of_state, np.eye(y.size)
 
     def _sizes(
@@ -260,15 +274,15 @@ class StageEquations:
         slopes vanish and the state does not. Differential-algebraic ones: each variable has its own size; corrections
         of algebraic variables that no longer shrink are rounding if the others are solved for."""
         problem = self._problem
+        length = abs(h)
         if not isinstance(problem, DifferentialAlgebraic):
             largest = np.abs(base).max()
-            return 0.0, largest / abs(h), UNSEEN * largest / abs(h)
+            return 0.0, largest / length, UNSEEN * largest / length
+        levels = problem.levels
         sizes = np.maximum(np.abs(base), np.abs(h * guess).max(axis=0))
-        own = np.maximum(sizes, VANISHING * sizes.max()) * AMPLIFIED**problem.levels / abs(h)
-        floor = np.where(
-            problem.levels > 0, np.inf, sizes[problem.levels == 0].max(initial=0.0) / abs(h)
-        )
-        return np.tile(own, len(guess)), np.tile(floor, len(guess)), 0.0
+        scale = np.maximum(sizes, VANISHING * sizes.max()) * AMPLIFIED**levels / length
+        floor = np.where(levels > 0, np.inf, sizes[levels == 0].max(initial=0.0) / length)
+        return np.tile(scale, len(guess)), np.tile(floor, len(guess)), 0.0
 
 
 class StageStep(StageEquations):
@@ -279,54 +293,91 @@ class StageStep(StageEquations):
         self._tableau = tableau
         # of the polynomial through values at the nodes
         self._coefficients = np.linalg.inv(np.vander(tableau.nodes))
-        # last state, and its rounding error
-        self._known: tuple[Array | None, Array | float] = None, 0.0
+        self._state: Array | None = None  # the last one
+        self._rounding: Array | float = 0.0  # its error
         # time, length and slopes of the last step
         self._last: tuple[float, float, Array] | None = None
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
-        known, lost = self._known
         slopes = self._all_slopes(t, y, h)
-        increment = h * (self._tableau.weights @ slopes) + (lost if known is y else 0.0)
+        rounding = self._rounding if self._state is y else 0.0
+        increment = h * (self._tableau.weights @ slopes) + rounding
         y_new = y + increment
-        self._known = (y_new, increment - (y_new - y))
+        self._state = y_new
+        self._rounding = increment - (y_new - y)
         self._last = (t, h, slopes)
         return y_new
 
     def _all_slopes(self, t: float, y: Array, h: float) -> Array:
         """(s, n) slopes; the guess is the polynomial through the last ones, or y′ if that is far or fails."""
-        times = t + self._tableau.nodes * h
+        offsets = self._tableau.nodes * h
+        times = t + offsets
         weights = h * self._tableau.beta
         if self._last is not None:
             t_last, h_last, slopes = self._last
-            nodes = (t - t_last + self._tableau.nodes * h) / h_last
+            nodes = (t - t_last + offsets) / h_last
             if nodes.min() >= -1.0 and nodes.max() <= FARTHEST:
-                guess = np.vander(nodes, len(slopes)) @ (self._coefficients @ slopes)
+                guess = np.vander(nodes) @ (self._coefficients @ slopes)
                 with suppress(ConvergenceError):
                     return self.slopes(times, y, weights, guess, h)
-        return self.slopes(
-            times, y, weights, np.tile(self._problem.field(t, y), (times.size, 1)), h
-        )
+        guess = np.tile(self._problem.field(t, y), (times.size, 1))
+        return self.slopes(times, y, weights, guess, h)
 
 
-def _method(title: str, name: str, tableau: Tableau, source: str, doc: str) -> type[RungeKutta]:
-    return type(
-        title, (RungeKutta,), {"__doc__": doc, "name": name, "tableau": tableau, "source": source}
-    )
+class GaussLegendre(RungeKutta):
+    """Collocation on Gauss-Legendre nodes."""
+
+    source = "J. C. Butcher, Math. Comput. 18, 50 (1964)"
 
 
-BOOK = "E. Hairer, G. Wanner, Solving ODEs II (1996)"
-GaussLegendre1, GaussLegendre2, GaussLegendre3, GaussLegendre4 = (
-    _method(f"GaussLegendre{s}", f"gauss-legendre-{s}", gauss(s), "J. C. Butcher, Math. Comput. 18, 50 (1964)",
-            f"Gauss-Legendre with {stages}: order {2 * s}, symplectic, symmetric.")
-    for s, stages in enumerate(
-        ("one stage, the implicit midpoint rule", "two stages", "three stages", "four stages"), start=1)
-)  # fmt: skip
-ImplicitEuler = _method("ImplicitEuler", "implicit-euler", radau_iia(1), f"{BOOK}, IV.3",
-                        "Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate.")  # fmt: skip
-RadauIIA2, RadauIIA3 = (
-    _method(f"RadauIIA{s}", f"radau-iia-{s}", radau_iia(s), f"B. L. Ehle (1969); {BOOK}, IV.5",
-            f"Radau IIA with {stages}: order {2 * s - 1}, stiffly accurate.")
-    for s, stages in ((2, "two stages"), (3, "three stages"))
-)  # fmt: skip
+class GaussLegendre1(GaussLegendre):
+    """Gauss-Legendre with one stage, the implicit midpoint rule: order 2, symplectic, symmetric."""
+
+    name = "gauss-legendre-1"
+    tableau = gauss(1)
+
+
+class GaussLegendre2(GaussLegendre):
+    """Gauss-Legendre with two stages: order 4, symplectic, symmetric."""
+
+    name = "gauss-legendre-2"
+    tableau = gauss(2)
+
+
+class GaussLegendre3(GaussLegendre):
+    """Gauss-Legendre with three stages: order 6, symplectic, symmetric."""
+
+    name = "gauss-legendre-3"
+    tableau = gauss(3)
+
+
+class GaussLegendre4(GaussLegendre):
+    """Gauss-Legendre with four stages: order 8, symplectic, symmetric."""
+
+    name = "gauss-legendre-4"
+    tableau = gauss(4)
+
+
+class ImplicitEuler(RungeKutta):
+    """Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate."""
+
+    name = "implicit-euler"
+    tableau = radau_iia(1)
+    source = "E. Hairer, G. Wanner, Solving ODEs II (1996), IV.3"
+
+
+class RadauIIA2(RungeKutta):
+    """Radau IIA with two stages: order 3, stiffly accurate."""
+
+    name = "radau-iia-2"
+    tableau = radau_iia(2)
+    source = "B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5"
+
+
+class RadauIIA3(RungeKutta):
+    """Radau IIA with three stages: order 5, stiffly accurate."""
+
+    name = "radau-iia-3"
+    tableau = radau_iia(3)
+    source = RadauIIA2.source

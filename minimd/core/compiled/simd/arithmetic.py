@@ -38,9 +38,9 @@ def _instruction(of_floats: str, of_integers: str, *sign: str):
     @intrinsic
     def operation(_context, a, b):
         method = of_floats if a.is_float else of_integers
-        return (a.mask if sign else a)(a, b), emitting(
-            lambda builder, *pair: getattr(builder, method)(*sign, *pair)
-        )
+        result = a.mask if sign else a
+        emit = emitting(lambda builder, *pair: getattr(builder, method)(*sign, *pair))
+        return result(a, b), emit
 
     return operation
 
@@ -49,12 +49,11 @@ def _function(name: str):
     """An intrinsic for one of LLVM's functions whose argument and result are of one vector type."""
 
     @intrinsic
-    def one(_context, a):
-        return a(a), emitting(
-            lambda builder, x: call(builder, f"llvm.{name}.{a.suffix}", x.type, [x])
-        )
+    def operation(_context, a):
+        function = f"llvm.{name}.{a.suffix}"
+        return a(a), emitting(lambda builder, x: call(builder, function, x.type, [x]))
 
-    return one
+    return operation
 
 
 _square_root = _function("sqrt")
@@ -65,9 +64,8 @@ _floor = _function("floor")
 @intrinsic
 def _multiply_add(_context, a, b, c):
     suffix = a.suffix if isinstance(a, Vector) else f"f{a.bitwidth}"
-    return a(a, b, c), emitting(
-        lambda builder, *abc: call(builder, f"llvm.fmuladd.{suffix}", abc[0].type, abc)
-    )
+    function = f"llvm.fmuladd.{suffix}"
+    return a(a, b, c), emitting(lambda builder, *abc: call(builder, function, abc[0].type, abc))
 
 
 def fma(a, b, c):
@@ -124,17 +122,14 @@ def _bind_choice(function, beats) -> None:
     def of_vectors(a, b):
         if isinstance(a, Vector):
             return lambda a, b: select(beats(a, b), a, broadcast(b, a))
-        return (
-            (lambda a, b: select(beats(b, a), b, broadcast(a, b)))
-            if isinstance(b, Vector)
-            else None
-        )
+        if isinstance(b, Vector):
+            return lambda a, b: select(beats(b, a), b, broadcast(a, b))
+        return None
 
 
 for _operator in FLOAT_OPERATORS | INTEGER_OPERATORS:
-    _operation = _instruction(
-        FLOAT_OPERATORS.get(_operator, ""), INTEGER_OPERATORS.get(_operator, "")
-    )
+    _of_floats = FLOAT_OPERATORS.get(_operator, "")
+    _operation = _instruction(_of_floats, INTEGER_OPERATORS.get(_operator, ""))
     _bind(_operator, _operation)
     _bind(getattr(operator, f"i{_operator.__name__.rstrip('_')}"), _operation)  # a += b
 for _name, _sign in COMPARISONS.items():
@@ -202,5 +197,5 @@ def bind_one(function, operation=None) -> None:
 
 
 _FUNCTIONS = {math.sqrt: _square_root, np.sqrt: _square_root, abs: _magnitude, np.floor: _floor}
-for _one, _operation in {**_FUNCTIONS, **dict.fromkeys(LANE_BY_LANE)}.items():
-    bind_one(_one, _operation)
+for _function_of_one, _operation in {**_FUNCTIONS, **dict.fromkeys(LANE_BY_LANE)}.items():
+    bind_one(_function_of_one, _operation)

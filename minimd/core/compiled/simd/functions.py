@@ -18,8 +18,10 @@ from minimd.core.compiled.kernels import scalar
 from minimd.core.compiled.simd.arithmetic import bind_one, fma, select
 from minimd.core.compiled.simd.vector import MAGIC, Vector, as_floats, bits_of, broadcast, float_of
 
-HALF_PI, REST_OF_PI = 0.5 * math.pi, 6.123233995736766e-17  # their sum is π/2
-LN_2, REST_OF_LN_2 = math.log(2.0), 2.3190468138462996e-17  # their sum is ln 2
+HALF_PI = 0.5 * math.pi
+REST_OF_PI = 6.123233995736766e-17  # the sum with HALF_PI is π/2
+LN_2 = math.log(2.0)
+REST_OF_LN_2 = 2.3190468138462996e-17  # the sum with LN_2 is ln 2
 SINE = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(1, 9))
 COSINE = tuple((-1.0) ** k / math.factorial(2 * k) for k in range(9))
 ARCTANGENT = tuple((-1.0) ** k / (2 * k + 1) for k in range(1, 11))
@@ -38,8 +40,8 @@ BIAS = 1023
 def polynomial(t, c):
     """Σ c[k] tᵏ of a number or a vector; unrolled by the compiler."""
     total = 0.0
-    for one in c[::-1]:
-        total = total * t + one
+    for coefficient in c[::-1]:
+        total = total * t + coefficient
     return total
 
 
@@ -48,9 +50,12 @@ def _polynomial(t, c):
     if len(c) == 2:
         return lambda t, c: fma(t, c[1], c[0])
     if len(c) > 5:  # four at once: the compiler, which calls itself, must not go too deep
-        return lambda t, c: fma(
-            t, fma(t, fma(t, fma(t, polynomial(t, c[4:]), c[3]), c[2]), c[1]), c[0]
-        )
+
+        def four(t, c):
+            rest = fma(t, polynomial(t, c[4:]), c[3])
+            return fma(t, fma(t, fma(t, rest, c[2]), c[1]), c[0])
+
+        return four
     return lambda t, c: fma(t, polynomial(t, c[1:]), c[0])
 
 
@@ -63,8 +68,9 @@ def _sine(x, shift):
     z = r * r
     half = 0.5 * k
     quarter = 0.25 * k
-    one = select(half == np.floor(half), fma(r * z, polynomial(z, SINE), r), polynomial(z, COSINE))
-    return select(quarter - np.floor(quarter) < 0.5, one, -one)
+    is_sine = half == np.floor(half)
+    value = select(is_sine, fma(r * z, polynomial(z, SINE), r), polynomial(z, COSINE))
+    return select(quarter - np.floor(quarter) < 0.5, value, -value)
 
 
 @scalar
@@ -87,10 +93,10 @@ def arctangent(y, x):
     run = select(is_steep, abs(y), abs(x))
     is_wide = rise > MIDDLE[1] * run
     is_middle = rise > MIDDLE[0] * run
-    slope = select(is_wide, broadcast(1.0, x), select(is_middle, broadcast(EIGHTH, x), 0.0))
-    start = select(
-        is_wide, broadcast(0.5 * HALF_PI, x), select(is_middle, broadcast(0.25 * HALF_PI, x), 0.0)
-    )
+    slope = select(is_middle, broadcast(EIGHTH, x), 0.0)
+    slope = select(is_wide, broadcast(1.0, x), slope)
+    start = select(is_middle, broadcast(0.25 * HALF_PI, x), 0.0)
+    start = select(is_wide, broadcast(0.5 * HALF_PI, x), start)
     q = fma(run, -slope, rise) / fma(rise, slope, run)
     q = select(run == 0.0, rise, q)
     angle = start + fma(q * (q * q), polynomial(q * q, ARCTANGENT), q)
@@ -105,13 +111,13 @@ def exponential(x):
     k = np.floor(x * (1.0 / LN_2) + 0.5)
     r = fma(k, -REST_OF_LN_2, fma(k, -LN_2, x))
     half = np.floor(0.5 * k)  # 2ᵏ may be out of range where eˣ is not
-    one = 1.0 + fma(r * r, polynomial(r, EXPONENTIAL), r)
-    one = one * _power_of_two(half) * _power_of_two(k - half)
-    return select(x > math.log(MOST), math.inf, select(x < math.log(LEAST), 0.0, one))
+    power = 1.0 + fma(r * r, polynomial(r, EXPONENTIAL), r)
+    power = power * _two_to_the(half) * _two_to_the(k - half)
+    return select(x > math.log(MOST), math.inf, select(x < math.log(LEAST), 0.0, power))
 
 
 @scalar
-def _power_of_two(k):
+def _two_to_the(k):
     return float_of((bits_of(k + MAGIC) + BIAS) << 52)
 
 
@@ -127,9 +133,8 @@ def logarithm(x):
     s = (m - 1.0) / (m + 1.0)
     z = s * s
     log = fma(k, LN_2, 2.0 * s + fma(s * z, polynomial(z, LOGARITHM), k * REST_OF_LN_2))
-    return select(
-        x >= LEAST, select(x <= MOST, log, x), select(x >= 0.0, broadcast(-math.inf, x), math.nan)
-    )
+    below = select(x >= 0.0, broadcast(-math.inf, x), math.nan)
+    return select(x >= LEAST, select(x <= MOST, log, x), below)
 
 
 _OPERATIONS = {"sin": sine, "cos": cosine, "exp": exponential, "log": logarithm}

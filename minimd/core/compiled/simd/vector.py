@@ -65,9 +65,10 @@ def broadcast(_context, number, like):
     def generate(context, builder, signature, arguments):
         if isinstance(number, Vector):
             return arguments[0]
-        one = context.cast(builder, arguments[0], number, like.element)
-        empty = ir.Constant(ir.VectorType(one.type, like.lanes), ir.Undefined)
-        return _some_lanes(builder, builder.insert_element(empty, one, INT32(0)), [0] * like.lanes)
+        value = context.cast(builder, arguments[0], number, like.element)
+        empty = ir.Constant(ir.VectorType(value.type, like.lanes), ir.Undefined)
+        first = builder.insert_element(empty, value, INT32(0))
+        return _some_lanes(builder, first, [0] * like.lanes)
 
     return like(number, like), generate
 
@@ -82,19 +83,19 @@ def zeros(_context, lanes):
 @intrinsic
 def bits_from_mask(_context, mask):
     """A mask as an int64 whose bit k is lane k; zero if no lane is set."""
-    bits, int64 = ir.IntType(mask.lanes), ir.IntType(64)
-    return types.int64(mask), emitting(
-        lambda builder, value: builder.zext(builder.bitcast(value, bits), int64)
-    )
+
+    def emit(builder, value):
+        return builder.zext(builder.bitcast(value, ir.IntType(mask.lanes)), ir.IntType(64))
+
+    return types.int64(mask), emitting(emit)
 
 
 @intrinsic
 def trailing_zeros(_context, bits):
     """The number of the lowest bit of an uint64 that is set; 64 if none is."""
     zero_is_defined = ir.Constant(ir.IntType(1), 0)
-    return types.uint64(types.uint64), emitting(
-        lambda builder, value: builder.cttz(value, zero_is_defined)
-    )
+    emit = emitting(lambda builder, value: builder.cttz(value, zero_is_defined))
+    return types.uint64(types.uint64), emit
 
 
 @intrinsic
@@ -132,10 +133,9 @@ def total(_context, vector):
         lanes = vector.lanes
         while lanes > 1:
             lanes //= 2
-            halves = [
-                _some_lanes(builder, value, range(start, start + lanes)) for start in (0, lanes)
-            ]
-            value = (builder.fadd if vector.is_float else builder.add)(*halves)
+            lower = _some_lanes(builder, value, range(lanes))
+            upper = _some_lanes(builder, value, range(lanes, 2 * lanes))
+            value = (builder.fadd if vector.is_float else builder.add)(lower, upper)
         return builder.extract_element(value, INT32(0))
 
     return vector.element(vector), generate
@@ -144,9 +144,8 @@ def total(_context, vector):
 @intrinsic
 def lane(_context, vector, k):
     """The number in lane k."""
-    return vector.element(vector, k), emitting(
-        lambda builder, *values: builder.extract_element(*values)
-    )
+    emit = emitting(lambda builder, *values: builder.extract_element(*values))
+    return vector.element(vector, k), emit
 
 
 @intrinsic
@@ -154,8 +153,8 @@ def with_lane(_context, vector, k, number):
     """The vector with another number in lane k."""
 
     def generate(context, builder, signature, arguments):
-        one = context.cast(builder, arguments[2], number, vector.element)
-        return builder.insert_element(arguments[0], one, arguments[1])
+        value = context.cast(builder, arguments[2], number, vector.element)
+        return builder.insert_element(arguments[0], value, arguments[1])
 
     return vector(vector, k, number), generate
 
@@ -178,9 +177,8 @@ def store(_context, array, index, vector):
     """Write a vector to contiguous elements of a one-dimensional array, from index."""
 
     def generate(context, builder, signature, arguments):
-        written = builder.store(
-            arguments[2], _pointer_to(context, builder, array, arguments, vector)
-        )
+        pointer = _pointer_to(context, builder, array, arguments, vector)
+        written = builder.store(arguments[2], pointer)
         written.align = array.dtype.bitwidth // 8
         return context.get_dummy_value()
 
@@ -211,20 +209,18 @@ def call(builder, name, result, arguments):
 def _pointer_to(context, builder, kind, arguments, vector):
     """The address of an element, as that of a vector.  arguments : an array of type kind, and an index, as values."""
     data = context.make_array(kind)(context, builder, arguments[0]).data
-    return builder.bitcast(
-        builder.gep(data, [arguments[1]]), context.get_value_type(vector).as_pointer()
-    )
+    element = builder.gep(data, [arguments[1]])
+    return builder.bitcast(element, context.get_value_type(vector).as_pointer())
 
 
 @scalar
 def loaded(blocks, start, lanes):
     """The vectors x, y, z of a block, from index start on."""
     n = np.uintp(count(lanes))
-    return (
-        load(blocks, start, lanes),
-        load(blocks, start + n, lanes),
-        load(blocks, start + n + n, lanes),
-    )
+    x = load(blocks, start, lanes)
+    y = load(blocks, start + n, lanes)
+    z = load(blocks, start + n + n, lanes)
+    return x, y, z
 
 
 @scalar
@@ -301,10 +297,10 @@ def register_bits() -> int:
     triple, name, features = cpu_target.target_context.codegen().magic_tuple()
     machine = llvm.Target.from_triple(triple).create_target_machine(cpu=name, features=features)
     assembly = machine.emit_assembly(llvm.parse_assembly(PROBE))
-    return next(
-        (bits for register, bits in REGISTERS.items() if re.search(rf"%{register}\d", assembly)),
-        128,
-    )
+    for register, bits in REGISTERS.items():
+        if re.search(rf"%{register}\d", assembly):
+            return bits
+    return 128
 
 
 @functools.cache

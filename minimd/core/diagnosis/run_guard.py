@@ -9,7 +9,9 @@ from typing import Any, NoReturn
 from minimd.core.compiled.kernels import compile_clock
 from minimd.core.console.quiet import warn
 from minimd.core.diagnosis.crash_report import examine
-from minimd.core.diagnosis.judge import GROWTH, RUNAWAY, START, Failure, fault_of, hints, runaway
+from minimd.core.diagnosis.evidence import Failure
+from minimd.core.diagnosis.judge import GROWTH, RUNAWAY, fault_of, hints, runaway
+from minimd.core.diagnosis.rules import at_start
 from minimd.core.engine.engine import Engine, Snapshot
 from minimd.core.engine.observation import observe
 from minimd.core.engine.record import Frame
@@ -128,7 +130,7 @@ class RunGuard:
             self._checked_timestep = engine.method.timestep
             for hint in hints(engine):
                 warn(hint)
-        if fault := fault_of(engine, START):
+        if fault := fault_of(engine, at_start):
             raise self._failure(fault, engine.step)
 
     def make_steps(self, n_steps: int, with_energy: bool = False) -> None:

@@ -15,7 +15,7 @@ from minimd.core.structure.units import LJ, SYSTEMS
 class CrashReport:
     """The findings about a failed run. str() puts them into lines.
     fault : what went wrong.  step : in which step.  last_good_step : of the state described.
-    first_step : from which it can be replayed.  kind : of the rule.  pair, cause, advice : as Verdict.
+    first_step : from which it can be replayed.  kind, pair, cause, advice : as Verdict.
     closest : two atoms and their distance [length], or None.
     pushed, largest_force : the atom on which the largest force acts, and its size [energy/length].
     fastest, displacement : the fastest atom, and its way in a step [length].  timestep : [time].  units : name."""
@@ -62,7 +62,7 @@ def examine(engine: Engine, failure: Failure) -> CrashReport:
     evidence = Evidence(engine, failure)
     pushed, force = longest(engine.forces)
     fastest, speed = longest(engine.velocities)
-    kind, (cause, advice, pair) = next(after(evidence))
+    kind, cause, advice, pair = next(after(evidence))
     depth = evidence.strange_depth
     if depth is not None:
         cause = f"{depth} (a consequence: {cause})"

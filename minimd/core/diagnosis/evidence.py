@@ -44,8 +44,9 @@ class Failure(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """cause, advice : in words.  pair : to blame, or None."""
+    """kind : for programs.  cause, advice : in words.  pair : to blame, or None."""
 
+    kind: str
     cause: str
     advice: str = ""
     pair: Contact | None = None
@@ -64,6 +65,7 @@ class Evidence:
         self.units = engine.system.units
         self.failure: Any = failure  # None if nothing has failed
         self.timestep = abs(engine.method.timestep)
+        self.step = self.units.shown(self.timestep)  # as text
 
     @cached_property
     def limit(self) -> float:
@@ -80,7 +82,7 @@ class Evidence:
     def strange_depth(self) -> Verdict | None:
         """An ε in another unit."""
         depth = self.stiffness.strange_depth
-        return None if depth is None else Verdict(*depth)
+        return None if depth is None else Verdict("long step", *depth)
 
     @cached_property
     def closest(self) -> ClosestPair | None:
@@ -168,6 +170,10 @@ class Evidence:
         way = contact.force * inverse_mass * self.timestep**2
         is_thrown = contact.ratio is None and way > THROWN * contact.distance
         return is_overlap(contact) or is_thrown
+
+    def apart(self, contact: Contact) -> str:
+        """The distance of a pair as text."""
+        return contact.apart(self.units.length)
 
     def phase(self, contact: Contact) -> float:
         """Δt·ω of a contact; 0 if it does not oscillate."""

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 
 from minimd.core.diagnosis.evidence import Evidence
-from minimd.core.diagnosis.rules import Verdicts, before, during, time_steps
+from minimd.core.diagnosis.rules import Verdicts, before, during, long_steps
 from minimd.core.engine.engine import Engine
 from minimd.core.structure.observables import largest_component
 
@@ -17,26 +17,21 @@ HALF = 0.5  # of the energies: if energy is exchanged and not created, the sum c
 
 def hints(engine: Engine) -> Iterator[str]:
     """Sentences about energies, time step and lengths; none if there is nothing to say. The forces must be current."""
-    kinds: set[str] = set()
-    for kind, verdict in before(Evidence(engine)):
-        is_long_too = kind == "short step" and "long step" in kinds
-        if kind not in kinds and not is_long_too:
-            yield str(verdict)
-        kinds.add(kind)
+    return map(str, before(Evidence(engine)))
 
 
 def too_long_a_step(engine: Engine) -> str | None:
     """A clause if the time step is longer than a harmonic bond allows, or far longer than suits Lennard-Jones atoms;
     of ε if that is in another unit. None if neither."""
-    rules = time_steps(Evidence(engine))
-    return next((verdict.cause for kind, verdict in rules if kind == "long step"), None)
+    verdict = next(long_steps(Evidence(engine)), None)
+    return None if verdict is None else verdict.cause
 
 
 def fault_of(engine: Engine, *when: Callable[[Evidence], Verdicts]) -> str | None:
     """What is impossible about positions and velocities; None if they are possible.
     when : at_start to ask for the first step, too."""
     evidence = Evidence(engine)
-    faults = (verdict.cause for rules in (*when, during) for _, verdict in rules(evidence))
+    faults = (verdict.cause for rules in (*when, during) for verdict in rules(evidence))
     return next(faults, None)
 
 

@@ -1,7 +1,6 @@
 """The rules of the judge: hints before a run, faults at its start and during it, causes after it has failed.
 
-Each generator yields (kind, verdict), kind being for programs, in the order in which they count: the most certain
-verdict comes first.
+Each generator yields verdicts in the order in which they count: the most certain one comes first.
 """
 
 from collections.abc import Iterator
@@ -29,36 +28,42 @@ from minimd.core.structure.observables import (
 )
 from minimd.core.structure.units import ASE, BAR
 
-Verdicts = Iterator[tuple[str, Verdict]]
+Verdicts = Iterator[Verdict]
 
 # before
-QUICK = 0.1  # of the relaxation time of a barostat, between two strains: fluctuations are then wrong by up to a tenth
+# of the relaxation time of a barostat, between two strains: fluctuations are then wrong by up to a tenth
+QUICK = 0.1
 CRUSHING = 0.5  # eV/Å³: 80 GPa, far more than a Lennard-Jones solid is good for
 TOO_SHORT = 0.001  # of the usual step
-MEANT = 1e-30  # likewise: a step below this is no error of the unit, somebody wants atoms that stand still
+# likewise: a step below this is no error of the unit, somebody wants atoms that stand still
+MEANT = 1e-30
 EMPTY = 0.25  # of the height of a cell: atoms with a wider gap, in one direction, are a slab
 WIDER = 2.0  # times the second gap: layers of a small crystal are as far apart
 ROUNDING = 1e-12  # of a fractional coordinate
 POLAR = 0.05  # of the rms force: a smaller one, of the images of a slab, is not told
 FLAT = 1e-10  # of their extent: how far from a plane atoms may lie, and move in a step, by rounding
-MOVING = 1e-6  # of Σ|mv|: a smaller total momentum is rounding, of files with six digits or in single precision
+# of Σ|mv|: a smaller total momentum is rounding, of files with six digits or in single precision
+MOVING = 1e-6
 TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
 CHECK_STEP = "take the time step that advise_timestep recommends, and check its unit"
 # after
-HOT_STEP = 0.05  # of σ that the atoms move in a step, root mean square; a liquid at its usual step moves a fifth of this
-HOT_SPOT = (
-    6.0  # times the root mean square speed; in 10⁹ atoms of a thermal ensemble none is as fast
-)
+# of σ that the atoms move in a step, root mean square; a liquid at its usual step moves a fifth of this
+HOT_STEP = 0.05
+# times the root mean square speed; in 10⁹ atoms of a thermal ensemble none is as fast
+HOT_SPOT = 6.0
 # of ωσ at the minimum of a pair: higher speeds are due to heat, k_B T > 3 ε; at lower ones the step is too long
 FAST = 0.3
-NEAR_LIMIT = (
-    0.5  # of the longest stable step: collisions are that much stiffer than the state itself
-)
+# of the longest stable step: collisions are that much stiffer than the state itself
+NEAR_LIMIT = 0.5
 
 
 def before(evidence: Evidence) -> Verdicts:
     """Hints before a run; the forces must be current."""
-    yield from time_steps(evidence)
+    long_step = next(long_steps(evidence), None)
+    if long_step is not None:
+        yield long_step
+    else:
+        yield from _short_step(evidence)
     yield from _no_pair_in_reach(evidence)
     yield from _settings_of_barostat(evidence)
     yield from _moving_center(evidence)
@@ -67,62 +72,74 @@ def before(evidence: Evidence) -> Verdicts:
     # atoms that are pushed by their own images, as in a cell of two dimensions that is left periodic
     cause = thin_cell(evidence.system, evidence.engine.interactions.potentials)
     if cause:
-        yield "thin", Verdict(cause, OPEN_IT)
+        yield Verdict("thin", cause, OPEN_IT)
 
 
-def time_steps(evidence: Evidence) -> Verdicts:
-    """A time step that is too long for a bond or for collisions, or far too short; or an ε in another unit."""
+def long_steps(evidence: Evidence) -> Verdicts:
+    """An ε in another unit; a time step that is too long for a harmonic bond, or for collisions of Lennard-Jones atoms
+    in a liquid. Other forces may allow still less."""
     stiffness = evidence.stiffness
+    dt = evidence.timestep
     method = evidence.engine.method
     shown = evidence.units.shown
-    dt = evidence.timestep
-    timestep = shown(dt)
     depth = evidence.strange_depth
     if depth is not None:
-        yield "long step", depth
+        yield depth
     bond = stiffness.bond
     limit = evidence.limit / sqrt(bond.square) if bond else np.inf
-    if bond and dt > limit:  # other forces may allow still less
-        is_long = (
-            f"timestep {timestep} is longer than the bond of atoms {bond.i} and {bond.j} allows"
+    if bond and dt > limit:
+        yield Verdict(
+            "long step",
+            f"timestep {evidence.step} is longer than the bond of atoms {bond.i} and {bond.j} allows: "
+            f"for this bond {method.name} is stable up to {shown(limit)}",
+            CHECK_STEP,
         )
-        able = f"for this bond {method.name} is stable up to {shown(limit)}"
-        yield "long step", Verdict(f"{is_long}: {able}", CHECK_STEP)
     fastest = stiffness.collisions(at_rest=True)
-    if (
-        fastest * dt > TOO_LONG * OSCILLATION**0.5
-    ):  # spares usual steps the search for what the method can do
-        step = accurate_step(method.sequence(), OSCILLATION)  # 0: of a method without kicks
-        if step != 0.0 and dt > TOO_LONG * step / fastest:
-            is_long = f"timestep {timestep} is long for Lennard-Jones atoms as light as these"
-            recommended = shown(step / stiffness.collisions())  # for the heat of the atoms
-            able = f"in a liquid {method.name} conserves the energy with steps up to {recommended}"
-            yield "long step", Verdict(f"{is_long}: {able}", CHECK_STEP)
-    potentials = evidence.engine.interactions.potentials
-    is_known = all(
-        isinstance(law, Nonbonded | HarmonicBond) for law in potentials
-    )  # others may be stiffer
+    if not fastest * dt > TOO_LONG * OSCILLATION**0.5:
+        return  # spares usual steps the search for what the method can do
+    step = accurate_step(method.sequence(), OSCILLATION)  # 0 of a method without kicks
+    if step != 0.0 and dt > TOO_LONG * step / fastest:
+        recommended = shown(step / stiffness.collisions())  # for the heat of these atoms
+        yield Verdict(
+            "long step",
+            f"timestep {evidence.step} is long for Lennard-Jones atoms as light as these: "
+            f"in a liquid {method.name} conserves the energy with steps up to {recommended}",
+            CHECK_STEP,
+        )
+
+
+def _short_step(evidence: Evidence) -> Verdicts:
+    """A time step far shorter than the harmonic bonds and the collisions of Lennard-Jones atoms need."""
     usual = evidence.usual_step()
-    if is_known and MEANT * usual < dt < TOO_SHORT * usual:
-        is_short = f"timestep {timestep} is far shorter than these atoms need"
+    is_short = MEANT * usual < evidence.timestep < TOO_SHORT * usual
+    potentials = evidence.engine.interactions.potentials
+    # others may be stiffer
+    if is_short and all(isinstance(law, Nonbonded | HarmonicBond) for law in potentials):
         example = ", such as 5 * md.units.fs" if evidence.units == ASE else ""
-        cause = f"{is_short}: with {shown(usual)} the fastest motion has 20 steps per period"
-        yield "short step", Verdict(cause, f"check the unit of the time step{example}")
+        yield Verdict(
+            "short step",
+            f"timestep {evidence.step} is far shorter than these atoms need: "
+            f"with {evidence.units.shown(usual)} the fastest motion has 20 steps per period",
+            f"check the unit of the time step{example}",
+        )
 
 
 def _no_pair_in_reach(evidence: Evidence) -> Verdicts:
     """No pair interacts, as when lengths of the potential and of the positions have different units."""
     interactions = evidence.engine.interactions
-    unit = evidence.units.length
+    length = evidence.units.length
     laws = [law for law in interactions.potentials if isinstance(law, Nonbonded)]
     cutoff = max((law.cutoff for law in laws if law.cutoff < np.inf), default=np.inf)
     has_forces = interactions.potential_energy != 0.0 or evidence.engine.forces.any()
     closest = evidence.closest
     if closest is not None and closest.distance > cutoff and not has_forces:
         i, j, distance = closest
-        apart = f"the closest atoms, {i} and {j}, are {distance:.3g} {unit} apart"
-        cause = f"no two atoms are within the cutoff, {cutoff:g} {unit}: {apart}"
-        yield "reach", Verdict(cause, f"check that the lengths of the potential are in {unit}")
+        yield Verdict(
+            "reach",
+            f"no two atoms are within the cutoff, {cutoff:g} {length}: "
+            f"the closest atoms, {i} and {j}, are {distance:.3g} {length} apart",
+            f"check that the lengths of the potential are in {length}",
+        )
 
 
 def _settings_of_barostat(evidence: Evidence) -> Verdicts:
@@ -135,17 +152,19 @@ def _settings_of_barostat(evidence: Evidence) -> Verdicts:
     interval = barostat.every * evidence.engine.method.timestep
     relaxation_time = barostat.relaxation_time
     if interval > QUICK * relaxation_time:
-        acts = f"the barostat acts every {barostat.every} steps, {shown(interval)}"
-        too_long = f"which is too long for its relaxation_time {shown(relaxation_time)}"
-        cause = f"{acts}, {too_long}: the volume fluctuates too much"
-        advice = f"take a relaxation_time of at least {shown(interval / QUICK)}, or a smaller every"
-        yield "barostat", Verdict(cause, advice)
+        yield Verdict(
+            "barostat",
+            f"the barostat acts every {barostat.every} steps, {shown(interval)}, which is too long for its "
+            f"relaxation_time {shown(relaxation_time)}: the volume fluctuates too much",
+            f"take a relaxation_time of at least {shown(interval / QUICK)}, or a smaller every",
+        )
     p = barostat.pressure
     if units == ASE and abs(p) > CRUSHING:
-        advice = (
-            f"if {p:g} bar is meant, give {p:g} * md.units.BAR, and the compressibility per BAR"
+        yield Verdict(
+            "pressure",
+            f"pressure {p:g} {units.pressure} is {p / BAR:.2g} bar",
+            f"if {p:g} bar is meant, give {p:g} * md.units.BAR, and the compressibility per BAR",
         )
-        yield "pressure", Verdict(f"pressure {p:g} {units.pressure} is {p / BAR:.2g} bar", advice)
 
 
 def _moving_center(evidence: Evidence) -> Verdicts:
@@ -156,9 +175,11 @@ def _moving_center(evidence: Evidence) -> Verdicts:
     momenta = absolute_momentum(system.velocities, system.masses)
     if speed * system.masses.sum() > MOVING * momenta:
         pace = f"{speed / units.to_picosecond:.3g} {units.length}/{units.shown_time}"
-        left_out = "temperature, pressure, diffusion and viscosity leave this motion out"
-        cause = f"the center of mass moves at {pace}: {left_out}"
-        yield "center", Verdict(cause, "stop it with sim.velocities -= sim.drift")
+        yield Verdict(
+            "center",
+            f"the center of mass moves at {pace}: temperature, pressure, diffusion and viscosity leave this motion out",
+            "stop it with sim.velocities -= sim.drift",
+        )
 
 
 def _flat_motion(evidence: Evidence) -> Verdicts:
@@ -179,10 +200,12 @@ def _flat_motion(evidence: Evidence) -> Verdicts:
     n_moving = n_dof - n_flat * (n_atoms - leaves_out_center(n_atoms, engine.conserves_momentum))
     if 0 < n_moving < n_dof:
         where = ("in one plane", "on one line")[n_flat - 1]
-        moving = f"{n_moving} of the {n_dof} degrees of freedom that are counted move"
-        hotter = f"their temperature is {n_dof / n_moving:.4g} times the one shown"
-        advice = f"{hotter}; velocities in all directions have all of them"
-        yield "plane", Verdict(f"all atoms lie and move {where}: {moving}", advice)
+        yield Verdict(
+            "plane",
+            f"all atoms lie and move {where}: {n_moving} of the {n_dof} degrees of freedom that are counted move",
+            f"their temperature is {n_dof / n_moving:.4g} times the one shown; "
+            "velocities in all directions have all of them",
+        )
 
 
 def _polar_slab(evidence: Evidence) -> Verdicts:
@@ -191,10 +214,9 @@ def _polar_slab(evidence: Evidence) -> Verdicts:
     system = evidence.system
     units = evidence.units
     cell = system.cell
-    sums = (
-        isinstance(law, Coulomb) and law.method in SUMS for law in engine.interactions.potentials
-    )
-    if cell.volume is None or system.net_charge or not any(sums):
+    laws = [law for law in engine.interactions.potentials if isinstance(law, Coulomb)]
+    has_sum = any(law.method in SUMS for law in laws)
+    if not has_sum or cell.volume is None or system.net_charge:
         return
     inverse = np.linalg.inv(cell.vectors)
     fractions = np.sort(system.positions @ inverse % 1.0, axis=0)
@@ -210,11 +232,13 @@ def _polar_slab(evidence: Evidence) -> Verdicts:
     dipole = abs(float(system.charges @ heights))
     field = 4.0 * pi * units.coulomb * dipole / cell.volume
     if field * np.linalg.norm(system.charges) > POLAR * np.linalg.norm(engine.forces):
-        slab = f"the atoms are a slab with a dipole of {dipole:.3g} e {units.length}"
-        along = f"along the normal of the slab, across {'abc'[axis]}"
-        of_images = f"its periodic images make a field of {field:.3g} {units.energy}/(e {units.length}) in it"
-        advice = "give the slab two like faces, or a second slab, turned over, in the same cell"
-        yield "slab", Verdict(f"{slab} {along}: {of_images}", advice)
+        yield Verdict(
+            "slab",
+            f"the atoms are a slab with a dipole of {dipole:.3g} e {units.length} "
+            f"along the normal of the slab, across {'abc'[axis]}: "
+            f"its periodic images make a field of {field:.3g} {units.energy}/(e {units.length}) in it",
+            "give the slab two like faces, or a second slab, turned over, in the same cell",
+        )
 
 
 def at_start(evidence: Evidence) -> Verdicts:
@@ -226,34 +250,36 @@ def at_start(evidence: Evidence) -> Verdicts:
     accelerations = np.einsum("i,i->i", engine.constraint_set.inverse_masses, sizes)
     atom = int(np.argmax(accelerations))
     distance = float(accelerations[atom]) * evidence.timestep**2
+    way = f"{distance:.3g} {evidence.units.length}"
     if not np.isfinite([distance, interactions.potential_energy]).all():
-        yield "start", Verdict("forces or energies are not finite")
+        yield Verdict("start", "forces or energies are not finite")
     elif distance > interactions.largest_cutoff:
-        way = f"{distance:.3g} {evidence.units.length}"
-        yield "start", Verdict(f"the force on atom {atom} would move it by {way} in one step")
+        yield Verdict("start", f"the force on atom {atom} would move it by {way} in one step")
 
 
 def during(evidence: Evidence) -> Verdicts:
-    """Positions or velocities that are not finite; an atom that has passed its neighbors unseen."""
+    """Positions or velocities that are not finite; an atom that has moved farther than the largest cutoff in one step,
+    and has passed its neighbors unseen."""
     system = evidence.system
-    atom, speed = longest(system.velocities)
-    _, farthest = longest(system.positions)
-    for name, array, length in (
-        ("positions", system.positions, farthest),
-        ("velocities", system.velocities, speed),
-    ):
-        if not length <= LARGEST:
-            bad = np.flatnonzero(~(np.abs(array) <= LARGEST).all(axis=1))
-            if bad.size:
-                more = " ..." if bad.size > 1 else ""
-                are = f"{name} of {bad.size} atoms are not finite, or larger than {LARGEST:g}"
-                yield "number", Verdict(f"{are} (atom {bad[0]}{more})")
-    # farther than the largest cutoff in one step
-    distance = speed * evidence.timestep
+    for name, array in (("positions", system.positions), ("velocities", system.velocities)):
+        atom, length = longest(array)
+        if length <= LARGEST:
+            continue
+        bad = np.flatnonzero(~(np.abs(array) <= LARGEST).all(axis=1))
+        more = " ..." if bad.size > 1 else ""
+        if bad.size:
+            yield Verdict(
+                "number",
+                f"{name} of {bad.size} atoms are not finite, or larger than {LARGEST:g} (atom {bad[0]}{more})",
+            )
+    distance = length * evidence.timestep  # of the fastest atom
     cutoff = evidence.engine.interactions.largest_cutoff
     if distance > cutoff:
-        moves = f"atom {atom} moves {distance:.3g} {evidence.units.length} in one step"
-        yield "neighbors", Verdict(f"{moves}, past every neighbor (cutoff {cutoff:g})")
+        way = f"{distance:.3g} {evidence.units.length}"
+        yield Verdict(
+            "neighbors",
+            f"atom {atom} moves {way} in one step, past every neighbor (cutoff {cutoff:g})",
+        )
 
 
 def after(evidence: Evidence) -> Verdicts:
@@ -262,27 +288,29 @@ def after(evidence: Evidence) -> Verdicts:
     yield from _overlap_at_start(evidence)
     yield from _one_place(evidence)
     yield from _barostat(evidence)
-    yield from _constraints_and_bonds(evidence)
+    yield from _constraints(evidence)
+    yield from _bonds_and_attraction(evidence)
     yield from _too_hot(evidence)
     yield from _collision_in_a_step(evidence)
+    yield from _other_forces(evidence)
     pair = evidence.strongest
-    if pair is None:
-        yield from _other_forces(evidence)
-    else:  # what is left: the pair with the largest force
-        dt = evidence.timestep
-        units = evidence.units
-        what = "bond" if pair.is_bond else "pair"
-        where = f"{pair.atoms}, {pair.apart(units.length)}{pair.stiffness(dt)}"
-        cause = f"timestep {units.shown(dt)} too large for the {what} of {where}"
-        yield "pair", Verdict(cause, evidence.shorter, pair)
+    if pair is not None:  # what is left: the pair with the largest force
+        kind = "bond" if pair.is_bond else "pair"
+        where = f"{evidence.apart(pair)}{pair.stiffness(evidence.timestep)}"
+        yield Verdict(
+            "pair",
+            f"timestep {evidence.step} too large for the {kind} of {pair.atoms}, {where}",
+            evidence.shorter,
+            pair,
+        )
 
 
 def _laws_without_number(evidence: Evidence) -> Verdicts:
     """A law of the user's, or a table, that is not finite at some distance."""
     for pair in evidence.contacts:
-        is_of_law = pair.is_users or pair.is_bond
-        if is_of_law and not pair.is_finite and not is_overlap(pair):
-            yield "law", Verdict(pair.without_number(evidence.units.length), pair.cure, pair)
+        is_checked = pair.is_users or pair.is_bond
+        if is_checked and not pair.is_finite and not is_overlap(pair):
+            yield Verdict("law", pair.without_number(evidence.units.length), pair.cure, pair)
 
 
 def _overlap_at_start(evidence: Evidence) -> Verdicts:
@@ -294,29 +322,29 @@ def _overlap_at_start(evidence: Evidence) -> Verdicts:
         return
     atoms = list(closest[:2])
     held = [law.pairs for law in start.constraints if isinstance(law, DistanceConstraints)]
-    is_joined = among(
-        np.array([atoms]), np.concatenate([start.bonds, *held])
-    ).any()  # close by right
-    near = [] if is_joined else evidence.contacts_in(start, atoms)
+    if among(np.array([atoms]), np.concatenate([start.bonds, *held])).any():
+        return  # these are close by right
+    near = evidence.contacts_in(start, atoms)
     over = [pair for pair in near if not pair.is_bond and evidence.overlap(pair)]
-    if over:
-        pair = min(over, key=lambda pair: pair.distance)
+    for pair in sorted(over, key=lambda pair: pair.distance):
         at = f"step {failure.start.step}" if failure.start.step else "the start"
-        cause = f"{pair.atoms} overlap at {at}, {pair.apart(evidence.units.length)}"
-        advice = "move the atoms apart with minimize, or start from a state with less energy"
-        yield "overlap", Verdict(cause, advice, pair)
+        yield Verdict(
+            "overlap",
+            f"{pair.atoms} overlap at {at}, {evidence.apart(pair)}",
+            "move the atoms apart with minimize, or start from a state with less energy",
+            pair,
+        )
 
 
 def _one_place(evidence: Evidence) -> Verdicts:
     """Two atoms, bonded ones among them, at the same place: no law gives a direction there."""
-    closest = evidence.closest
-    if closest is None or closest.distance > 0.0:
-        return
-    i, j, _ = closest
-    if not np.isfinite(evidence.engine.forces[[i, j]]).all():
-        place = f"atoms {i} and {j} are at the same place"
-        cause = f"{place}, where the force between them is not defined"
-        yield "overlap", Verdict(cause, "move them apart with minimize, or remove one of them")
+    i, j, distance = evidence.closest or (0, 0, np.inf)
+    if distance <= 0.0 and not np.isfinite(evidence.engine.forces[[i, j]]).all():
+        yield Verdict(
+            "overlap",
+            f"atoms {i} and {j} are at the same place, where the force between them is not defined",
+            "move them apart with minimize, or remove one of them",
+        )
 
 
 def _barostat(evidence: Evidence) -> Verdicts:
@@ -329,49 +357,68 @@ def _barostat(evidence: Evidence) -> Verdicts:
     unit = evidence.units.volume
     at = f"at pressure {bath.pressure:.3g} {evidence.units.pressure}"
     if volume > EVAPORATED * first:
-        grown = f"the cell has grown from {first:.4g} to {volume:.4g} {unit}"
-        cause = f"{grown} {at}: the atoms have evaporated"
-        yield "barostat", Verdict(cause, "take a higher pressure, or a lower temperature")
+        yield Verdict(
+            "barostat",
+            f"the cell has grown from {first:.4g} to {volume:.4g} {unit} {at}: the atoms have evaporated",
+            "take a higher pressure, or a lower temperature",
+        )
     elif evidence.failure.is_of_barostat:
-        was = f"was {first:.4g} {unit} when the simulation was made"
-        strains = f"{at} the barostat strains the cell too fast"
-        cause = f"{strains}: its volume is {volume:.4g} {unit}, and {was}"
-        advice = "equilibrate at constant volume first, take a longer relaxation_time, or check the unit of the pressure"
-        yield "barostat", Verdict(cause, advice)
+        yield Verdict(
+            "barostat",
+            f"{at} the barostat strains the cell too fast: its volume is {volume:.4g} {unit}, "
+            f"and was {first:.4g} {unit} when the simulation was made",
+            "equilibrate at constant volume first, take a longer relaxation_time, "
+            "or check the unit of the pressure",
+        )
 
 
-def _constraints_and_bonds(evidence: Evidence) -> Verdicts:
-    """Constraints, bonds beyond the limit of the method, and laws that attract ever more strongly at short distances."""
-    engine = evidence.engine
-    units = evidence.units
-    dt = evidence.timestep
-    timestep = units.shown(dt)
+def _constraints(evidence: Evidence) -> Verdicts:
+    """A pair law that acts most strongly between two atoms whose distance is held; a constraint that was not kept."""
     pair = evidence.strongest
-    bonds = engine.constraint_set.bonds
-    if pair is not None and bonds is not None and not pair.is_bond and evidence.overlap(pair):
-        if among(np.array([[pair.first, pair.second]]), bonds.pairs).any():
-            acts = f"{pair.law} acts between {pair.atoms}"
-            cause = (
-                f"{acts}, although a constraint holds their distance, {pair.apart(units.length)}"
-            )
-            advice = "give bonds=... to the system and bonded_scale=(0, 1, 1) to the potential, or exclusions"
-            yield "law", Verdict(cause, advice, pair)
+    bonds = evidence.engine.constraint_set.bonds
+    is_held = False
+    if pair is not None and bonds is not None and not pair.is_bond:
+        is_held = bool(among(np.array([[pair.first, pair.second]]), bonds.pairs).any())
+    if pair is not None and is_held and evidence.overlap(pair):
+        yield Verdict(
+            "law",
+            f"{pair.law} acts between {pair.atoms}, although a constraint holds their distance, {evidence.apart(pair)}",
+            "give bonds=... to the system and bonded_scale=(0, 1, 1) to the potential, or exclusions",
+            pair,
+        )
     if evidence.failure.constraint is not None:
         i, j = evidence.failure.constraint
-        far = f"atoms {i} and {j} move too far for the constraint between them"
-        advice = "reduce the timestep, or check whether the constraints contradict each other"
-        yield "constraint", Verdict(f"in one step of {timestep} {far}", advice, pair)
-    known = [contact for contact in evidence.contacts if contact.is_bond]
-    stiffest = max(known, key=evidence.phase, default=None)
-    if stiffest is not None and evidence.phase(stiffest) > evidence.limit:
-        beyond = f"Δt·ω = {evidence.phase(stiffest):.3g} (stable up to {evidence.limit:.3g})"
-        cause = f"timestep {timestep} too large for the bond of {stiffest.atoms}: {beyond}"
-        yield "bond", Verdict(cause, f"{evidence.recommended}; or hold the bond rigid", stiffest)
+        yield Verdict(
+            "constraint",
+            f"in one step of {evidence.step} atoms {i} and {j} move too far for the constraint between them",
+            "reduce the timestep, or check whether the constraints contradict each other",
+            pair,
+        )
+
+
+def _bonds_and_attraction(evidence: Evidence) -> Verdicts:
+    """A bond whose Δt·ω is beyond the limit of the method; a law that attracts the more the closer two atoms come."""
+    limit = evidence.limit
+    bonds = [contact for contact in evidence.contacts if contact.is_bond]
+    bond = max(bonds, key=evidence.phase, default=None)
+    if bond is not None and evidence.phase(bond) > limit:
+        phase = f"Δt·ω = {evidence.phase(bond):.3g} (stable up to {limit:.3g})"
+        yield Verdict(
+            "bond",
+            f"timestep {evidence.step} too large for the bond of {bond.atoms}: {phase}",
+            f"{evidence.recommended}; or hold the bond rigid",
+            bond,
+        )
+    pair = evidence.strongest
     if pair is not None and pair.sinks:
-        attracts = f"the law of {pair.law} attracts {pair.atoms}, {pair.apart(units.length)}"
-        depth = f"u = {pair.energy:.3g} {units.energy}, and less at shorter distances"
-        advice = "give the law a repulsive core; a shorter timestep does not help"
-        yield "law", Verdict(f"{attracts}; {depth}: the atoms fall into each other", advice, pair)
+        depth = f"{pair.energy:.3g} {evidence.units.energy}"
+        yield Verdict(
+            "law",
+            f"the law of {pair.law} attracts {pair.atoms}, {evidence.apart(pair)}; "
+            f"u = {depth}, and less at shorter distances: the atoms fall into each other",
+            "give the law a repulsive core; a shorter timestep does not help",
+            pair,
+        )
 
 
 def _too_hot(evidence: Evidence) -> Verdicts:
@@ -379,14 +426,13 @@ def _too_hot(evidence: Evidence) -> Verdicts:
     engine = evidence.engine
     constraint_set = engine.constraint_set
     dt = evidence.timestep
-    units = evidence.units
     velocities = evidence.failure.start.velocities
     pairs = [pair for pair in evidence.contacts if pair.ratio and not pair.is_bond]
     if not pairs:
         return
     sigma = min(pair.distance / pair.ratio for pair in pairs if pair.ratio)
-    own = max(pair.rest_frequency or 0.0 for pair in pairs)
-    fast = sigma * max(HOT_STEP / dt, FAST * own)
+    frequency = max(pair.rest_frequency or 0.0 for pair in pairs)
+    fast = sigma * max(HOT_STEP / dt, FAST * frequency)
     squares = np.einsum("ij,ij->i", velocities, velocities)
     atom = int(np.argmax(squares))
     n_moving = len(squares) - constraint_set.n_fixed
@@ -396,22 +442,23 @@ def _too_hot(evidence: Evidence) -> Verdicts:
     passes = f"atom {atom} moves {speed * dt / sigma:.2g} σ in a step"
     if mean > fast and speed <= HOT_SPOT * others:
         heat = constraint_set.temperature(velocities, evidence.system, engine.conserves_momentum)
-        passes = f"at {heat:.3g} {units.temperature} {passes}"
+        passes = f"at {heat:.3g} {evidence.units.temperature} {passes}"
     elif not speed > max(fast, HOT_SPOT * others):
         return
     elif others > 0.0:
         passes = f"{passes}, {speed / others:.2g} times as fast as the others"
     else:
         passes = f"{passes}, the only one in motion"
-    cause = f"atoms too hot, or timestep {units.shown(dt)} too large: {passes}"
-    advice = "start at a lower temperature, or reduce the timestep in proportion to the speed"
-    yield "hot", Verdict(cause, advice, evidence.strongest)
+    yield Verdict(
+        "hot",
+        f"atoms too hot, or timestep {evidence.step} too large: {passes}",
+        "start at a lower temperature, or reduce the timestep in proportion to the speed",
+        evidence.strongest,
+    )
 
 
 def _collision_in_a_step(evidence: Evidence) -> Verdicts:
     """Two atoms that the step that failed has brought together, where before it no pair was stiff."""
-    dt = evidence.timestep
-    units = evidence.units
     failed = evidence.failed
     stiffest = max(map(evidence.phase, evidence.contacts), default=0.0)
     if failed is None or stiffest > NEAR_LIMIT * evidence.limit:
@@ -420,23 +467,33 @@ def _collision_in_a_step(evidence: Evidence) -> Verdicts:
     atoms = list(closest[:2]) if closest is not None else []
     pair = strongest(evidence.contacts_in(failed, atoms))
     if pair is not None and evidence.phase(pair) > evidence.limit:
-        apart = f"{pair.apart(units.length)}{pair.stiffness(dt)}"
-        drives = f"step {evidence.failure.step} drives {pair.atoms} into each other, {apart}"
-        cause = f"timestep {units.shown(dt)} too large: {drives}"
-        yield "pair", Verdict(cause, evidence.shorter, pair)
+        where = f"{evidence.apart(pair)}{pair.stiffness(evidence.timestep)}"
+        step = evidence.failure.step
+        yield Verdict(
+            "pair",
+            f"timestep {evidence.step} too large: step {step} drives {pair.atoms} into each other, {where}",
+            evidence.shorter,
+            pair,
+        )
 
 
 def _other_forces(evidence: Evidence) -> Verdicts:
-    """No pair is known: a time step near the limit of the stiffest mode, or forces of another potential."""
-    shown = evidence.units.shown
-    dt = evidence.timestep
+    """No pair with a known law pushes the atoms: a time step near the limit of the stiffest mode, or other forces."""
+    if evidence.strongest is not None:
+        return
     advice = evidence.advice
+    dt = evidence.timestep
     if advice is not None and advice.frequency and dt > NEAR_LIMIT * advice.limit:
-        able = f"{advice.method} is stable up to {shown(advice.limit)}"
-        closer = (
-            "; if atoms come closer, only shorter steps are stable" if dt <= advice.limit else ""
+        limit = evidence.units.shown(advice.limit)
+        closer = "; if atoms come closer, only shorter steps are stable"
+        yield Verdict(
+            "step",
+            f"timestep {evidence.step} too large: {advice.method} is stable up to {limit} "
+            f"for the stiffest mode of the last good state{closer * (dt <= advice.limit)}",
+            evidence.recommended,
         )
-        cause = f"{able} for the stiffest mode of the last good state{closer}"
-        yield "step", Verdict(f"timestep {shown(dt)} too large: {cause}", evidence.recommended)
-    cause = "atoms fly apart although no pair with a known law pushes them: the forces come from another potential"
-    yield "law", Verdict(cause, "examine the forces of each potential in the last good state")
+    yield Verdict(
+        "law",
+        "atoms fly apart although no pair with a known law pushes them: the forces come from another potential",
+        "examine the forces of each potential in the last good state",
+    )

@@ -133,7 +133,7 @@ class Evidence:
     @property
     def recommended(self) -> str:
         """What advise_timestep recommends for the last good state."""
-        if self.advice is None or not self.advice.frequency:
+        if not self.advice or not self.advice.frequency:
             return "take a shorter timestep, such as advise_timestep recommends"
         step = self.units.shown(self.advice.recommended)
         return f"take {step}, as advise_timestep recommends for the last good state"

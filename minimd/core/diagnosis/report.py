@@ -323,7 +323,7 @@ class Report(Displayed):
         return is_open and self.energy_range < QUIET * self.kinetic_energy
 
     def __str__(self) -> str:
-        return "\n".join(f"{name:<{NAME_WIDTH}} {words}" for name, words in self.display_rows())
+        return "\n".join(f"{name:<{NAME_WIDTH}} {text}" for name, text in self.display_rows())
 
     def display_rows(self) -> Rows:
         """See Displayed."""

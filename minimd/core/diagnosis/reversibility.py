@@ -67,8 +67,8 @@ class Reversibility(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        words, _, verdict = str(self).rpartition(": ")
-        return [("reversibility", words), ("", verdict)]
+        summary, _, verdict = str(self).rpartition(": ")
+        return [("reversibility", summary), ("", verdict)]
 
 
 def make_steps_back(guard: RunGuard, n_steps: int) -> None:

@@ -60,7 +60,7 @@ NEAR_LIMIT = 0.5
 def before(evidence: Evidence) -> Verdicts:
     """Hints before a run; the forces must be current."""
     long_step = next(long_steps(evidence), None)
-    if long_step is not None:
+    if long_step:
         yield long_step
     else:
         yield from _short_step(evidence)
@@ -83,7 +83,7 @@ def long_steps(evidence: Evidence) -> Verdicts:
     method = evidence.engine.method
     shown = evidence.units.shown
     depth = evidence.strange_depth
-    if depth is not None:
+    if depth:
         yield depth
     bond = stiffness.bond
     limit = evidence.limit / sqrt(bond.square) if bond else np.inf
@@ -132,7 +132,7 @@ def _no_pair_in_reach(evidence: Evidence) -> Verdicts:
     cutoff = max((law.cutoff for law in laws if law.cutoff < np.inf), default=np.inf)
     has_forces = interactions.potential_energy != 0.0 or evidence.engine.forces.any()
     closest = evidence.closest
-    if closest is not None and closest.distance > cutoff and not has_forces:
+    if closest and closest.distance > cutoff and not has_forces:
         i, j, distance = closest
         yield Verdict(
             "reach",
@@ -294,7 +294,7 @@ def after(evidence: Evidence) -> Verdicts:
     yield from _collision_in_a_step(evidence)
     yield from _other_forces(evidence)
     pair = evidence.strongest
-    if pair is not None:  # what is left: the pair with the largest force
+    if pair:  # what is left: the pair with the largest force
         kind = "bond" if pair.is_bond else "pair"
         where = f"{evidence.apart(pair)}{pair.stiffness(evidence.timestep)}"
         yield Verdict(
@@ -318,7 +318,7 @@ def _overlap_at_start(evidence: Evidence) -> Verdicts:
     failure = evidence.failure
     start = evidence.moved(failure.start.positions)
     closest = closest_pair(start) if failure.is_first else None
-    if closest is None:
+    if not closest:
         return
     atoms = list(closest[:2])
     held = [law.pairs for law in start.constraints if isinstance(law, DistanceConstraints)]
@@ -376,16 +376,16 @@ def _constraints(evidence: Evidence) -> Verdicts:
     """A pair law that acts most strongly between two atoms whose distance is held; a constraint that was not kept."""
     pair = evidence.strongest
     bonds = evidence.engine.constraint_set.bonds
-    is_held = False
-    if pair is not None and bonds is not None and not pair.is_bond:
-        is_held = bool(among(np.array([[pair.first, pair.second]]), bonds.pairs).any())
-    if pair is not None and is_held and evidence.overlap(pair):
-        yield Verdict(
-            "law",
-            f"{pair.law} acts between {pair.atoms}, although a constraint holds their distance, {evidence.apart(pair)}",
-            "give bonds=... to the system and bonded_scale=(0, 1, 1) to the potential, or exclusions",
-            pair,
-        )
+    if pair and bonds is not None and not pair.is_bond and evidence.overlap(pair):
+        held = among(np.array([[pair.first, pair.second]]), bonds.pairs)
+        if held.any():
+            yield Verdict(
+                "law",
+                f"{pair.law} acts between {pair.atoms}, "
+                f"although a constraint holds their distance, {evidence.apart(pair)}",
+                "give bonds=... to the system and bonded_scale=(0, 1, 1) to the potential, or exclusions",
+                pair,
+            )
     if evidence.failure.constraint is not None:
         i, j = evidence.failure.constraint
         yield Verdict(
@@ -401,7 +401,7 @@ def _bonds_and_attraction(evidence: Evidence) -> Verdicts:
     limit = evidence.limit
     bonds = [contact for contact in evidence.contacts if contact.is_bond]
     bond = max(bonds, key=evidence.phase, default=None)
-    if bond is not None and evidence.phase(bond) > limit:
+    if bond and evidence.phase(bond) > limit:
         phase = f"Δt·ω = {evidence.phase(bond):.3g} (stable up to {limit:.3g})"
         yield Verdict(
             "bond",
@@ -410,7 +410,7 @@ def _bonds_and_attraction(evidence: Evidence) -> Verdicts:
             bond,
         )
     pair = evidence.strongest
-    if pair is not None and pair.sinks:
+    if pair and pair.sinks:
         depth = f"{pair.energy:.3g} {evidence.units.energy}"
         yield Verdict(
             "law",
@@ -464,9 +464,9 @@ def _collision_in_a_step(evidence: Evidence) -> Verdicts:
     if failed is None or stiffest > NEAR_LIMIT * evidence.limit:
         return
     closest = closest_pair(failed)
-    atoms = list(closest[:2]) if closest is not None else []
+    atoms = list(closest[:2]) if closest else []
     pair = strongest(evidence.contacts_in(failed, atoms))
-    if pair is not None and evidence.phase(pair) > evidence.limit:
+    if pair and evidence.phase(pair) > evidence.limit:
         where = f"{evidence.apart(pair)}{pair.stiffness(evidence.timestep)}"
         step = evidence.failure.step
         yield Verdict(
@@ -483,7 +483,7 @@ def _other_forces(evidence: Evidence) -> Verdicts:
         return
     advice = evidence.advice
     dt = evidence.timestep
-    if advice is not None and advice.frequency and dt > NEAR_LIMIT * advice.limit:
+    if advice and advice.frequency and dt > NEAR_LIMIT * advice.limit:
         limit = evidence.units.shown(advice.limit)
         closer = "; if atoms come closer, only shorter steps are stable"
         yield Verdict(

@@ -234,7 +234,7 @@ class Result(Displayed):
             curves = {curve.name: curve.values for curve in series[1:] if curve.unit == first.unit}
             quantity = f"{first.name}  [{first.unit}]" if first.unit else first.name
             return self.draw_curves(panel, curves, x.name, quantity)
-        text = "\n".join(words for _, words in self.display_rows())
+        text = "\n".join(row for _, row in self.display_rows())
         style: dict[str, Any] = {"va": "top", "fontsize": 8, "wrap": True, "parse_math": False}
         panel.axis("off")
         panel.text(0.0, 1.0, text, transform=panel.transAxes, **style)
@@ -301,8 +301,8 @@ class Accumulator(StoredObserver, Displayed):
         cls.declared = {part.name: part.metadata["argument"] for part in own if part.init}
         cls.settled = tuple(part.name for part in own if not part.init)
         lines = [cleandoc(cls.__doc__ or ""), "", "Parameters", "----------"]
-        for name, (_, words, unit) in cls.declared.items():
-            lines.append(f"{name} : {words}{unit and f' [{unit}]'}.")
+        for name, (_, meaning, unit) in cls.declared.items():
+            lines.append(f"{name} : {meaning}{unit and f' [{unit}]'}.")
         cls.__doc__ = "\n".join(lines)
 
     def __post_init__(self) -> None:
@@ -413,13 +413,13 @@ class Accumulator(StoredObserver, Displayed):
         """Everything on which later results depend, for restore; empty before the first run."""
         if self.scene is None:
             return {}
-        words = {
+        about = {
             "scene": asdict(self.scene),
             "settled": {name: getattr(self, name) for name in self.settled},
             "last_step": self.last_step,
             "convention": self.convention,
         }
-        state = {"words": np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)}
+        state = {"words": np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)}
         for part in self._parts():
             state |= part.state()
         return state
@@ -438,18 +438,18 @@ class Accumulator(StoredObserver, Displayed):
         """
         if not state:
             return
-        words = json.loads(bytes(state["words"]))
+        about = json.loads(bytes(state["words"]))
         if not self.can_restore(state):
-            convention = words.get("convention", 1)
+            convention = about.get("convention", 1)
             raise ValueError(
                 f"observer {self.name} cannot be continued: its sums are of another version of minimd "
                 f"(convention {convention}, not {self.convention}); "
                 "leave this observer out, or give it another name, under which it begins anew"
             )
         for name in self.settled:  # no other attribute, whatever a file says
-            setattr(self, name, words["settled"][name])
-        self.scene = ObservedRun(**words["scene"])
-        self.last_step = words["last_step"]
+            setattr(self, name, about["settled"][name])
+        self.scene = ObservedRun(**about["scene"])
+        self.last_step = about["last_step"]
         for part, names in ((self, (*self.settled, "last_step")), (self.scene, vars(self.scene))):
             kinds = get_type_hints(type(part))
             for name in names:

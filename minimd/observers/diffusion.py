@@ -77,8 +77,8 @@ class Diffusivity(NamedTuple):
         percent = with_error(100.0 * self.trend, 100.0 * self.trend_error)
         change = f"{percent} % when the lag doubles"
         if self.state == DIFFUSIVE:
-            words = diffusion_words(self.value, self.error, units)
-            return f"D = {words}, from {lags} (slope: {change}), in this cell"
+            value = diffusion_words(self.value, self.error, units)
+            return f"D = {value}, from {lags} (slope: {change}), in this cell"
         limit = ""
         if np.isfinite(self.limit):
             rounded = float(f"{self.limit:.2g}")

@@ -178,8 +178,8 @@ class FluctuationResult(Result):
             ("κ_T", 3, 1.0, f"{units.length}³/{units.energy}"),
         ):
             if np.isfinite(self.values[k]):
-                words = with_error(self.values[k] / size, self.errors[k] / size)
-                rows.append(("", f"{symbol} = {words} {unit}"))
+                value = with_error(self.values[k] / size, self.errors[k] / size)
+                rows.append(("", f"{symbol} = {value} {unit}"))
         if self.correlation_times < ENOUGH:
             slowest = "volume or energy" if np.isfinite(self.compressibility) else "energy"
             n_times = f"{max(1.0, self.correlation_times):.0f} correlation times"

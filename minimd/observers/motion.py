@@ -68,15 +68,6 @@ def finite_size_correction(thermal_energy: float, viscosity: float, edge: float)
     return XI * thermal_energy / (6.0 * np.pi * viscosity * edge)
 
 
-def with_its_error(viscosity: float | ViscosityResult) -> tuple[float, float]:
-    """A viscosity and its standard error, 0 if it is a number."""
-    error = 0.0
-    if isinstance(viscosity, ViscosityResult):
-        error = viscosity.viscosity_error
-        viscosity = viscosity.viscosity
-    return checked_number("viscosity", viscosity, "positive and finite"), error
-
-
 def of_molecules(vectors: Array, masses: Array, molecules: NDArray[np.int64]) -> Array:
     """(N, 3) for each atom, of vectors (N, 3) of atoms, the mean of its molecule, weighted by masses.
     molecules : see molecules_of."""
@@ -434,9 +425,12 @@ class DisplacementResult(MotionResult):
             )
         thermal_energy = self.units.k_B * self.temperature
         edge = self.volume ** (1.0 / 3.0)
-        eta, eta_error = with_its_error(viscosity)
-        added = finite_size_correction(thermal_energy, eta, edge)
-        error = float(np.hypot(self.diffusion_error, added * eta_error / eta))
+        viscosity_error = 0.0
+        if isinstance(viscosity, ViscosityResult):
+            viscosity_error = viscosity.viscosity_error
+            viscosity = viscosity.viscosity
+        added = finite_size_correction(thermal_energy, viscosity, edge)
+        error = float(np.hypot(self.diffusion_error, added * viscosity_error / viscosity))
         return replace(self, infinite=self.diffusion + added, infinite_error=error)
 
     def numbers(self) -> dict[str, float]:
@@ -454,8 +448,8 @@ class DisplacementResult(MotionResult):
             for name, diffusivity in zip(self.scene.species, self.of_species, strict=True):
                 rows.append(("", f"{name}: {diffusivity.in_words(units)}"))
         if np.isfinite(self.infinite):
-            words = diffusion_words(self.infinite, self.infinite_error, units)
-            rows.append(("", f"D = {words} in an infinite cell (Yeh and Hummer)"))
+            infinite = diffusion_words(self.infinite, self.infinite_error, units)
+            rows.append(("", f"D = {infinite} in an infinite cell (Yeh and Hummer)"))
         elif self.is_cubic and np.isfinite(self.diffusion):
             larger = "in a larger cell D is larger: result(viscosity=...) corrects for this"
             rows.append(("", larger))

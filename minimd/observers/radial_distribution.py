@@ -37,7 +37,7 @@ from minimd.observers.arguments import argument, label, positive, steps
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FRAMES, HEAD = 0, 1  # places in the sums: number of frames, then V times the numbers of pairs
+FRAMES, HEAD = range(2)  # places in the sums: number of frames, then V times the numbers of pairs
 NO_PAIRS = np.zeros((0, 2), dtype=np.int64)
 SPACINGS = 4.0  # in r_max if not given: four shells of neighbors
 R_MAX = "largest distance; if not given, the smaller of 4 (V/N)^(1/3) and half the smallest height of the initial cell"

@@ -64,8 +64,9 @@ class Stream(PeriodicObserver):
         self, port: int = 8888, every: int = 10, host: str = "localhost", wait: bool = False
     ) -> None:
         if not isinstance(host, str) or not host:
-            example = "a name or an address, such as 'localhost'"
-            raise ValueError(f"host must be {example}; host = {shown(host)}")
+            raise ValueError(
+                f"host must be a name or an address, such as 'localhost'; host = {shown(host)}"
+            )
         self.port = checked_count("port", port, 0, PORTS)
         self.host = host
         self.wait = checked_flag("wait", wait)
@@ -249,18 +250,17 @@ class Stream(PeriodicObserver):
         frame["clock"][0] = engine.method.timestep * time, engine.time * time
         frame["step"] = engine.step
         frame["step_of_energies"] = min(engine.step, MOST_STEPS)
-        energies = (look.total_energy * energy, look.potential_energy * energy)
-        arrays = {
-            "positions": (engine.positions, length),
-            "velocities": (engine.velocities, length / time),
-            "forces": (engine.forces, energy / length),
-        }
-        if self._has_box:
-            arrays["box"] = (engine.system.cell.vectors, length)
+        energies = (look.temperature, look.total_energy * energy, look.potential_energy * energy)
         with np.errstate(over="ignore"):  # infinite where float32 is too small
-            frame["energies"][0, :3] = (look.temperature, *energies)
-            for name, (array, factor) in arrays.items():
-                np.multiply(array, factor, out=frame[name][0], casting="unsafe")
+            frame["energies"][0, :3] = energies
+            for name, array, factor in (
+                ("box", engine.system.cell.vectors, length),
+                ("positions", engine.positions, length),
+                ("velocities", engine.velocities, length / time),
+                ("forces", engine.forces, energy / length),
+            ):
+                if name != "box" or self._has_box:
+                    np.multiply(array, factor, out=frame[name][0], casting="unsafe")
 
 
 def empty_frame(n_atoms: int, has_box: bool) -> NDArray[Any]:
@@ -269,16 +269,16 @@ def empty_frame(n_atoms: int, has_box: bool) -> NDArray[Any]:
     bodies: dict[int, list[tuple]] = {
         TIME: [("clock", "f8", 2), ("step", "i8")],
         ENERGIES: [("step_of_energies", "i4"), ("energies", "f4", 9)],
-        BOX: [("box", "f4", (3, 3))] * has_box,
-        **{kind: [(name, "f4", (n_atoms, 3))] for kind, name in of_atoms.items()},
     }
+    if has_box:
+        bodies[BOX] = [("box", "f4", (3, 3))]
+    for kind, name in of_atoms.items():
+        bodies[kind] = [(name, "f4", (n_atoms, 3))]
     fields: list[tuple] = []
     for kind, body in bodies.items():
-        if body:
-            fields += [(f"header {kind}", ">i4", 2), *body]
+        fields += [(f"header {kind}", ">i4", 2), *body]
     frame = np.zeros(1, fields)
-    for kind, body in bodies.items():
-        if body:
-            frame[f"header {kind}"] = kind, n_atoms if kind in of_atoms else 1
+    for kind in bodies:
+        frame[f"header {kind}"] = kind, n_atoms if kind in of_atoms else 1
     frame["energies"] = np.nan
     return frame

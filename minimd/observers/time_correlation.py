@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.engine.observation import Look
-from minimd.core.structure.cell import Cell
-from minimd.core.structure.observables import temperature
 from minimd.core.structure.statistics import spread
 from minimd.core.structure.units import UnitSystem
 from minimd.observers.accumulator import Accumulator, Array, BlockedSums
@@ -117,19 +115,11 @@ class TimeCorrelation(Accumulator):
         """Make the sums."""
         self._correlator = correlator
         self.sums = BlockedSums(HEAD + correlator.size)
-        self._volume_of: Cell | None = None
-        self._volume = np.nan
 
     def _add(self, look: Look, entry: Array) -> None:
         """Add a look to the sums.  entry : (C, n), for the correlator."""
         sums = self.sums.total
-        system = look.system
-        # the determinant takes as long as a lag of the correlator
-        if self._volume_of is not system.cell:
-            self._volume_of = system.cell
-            self._volume = system.volume or np.nan
-        heat = temperature(look.thermal_energy, look.engine.n_dof, system.units.k_B)
-        sums[:HEAD] += 1.0, heat, self._volume
+        sums[:HEAD] += 1.0, look.temperature, look.system.volume or np.nan
         self._correlator.add(entry, sums[HEAD:])
 
     def _parts(self) -> list[Any]:

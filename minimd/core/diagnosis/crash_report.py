@@ -44,7 +44,7 @@ class CrashReport:
         lines.append(f"cause          {self.cause}")
         lines.append(f"what to do     {self.advice}")
         pair = self.pair
-        if pair is not None:
+        if pair:
             what = "bond" if pair.is_bond else "pair"
             where = f"{what} of {pair.atoms} ({pair.law}), {pair.apart(length)}"
             push = f"−u′ {pair.force:.3g} {force}{pair.stiffness(self.timestep)}"
@@ -64,7 +64,7 @@ def examine(engine: Engine, failure: Failure) -> CrashReport:
     fastest, speed = longest(engine.velocities)
     kind, cause, advice, pair = next(after(evidence))
     depth = evidence.strange_depth
-    if depth is not None:
+    if depth:
         cause = f"{depth} (a consequence: {cause})"
         advice = "correct epsilon before anything else"
     return CrashReport(

@@ -17,9 +17,8 @@ from minimd.core.structure.observables import longest
 from minimd.core.structure.system import System, changed
 from minimd.core.structure.vectors import Array
 
-USUAL = (
-    8.0 * OSCILLATION
-) ** 0.5  # Δt·ω of 20 steps a period: velocity Verlet's energy oscillates by (Δt·ω)²/8
+# Δt·ω of 20 steps a period: velocity Verlet's energy oscillates by (Δt·ω)²/8
+USUAL = (8.0 * OSCILLATION) ** 0.5
 OVERLAP = 0.8  # of σ; thermal collisions of a liquid at k_B T = ε end at 0.85 σ
 # of its distance: a pair that a force moves farther in one step overlaps; for laws without a length of their own
 THROWN = 0.1
@@ -63,6 +62,8 @@ class Evidence:
         self.engine = engine
         self.system = engine.system
         self.units = engine.system.units
+        self.potentials = engine.interactions.potentials
+        self.inverse_masses = engine.constraint_set.inverse_masses
         self.failure: Any = failure  # None if nothing has failed
         self.timestep = abs(engine.method.timestep)
         self.step = self.units.shown(self.timestep)  # as text
@@ -75,8 +76,7 @@ class Evidence:
     @cached_property
     def stiffness(self) -> Stiffness:
         """Of the scene."""
-        engine = self.engine
-        return Stiffness(self.system, engine.interactions.potentials, engine.constraint_set)
+        return Stiffness(self.system, self.potentials, self.engine.constraint_set)
 
     @property
     def strange_depth(self) -> Verdict | None:
@@ -104,8 +104,9 @@ class Evidence:
     def failed(self) -> System | None:
         """The system at the moment of the failure, if its positions are numbers."""
         positions = self.failure.at
-        is_known = positions is not None and bool((np.abs(positions) <= LARGEST).all())
-        return self.moved(positions) if is_known else None
+        if positions is None or not (np.abs(positions) <= LARGEST).all():
+            return None
+        return self.moved(positions)
 
     @cached_property
     def contacts(self) -> list[Contact]:
@@ -125,10 +126,8 @@ class Evidence:
         """Advice on the time step for the last good state; None if it takes too long or fails."""
         try:
             return advice_at(self.engine, ADVICE_SECONDS)
-        except (
-            Exception
-        ):  # whatever a term of the user's own raises: the failure itself must be told
-            return None
+        except Exception:  # whatever a term of the user's own raises
+            return None  # the failure itself must be told
 
     @property
     def recommended(self) -> str:
@@ -155,9 +154,7 @@ class Evidence:
 
     def contacts_in(self, system: System, atoms: list[int]) -> list[Contact]:
         """The contacts of some atoms in some state."""
-        engine = self.engine
-        inverse_masses = engine.constraint_set.inverse_masses
-        return contacts(system, engine.interactions.potentials, inverse_masses, atoms)
+        return contacts(system, self.potentials, self.inverse_masses, atoms)
 
     def moved(self, positions: Array) -> System:
         """A system at rest with its atoms elsewhere: the velocities of a failed run may be infinite."""
@@ -165,8 +162,7 @@ class Evidence:
 
     def overlap(self, contact: Contact) -> bool:
         """Whether two atoms overlap, or a law without a length of its own throws them apart within one step."""
-        inverse_masses = self.engine.constraint_set.inverse_masses
-        inverse_mass = float(inverse_masses[[contact.first, contact.second]].sum())
+        inverse_mass = float(self.inverse_masses[[contact.first, contact.second]].sum())
         way = contact.force * inverse_mass * self.timestep**2
         is_thrown = contact.ratio is None and way > THROWN * contact.distance
         return is_overlap(contact) or is_thrown

@@ -70,7 +70,7 @@ def before(evidence: Evidence) -> Verdicts:
     yield from _flat_motion(evidence)
     yield from _polar_slab(evidence)
     # atoms that are pushed by their own images, as in a cell of two dimensions that is left periodic
-    cause = thin_cell(evidence.system, evidence.engine.interactions.potentials)
+    cause = thin_cell(evidence.system, evidence.potentials)
     if cause:
         yield Verdict("thin", cause, OPEN_IT)
 
@@ -112,9 +112,8 @@ def _short_step(evidence: Evidence) -> Verdicts:
     """A time step far shorter than the harmonic bonds and the collisions of Lennard-Jones atoms need."""
     usual = evidence.usual_step()
     is_short = MEANT * usual < evidence.timestep < TOO_SHORT * usual
-    potentials = evidence.engine.interactions.potentials
-    # others may be stiffer
-    if is_short and all(isinstance(law, Nonbonded | HarmonicBond) for law in potentials):
+    # other laws may be stiffer
+    if is_short and all(isinstance(law, Nonbonded | HarmonicBond) for law in evidence.potentials):
         example = ", such as 5 * md.units.fs" if evidence.units == ASE else ""
         yield Verdict(
             "short step",
@@ -126,11 +125,11 @@ def _short_step(evidence: Evidence) -> Verdicts:
 
 def _no_pair_in_reach(evidence: Evidence) -> Verdicts:
     """No pair interacts, as when lengths of the potential and of the positions have different units."""
-    interactions = evidence.engine.interactions
+    engine = evidence.engine
     length = evidence.units.length
-    laws = [law for law in interactions.potentials if isinstance(law, Nonbonded)]
+    laws = [law for law in evidence.potentials if isinstance(law, Nonbonded)]
     cutoff = max((law.cutoff for law in laws if law.cutoff < np.inf), default=np.inf)
-    has_forces = interactions.potential_energy != 0.0 or evidence.engine.forces.any()
+    has_forces = engine.interactions.potential_energy != 0.0 or engine.forces.any()
     closest = evidence.closest
     if closest and closest.distance > cutoff and not has_forces:
         i, j, distance = closest
@@ -186,7 +185,7 @@ def _flat_motion(evidence: Evidence) -> Verdicts:
     """Atoms that lie and move in one plane, or on one line: fewer degrees of freedom move than are counted."""
     engine = evidence.engine
     dt = evidence.timestep
-    inverse_masses = engine.constraint_set.inverse_masses
+    inverse_masses = evidence.inverse_masses
     accelerations = engine.forces * inverse_masses[:, None]
     moves = np.array([engine.positions, dt * engine.velocities, dt * dt * accelerations])
     moves = moves[:, inverse_masses > 0.0]
@@ -214,7 +213,7 @@ def _polar_slab(evidence: Evidence) -> Verdicts:
     system = evidence.system
     units = evidence.units
     cell = system.cell
-    laws = [law for law in engine.interactions.potentials if isinstance(law, Coulomb)]
+    laws = [law for law in evidence.potentials if isinstance(law, Coulomb)]
     has_sum = any(law.method in SUMS for law in laws)
     if not has_sum or cell.volume is None or system.net_charge:
         return
@@ -247,7 +246,7 @@ def at_start(evidence: Evidence) -> Verdicts:
     interactions = engine.interactions
     sizes = np.sqrt(np.einsum("ij,ij->i", engine.forces, engine.forces))
     # |F|/m, without a warning of an overflow
-    accelerations = np.einsum("i,i->i", engine.constraint_set.inverse_masses, sizes)
+    accelerations = np.einsum("i,i->i", evidence.inverse_masses, sizes)
     atom = int(np.argmax(accelerations))
     distance = float(accelerations[atom]) * evidence.timestep**2
     way = f"{distance:.3g} {evidence.units.length}"

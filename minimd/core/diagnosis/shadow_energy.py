@@ -22,7 +22,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from minimd.core.engine.engine import Engine
-from minimd.core.engine.observation import Look, Observable, register
+from minimd.core.engine.observation import Observable, register
 from minimd.core.integrators.rows import PositionVerlet, VelocityVerlet
 from minimd.core.integrators.substeps import Substeps
 from minimd.core.structure.checks import checked_kind
@@ -90,8 +90,11 @@ def check_has_shadow(engine: Engine) -> None:
         raise ValueError(f"{none} with rigid bonds; leave out the bonds or the observable")
 
 
-def _measured(look: Look) -> float:
-    return look.total_energy + correction(look.engine)
-
-
-register(Observable("shadow_energy", "energy", _measured, demand=check_has_shadow))
+register(
+    Observable(
+        "shadow_energy",
+        "energy",
+        lambda look: look.total_energy + correction(look.engine),
+        demand=check_has_shadow,
+    )
+)

@@ -106,8 +106,8 @@ def correlation_times(sums: BlockedSums) -> Array:
     weights = np.array(OF_INTEREST)
     _, covariance = moments(sums.total)
     errors = standard_error(parts[:, 1 : 1 + N_SERIES] @ weights.T / parts[:, :1])
-    variances = np.diag(weights @ covariance @ weights.T)
     with np.errstate(all="ignore"):
+        variances = np.diag(weights @ covariance @ weights.T)
         return np.where(errors > 0.0, 2.0 * variances / errors**2, np.nan)
 
 

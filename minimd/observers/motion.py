@@ -88,13 +88,11 @@ class _OfAtoms(TimeCorrelation):
     name: str = label()
     chosen: list[int] = field(init=False, default_factory=lambda: [0])
     is_cubic: bool = field(init=False, default=False)
-    numbers: list[int] = field(
-        init=False, default_factory=lambda: [1]
-    )  # of chosen atoms of each species
+    # of chosen atoms of each species
+    numbers: list[int] = field(init=False, default_factory=lambda: [1])
     is_relative: bool = field(init=False, default=False)  # to the center of mass
-    widening: float = field(
-        init=False, default=1.0
-    )  # of D: n/(n − 1) for n independent particles relative to it
+    # of D: n/(n − 1) for n independent particles relative to it
+    widening: float = field(init=False, default=1.0)
 
     @property
     def n_components(self) -> int:
@@ -124,7 +122,7 @@ class _OfAtoms(TimeCorrelation):
             raise ValueError(f"{self.name} cannot have chosen {self.numbers} of {n_atoms} atoms")
         starts = np.concatenate([[0], np.cumsum(self.numbers)])
         self._order = np.array(self.chosen)
-        self._takes_all = self.chosen == [*range(n_atoms)]
+        self._takes_all = n_chosen == n_atoms and self.chosen == [*range(n_atoms)]
         self._molecules: NDArray[np.int64] | None = None
         law = type(self).law
         shape = (self.n_components, POINTS, self.n_levels)

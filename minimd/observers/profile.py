@@ -111,8 +111,8 @@ class Profile(Accumulator):
 
         values, errors = self.sums.estimate(law)
         lower = 0.0 if self.extent is None else self.extent[0]
-        height = self.sums.total[EXTENT] / self.sums.total[FRAMES]
-        z = lower + (np.arange(n) + 0.5) * height / n
+        total = self.sums.total
+        z = lower + (np.arange(n) + 0.5) * total[EXTENT] / total[FRAMES] / n
         profiles = (values[:-1], errors[:-1], values[-1], errors[-1])
         return ProfileResult(scene, self.axis, z, *profiles, self.n_looks)
 

@@ -18,9 +18,8 @@ from minimd.observers.accumulator import Accumulator, Array, BlockedSums
 from minimd.observers.correlator import MultipleTau
 from minimd.observers.diffusion import LONGEST
 
-SLOWER = (
-    1.5  # S: ratio of the slowest correlation time to the mean time of the integral; Wolff's value
-)
+# S: ratio of the slowest correlation time to the mean time of the integral; Wolff's value
+SLOWER = 1.5
 OCTAVE = 2.0  # a plateau lasts from a time to this multiple of it
 FEWEST_LAGS = 3  # in a plateau
 

@@ -28,9 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ENOUGH = 100.0  # times the start of the plateau: a shorter run knows its error bar badly
-POINTS = (
-    32  # entries on each level of the correlator: averages are over at most a sixteenth of a lag
-)
+# entries on each level of the correlator: averages are over at most a sixteenth of a lag
+POINTS = 32
 WEIGHT = 10.0  # divisor of the sum over all components of a symmetric tensor without trace
 MPA_S = 1e-4 / (BAR * PICOSECOND)  # per eV/Å³ Å √(u/eV): a bar times a picosecond is 1e-4 mPa s
 

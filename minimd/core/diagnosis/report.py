@@ -20,9 +20,8 @@ from minimd.core.structure.statistics import (
 BLOCKS = 40  # averages of the total energy between which the drift is fitted
 BLOCKS_OF_WALK = 20  # the same for a series that wanders like a random walk
 SIGNIFICANT = 3.0  # standard errors, if these are well known: chance exceeds them 3 times in 1000
-MOST_SIGNIFICANT = (
-    6.0  # standard errors, if these are poorly known: no fluctuation looks so straight
-)
+# standard errors, if these are poorly known: no fluctuation looks so straight
+MOST_SIGNIFICANT = 6.0
 INDEPENDENT = 4.0  # entries: with fewer, a series is too short to judge
 LARGEST_RANGE = 0.5  # of the kinetic energy
 RANGE_OF_ROUNDING = 1e-11  # of the potential energy
@@ -32,9 +31,8 @@ AT_REST = 1e-20
 QUIET = 0.01  # of the kinetic energy, by which the energy of a short run may vary
 # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
 MOMENTUM_KEPT = 1e-13
-ANGULAR_MOMENTUM_KEPT = (
-    1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
-)
+# of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
+ANGULAR_MOMENTUM_KEPT = 1e-12
 # likewise where momentum is exactly constant: displacements are rounded to some 2⁻⁴⁰ of the scene
 KEPT_ON_A_GRID = 1e-9
 # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain

@@ -16,9 +16,8 @@ from minimd.core.engine.engine import Engine
 from minimd.core.structure.observables import longest
 
 ROUNDING = 2.0**-52  # of the forces
-AMPLIFIED = (
-    1e3  # rounding errors by which the turning point is displaced, so that their growth stands out
-)
+# rounding errors by which the turning point is displaced, so that their growth stands out
+AMPLIFIED = 1e3
 # times what one rounding grows to, times the square root of the steps: up to this, a distance is due to rounding
 ENOUGH = 3.0
 CHAOS = 0.01  # of the way that atoms went: beyond it, rounding has grown too much to tell

@@ -30,12 +30,10 @@ FAILED_AS_BLOCK = "some steps failed together, although each of them succeeded a
 MOST_SNAPSHOTS = 16  # that are kept; at least one is
 ROOM = 10**6  # atoms in all snapshots that are kept
 SNAPSHOTS_APART = 40  # steps between two snapshots that are kept, at least
-SAME_ENERGY = (
-    1e-3  # of K + |U|: a potential that gives another energy for the same atoms has been changed
-)
-LEAST_REPLAY = (
-    20  # steps from the snapshot with which a replay begins to the failure, if there were that many
-)
+# of K + |U|: a potential that gives another energy for the same atoms has been changed
+SAME_ENERGY = 1e-3
+# steps from the snapshot with which a replay begins to the failure, if there were that many
+LEAST_REPLAY = 20
 
 
 class RunGuard:
@@ -168,9 +166,8 @@ class RunGuard:
             done = engine.advance(n_steps, with_energy)
         except (NonFiniteError, ConstraintError):
             self._replay(before, n_steps, FAILED_AS_BLOCK)
-        except (
-            BaseException
-        ):  # a list that does not fit, or a second Ctrl-C in the middle of a step
+        except BaseException:
+            # a list that does not fit, or a second Ctrl-C in the middle of a step
             engine.restore(before)
             raise
         self.seconds += perf_counter() - started - (compile_clock.seconds - compiled)

@@ -27,11 +27,8 @@ from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE, GRAM_PER_CM3
 
 CONTINUOUS = 1e-9  # of the law at INSIDE r_c: a smaller jump is rounding
-INSIDE = (
-    0.9,
-    0.99,
-    0.999,
-)  # of these, the first at which the law has a value: a table may begin late
+# of these, the first at which the law has a value: a table may begin late
+INSIDE = (0.9, 0.99, 0.999)
 FEW_STEPS = 3.0  # a list that lasts no longer is rebuilt so often that a wider skin is cheaper
 ROOM = 0.99  # of the widest skin: beyond this it cannot be made wider
 TURNING = 1e-8  # of the speed, along a rigid bond

@@ -34,9 +34,8 @@ SEED = 1  # of the vector from which iterations start
 CROWDED = 5.0
 CROWDED_COLD = 15.0
 CROWDED_HEAT = 12.2
-COLDEST = ((CROWDED**2 - CROWDED_COLD) / CROWDED_HEAT) ** (
-    6.0 / 7.0
-)  # T* below which the floor of CROWDED counts
+# T* below which the floor of CROWDED counts
+COLDEST = ((CROWDED**2 - CROWDED_COLD) / CROWDED_HEAT) ** (6.0 / 7.0)
 # eV, eV, Å: ε of no atom that is wider than WIDE, and of no atom at all; metals: W 1.07 eV, 2.56 Å
 DEEP = 0.5
 DEEPEST = 2.0

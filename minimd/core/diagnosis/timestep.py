@@ -23,9 +23,8 @@ from minimd.core.structure.errors import NonFiniteError
 from minimd.core.structure.system import AnySystem, System
 from minimd.core.structure.units import UnitSystem
 
-OSCILLATION = (
-    1.0 / 80.0
-)  # of the energy of the stiffest mode at the recommended step: 20 velocity Verlet steps a period
+# of the energy of the stiffest mode at the recommended step: 20 velocity Verlet steps a period
+OSCILLATION = 1.0 / 80.0
 EVALUATIONS = 200  # of the forces: as many mostly suffice to find the stiffest mode of many atoms
 SHOWN_ATOMS = 4  # of the stiffest mode, at most
 HALF = 0.5  # of a mode: a bond is named if its stretching makes up more

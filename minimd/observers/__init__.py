@@ -14,9 +14,19 @@ from minimd.observers.scattering import SelfScattering, StructureFactor
 from minimd.observers.stream import Stream
 from minimd.observers.viscosity import Viscosity
 
-OF_STRUCTURE = RadialDistribution, StructureFactor, Profile
-OF_MOTION = MeanSquareDisplacement, VelocityAutocorrelation, SelfScattering, Viscosity, Fluctuations
-KINDS: dict[str, type[Accumulator]] = {one.kind: one for one in (*OF_STRUCTURE, *OF_MOTION)}
+KINDS: dict[str, type[Accumulator]] = {
+    observer.kind: observer
+    for observer in (
+        RadialDistribution,
+        StructureFactor,
+        Profile,
+        MeanSquareDisplacement,
+        VelocityAutocorrelation,
+        SelfScattering,
+        Viscosity,
+        Fluctuations,
+    )
+}
 __all__ = [
     "KINDS",
     "Accumulator",

@@ -52,8 +52,8 @@ def _contents(state: State) -> dict[str, tuple[Any, ...]]:
     """Types, shapes and bytes of the arrays of a state, but for its words, which an older version may have put
     otherwise."""
     return {
-        name: (one.dtype, one.shape, one.tobytes())
-        for name, one in state.items()
+        name: (array.dtype, array.shape, array.tobytes())
+        for name, array in state.items()
         if name != "words"
     }
 
@@ -82,9 +82,9 @@ class BlockedSums:
         self._marks[self._n_marks] = self.total
         self._n_marks += 1
         if self._n_marks == MOST_BLOCKS:
-            self._marks[: MOST_BLOCKS // 2] = self._marks[1::2]
-            self._n_marks = MOST_BLOCKS // 2
-            self._length = 2 * self._length
+            self._n_marks //= 2
+            self._marks[: self._n_marks] = self._marks[1::2]
+            self._length *= 2
 
     def parts(self) -> Array:
         """(K, n) sums over each block; a last block that is not full is left out."""
@@ -110,10 +110,10 @@ class BlockedSums:
     def restore(self, state: State) -> None:
         """Restore a state."""
         self.n_entries, self._length, self._n_marks = map(int, state["entries"])
-        if not 0 <= self._n_marks == self.n_entries // self._length < MOST_BLOCKS:
-            raise ValueError(
-                f"{self._n_marks} blocks of {self._length} do not make {self.n_entries} looks"
-            )
+        is_possible = 0 <= self._n_marks == self.n_entries // self._length < MOST_BLOCKS
+        if not is_possible:
+            blocks = f"{self._n_marks} blocks of {self._length}"
+            raise ValueError(f"{blocks} do not make {self.n_entries} looks")
         self.total[:] = state["total"]
         self._marks[: self._n_marks] = state["marks"]
 
@@ -141,14 +141,19 @@ class ObservedRun:
         system = engine.system
         barostat = engine.barostat
         temperature = engine.method.parameters.get("temperature")
-        if barostat is not None and temperature is None:
-            temperature = barostat.temperature
-        numbers = np.bincount(system.species_index, minlength=len(system.species_names)).tolist()
-        species = [str(one) for one in system.species_names]
-        spacing = every * engine.method.timestep
-        pressure = None if barostat is None else barostat.pressure
+        pressure = None
+        if barostat is not None:
+            pressure = barostat.pressure
+            temperature = barostat.temperature if temperature is None else temperature
+        numbers = np.bincount(system.species_index, minlength=len(system.species_names))
         return cls(
-            system.units.name, species, numbers, spacing, engine.n_dof, temperature, pressure
+            units=system.units.name,
+            species=[*map(str, system.species_names)],
+            numbers=numbers.tolist(),
+            spacing=every * engine.method.timestep,
+            n_dof=engine.n_dof,
+            bath_temperature=temperature,
+            bath_pressure=pressure,
         )
 
     @property
@@ -194,10 +199,12 @@ class Result(Displayed):
 
     def columns(self) -> dict[str, Array]:
         """Its series by name, the abscissa first, each followed by its standard errors."""
-        made: dict[str, Array] = {}
+        columns: dict[str, Array] = {}
         for name, _, values, errors in self.series():
-            made |= {name: values} if errors is None else {name: values, f"{name}_error": errors}
-        return made
+            columns[name] = values
+            if errors is not None:
+                columns[f"{name}_error"] = errors
+        return columns
 
     def numbers(self) -> dict[str, float]:
         """Its single numbers by name."""
@@ -213,34 +220,24 @@ class Result(Displayed):
 
     def abscissa(self) -> tuple[Array, str]:
         """The abscissa of pictures, and its unit: a time is in ps, or τ."""
-        x = self.series()[0]
+        _, unit, values, _ = self.series()[0]
         units = self.units
-        return (
-            (x.values * units.to_picosecond, units.shown_time)
-            if x.unit == units.time
-            else (x.values, x.unit)
-        )
+        if unit == units.time:
+            return values * units.to_picosecond, units.shown_time
+        return values, unit
 
     def draw(self, panel: Axes) -> None:
         """Draw the result into axes of matplotlib: the first series, and those with its unit; or the rows as text."""
-        if found := self.series():
-            x, first, *_ = found
-            curves = {one.name: one.values for one in found[1:] if one.unit == first.unit}
-            return self.draw_curves(
-                panel, curves, x.name, first.name + (first.unit and f"  [{first.unit}]")
-            )
+        series = self.series()
+        if series:
+            x, first, *_ = series
+            curves = {curve.name: curve.values for curve in series[1:] if curve.unit == first.unit}
+            quantity = f"{first.name}  [{first.unit}]" if first.unit else first.name
+            return self.draw_curves(panel, curves, x.name, quantity)
+        text = "\n".join(row for _, row in self.display_rows())
+        style: dict[str, Any] = {"va": "top", "fontsize": 8, "wrap": True, "parse_math": False}
         panel.axis("off")
-        words = "\n".join(words for _, words in self.display_rows())
-        panel.text(
-            0.0,
-            1.0,
-            words,
-            va="top",
-            transform=panel.transAxes,
-            fontsize=8,
-            wrap=True,
-            parse_math=False,
-        )
+        panel.text(0.0, 1.0, text, transform=panel.transAxes, **style)
         panel.set_title(self.title)
 
     def draw_curves(self, panel: Axes, curves: dict[str, Array], symbol: str, label: str) -> None:
@@ -293,7 +290,6 @@ class Accumulator(StoredObserver, Displayed):
 
     convention: ClassVar[int] = 1  # of its sums; those of another cannot go on
     declared: ClassVar[dict[str, Argument]]  # all arguments
-    arguments: ClassVar[tuple[str, ...]]  # with which, and with its name, it can be made again
     settled: ClassVar[tuple[str, ...]]  # attributes that the first run sets
     every: int
     name: str
@@ -301,40 +297,34 @@ class Accumulator(StoredObserver, Displayed):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        made = fields(dataclass(eq=False, repr=False)(cls))  # type: ignore[arg-type]
-        cls.declared = {one.name: one.metadata["argument"] for one in made if one.init}
-        cls.arguments = tuple(name for name in cls.declared if name != "name")
-        cls.settled = tuple(one.name for one in made if not one.init)
-        told = (
-            f"{name} : {words}{unit and f' [{unit}]'}."
-            for name, (_, words, unit) in cls.declared.items()
-        )
-        cls.__doc__ = "\n".join(
-            [cleandoc(cls.__doc__ or ""), "", "Parameters", "----------", *told]
-        )
+        own = fields(dataclass(eq=False, repr=False)(cls))  # type: ignore[arg-type]
+        cls.declared = {part.name: part.metadata["argument"] for part in own if part.init}
+        cls.settled = tuple(part.name for part in own if not part.init)
+        lines = [cleandoc(cls.__doc__ or ""), "", "Parameters", "----------"]
+        for name, (_, meaning, unit) in cls.declared.items():
+            lines.append(f"{name} : {meaning}{unit and f' [{unit}]'}.")
+        cls.__doc__ = "\n".join(lines)
 
     def __post_init__(self) -> None:
-        for name, one in self.declared.items():
+        for name, (check, _, _) in self.declared.items():
             value = getattr(self, name)
             if value is not None or getattr(type(self), name) is not None:
-                setattr(self, name, one.check(name, value))
+                setattr(self, name, check(name, value))
         self.name = self.name or self._own_name()
         self.scene: ObservedRun | None = None
         self.last_step = -1
 
     def __repr__(self) -> str:
-        made = self.made_with()
-        return call_of(
-            self, made if self.name != self._own_name() else {**made, "name": ""}, always=("every",)
-        )
+        arguments = self.made_with()
+        if self.name == self._own_name():
+            arguments["name"] = ""
+        return call_of(self, arguments, always=("every",))
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        return (
-            self.result().display_rows()
-            if self.n_looks
-            else [("observer", f"{self!r}, has observed nothing yet")]
-        )
+        if not self.n_looks:
+            return [("observer", f"{self!r}, has observed nothing yet")]
+        return self.result().display_rows()
 
     @classmethod
     def _own_name(cls) -> str:
@@ -347,7 +337,9 @@ class Accumulator(StoredObserver, Displayed):
 
     def made_with(self) -> dict[str, Any]:
         """The arguments with which it was made."""
-        return {name: getattr(self, name) for name in (*self.arguments, "name")}
+        arguments = {name: getattr(self, name) for name in self.declared}
+        arguments["name"] = arguments.pop("name")  # the last one
+        return arguments
 
     def prepare(self, engine: Engine) -> None:
         """Prepare for a run, or a look.  Raises ValueError if the engine cannot be observed, or is another scene than
@@ -359,8 +351,10 @@ class Accumulator(StoredObserver, Displayed):
             self._laid_out(scene)
         elif self.scene != scene:
             baths = f"at temperature {self.scene.bath_temperature}, now {scene.bath_temperature}"
-            other = f"another system, or another time step, thermostat or barostat ({baths})"
-            raise ValueError(f"{self!r} has observed {other}; make a new observer for this run")
+            raise ValueError(
+                f"{self!r} has observed another system, or another time step, thermostat or barostat ({baths}); "
+                "make a new observer for this run"
+            )
 
     def observe(self, engine: Engine) -> None:
         """Look at the present state, unless the last look was at this step."""
@@ -390,10 +384,10 @@ class Accumulator(StoredObserver, Displayed):
     def answered(self) -> ObservedRun:
         """The scene, which a result needs.  Raises ValueError before the first look."""
         if self.scene is None or not self.n_looks:
-            advice = (
+            raise ValueError(
+                f"{self!r} has not observed any state yet; "
                 f"pass it to a run of {self.every} steps or more: sim.run(n_steps, observers=[...])"
             )
-            raise ValueError(f"{self!r} has not observed any state yet; {advice}")
         return self.scene
 
     def _begin(self, engine: Engine) -> None:
@@ -419,17 +413,23 @@ class Accumulator(StoredObserver, Displayed):
         """Everything on which later results depend, for restore; empty before the first run."""
         if self.scene is None:
             return {}
-        settled = {name: getattr(self, name) for name in self.settled}
-        words = {"scene": asdict(self.scene), "settled": settled, "last_step": self.last_step}
-        coded = json.dumps({**words, "convention": self.convention}).encode()
-        arrays = {name: array for part in self._parts() for name, array in part.state().items()}
-        return {"words": np.frombuffer(coded, dtype=np.uint8), **arrays}
+        about = {
+            "scene": asdict(self.scene),
+            "settled": {name: getattr(self, name) for name in self.settled},
+            "last_step": self.last_step,
+            "convention": self.convention,
+        }
+        state = {"words": np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)}
+        for part in self._parts():
+            state |= part.state()
+        return state
 
     def can_restore(self, state: State) -> bool:
         """Whether a state has the convention of this observer."""
-        return not state or bool(
-            json.loads(bytes(state["words"])).get("convention", 1) == self.convention
-        )
+        if not state:
+            return True
+        convention = json.loads(bytes(state["words"])).get("convention", 1)
+        return bool(convention == self.convention)
 
     def restore(self, state: State) -> None:
         """Go on from the state of another observer, which must have been made with the same arguments.
@@ -438,17 +438,18 @@ class Accumulator(StoredObserver, Displayed):
         """
         if not state:
             return
-        words = json.loads(bytes(state["words"]))
+        about = json.loads(bytes(state["words"]))
         if not self.can_restore(state):
-            other = f"another version of minimd (convention {words.get('convention', 1)}, not {self.convention})"
-            advice = "leave this observer out, or give it another name, under which it begins anew"
+            convention = about.get("convention", 1)
             raise ValueError(
-                f"observer {self.name} cannot be continued: its sums are of {other}; {advice}"
+                f"observer {self.name} cannot be continued: its sums are of another version of minimd "
+                f"(convention {convention}, not {self.convention}); "
+                "leave this observer out, or give it another name, under which it begins anew"
             )
         for name in self.settled:  # no other attribute, whatever a file says
-            setattr(self, name, words["settled"][name])
-        self.scene = ObservedRun(**words["scene"])
-        self.last_step = words["last_step"]
+            setattr(self, name, about["settled"][name])
+        self.scene = ObservedRun(**about["scene"])
+        self.last_step = about["last_step"]
         for part, names in ((self, (*self.settled, "last_step")), (self.scene, vars(self.scene))):
             kinds = get_type_hints(type(part))
             for name in names:

@@ -51,17 +51,16 @@ particles = partial(checked_choice, allowed=PARTICLES)
 def interval(name: str, value: Any) -> list[float]:
     """Two numbers, the lower one first."""
     is_pair = isinstance(value, list | tuple) and len(value) == 2
-    numbers = [checked_number(name, one) for one in value] if is_pair else []
+    numbers = [checked_number(name, end) for end in value] if is_pair else []
     if not is_pair or numbers[1] <= numbers[0]:
-        raise ValueError(
-            f"{name} must be two numbers, the lower one first; {name} = {shown(value)}"
-        )
+        wanted = "two numbers, the lower one first"
+        raise ValueError(f"{name} must be {wanted}; {name} = {shown(value)}")
     return numbers
 
 
 def identifier(name: str, value: Any) -> str:
     """Letters, digits and underscores, or nothing."""
-    if not (isinstance(value, str) and (value.isidentifier() or not value)):
-        wanted = "must be made of letters, digits and underscores"
-        raise ValueError(f"the {name} of an observer {wanted}; {name} = {shown(value)}")
+    if not isinstance(value, str) or not (value.isidentifier() or not value):
+        wanted = "made of letters, digits and underscores"
+        raise ValueError(f"the {name} of an observer must be {wanted}; {name} = {shown(value)}")
     return value

@@ -120,9 +120,8 @@ class MultipleTau:
     def add(self, entry: Array, sums: Array) -> None:
         """Take the next entry, (C, n), and add its correlations to the sums, (size,)."""
         counts = sums[: self._n_counts].reshape(self._n_levels, self._points)
-        level = 0
         products = sums[self._n_counts :].reshape(self._sums_shape)
-        while True:
+        for level in range(self._n_levels):
             if level == len(self._rings):
                 self._add_level()
             n = int(self._n_taken[level])
@@ -138,15 +137,13 @@ class MultipleTau:
                 )
                 counts[level, first:n_kept] += 1.0
             if self._averages:
-                self._means[level] += entry / RATIO
+                mean = self._means[level]
+                mean += entry / RATIO
                 if (n + 1) % RATIO:
                     return
-                entry = self._means[level].copy()
-                self._means[level][:] = 0.0
+                entry = mean.copy()
+                mean[:] = 0.0
             elif n % RATIO:
-                return
-            level += 1
-            if level == self._n_levels:
                 return
 
     def _add_level(self) -> None:
@@ -157,17 +154,17 @@ class MultipleTau:
         """Numbers of origins, (T,), and mean products of each group, summed over its particles, (T, G, C); NaN for lags
         without origins."""
         counts = sums[: self._n_counts][self._places]
-        products = sums[self._n_counts :].reshape(self._n_counts, *self._sums_shape[2:])[
-            self._places
-        ]
+        products = sums[self._n_counts :].reshape(self._n_counts, *self._sums_shape[2:])
         with np.errstate(all="ignore"):
-            return counts, products / counts[:, None, None]
+            return counts, products[self._places] / counts[:, None, None]
 
     def state(self) -> dict[str, NDArray[Any]]:
         """The state, for restore."""
-        n = len(self._rings)
-        rings, means = (np.array(one) if n else np.zeros(0) for one in (self._rings, self._means))
-        return {"rings": rings, "means": means, "taken": self._n_taken}
+        return {
+            "rings": np.array(self._rings or np.zeros(0)),
+            "means": np.array(self._means or np.zeros(0)),
+            "taken": self._n_taken,
+        }
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Restore a state."""

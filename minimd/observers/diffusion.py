@@ -27,7 +27,8 @@ from minimd.core.structure.units import UnitSystem
 Array = NDArray[np.float64]
 LONGEST = 0.25  # of the duration: longer lags have too few origins
 OCTAVES = 3  # over so many at least a trend is looked for
-SEEN, SURE = 2.0, 3.0  # errors of a trend, see 1; found by trying, as are the numbers below
+SEEN = 2.0  # errors of a trend, see 1; found by trying, as are the numbers below
+SURE = 3.0  # likewise
 SHARP = 0.1  # of D: a trend known worse tells nothing
 KNOWN = 0.3  # of D: with a larger error only a limit is known
 SPAN = 2  # octaves of D
@@ -44,10 +45,8 @@ def diffusion_words(coefficient: float, error: float, units: UnitSystem) -> str:
     """D in words, in Å²/ps and cm²/s, or in reduced units."""
     if units.name != "ASE":
         return f"{with_error(coefficient, error)} {units.length}²/{units.time}"
-    per_ps = coefficient / units.to_picosecond
-    its_error = error / units.to_picosecond
-    usual = with_error(USUAL * per_ps, USUAL * its_error)
-    return f"{with_error(per_ps, its_error)} Å²/ps = ({usual})·10⁻⁵ cm²/s"
+    numbers = np.array([coefficient, error]) / units.to_picosecond
+    return f"{with_error(*numbers)} Å²/ps = ({with_error(*USUAL * numbers)})·10⁻⁵ cm²/s"
 
 
 class Diffusivity(NamedTuple):
@@ -75,14 +74,15 @@ class Diffusivity(NamedTuple):
             return f"unknown: the run has fewer than four lags that double, up to a quarter of it; {ADVICE}"
         start, end = self.window
         lags = f"lags of {units.shown(start)} to {units.shown(end)}"
-        change = (
-            f"{with_error(100.0 * self.trend, 100.0 * self.trend_error)} % when the lag doubles"
-        )
+        percent = with_error(100.0 * self.trend, 100.0 * self.trend_error)
+        change = f"{percent} % when the lag doubles"
         if self.state == DIFFUSIVE:
-            return f"D = {diffusion_words(self.value, self.error, units)}, from {lags} (slope: {change}), in this cell"
+            value = diffusion_words(self.value, self.error, units)
+            return f"D = {value}, from {lags} (slope: {change}), in this cell"
         limit = ""
         if np.isfinite(self.limit):
-            limit = f"D is below {diffusion_words(float(f'{self.limit:.2g}'), 0.0, units)}; "
+            rounded = float(f"{self.limit:.2g}")
+            limit = f"D is below {diffusion_words(rounded, 0.0, units)}; "
         slope = f"at {lags} the slope of the mean square changes by {change}"
         if self.state == UNKNOWN:
             return f"unknown, {limit}{slope}; {ADVICE}"
@@ -123,8 +123,8 @@ class _Octaves:
         return weights / weights.sum()
 
     def _sums(self, weights: Array) -> tuple[float, float]:
-        found = self._slopes @ weights
-        return float(found[0]), float(spread(found[1:]))
+        slopes = self._slopes @ weights
+        return float(slopes[0]), float(spread(slopes[1:]))
 
 
 def diffusivity(
@@ -147,13 +147,12 @@ def diffusivity(
     n = octaves.n
     if window is not None:
         if n == 0:
-            wanted = "the window must hold a lag and its double"
+            span = f"{times[0]:.4g} to {times[-1]:.4g}"
             raise ValueError(
-                f"{wanted}; window = {window}, lags = {times[0]:.4g} to {times[-1]:.4g}"
+                f"the window must hold a lag and its double; window = {window}, lags = {span}"
             )
-        return Diffusivity(
-            DIFFUSIVE, *octaves.level(0, n), (lags[0], lags[n]), *octaves.trend(0, n)
-        )
+        used = (lags[0], lags[n])
+        return Diffusivity(DIFFUSIVE, *octaves.level(0, n), used, *octaves.trend(0, n))
     if n < OCTAVES:
         return Diffusivity(SHORT)
     end = n

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import chain
-from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
 from minimd.core.structure.observables import temperature
 from minimd.core.structure.statistics import standard_error, with_error
-from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result
+from minimd.observers.accumulator import Accumulator, Array, BlockedSums, ObservedRun, Result
 from minimd.observers.arguments import label, steps
 
-Array = NDArray[np.float64]
 N_SERIES = 3  # K, U, V
 KINETIC, ENERGY, VOLUME = range(N_SERIES)
 # K, E and V, as weights of K, U, V
@@ -26,6 +22,7 @@ FEWEST = 30.0  # correlation times; a run with fewer cannot tell how many it has
 # of the error of the jackknife: the least error; not all of it, because it scatters more than the other estimate
 JACKKNIFE = 0.7
 ENOUGH = 100.0  # correlation times; the error bar of a shorter run is itself too uncertain
+NAMES = "temperature", "heat_capacity_v", "heat_capacity_p", "compressibility", "expansion"
 
 
 class Fluctuations(Accumulator):
@@ -73,18 +70,21 @@ class Fluctuations(Accumulator):
         scene = self.answered()
         reference = np.array(self.reference)
         times = correlation_times(self.sums)
-        fluctuating = [KINETIC] if scene.bath_temperature is None else [ENERGY, VOLUME]
         missing = 2.0 / np.fmax(FEWEST, np.nan_to_num(times, nan=np.inf))
-        values, errors = self.sums.estimate(
-            lambda sums: _coefficients(sums, reference, scene, 1.0 + missing)
-        )
-        wider = _coefficients(
-            self.sums.total, reference, scene, (1.0 + missing) * np.exp(missing**0.5)
-        )
-        errors = np.where(
-            wider == values, errors, np.maximum(JACKKNIFE * errors, np.abs(wider - values))
-        )
-        ensemble = "constant energy" if scene.bath_temperature is None else "constant temperature"
+        grown = 1.0 + missing
+
+        def law(sums: Array) -> Array:
+            return _coefficients(sums, reference, scene, grown)
+
+        values, errors = self.sums.estimate(law)
+        wider = _coefficients(self.sums.total, reference, scene, grown * np.exp(missing**0.5))
+        least = np.maximum(JACKKNIFE * errors, np.abs(wider - values))
+        errors = np.where(wider == values, errors, least)
+        ensemble = "constant energy"
+        fluctuating = [KINETIC]
+        if scene.bath_temperature is not None:
+            ensemble = "constant temperature"
+            fluctuating = [ENERGY, VOLUME]
         # the volume is not constant
         if self.sums.total[1 + VOLUME] != 0.0 or self.sums.total[-1] != 0.0:
             ensemble = "constant pressure"
@@ -95,9 +95,8 @@ class Fluctuations(Accumulator):
 def moments(sums: Array) -> tuple[Array, Array]:
     """Means, (3,), and covariances, (3, 3), of K, U and V, relative to the reference."""
     means = sums[1 : 1 + N_SERIES] / sums[0]
-    return means, sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(
-        means, means
-    )
+    products = sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0]
+    return means, products - np.outer(means, means)
 
 
 def correlation_times(sums: BlockedSums) -> Array:
@@ -108,9 +107,8 @@ def correlation_times(sums: BlockedSums) -> Array:
     _, covariance = moments(sums.total)
     errors = standard_error(parts[:, 1 : 1 + N_SERIES] @ weights.T / parts[:, :1])
     with np.errstate(all="ignore"):
-        return np.where(
-            errors > 0.0, 2.0 * np.diag(weights @ covariance @ weights.T) / errors**2, np.nan
-        )
+        variances = np.diag(weights @ covariance @ weights.T)
+        return np.where(errors > 0.0, 2.0 * variances / errors**2, np.nan)
 
 
 def _coefficients(sums: Array, reference: Array, scene: ObservedRun, grown: Array) -> Array:
@@ -155,47 +153,36 @@ class FluctuationResult(Result):
     n_looks: int
     correlation_times: float = np.nan
     title = "fluctuations"
-    names: ClassVar = (
-        "temperature",
-        "heat_capacity_v",
-        "heat_capacity_p",
-        "compressibility",
-        "expansion",
-    )
-    coefficients = tuple(chain.from_iterable((name, f"{name}_error") for name in names))
+    coefficients = tuple(f"{name}{suffix}" for name in NAMES for suffix in ("", "_error"))
 
     def __getattr__(self, name: str) -> float:
-        names = type(self).names
-        if (coefficient := name.removesuffix("_error")) not in names:
+        coefficient = name.removesuffix("_error")
+        if coefficient not in NAMES:
+            known = ", ".join(NAMES)
             raise AttributeError(
-                f"fluctuations have no {name!r}; they have {', '.join(names)}, each also with _error"
+                f"fluctuations have no {name!r}; they have {known}, each also with _error"
             )
-        return float(
-            (self.values if name == coefficient else self.errors)[names.index(coefficient)]
-        )
+        numbers = self.values if name == coefficient else self.errors
+        return float(numbers[NAMES.index(coefficient)])
 
     def display_rows(self) -> Rows:
         """See Displayed."""
         units = self.units
-        unit = self.scene.n_atoms * self.units.k_B
-        temperature = with_error(self.temperature, self.temperature_error)
-        rows = [
-            (
-                "fluctuations",
-                f"at {self.ensemble}, {self.n_looks} frames, T = {temperature} {units.temperature}",
-            )
-        ]
-        told = [("C_V", 1, unit, "k_B per atom"), ("C_P", 2, unit, "k_B per atom")]
-        for symbol, k, size, words in [*told, ("κ_T", 3, 1.0, f"{units.length}³/{units.energy}")]:
+        per_atom = self.scene.n_atoms * units.k_B
+        temperature = f"{with_error(self.temperature, self.temperature_error)} {units.temperature}"
+        frames = f"at {self.ensemble}, {self.n_looks} frames, T = {temperature}"
+        rows = [("fluctuations", frames)]
+        for symbol, k, size, unit in (
+            ("C_V", 1, per_atom, "k_B per atom"),
+            ("C_P", 2, per_atom, "k_B per atom"),
+            ("κ_T", 3, 1.0, f"{units.length}³/{units.energy}"),
+        ):
             if np.isfinite(self.values[k]):
-                rows.append(
-                    (
-                        "",
-                        f"{symbol} = {with_error(self.values[k] / size, self.errors[k] / size)} {words}",
-                    )
-                )
+                value = with_error(self.values[k] / size, self.errors[k] / size)
+                rows.append(("", f"{symbol} = {value} {unit}"))
         if self.correlation_times < ENOUGH:
             slowest = "volume or energy" if np.isfinite(self.compressibility) else "energy"
-            long = f"the run is only {max(1.0, self.correlation_times):.0f} correlation times of the {slowest} long"
-            rows.append(("", f"{long}: THE ERROR BARS ARE LOWER BOUNDS"))
+            n_times = f"{max(1.0, self.correlation_times):.0f} correlation times"
+            short = f"the run is only {n_times} of the {slowest} long"
+            rows.append(("", f"{short}: THE ERROR BARS ARE LOWER BOUNDS"))
         return rows

@@ -20,7 +20,7 @@ from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_count, checked_number
 from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.observables import center
-from minimd.observers.accumulator import ObservedRun, Result, Series, State
+from minimd.observers.accumulator import Array, ObservedRun, Result, Series, State
 from minimd.observers.arguments import (
     ATOMS,
     MOLECULES,
@@ -39,22 +39,19 @@ from minimd.observers.viscosity import ViscosityResult
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 POINTS = 16  # entries on each level of the correlator
 MOST_ATOMS = "largest number of atoms, chosen evenly, with up to one more for each species; it bounds time and memory"
 XI = 2.837297  # ξ of a cubic cell
-# largest relative deviation of the squares and products of lattice vectors from those of a cube
-CUBIC = 1e-9
+CUBIC = 1e-9  # largest relative deviation of the squares and products of lattice vectors from those of a cube
 OF = "atoms, or molecules (atoms that bonds or rigid lengths connect), whose centers count, each by its number of atoms"
 AXES = ("x", "y", "z")
 
 
 def is_cubic(cell: Cell) -> bool:
     """Whether a cell is a cube that is periodic in all directions."""
-    square = cell.vectors @ cell.vectors.T
-    return bool(
-        cell.pbc.all() and np.abs(square - np.eye(3) * square[0, 0]).max() < CUBIC * square[0, 0]
-    )
+    products = cell.vectors @ cell.vectors.T
+    square = products[0, 0]
+    return bool(cell.pbc.all() and np.abs(products - np.eye(3) * square).max() < CUBIC * square)
 
 
 def finite_size_correction(thermal_energy: float, viscosity: float, edge: float) -> float:
@@ -69,15 +66,6 @@ def finite_size_correction(thermal_energy: float, viscosity: float, edge: float)
     checked_number("viscosity", viscosity, "positive and finite")
     checked_number("edge", edge, "positive and finite")
     return XI * thermal_energy / (6.0 * np.pi * viscosity * edge)
-
-
-def with_its_error(viscosity: float | ViscosityResult) -> tuple[float, float]:
-    """A viscosity and its standard error, 0 if it is a number."""
-    if isinstance(viscosity, ViscosityResult):
-        return checked_number(
-            "viscosity", viscosity.viscosity, "positive and finite"
-        ), viscosity.viscosity_error
-    return checked_number("viscosity", viscosity, "positive and finite"), 0.0
 
 
 def of_molecules(vectors: Array, masses: Array, molecules: NDArray[np.int64]) -> Array:
@@ -113,12 +101,12 @@ class _OfAtoms(TimeCorrelation):
 
     def _begin(self, engine: Engine) -> None:
         system = engine.system
-        index = engine.system.species_index
         # not over all atoms: it could keep step with molecules
         stride = ceil(len(system) / self.most_atoms)
-        chosen = [np.flatnonzero(index == k)[::stride] for k in range(len(system.species_names))]
+        species = range(len(system.species_names))
+        chosen = [np.flatnonzero(system.species_index == k)[::stride] for k in species]
         self.chosen = np.concatenate(chosen).tolist()
-        self.numbers = [len(one) for one in chosen]
+        self.numbers = [*map(len, chosen)]
         self.is_cubic = is_cubic(system.cell)
         n_molecules = int(molecules_of(system).max()) + 1
         n_particles = n_molecules if self.of == MOLECULES else len(system)
@@ -127,21 +115,18 @@ class _OfAtoms(TimeCorrelation):
             self.widening = n_particles / (n_particles - 1.0)
 
     def _laid_out(self, scene: ObservedRun) -> None:
-        are_atoms = min(self.chosen) >= 0 and max(self.chosen) < scene.n_atoms
-        if not are_atoms or sum(self.numbers) != len(self.chosen) or min(self.numbers) < 0:
-            raise ValueError(
-                f"{self.name} cannot have chosen {self.numbers} of {scene.n_atoms} atoms"
-            )
+        n_atoms = scene.n_atoms
+        n_chosen = len(self.chosen)
+        are_atoms = min(self.chosen) >= 0 and max(self.chosen) < n_atoms
+        if not are_atoms or sum(self.numbers) != n_chosen or min(self.numbers) < 0:
+            raise ValueError(f"{self.name} cannot have chosen {self.numbers} of {n_atoms} atoms")
         starts = np.concatenate([[0], np.cumsum(self.numbers)])
         self._order = np.array(self.chosen)
-        self._takes_all = (
-            self.chosen == [*range(len(self.chosen))] and len(self.chosen) == scene.n_atoms
-        )
+        self._takes_all = n_chosen == n_atoms and self.chosen == [*range(n_atoms)]
         self._molecules: NDArray[np.int64] | None = None
-        correlator = MultipleTau(
-            type(self).law, starts, self.n_components, POINTS, self.n_levels, averages=False
-        )
-        self._correlate_by(correlator)
+        law = type(self).law
+        shape = (self.n_components, POINTS, self.n_levels)
+        self._correlate_by(MultipleTau(law, starts, *shape, averages=False))
 
     def _look(self, engine: Engine) -> None:
         look = Look(engine)
@@ -169,11 +154,10 @@ class _OfAtoms(TimeCorrelation):
         numbers = np.maximum(1, np.array(self.numbers))
 
         def law(sums: Array) -> Array:
-            found = self._correlator.correlations(sums[HEAD:])[1][seen]  # (T, S, C)
-            along = found.sum(axis=1).T / sum(self.numbers)
-            return np.concatenate(
-                [along.sum(axis=0, keepdims=True), (found.sum(axis=2) / numbers).T, along]
-            )
+            products = self._correlator.correlations(sums[HEAD:])[1][seen]  # (T, S, C)
+            along = products.sum(axis=1).T / sum(self.numbers)
+            of_species = (products.sum(axis=2) / numbers).T
+            return np.concatenate([along.sum(axis=0, keepdims=True), of_species, along])
 
         return law
 
@@ -200,7 +184,7 @@ class CellMotion:
             carried = self._moved(engine, was, old)
             self._carried = carried if self._carried is None else self._carried + carried
         old[:] = positions
-        self._before = cell, old
+        self._before = (cell, old)
         return positions if self._carried is None else positions - self._carried
 
     def _moved(self, engine: Engine, was: Cell, old: Array) -> Array:
@@ -208,22 +192,22 @@ class CellMotion:
         cell = engine.system.cell
         bonds = engine.constraint_set.bonds
         # vectors that span space: those of the cell, and unit vectors in open directions
-        spanning = (np.where(one.pbc[:, None], one.vectors, one.lattice) for one in (was, cell))
-        strain = np.linalg.solve(*spanning)
+        before, now = (np.where(c.pbc[:, None], c.vectors, c.lattice) for c in (was, cell))
+        strain = np.linalg.solve(before, now)
         if bonds is None:
             return old @ strain - old
         if self._molecules is None:
             self._molecules = StrainedBodies(engine.system, engine.constraint_set)
+        molecules = self._molecules
         # translations that join the atoms of a molecule; they change with the cell
-        images = self._molecules.whole(bonds)
+        images = molecules.whole(bonds)
         images_before = images.copy()
         cell.follow(was, images_before)
         whole = old + images_before
-        centers = self._molecules.centers(whole)[self._molecules.bodies.label]
+        centers = molecules.centers(whole)[molecules.bodies.label]
         left, _, right = np.linalg.svd(strain)
-        moved: Array = centers @ (strain - np.eye(3)) + (whole - centers) @ (
-            left @ right - np.eye(3)
-        )
+        turned = (whole - centers) @ (left @ right - np.eye(3))
+        moved: Array = centers @ (strain - np.eye(3)) + turned
         return moved - (images - images_before)
 
     def state(self) -> State:
@@ -231,12 +215,12 @@ class CellMotion:
         arrays: State = {}
         if self._before is not None:
             cell, positions = self._before
-            arrays = {
-                "cell": cell.vectors,
-                "pbc": cell.pbc.astype(np.int64),
-                "positions": positions,
-            }
-        return arrays if self._carried is None else {**arrays, "carried": self._carried}
+            arrays["cell"] = cell.vectors
+            arrays["pbc"] = cell.pbc.astype(np.int64)
+            arrays["positions"] = positions
+        if self._carried is not None:
+            arrays["carried"] = self._carried
+        return arrays
 
     def restore(self, state: State) -> None:
         """See Kept."""
@@ -298,13 +282,21 @@ class MeanSquareDisplacement(_OfAtoms):
         squares = self.widening * means
         without = self.widening * self.sums.replicas(law)
         rows = range(1 + len(scene.species))
-        whole, *of_species = (
-            diffusivity(times, squares[k], without[:, k], longest, window) for k in rows
-        )
+        each = [diffusivity(times, squares[k], without[:, k], longest, window) for k in rows]
         _, temperature, volume = (self.sums.total[:HEAD] / self.sums.total[COUNT]).tolist()
-        mean = scene, times, means, errors, whole, sum(self.numbers)
-        found = DisplacementResult(*mean, tuple(of_species), self.is_cubic, temperature, volume)
-        return found if viscosity is None else found.corrected(viscosity)
+        result = DisplacementResult(
+            scene=scene,
+            times=times,
+            means=means,
+            errors=errors,
+            diffusivity=each[0],
+            n_atoms=sum(self.numbers),
+            of_species=tuple(each[1:]),
+            is_cubic=self.is_cubic,
+            temperature=temperature,
+            volume=volume,
+        )
+        return result if viscosity is None else result.corrected(viscosity)
 
 
 class VelocityAutocorrelation(_OfAtoms):
@@ -333,13 +325,11 @@ class VelocityAutocorrelation(_OfAtoms):
 
         along, its_error = self._estimate(times, longest, integral)
         factor = 6.0 * self.widening  # the integral of this one is a mean square displacement
-        squares, without = (
-            factor * running_integral(times, one) for one in (along, self.sums.replicas(integral))
-        )
-        found = diffusivity(times, squares, without, longest)
-        return VelocityResult(
-            scene, times, values, errors, found, sum(self.numbers), along, its_error
-        )
+        squares = factor * running_integral(times, along)
+        without = factor * running_integral(times, self.sums.replicas(integral))
+        of_all = diffusivity(times, squares, without, longest)
+        n_atoms = sum(self.numbers)
+        return VelocityResult(scene, times, values, errors, of_all, n_atoms, along, its_error)
 
 
 @dataclass(frozen=True, repr=False)
@@ -379,10 +369,10 @@ class MotionResult(Result):
         """See Result: means over all atoms, over each species if there are several, and along each direction."""
         names = ["", *(f"_{label}" for label in (*self.scene.species, *AXES))]
         rows = zip(names, self.means, self.errors, strict=True)
-        found = [Series(self.symbol + name, self.unit, *row) for name, *row in rows]
+        series = [Series(self.symbol + name, self.unit, *row) for name, *row in rows]
         if len(self.scene.species) == 1:
-            del found[1]  # the same as of all atoms
-        return [Series("time", self.units.time, self.times), *found]
+            del series[1]  # the same as of all atoms
+        return [Series("time", self.units.time, self.times), *series]
 
 
 @dataclass(frozen=True, repr=False)
@@ -417,7 +407,7 @@ class DisplacementResult(MotionResult):
     @property
     def diffusion_of_species(self) -> tuple[float, ...]:
         """D of each species."""
-        return tuple(one.value for one in self.of_species)
+        return tuple(diffusivity.value for diffusivity in self.of_species)
 
     @property
     def window(self) -> tuple[float, float]:
@@ -427,36 +417,40 @@ class DisplacementResult(MotionResult):
     def corrected(self, viscosity: float | ViscosityResult) -> DisplacementResult:
         """This result with D of an infinite system.  Raises ValueError."""
         if not self.is_cubic:
-            needs = "needs a cubic cell that is periodic in all directions; without one, do not pass viscosity"
-            raise ValueError(f"the correction of Yeh and Hummer {needs}")
+            raise ValueError(
+                "the correction of Yeh and Hummer needs a cubic cell that is periodic in all directions; "
+                "without one, do not pass viscosity"
+            )
         thermal_energy = self.units.k_B * self.temperature
         edge = self.volume ** (1.0 / 3.0)
-        eta, eta_error = with_its_error(viscosity)
-        added = finite_size_correction(thermal_energy, eta, edge)
-        error = float(np.hypot(self.diffusion_error, added * eta_error / eta))
+        viscosity_error = 0.0
+        if isinstance(viscosity, ViscosityResult):
+            viscosity_error = viscosity.viscosity_error
+            viscosity = viscosity.viscosity
+        added = finite_size_correction(thermal_energy, viscosity, edge)
+        error = float(np.hypot(self.diffusion_error, added * viscosity_error / viscosity))
         return replace(self, infinite=self.diffusion + added, infinite_error=error)
 
     def numbers(self) -> dict[str, float]:
         """See Result."""
-        infinite = {
-            "diffusion_infinite": self.infinite,
-            "diffusion_infinite_error": self.infinite_error,
-        }
-        return {**super().numbers(), **infinite}
+        numbers = super().numbers()
+        numbers["diffusion_infinite"] = self.infinite
+        numbers["diffusion_infinite_error"] = self.infinite_error
+        return numbers
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        rows = [("diffusion", self.diffusivity.in_words(self.units))]
+        units = self.units
+        rows = [("diffusion", self.diffusivity.in_words(units))]
         if len(self.of_species) > 1:
-            of_species = zip(self.scene.species, self.of_species, strict=True)
-            rows += [("", f"{name}: {found.in_words(self.units)}") for name, found in of_species]
+            for name, diffusivity in zip(self.scene.species, self.of_species, strict=True):
+                rows.append(("", f"{name}: {diffusivity.in_words(units)}"))
         if np.isfinite(self.infinite):
-            words = diffusion_words(self.infinite, self.infinite_error, self.units)
-            rows.append(("", f"D = {words} in an infinite cell (Yeh and Hummer)"))
+            infinite = diffusion_words(self.infinite, self.infinite_error, units)
+            rows.append(("", f"D = {infinite} in an infinite cell (Yeh and Hummer)"))
         elif self.is_cubic and np.isfinite(self.diffusion):
-            rows.append(
-                ("", "in a larger cell D is larger: result(viscosity=...) corrects for this")
-            )
+            larger = "in a larger cell D is larger: result(viscosity=...) corrects for this"
+            rows.append(("", larger))
         return rows
 
     def draw(self, panel: Axes) -> None:
@@ -467,13 +461,11 @@ class DisplacementResult(MotionResult):
         if np.isfinite(self.diffusion):
             start, end = self.window
             inside = (self.times >= start) & (self.times <= end)
-            panel.loglog(
-                times[inside], self.msd[inside], color="0.4", lw=3.0, alpha=0.5, label="slope 6 D"
-            )
+            line = {"color": "0.4", "lw": 3.0, "alpha": 0.5, "label": "slope 6 D"}
+            panel.loglog(times[inside], self.msd[inside], **line)
             panel.legend(frameon=False, fontsize=8)
-        panel.set(
-            xlabel=f"t  [{unit}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{self.unit}]", title=self.title
-        )
+        quantity = f"⟨|r(t) − r(0)|²⟩  [{self.unit}]"
+        panel.set(xlabel=f"t  [{unit}]", ylabel=quantity, title=self.title)
 
 
 @dataclass(frozen=True, repr=False)

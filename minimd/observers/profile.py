@@ -6,19 +6,24 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
 from minimd.core.structure.checks import checked_count
 from minimd.core.structure.observables import temperature
-from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
+from minimd.observers.accumulator import (
+    Accumulator,
+    Array,
+    BlockedSums,
+    ObservedRun,
+    Result,
+    Series,
+)
 from minimd.observers.arguments import AXES, argument, axis_name, interval, label, steps
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 EXTENT_WORDS = "lower and upper end of an open axis; atoms outside are not counted"
 # places in the sums, before the densities of each species, and Σ g and Σ m v² of the atoms in each bin
 FRAMES, EXTENT, HEAD = range(3)
@@ -50,49 +55,49 @@ class Profile(Accumulator):
         pbc = engine.system.cell.pbc
         k = AXES.index(self.axis)
         if not np.delete(pbc, k).all():
-            needed = f"a cell that is periodic along the other two axes; its pbc = {pbc.tolist()}"
-            raise ValueError(f"layers across axis {self.axis} need {needed}")
-        if pbc[k] != (self.extent is None):
-            needed = (
-                "is periodic: leave extent out" if pbc[k] else "is open: give extent=(lower, upper)"
+            raise ValueError(
+                f"layers across axis {self.axis} need a cell that is periodic along the other two axes; "
+                f"its pbc = {pbc.tolist()}"
             )
-            raise ValueError(f"axis {self.axis} of this cell {needed}")
+        if pbc[k] and self.extent is not None:
+            raise ValueError(f"axis {self.axis} of this cell is periodic: leave extent out")
+        if not pbc[k] and self.extent is None:
+            raise ValueError(f"axis {self.axis} of this cell is open: give extent=(lower, upper)")
 
     def _laid_out(self, scene: ObservedRun) -> None:
         self.sums = BlockedSums(HEAD + (len(scene.numbers) + 2) * self.n_bins)
 
     def _look(self, engine: Engine) -> None:
         system = engine.system
+        n_bins = self.n_bins
         k = AXES.index(self.axis)
-        n_species = len(engine.system.species_names)
         vectors = system.cell.vectors
         normal = np.cross(vectors[k - 2], vectors[k - 1])
         area = float(np.linalg.norm(normal))
         heights = np.einsum("ij,j->i", system.positions, normal) / area
         if self.extent is None:
-            lower = 0.0
-            height = abs(float(vectors[k] @ normal)) / area
-            places = np.floor(heights * np.sign(vectors[k] @ normal) / height % 1.0 * self.n_bins)
-            layers = places.astype(np.int64) % self.n_bins
+            along = vectors[k] @ normal
+            height = abs(float(along)) / area
+            layers = np.floor(heights * np.sign(along) / height % 1.0 * n_bins) % n_bins
         else:
-            lower = self.extent[0]
-            height = self.extent[1] - self.extent[0]
-            layers = np.floor((heights - lower) / height * self.n_bins).astype(np.int64)
-        inside = (layers >= 0) & (layers < self.n_bins)
-        places = system.species_index[inside] * self.n_bins + layers[inside]
+            lower, upper = self.extent
+            height = upper - lower
+            layers = np.floor((heights - lower) / height * n_bins)
+        inside = (layers >= 0) & (layers < n_bins)
+        layers = layers[inside].astype(np.int64)
+        places = system.species_index[inside] * n_bins + layers
         velocities = system.velocities - engine.drift
         squares = system.masses * np.einsum("ij,ij->i", velocities, velocities)
-        sums = self.sums.total
-        volume = area * height / self.n_bins
-        sums[:HEAD] += 1.0, height
         shares = engine.constraint_set.shares(system.positions, engine.conserves_momentum)
-        motion = [
-            np.bincount(layers[inside], each[inside], self.n_bins) for each in (shares, squares)
-        ]
-        sums[HEAD : -2 * self.n_bins] += (
-            np.bincount(places, minlength=n_species * self.n_bins) / volume
+        numbers = np.bincount(places, minlength=len(system.species_names) * n_bins)
+        self.sums.total += np.concatenate(
+            [
+                [1.0, height],
+                numbers / (area * height / n_bins),
+                np.bincount(layers, shares[inside], n_bins),
+                np.bincount(layers, squares[inside], n_bins),
+            ]
         )
-        sums[-2 * self.n_bins :] += np.concatenate(motion)
 
     def result(self) -> ProfileResult:
         """The profiles so far, with standard errors.  Raises ValueError before the first look."""
@@ -106,10 +111,10 @@ class Profile(Accumulator):
 
         values, errors = self.sums.estimate(law)
         lower = 0.0 if self.extent is None else self.extent[0]
-        z = lower + (np.arange(n) + 0.5) * self.sums.total[EXTENT] / self.sums.total[FRAMES] / n
-        return ProfileResult(
-            scene, self.axis, z, values[:-1], errors[:-1], values[-1], errors[-1], self.n_looks
-        )
+        total = self.sums.total
+        z = lower + (np.arange(n) + 0.5) * total[EXTENT] / total[FRAMES] / n
+        profiles = (values[:-1], errors[:-1], values[-1], errors[-1])
+        return ProfileResult(scene, self.axis, z, *profiles, self.n_looks)
 
 
 @dataclass(frozen=True, repr=False)
@@ -138,16 +143,15 @@ class ProfileResult(Result):
     def series(self) -> list[Series]:
         """See Result."""
         units = self.units
-        of_species = zip(self.scene.species, self.densities, self.density_errors, strict=True)
-        z = Series("z", units.length, self.z)
-        temperature = Series(
-            "temperature", units.temperature, self.temperature, self.temperature_error
-        )
-        return [
-            z,
-            temperature,
-            *(Series(f"density_{one}", f"1/{units.length}³", *both) for one, *both in of_species),
+        heat = (self.temperature, self.temperature_error)
+        series = [
+            Series("z", units.length, self.z),
+            Series("temperature", units.temperature, *heat),
         ]
+        densities = zip(self.scene.species, self.densities, self.density_errors, strict=True)
+        for species, *density in densities:
+            series.append(Series(f"density_{species}", f"1/{units.length}³", *density))
+        return series
 
     def display_rows(self) -> Rows:
         """See Displayed."""
@@ -158,6 +162,6 @@ class ProfileResult(Result):
     def draw(self, panel: Axes) -> None:
         """See Result."""
         curves = dict(zip(self.scene.species, self.densities, strict=True))
-        label = f"density  [1/{self.units.length}³]"
-        self.draw_curves(panel, curves, f"along {self.axis}", label)
+        quantity = f"density  [1/{self.units.length}³]"
+        self.draw_curves(panel, curves, f"along {self.axis}", quantity)
         panel.set(ylim=(0.0, None), title=f"{self.title}, {self.n_frames} frames")

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import DirectCalls, called_kernel
@@ -25,14 +24,20 @@ from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_count
 from minimd.core.structure.statistics import with_error
 from minimd.core.structure.system import System
-from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
+from minimd.observers.accumulator import (
+    Accumulator,
+    Array,
+    BlockedSums,
+    ObservedRun,
+    Result,
+    Series,
+)
 from minimd.observers.arguments import argument, label, positive, steps
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
-FRAMES, HEAD = 0, 1  # places in the sums: number of frames, then V times the numbers of pairs
+FRAMES, HEAD = range(2)  # places in the sums: number of frames, then V times the numbers of pairs
 NO_PAIRS = np.zeros((0, 2), dtype=np.int64)
 SPACINGS = 4.0  # in r_max if not given: four shells of neighbors
 R_MAX = "largest distance; if not given, the smaller of 4 (V/N)^(1/3) and half the smallest height of the initial cell"
@@ -102,31 +107,34 @@ class RadialDistribution(Accumulator):
 
     def __getstate__(self) -> dict[str, Any]:
         """For pickle and deepcopy: a copy makes a list of its own."""
-        return {**vars(self), "_made": None}
+        return {**vars(self), "_list": None}
 
     def _begin(self, engine: Engine) -> None:
         system = engine.system
         if system.volume is None or len(system) < 2:
-            needs = "at least two atoms, and a cell that is periodic in all directions"
-            raise ValueError(f"g(r) needs {needs}; this run has {system!r}")
+            raise ValueError(
+                "g(r) needs at least two atoms, and a cell that is periodic in all directions; "
+                f"this run has {system!r}"
+            )
         spacing = (system.volume / len(system)) ** (1.0 / 3.0)
-        self.reach = self.r_max or min(SPACINGS * spacing, float(system.cell.heights.min()) / 2.0)
+        lowest = float(system.cell.heights.min())
+        self.reach = self.r_max or min(SPACINGS * spacing, lowest / 2.0)
 
     def _laid_out(self, scene: ObservedRun) -> None:
         n = len(scene.numbers)
         self._pairs = [(a, b) for a in range(n) for b in range(a, n)]
         self._kinds = np.zeros((n, n), dtype=np.int64)
         for p, (a, b) in enumerate(self._pairs):
-            self._kinds[a, b] = self._kinds[b, a] = p
-        self._made: tuple[int, ClusterList, DirectCalls] | None = None  # for a number of atoms
+            self._kinds[a, b] = p
+            self._kinds[b, a] = p
+        self._list: tuple[int, ClusterList, DirectCalls] | None = None  # of a number of atoms
         self.sums = BlockedSums(HEAD + len(self._pairs) * self.n_bins)
 
     def _look(self, engine: Engine) -> None:
-        counts = self._counts(engine.system, engine.interactions.pool)
+        system = engine.system
+        counts = self._counts(system, engine.interactions.pool)[:, : self.n_bins]
         self.sums.total[FRAMES] += 1.0
-        self.sums.total[HEAD:] += (
-            float(engine.system.volume or 0.0) * counts[:, : self.n_bins].ravel()
-        )
+        self.sums.total[HEAD:] += float(system.volume or 0.0) * counts.ravel()
 
     def _counts(self, system: System, pool: ThreadPool) -> Array:
         """(P, columns) numbers of pairs, from a list of clusters; a cell too small for one is repeated."""
@@ -139,23 +147,24 @@ class RadialDistribution(Accumulator):
             positions = (steps @ cell.lattice + positions).reshape(-1, 3)
             species = np.tile(species, n.prod())
             cell = Cell.of(n[:, None] * cell.lattice)
-        if self._made is None or self._made[0] != len(positions):
-            made = ClusterList(len(positions), self.reach, 0.0, NO_PAIRS, False, pool)
-            self._made = len(positions), made, DirectCalls()
-        _, found, calls = self._made
-        found.update(positions, cell)
-        lanes = np.arange(found.lanes.size)
-        counts = np.zeros(
-            (found.n_domains, len(self._pairs), self.n_bins + lanes.size), dtype=np.int64
-        )
-        beyond = self.n_bins + lanes.astype(np.float64)
-        of_slots = species[found.clusters.atom[: found.n_clusters * lanes.size]]
+        if self._list is None or self._list[0] != len(positions):
+            clusters = ClusterList(len(positions), self.reach, 0.0, NO_PAIRS, False, pool)
+            self._list = (len(positions), clusters, DirectCalls())
+        _, clusters, calls = self._list
+        clusters.update(positions, cell)
+        n_lanes = clusters.lanes.size
+        shape = (clusters.n_domains, len(self._pairs), self.n_bins + n_lanes)
         counting = PairCounting(
-            found.arrays, of_slots, self._kinds, self.n_bins / self.reach, beyond, counts
+            arrays=clusters.arrays,
+            species=species[clusters.clusters.atom[: clusters.n_clusters * n_lanes]],
+            kinds=self._kinds,
+            per_width=self.n_bins / self.reach,
+            beyond=self.n_bins + np.arange(n_lanes, dtype=np.float64),
+            counts=np.zeros(shape, dtype=np.int64),
         )
-        count_all = operation(calls, count_pairs, counting, len(counts))
+        count_all = operation(calls, count_pairs, counting, clusters.n_domains)
         Program(lambda: [count_all], lambda: 0, pool).run()
-        return counts.sum(axis=0) / n.prod()
+        return counting.counts.sum(axis=0) / n.prod()
 
     def result(self) -> RadialDistributionResult:
         """g(r) so far, with standard errors.  Raises ValueError before the first look."""
@@ -167,15 +176,14 @@ class RadialDistribution(Accumulator):
         names = tuple(f"{scene.species[a]}-{scene.species[b]}" for a, b in self._pairs)
 
         def law(sums: Array) -> Array:
-            found = sums[HEAD:].reshape(len(numbers), -1) / (sums[FRAMES] * shells)
-            return np.concatenate(
-                [found.sum(axis=0, keepdims=True) / numbers.sum(), found / numbers[:, None]]
-            )
+            densities = sums[HEAD:].reshape(len(numbers), -1) / (sums[FRAMES] * shells)
+            of_all = densities.sum(axis=0, keepdims=True) / numbers.sum()
+            return np.concatenate([of_all, densities / numbers[:, None]])
 
-        (total, *g), (total_error, *errors) = self.sums.estimate(law)
+        g, errors = self.sums.estimate(law)
         r = 0.5 * (edges[1:] + edges[:-1])
         return RadialDistributionResult(
-            scene, r, total, total_error, names, np.array(g), np.array(errors), self.n_looks
+            scene, r, g[0], errors[0], names, g[1:], errors[1:], self.n_looks
         )
 
 
@@ -199,30 +207,24 @@ class RadialDistributionResult(Result):
 
     def series(self) -> list[Series]:
         """See Result."""
-        of_pairs = zip(self.pairs, self.g_of_pairs, self.errors_of_pairs, strict=True)
-        found = (
-            [Series(f"g_{pair}", "", g, error) for pair, g, error in of_pairs]
-            if len(self.pairs) > 1
-            else []
-        )
-        return [Series("r", self.units.length, self.r), Series("g", "", self.g, self.error), *found]
+        series = [Series("r", self.units.length, self.r), Series("g", "", self.g, self.error)]
+        if len(self.pairs) > 1:
+            of_pairs = zip(self.pairs, self.g_of_pairs, self.errors_of_pairs, strict=True)
+            series += [Series(f"g_{pair}", "", *numbers) for pair, *numbers in of_pairs]
+        return series
 
     def display_rows(self) -> Rows:
         """See Displayed."""
         k = int(np.argmax(self.g))
         length = self.units.length
+        bins = f"{len(self.r)} bins up to {self.r[-1]:.4g} {length}, {self.n_frames} frames"
         highest = f"highest at {self.r[k]:.4g} {length}, {with_error(self.g[k], self.error[k])}"
-        return [
-            (
-                "g(r)",
-                f"{len(self.r)} bins up to {self.r[-1]:.4g} {length}, {self.n_frames} frames; {highest}",
-            )
-        ]
+        return [("g(r)", f"{bins}; {highest}")]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
         panel.axhline(1.0, color="0.7", lw=0.8)
-        self.draw_curves(panel, dict(zip(self.pairs, self.g_of_pairs, strict=True)), "r", "g(r)")
-        panel.set(
-            title=f"{self.title}, {self.n_frames} frames", xlim=(0.0, self.r[-1]), ylim=(0.0, None)
-        )
+        curves = dict(zip(self.pairs, self.g_of_pairs, strict=True))
+        self.draw_curves(panel, curves, "r", "g(r)")
+        title = f"{self.title}, {self.n_frames} frames"
+        panel.set(title=title, xlim=(0.0, self.r[-1]), ylim=(0.0, None))

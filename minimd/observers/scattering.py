@@ -20,20 +20,27 @@ from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_count
 from minimd.core.structure.statistics import with_error
 from minimd.core.structure.system import System
-from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
+from minimd.observers.accumulator import (
+    Accumulator,
+    Array,
+    BlockedSums,
+    ObservedRun,
+    Result,
+    Series,
+)
 from minimd.observers.arguments import argument, label, positive, steps
 from minimd.observers.correlator import Product
 from minimd.observers.motion import MOST_ATOMS, MeanSquareDisplacement
 
-Array = NDArray[np.float64]
 PEAK = 1.15 * 2.0 * pi  # q (V/N)^(1/3) of the main peak of a simple liquid
 FAR = 3.0  # in q of the peak, the largest q if not given
 GOLDEN = pi * (3.0 - 5.0**0.5)  # angle between two directions that follow each other
-# in the cell; in all shells; cosines of k for atoms
-MOST_PERIODS = 10_000
-MOST_WAVES = 100_000
-TABLE = 2**18
-N_WAVES, MANY = 3, 60  # wave vectors for F_s, the nearest of those in so many directions
+MOST_PERIODS = 10_000  # in the cell
+MOST_WAVES = 100_000  # in all shells
+TABLE = 2**18  # cosines of k for atoms
+# wave vectors for F_s, the nearest of those in so many directions
+N_WAVES = 3
+MANY = 60
 Q_MAX = "largest q; if not given, three times that of the main peak of a simple liquid"
 Q_SELF = "length of the wave vectors; if not given, the main peak of a simple liquid, 1.15 · 2π (N/V)^(1/3)"
 PER_SHELL = "number of directions for which wave vectors are chosen in each shell of q"
@@ -51,21 +58,19 @@ def peak_of(system: System, what: str) -> float:
 def waves_near(lengths: Array, cell: Cell, n_directions: int) -> NDArray[np.int64]:
     """(M, 3) whole numbers k of the wave vectors of the cell that are nearest to those of given lengths [1/length] in
     directions spread evenly over a hemisphere; not 0, and only one of k and −k.  Raises ValueError for large ones."""
-    z = np.broadcast_to(
-        (np.arange(n_directions) + 0.5) / n_directions, (len(lengths), n_directions)
-    )
+    n_lengths = len(lengths)
+    z = np.broadcast_to((np.arange(n_directions) + 0.5) / n_directions, (n_lengths, n_directions))
     flat = np.sqrt(1.0 - z * z)
     turn = GOLDEN * np.arange(z.size).reshape(z.shape)
-    wanted = lengths[:, None, None] * np.stack(
-        [flat * np.cos(turn), flat * np.sin(turn), z], axis=2
-    )
-    exact = wanted @ cell.vectors.T / (2.0 * pi)
+    directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=2)
+    exact = lengths[:, None, None] * directions @ cell.vectors.T / (2.0 * pi)
     if np.abs(exact).max() > MOST_PERIODS:
         raise ValueError(
             f"q = {lengths.max():.6g} has more than {MOST_PERIODS} periods in this cell; lower q"
         )
     waves = np.rint(exact).astype(np.int64).reshape(-1, 3)
-    leading = np.sign(waves @ [4 * np.abs(waves).max() ** 2 + 4, 2 * np.abs(waves).max() + 1, 1])
+    largest = np.abs(waves).max()
+    leading = np.sign(waves @ [4 * largest**2 + 4, 2 * largest + 1, 1])
     return np.unique((waves * leading[:, None])[leading != 0], axis=0)
 
 
@@ -136,26 +141,27 @@ class StructureFactor(Accumulator):
     def _begin(self, engine: Engine) -> None:
         peak = peak_of(engine.system, "S(q)")
         cell = engine.system.cell
+        n_bins = self.n_bins
         q_max = self.q_max or FAR * peak
-        if (n := self.n_bins * self.n_waves) > MOST_WAVES:
+        n = n_bins * self.n_waves
+        if n > MOST_WAVES:
             raise ValueError(
-                f"n_bins · n_waves must be at most {MOST_WAVES}; {self.n_bins} · {self.n_waves} = {n}"
+                f"n_bins · n_waves must be at most {MOST_WAVES}; {n_bins} · {self.n_waves} = {n}"
             )
-        waves = waves_near((np.arange(self.n_bins) + 0.5) * q_max / self.n_bins, cell, self.n_waves)
-        shells = (np.linalg.norm(vectors_of(waves, cell), axis=1) / q_max * self.n_bins).astype(
-            np.int64
-        )
-        if not (inside := shells < self.n_bins).any():
+        waves = waves_near((np.arange(n_bins) + 0.5) * q_max / n_bins, cell, self.n_waves)
+        lengths = np.linalg.norm(vectors_of(waves, cell), axis=1)
+        shells = (lengths / q_max * n_bins).astype(np.int64)
+        inside = shells < n_bins
+        if not inside.any():
             raise ValueError(
                 f"no wave vector of this cell is shorter than q_max = {q_max:.6g}; raise q_max"
             )
-        self.waves, self.shells = (
-            waves[inside].tolist(),
-            np.unique(shells[inside], return_inverse=True)[1].tolist(),
-        )
+        self.waves = waves[inside].tolist()
+        self.shells = np.unique(shells[inside], return_inverse=True)[1].tolist()
 
     def _laid_out(self, scene: ObservedRun) -> None:
-        self._waves, self._of_shell = np.array(self.waves), np.bincount(self.shells)
+        self._waves = np.array(self.waves)
+        self._of_shell = np.bincount(self.shells)
         # number of looks, then q and S of each shell
         self.sums = BlockedSums(1 + 2 * len(self._of_shell))
 
@@ -164,28 +170,26 @@ class StructureFactor(Accumulator):
         n_atoms = len(engine.positions)
         highest = int(np.abs(self._waves).max())
         sums = np.zeros((2, len(self._waves)))
-        for some in np.array_split(engine.positions, -(-n_atoms * (highest + 1) // TABLE)):
-            tables = np.empty((3, highest + 1, 2, len(some)))
-            turns = vectors_of(np.eye(3, dtype=int), cell) @ some.T
+        n_parts = -(-n_atoms * (highest + 1) // TABLE)
+        for positions in np.array_split(engine.positions, n_parts):
+            tables = np.empty((3, highest + 1, 2, len(positions)))
+            turns = vectors_of(np.eye(3, dtype=int), cell) @ positions.T
             for k in range(2):
-                tables[:, k, 0], tables[:, k, 1] = np.cos(k * turns), np.sin(k * turns)
+                tables[:, k, 0] = np.cos(k * turns)
+                tables[:, k, 1] = np.sin(k * turns)
             add_densities(tables, self._waves, sums)
-        found = (
-            np.linalg.norm(vectors_of(self._waves, cell), axis=1),
-            (sums**2).sum(axis=0) / n_atoms,
-        )
+        lengths = np.linalg.norm(vectors_of(self._waves, cell), axis=1)
+        squares = (sums**2).sum(axis=0) / n_atoms
+        of_shells = [np.bincount(self.shells, values) for values in (lengths, squares)]
         self.sums.total[0] += 1.0
-        self.sums.total[1:] += np.concatenate(
-            [np.bincount(self.shells, one) / self._of_shell for one in found]
-        )
+        self.sums.total[1:] += (of_shells / self._of_shell).ravel()
 
     def result(self) -> StructureFactorResult:
         """S(q) so far, with standard errors.  Raises ValueError before the first look."""
         scene = self.answered()
-        (q, s), (_, error) = (
-            one.reshape(2, -1) for one in self.sums.estimate(lambda sums: sums[1:] / sums[0])
-        )
-        return StructureFactorResult(scene, q, s, error, self.n_looks)
+        values, errors = self.sums.estimate(lambda sums: sums[1:] / sums[0])
+        q, s = np.split(values, 2)
+        return StructureFactorResult(scene, q, s, np.split(errors, 2)[1], self.n_looks)
 
 
 @dataclass(frozen=True, repr=False)
@@ -209,13 +213,10 @@ class StructureFactorResult(Result):
     def display_rows(self) -> Rows:
         """See Displayed."""
         k = int(np.argmax(self.s))
-        highest = f"highest at {self.q[k]:.4g} /{self.units.length}, {with_error(self.s[k], self.error[k])}"
-        return [
-            (
-                "S(q)",
-                f"{len(self.q)} shells up to {self.q[-1]:.4g}, {self.n_frames} frames; {highest}",
-            )
-        ]
+        shells = f"{len(self.q)} shells up to {self.q[-1]:.4g}, {self.n_frames} frames"
+        s = with_error(self.s[k], self.error[k])
+        highest = f"highest at {self.q[k]:.4g} /{self.units.length}, {s}"
+        return [("S(q)", f"{shells}; {highest}")]
 
 
 class SelfScattering(MeanSquareDisplacement):
@@ -244,13 +245,14 @@ class SelfScattering(MeanSquareDisplacement):
     def _begin(self, engine: Engine) -> None:
         super()._begin(engine)
         peak = peak_of(engine.system, "F_s(q, t)")
+        q = self.q or peak
         cell = engine.system.cell
-        waves = waves_near(np.array([q := self.q or peak]), cell, MANY)
+        waves = waves_near(np.array([q]), cell, MANY)
         if not len(waves):
             raise ValueError(f"no wave vector of this cell is as short as q = {q:.6g}; raise q")
-        found = vectors_of(waves, cell)
-        nearest = np.argsort(np.abs(np.linalg.norm(found, axis=1) - q), kind="stable")[:N_WAVES]
-        self.q_vectors = found[nearest].tolist()
+        vectors = vectors_of(waves, cell)
+        distances = np.abs(np.linalg.norm(vectors, axis=1) - q)
+        self.q_vectors = vectors[np.argsort(distances, kind="stable")[:N_WAVES]].tolist()
 
     def _entry(self, moved: Array) -> Array:
         phases = np.array(self.q_vectors) @ moved.T
@@ -299,25 +301,19 @@ class SelfScatteringResult(Result):
 
     def series(self) -> list[Series]:
         """See Result: of all atoms, and of each species if there are several."""
-        names = ["", *(f"_{one}" for one in self.scene.species)][
-            : None if len(self.scene.species) > 1 else 1
-        ]
+        species = self.scene.species if len(self.scene.species) > 1 else []
+        names = ["f_s", *(f"f_s_{name}" for name in species)]
         rows = zip(names, self.means, self.errors, strict=False)
-        return [
-            Series("time", self.units.time, self.times),
-            *(Series(f"f_s{name}", "", *row) for name, *row in rows),
-        ]
+        times = Series("time", self.units.time, self.times)
+        return [times, *(Series(name, "", *row) for name, *row in rows)]
 
     def display_rows(self) -> Rows:
         """See Displayed."""
         units = self.units
-        time, error = (
-            one * units.to_picosecond for one in (self.relaxation_time, self.relaxation_time_error)
-        )
-        fell = (
-            f"to 1/e in {with_error(time, error)} {units.shown_time}"
-            if np.isfinite(time)
-            else "NOT to 1/e"
-        )
+        falls = "NOT to 1/e"
+        if np.isfinite(self.relaxation_time):
+            time = self.relaxation_time * units.to_picosecond
+            error = self.relaxation_time_error * units.to_picosecond
+            falls = f"to 1/e in {with_error(time, error)} {units.shown_time}"
         last = f"lags up to {units.shown(self.times[-1])}"
-        return [("F_s(q, t)", f"at q = {self.q:.4g} /{units.length}: falls {fell}; {last}")]
+        return [("F_s(q, t)", f"at q = {self.q:.4g} /{units.length}: falls {falls}; {last}")]

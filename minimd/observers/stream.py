@@ -28,8 +28,7 @@ HEADER = struct.Struct("!ii")  # of a message: its type, and a number
 VERSION = 3
 PORTS = 2**16
 MOST_STEPS = 2**31 - 1
-# bytes that are taken at once from a reader; how many it says that it sends does not matter
-READ = 4096
+READ = 4096  # bytes that are taken at once from a reader; how many it says that it sends does not matter
 NAP = 0.005  # seconds between two attempts, where the run waits for a reader
 SECONDS_TO_GO = 1.0  # after the handshake, as the protocol demands
 PATIENCE = 60.0  # seconds with a reader that takes nothing and has not asked for a pause
@@ -70,7 +69,8 @@ class Stream(PeriodicObserver):
             )
         self.port = checked_count("port", port, 0, PORTS)
         self.host = host
-        self.wait, self._given = checked_flag("wait", wait), checked_count("every", every)
+        self.wait = checked_flag("wait", wait)
+        self._given = checked_count("every", every)
         self._listener: socket.socket | None = None
         self._engine: Engine | None = None
         self._reader: socket.socket | None = None
@@ -78,16 +78,14 @@ class Stream(PeriodicObserver):
         self._part_with_reader()
 
     def __repr__(self) -> str:
-        return call_of(
-            self, {"port": self.port, "every": self._given, "host": self.host, "wait": self.wait}
-        )
+        arguments = {"port": self.port, "every": self._given, "host": self.host, "wait": self.wait}
+        return call_of(self, arguments)
 
     @property
     def address(self) -> str:
         """What a reader opens, such as imd://localhost:8888."""
-        return (
-            f"imd://{self.host}:{self._listener.getsockname()[1] if self._listener else self.port}"
-        )
+        port = self._listener.getsockname()[1] if self._listener else self.port
+        return f"imd://{self.host}:{port}"
 
     @property
     def needs_energy(self) -> bool:
@@ -103,11 +101,10 @@ class Stream(PeriodicObserver):
         try:
             self._listener = socket.create_server((self.host, self.port), backlog=1)
         except (OSError, TypeError) as error:  # a name that is too long is a TypeError
+            reason = getattr(error, "strerror", "") or error
             where = f"port {self.port} of {shown(self.host)}"
             advice = "pass host=, or port=, 0 for any that is free"
-            raise OSError(
-                f"{where} cannot be opened: {getattr(error, 'strerror', '') or error}; {advice}"
-            ) from error
+            raise OSError(f"{where} cannot be opened: {reason}; {advice}") from error
         self._engine = engine
         self._listener.setblocking(False)
         cell = engine.system.cell
@@ -184,13 +181,13 @@ class Stream(PeriodicObserver):
                 # its machine may vanish
                 self._reader.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
                 for name in ("TCP_KEEPIDLE", "TCP_KEEPINTVL", "TCP_KEEPCNT"):
-                    if hasattr(socket, name):  # not every system can be told
-                        self._reader.setsockopt(
-                            socket.IPPROTO_TCP, getattr(socket, name), KEEP_ALIVE
-                        )
+                    option = getattr(socket, name, None)
+                    if option is not None:  # not every system can be told
+                        self._reader.setsockopt(socket.IPPROTO_TCP, option, KEEP_ALIVE)
                 self._reader.sendall(self._greeting)
                 self._go_until = monotonic() + SECONDS_TO_GO
-            if self._reader is None or not (heard := self._reader.recv(READ)):
+            heard = b"" if self._reader is None else self._reader.recv(READ)
+            if not heard:
                 return self._part_with_reader()
             self._heard += heard
         except BlockingIOError:
@@ -220,10 +217,10 @@ class Stream(PeriodicObserver):
             self._part_with_reader("has ended the run")
         elif kind == DISCONNECT:
             self._part_with_reader()
+        elif kind == PUSH:
+            self._part_with_reader("has sent forces, which no run takes")
         else:
-            self._part_with_reader(
-                "has sent forces, which no run takes" if kind == PUSH else "does not speak IMDv3"
-            )
+            self._part_with_reader("does not speak IMDv3")
 
     def _part_with_reader(self, reason: str = "") -> None:
         """Close the connection, if there is one, and be ready for the next.  reason : to be told, if there is one."""
@@ -234,12 +231,12 @@ class Stream(PeriodicObserver):
         self._has_gone = False
         self._is_paused = False
         # frames are at multiples of rate, looks at those of every
-        self._rate = self.every = self._given
+        self._rate = self._given
+        self.every = self._given
         if reason:
             # even if warnings are errors, no reader ends a run with one
             with suppress(UserWarning):
-                told = f"a reader of {self!r} {reason}; it is disconnected"
-                warn(told)
+                warn(f"a reader of {self!r} {reason}; it is disconnected")
 
     def _fill(self, engine: Engine) -> None:
         """Put the present state into the frame."""
@@ -253,12 +250,9 @@ class Stream(PeriodicObserver):
         frame["clock"][0] = engine.method.timestep * time, engine.time * time
         frame["step"] = engine.step
         frame["step_of_energies"] = min(engine.step, MOST_STEPS)
+        energies = (look.temperature, look.total_energy * energy, look.potential_energy * energy)
         with np.errstate(over="ignore"):  # infinite where float32 is too small
-            frame["energies"][0, :3] = (
-                look.temperature,
-                look.total_energy * energy,
-                look.potential_energy * energy,
-            )
+            frame["energies"][0, :3] = energies
             for name, array, factor in (
                 ("box", engine.system.cell.vectors, length),
                 ("positions", engine.positions, length),
@@ -275,14 +269,16 @@ def empty_frame(n_atoms: int, has_box: bool) -> NDArray[Any]:
     bodies: dict[int, list[tuple]] = {
         TIME: [("clock", "f8", 2), ("step", "i8")],
         ENERGIES: [("step_of_energies", "i4"), ("energies", "f4", 9)],
-        BOX: [("box", "f4", (3, 3))] * has_box,
-        **{kind: [(name, "f4", (n_atoms, 3))] for kind, name in of_atoms.items()},
     }
-    sent = {kind: body for kind, body in bodies.items() if body}
-    frame = np.zeros(
-        1, [one for kind, body in sent.items() for one in ((f"header {kind}", ">i4", 2), *body)]
-    )
-    for kind in sent:
+    if has_box:
+        bodies[BOX] = [("box", "f4", (3, 3))]
+    for kind, name in of_atoms.items():
+        bodies[kind] = [(name, "f4", (n_atoms, 3))]
+    fields: list[tuple] = []
+    for kind, body in bodies.items():
+        fields += [(f"header {kind}", ">i4", 2), *body]
+    frame = np.zeros(1, fields)
+    for kind in bodies:
         frame[f"header {kind}"] = kind, n_atoms if kind in of_atoms else 1
     frame["energies"] = np.nan
     return frame

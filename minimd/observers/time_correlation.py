@@ -12,15 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.engine.observation import Look
-from minimd.core.structure.cell import Cell
-from minimd.core.structure.observables import temperature
 from minimd.core.structure.statistics import spread
 from minimd.core.structure.units import UnitSystem
-from minimd.observers.accumulator import Accumulator, BlockedSums
+from minimd.observers.accumulator import Accumulator, Array, BlockedSums
 from minimd.observers.correlator import MultipleTau
 from minimd.observers.diffusion import LONGEST
 
-Array = NDArray[np.float64]
 # S: ratio of the slowest correlation time to the mean time of the integral; Wolff's value
 SLOWER = 1.5
 OCTAVE = 2.0  # a plateau lasts from a time to this multiple of it
@@ -39,15 +36,19 @@ class Plateau(NamedTuple):
     def said(self, units: UnitSystem) -> str:
         """Where the value is from, in words."""
         where = f"{units.shown(self.window[0])} to {units.shown(self.window[1])}"
-        return f"{'plateau of its integral,' if self.is_reached else 'NO PLATEAU of its integral, taken from'} {where}"
+        reached = (
+            "plateau of its integral,"
+            if self.is_reached
+            else "NO PLATEAU of its integral, taken from"
+        )
+        return f"{reached} {where}"
 
 
 def running_integral(times: Array, correlation: Array) -> Array:
     """∫₀ᵗ C dt' by trapezoids, (..., T), of C (..., T) at times (T,)."""
     steps = 0.5 * (correlation[..., 1:] + correlation[..., :-1]) * np.diff(times)
-    return np.concatenate(
-        [np.zeros((*correlation.shape[:-1], 1)), np.cumsum(steps, axis=-1)], axis=-1
-    )
+    start = np.zeros((*correlation.shape[:-1], 1))
+    return np.concatenate([start, np.cumsum(steps, axis=-1)], axis=-1)
 
 
 def plateau(times: Array, integral: Array, without: Array) -> Plateau:
@@ -71,29 +72,30 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
     inside = times >= times[-1] / OCTAVE
     is_reached = False
     for i in range(1, int((OCTAVE * times <= times[-1]).sum())):
-        octave = (times >= times[i]) & (times <= OCTAVE * times[i])
+        start = times[i]
+        octave = (times >= start) & (times <= OCTAVE * start)
         late = np.trapezoid(np.abs(integral[i] - integral[: i + 1]), times[: i + 1])
         slowest = SLOWER * late / largest[i] if largest[i] > 0.0 else np.inf
-        noise = errors[i] * slowest / (2.0 * times[i])
-        is_late = not slowest > 0.0 or largest[i] * np.exp(-times[i] / slowest) <= noise
+        noise = errors[i] * slowest / (2.0 * start)
+        is_late = not slowest > 0.0 or largest[i] * np.exp(-start / slowest) <= noise
         if octave.sum() >= FEWEST_LAGS and is_late:
             inside = octave
             is_reached = True
             break
     t = times[inside]
+    duration = t[-1] - t[0]
 
     def mean(values: Array) -> Array:
         chosen = values[..., inside]
-        return np.asarray(
-            np.trapezoid(chosen, t) / (t[-1] - t[0]) if t[-1] > t[0] else chosen.mean(axis=-1)
-        )
+        if duration > 0.0:
+            return np.asarray(np.trapezoid(chosen, t) / duration)
+        return np.asarray(chosen.mean(axis=-1))
 
-    return Plateau(
-        float(mean(integral)), float(spread(mean(without))), (float(t[0]), float(t[-1])), is_reached
-    )
+    window = (float(t[0]), float(t[-1]))
+    return Plateau(float(mean(integral)), float(spread(mean(without))), window, is_reached)
 
 
-COUNT, TEMPERATURE, VOLUME, HEAD = 0, 1, 2, 3  # places in the sums, before those of the correlator
+COUNT, TEMPERATURE, VOLUME, HEAD = range(4)  # places in the sums, before those of the correlator
 LEVELS = "largest number of levels of the correlator"
 
 
@@ -110,23 +112,13 @@ class TimeCorrelation(Accumulator):
 
     def _correlate_by(self, correlator: MultipleTau) -> None:
         """Make the sums."""
-        self._correlator, self.sums = correlator, BlockedSums(HEAD + correlator.size)
-        self._volume_of: Cell | None = None
-        self._volume = np.nan
+        self._correlator = correlator
+        self.sums = BlockedSums(HEAD + correlator.size)
 
     def _add(self, look: Look, entry: Array) -> None:
         """Add a look to the sums.  entry : (C, n), for the correlator."""
         sums = self.sums.total
-        system = look.system
-        # the determinant takes as long as a lag of the correlator
-        if self._volume_of is not system.cell:
-            self._volume_of = system.cell
-            self._volume = system.volume or np.nan
-        sums[:HEAD] += (
-            1.0,
-            temperature(look.thermal_energy, look.engine.n_dof, system.units.k_B),
-            self._volume,
-        )
+        sums[:HEAD] += 1.0, look.temperature, look.system.volume or np.nan
         self._correlator.add(entry, sums[HEAD:])
 
     def _parts(self) -> list[Any]:
@@ -159,8 +151,5 @@ class TimeCorrelation(Accumulator):
 
         values, errors = self._estimate(times, longest, integral)
         good = times <= max(longest, times[min(1, len(times) - 1)])
-        return (
-            values,
-            errors,
-            plateau(times[good], values[good], self.sums.replicas(integral)[:, good]),
-        )
+        replicas = self.sums.replicas(integral)[:, good]
+        return values, errors, plateau(times[good], values[good], replicas)

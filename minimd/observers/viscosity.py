@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look, check_has_volume
 from minimd.core.structure.statistics import with_error
 from minimd.core.structure.units import BAR, PICOSECOND
-from minimd.observers.accumulator import ObservedRun, Result, Series
+from minimd.observers.accumulator import Array, ObservedRun, Result, Series
 from minimd.observers.arguments import argument, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product
 from minimd.observers.time_correlation import (
@@ -28,7 +27,6 @@ from minimd.observers.time_correlation import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 ENOUGH = 100.0  # times the start of the plateau: a shorter run knows its error bar badly
 # entries on each level of the correlator: averages are over at most a sixteenth of a lag
 POINTS = 32
@@ -62,9 +60,8 @@ class Viscosity(TimeCorrelation):
         check_has_volume(engine)
 
     def _laid_out(self, scene: ObservedRun) -> None:
-        self._correlate_by(
-            MultipleTau(Product(), np.array([0, 1]), 6, POINTS, self.n_levels, averages=True)
-        )
+        starts = np.array([0, 1])
+        self._correlate_by(MultipleTau(Product(), starts, 6, POINTS, self.n_levels, averages=True))
 
     def _look(self, engine: Engine) -> None:
         engine.evaluate()
@@ -78,18 +75,17 @@ class Viscosity(TimeCorrelation):
         k_B = scene.unit_system.k_B
 
         def correlation(sums: Array) -> Array:
-            return np.asarray(
-                self._correlator.correlations(sums[HEAD:])[1][seen, 0].sum(axis=1) / WEIGHT
-            )
+            products = self._correlator.correlations(sums[HEAD:])[1][seen, 0]
+            return np.asarray(products.sum(axis=1) / WEIGHT)
 
         def integrand(sums: Array) -> Array:
             # both are sums over the same looks
             return correlation(sums) * (sums[VOLUME] / (k_B * sums[TEMPERATURE]))
 
-        values, errors, found = self._integral(times, longest, integrand)
+        integral, error, plateau = self._integral(times, longest, integrand)
         correlations = self._estimate(times, longest, correlation)
         duration = self.n_looks * scene.spacing
-        return ViscosityResult(scene, times, *correlations, values, errors, found, duration)
+        return ViscosityResult(scene, times, *correlations, integral, error, plateau, duration)
 
 
 def traceless(tensor: Array) -> Array:
@@ -131,34 +127,29 @@ class ViscosityResult(Result):
     def series(self) -> list[Series]:
         """See Result."""
         units = self.units
+        correlation = (self.autocorrelation, self.autocorrelation_error)
+        integral = (self.integral, self.integral_error)
         return [
             Series("time", units.time, self.times),
-            Series(
-                "autocorrelation",
-                f"({units.pressure})²",
-                self.autocorrelation,
-                self.autocorrelation_error,
-            ),
-            Series(
-                "integral", f"{units.pressure} {units.time}", self.integral, self.integral_error
-            ),
+            Series("autocorrelation", f"({units.pressure})²", *correlation),
+            Series("integral", f"{units.pressure} {units.time}", *integral),
         ]
 
     def display_rows(self) -> Rows:
         """See Displayed."""
         units = self.units
         factor = 1.0
-        unit = f"{self.units.pressure} {self.units.time}"
+        unit = f"{units.pressure} {units.time}"
         if units.name == "ASE":
             factor = MPA_S
             unit = "mPa s"
-        words = with_error(self.viscosity * factor, self.viscosity_error * factor)
-        rows = [("viscosity", f"η = {words} {unit}; {self.plateau.said(units)}")]
-        if self.duration < (enough := ENOUGH * self.plateau.window[0]):
+        viscosity = with_error(self.viscosity * factor, self.viscosity_error * factor)
+        rows = [("viscosity", f"η = {viscosity} {unit}; {self.plateau.said(units)}")]
+        enough = ENOUGH * self.plateau.window[0]
+        if self.duration < enough:
             short = f"the run is SHORT, {units.shown(self.duration)}"
-            rows.append(
-                ("", f"{short}: a reliable error bar takes at least about {units.shown(enough)}")
-            )
+            needed = f"a reliable error bar takes at least about {units.shown(enough)}"
+            rows.append(("", f"{short}: {needed}"))
         return rows
 
     def draw(self, panel: Axes) -> None:
@@ -168,9 +159,10 @@ class ViscosityResult(Result):
         panel.axvspan(start, end, color="0.93")
         panel.axhline(self.viscosity, color="0.6", lw=0.8, ls="--")
         panel.errorbar(times, self.integral, self.integral_error, lw=1.1, elinewidth=0.6)
-        label = f"η  [{self.units.pressure} {self.units.time}]"
-        panel.set(xlabel=f"t  [{unit}]", ylabel=label, title=f"{self.title}, running integral")
         panel.set(
+            xlabel=f"t  [{unit}]",
+            ylabel=f"η  [{self.units.pressure} {self.units.time}]",
+            title=f"{self.title}, running integral",
             xlim=(0.0, 2.0 * end or None),
             ylim=(0.0, 2.0 * self.viscosity if self.viscosity > 0.0 else None),
         )

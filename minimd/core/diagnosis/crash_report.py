@@ -1,9 +1,9 @@
 """The report on a run that has failed: the likely cause, and the last good state."""
 
 from dataclasses import dataclass
-from typing import Any
 
-from minimd.core.diagnosis.judge import AFTER, Evidence, Failure, strange_depth, verdicts
+from minimd.core.diagnosis.evidence import Evidence, Failure
+from minimd.core.diagnosis.rules import after
 from minimd.core.engine.engine import Engine
 from minimd.core.forces.contacts import Contact
 from minimd.core.neighbors.queries import ClosestPair
@@ -15,7 +15,7 @@ from minimd.core.structure.units import LJ, SYSTEMS
 class CrashReport:
     """The findings about a failed run. str() puts them into lines.
     fault : what went wrong.  step : in which step.  last_good_step : of the state described.
-    first_step : from which it can be replayed.  kind : of Rule.  pair, cause, advice : as Verdict.
+    first_step : from which it can be replayed.  kind, pair, cause, advice : as Verdict.
     closest : two atoms and their distance [length], or None.
     pushed, largest_force : the atom on which the largest force acts, and its size [energy/length].
     fastest, displacement : the fastest atom, and its way in a step [length].  timestep : [time].  units : name."""
@@ -37,22 +37,24 @@ class CrashReport:
     units: str
 
     def __str__(self) -> str:
-        pair = self.pair
         units = SYSTEMS.get(self.units, LJ)
         force = f"{units.energy}/{units.length}"
         length = units.length
         lines = [f"fault          {self.fault}, at step {self.step}"]
-        lines += [f"cause          {self.cause}", f"what to do     {self.advice}"]
-        if pair is not None:
-            what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms} ({pair.law}), {pair.apart(length)}"
-            lines.append(
-                f"pair           {what}, −u′ {pair.force:.3g} {force}{pair.stiffness(self.timestep)}"
-            )
+        lines.append(f"cause          {self.cause}")
+        lines.append(f"what to do     {self.advice}")
+        pair = self.pair
+        if pair:
+            what = "bond" if pair.is_bond else "pair"
+            where = f"{what} of {pair.atoms} ({pair.law}), {pair.apart(length)}"
+            push = f"−u′ {pair.force:.3g} {force}{pair.stiffness(self.timestep)}"
+            lines.append(f"pair           {where}, {push}")
         closest = self.closest.told(length) if self.closest else "none"
+        lines.append(f"last good      step {self.last_good_step}; closest {closest}")
         largest = f"largest force {self.largest_force:.3g} {force} on atom {self.pushed}"
         moves = f"atom {self.fastest} moves {self.displacement:.3g} {length} in a step"
-        last = f"last good      step {self.last_good_step}; closest {closest}"
-        return "\n".join([*lines, last, f"               {largest}; {moves}"])
+        lines.append(f"               {largest}; {moves}")
+        return "\n".join(lines)
 
 
 def examine(engine: Engine, failure: Failure) -> CrashReport:
@@ -60,20 +62,25 @@ def examine(engine: Engine, failure: Failure) -> CrashReport:
     evidence = Evidence(engine, failure)
     pushed, force = longest(engine.forces)
     fastest, speed = longest(engine.velocities)
-    kind, (cause, advice, pair) = next(verdicts(evidence, AFTER))
-    if depth := strange_depth(evidence):
+    kind, cause, advice, pair = next(after(evidence))
+    depth = evidence.strange_depth
+    if depth:
         cause = f"{depth} (a consequence: {cause})"
         advice = "correct epsilon before anything else"
-    timestep = engine.method.timestep
-    units = engine.system.units.name
-    seen: tuple[Any, ...] = (
-        evidence.closest,
-        pushed,
-        force,
-        fastest,
-        speed * abs(timestep),
-        timestep,
-        units,
+    return CrashReport(
+        fault=failure.fault,
+        step=failure.step,
+        last_good_step=engine.step,
+        first_step=failure.start.step,
+        kind=kind,
+        pair=pair,
+        cause=cause,
+        advice=advice,
+        closest=evidence.closest,
+        pushed=pushed,
+        largest_force=force,
+        fastest=fastest,
+        displacement=speed * evidence.timestep,
+        timestep=engine.method.timestep,
+        units=engine.system.units.name,
     )
-    at = failure.fault, failure.step, engine.step, failure.start.step
-    return CrashReport(*at, kind, pair, cause, advice, *seen)

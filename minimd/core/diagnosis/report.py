@@ -42,6 +42,7 @@ SWELLING = 0.05  # of the volume, likewise; of 100 atoms of a liquid it fluctuat
 LENGTHS_KEPT = 1e-8
 
 KEPT = {True: "conserved", False: "NOT CONSERVED"}
+DRIFTS = {None: "too short to judge", True: "none", False: "IT DRIFTS"}
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,8 @@ class DriftRate:
     is_unsure: bool = False
 
     def __str__(self) -> str:
-        return f"{self.slope:+.2e}" + ("" if np.isinf(self.error) else f" ± {self.error:.1e}")
+        error = "" if np.isinf(self.error) else f" ± {self.error:.1e}"
+        return f"{self.slope:+.2e}{error}"
 
     @property
     def is_significant(self) -> bool:
@@ -84,10 +86,8 @@ class DriftRate:
         if not np.isinf(self.n_independent):
             from scipy.special import ndtr, stdtrit  # takes its time to load
 
-            most = min(
-                MOST_SIGNIFICANT,
-                float(stdtrit(max(1.0, self.n_independent - 2.0), ndtr(SIGNIFICANT))),
-            )
+            largest = stdtrit(max(1.0, self.n_independent - 2.0), ndtr(SIGNIFICANT))
+            most = min(MOST_SIGNIFICANT, float(largest))
         return not abs(self.slope) <= most * self.error
 
     @property
@@ -115,20 +115,23 @@ def drift(
     blocks = min(blocks, len(series))
     if not np.isfinite([time, series]).all():
         return DriftRate(np.nan, np.nan)
-    if blocks < FEW or np.ptp(time) == 0.0:
-        slope = (series[-1] - series[0]) / np.ptp(time) if np.ptp(time) > 0.0 else 0.0
+    duration = np.ptp(time)
+    if blocks < FEW or duration == 0.0:
+        slope = (series[-1] - series[0]) / duration if duration > 0.0 else 0.0
         return DriftRate(float(slope), np.inf)
     t = block_means(time, blocks)
     slope, rest = _line(t, block_means(series, blocks))
-    own = least = independent(rest)
+    variance = rest @ rest / blocks
+
+    def rate(n: float) -> DriftRate:
+        return DriftRate(slope, float(np.sqrt(variance / max(1.0, n - 2.0) / t.var())), n)
+
+    own = independent(rest)
+    least = own
     if beside is not None:
         least = min(own, independent(_line(t, block_means(beside, blocks))[1]))
-    variance = rest @ rest / blocks
-    one, safe = (
-        DriftRate(slope, float(np.sqrt(variance / max(1.0, n - 2.0) / t.var())), n)
-        for n in (own, least)
-    )
-    return replace(safe, is_unsure=own < INDEPENDENT or one.is_significant)
+    is_unsure = own < INDEPENDENT or rate(own).is_significant
+    return replace(rate(least), is_unsure=is_unsure)
 
 
 def _line(t: Array, y: Array) -> tuple[float, Array]:
@@ -177,15 +180,18 @@ class Cost:
         """Rows of a report."""
         speed = f"{self.n_steps / self.seconds:.4g} steps/s" if self.seconds > 0.0 else "no steps"
         work = f"{self.n_evaluations} force evaluations, {self.pair_search}, built {self.list_builds} times"
-        held = f"{(self.peak_memory or 0) / 1e6:.4g} MB at most so far, of the whole process"
-        share = f"took {100.0 * self.observing / (self.seconds + self.observing or 1.0):.2g} % of the time"
-        rows = [("speed", f"{speed}; {work}"), ("observers", share if self.observing > 0.0 else "")]
-        rows.append(("constraints", self.constraints))
-        rows += [
-            ("memory", held if self.peak_memory is not None else ""),
-            ("not needed", ", ".join(self.skipped)),
-        ]
-        return [row for row in rows if row[1]]
+        rows = [("speed", f"{speed}; {work}")]
+        if self.observing > 0.0:
+            share = self.observing / (self.seconds + self.observing)
+            rows.append(("observers", f"took {100.0 * share:.2g} % of the time"))
+        if self.constraints:
+            rows.append(("constraints", self.constraints))
+        if self.peak_memory is not None:
+            held = f"{self.peak_memory / 1e6:.4g} MB at most so far, of the whole process"
+            rows.append(("memory", held))
+        if self.skipped:
+            rows.append(("not needed", ", ".join(self.skipped)))
+        return rows
 
 
 @dataclass(frozen=True)
@@ -261,22 +267,22 @@ class Report(Displayed):
     @property
     def shadow_is_conserved(self) -> bool | None:
         """Whether the shadow energy has no drift, likewise; None if it was not recorded, or in too few frames."""
-        return (
-            None
-            if self.shadow_drift is None
-            else self._has_no(self.shadow_drift) and not self.not_finite
-        )
+        if self.shadow_drift is None:
+            return None
+        return self._has_no(self.shadow_drift) and not self.not_finite
 
-    def _has_no(self, slope: DriftRate) -> bool | None:
+    def _has_no(self, drift: DriftRate) -> bool | None:
         if self.n_frames < FEW:
             return None
-        if not np.isfinite([slope.slope, slope.error, self.kinetic_energy]).all():
+        if not np.isfinite([drift.slope, drift.error, self.kinetic_energy]).all():
             return False
-        if abs(slope.slope) + SIGNIFICANT * slope.error < NEGLIGIBLE_DRIFT * self.kinetic_energy:
+        slope = abs(drift.slope)
+        negligible = NEGLIGIBLE_DRIFT * self.kinetic_energy
+        if slope + SIGNIFICANT * drift.error < negligible:
             return True
-        if slope.is_too_short:
+        if drift.is_too_short:
             return None
-        return not slope.is_significant or abs(slope.slope) < NEGLIGIBLE_DRIFT * self.kinetic_energy
+        return not drift.is_significant or slope < negligible
 
     @property
     def momentum_is_conserved(self) -> bool:
@@ -315,68 +321,57 @@ class Report(Displayed):
         return is_open and self.energy_range < QUIET * self.kinetic_energy
 
     def __str__(self) -> str:
-        return "\n".join(f"{name:<{NAME_WIDTH}} {words}" for name, words in self.display_rows())
+        return "\n".join(f"{name:<{NAME_WIDTH}} {text}" for name, text in self.display_rows())
 
     def display_rows(self) -> Rows:
         """See Displayed."""
         energy, time, heat = self.units
         per = f"{energy} per atom"
-        only = self.n_frames == 1
-        slope = self.energy_drift
-        shadow = self.shadow_drift
-        error = "" if np.isinf(slope.error) else " (standard error)"
-        drifts = "drift unknown: one frame" if only else f"drift {slope} {per} per {time}{error}"
+        has_one_frame = self.n_frames == 1
         minus = " - reservoir" * self.has_bath + " - work" * self.has_work
-        rows = [(f"E{minus}" if minus else "total energy", drifts)]
-        rows.append(("", f"oscillation {self.energy_oscillation:.2e} {per} (standard deviation)"))
-        if shadow is not None:
-            said = {None: "too short to judge", True: "none", False: "IT DRIFTS"}[
-                self.shadow_is_conserved
-            ]
-            rows.append(("shadow energy", f"drift {shadow} {per} per {time}: {said}"))
+        error = "" if np.isinf(self.energy_drift.error) else " (standard error)"
+        change = f"drift {self.energy_drift} {per} per {time}{error}"
+        rows = [
+            (
+                f"E{minus}" if minus else "total energy",
+                "drift unknown: one frame" if has_one_frame else change,
+            ),
+            ("", f"oscillation {self.energy_oscillation:.2e} {per} (standard deviation)"),
+        ]
+        if self.shadow_drift is not None:
+            verdict = DRIFTS[self.shadow_is_conserved]
+            change = f"drift {self.shadow_drift} {per} per {time}: {verdict}"
+            rows.append(("shadow energy", change))
             rows.append(("", f"oscillation {self.shadow_oscillation:.2e} {per}"))
         if self.momentum_change is not None:
-            change = f"change {self.momentum_change:.1e} of the sum of |mv|: {KEPT[self.momentum_is_conserved]}"
-            moving = change if self.momentum_change else "exactly constant"
-            rows.append(
-                (
-                    "momentum",
-                    "no motion but rounding: the atoms are at rest" if self.is_at_rest else moving,
-                )
-            )
+            change = "exactly constant"
+            if self.is_at_rest:
+                change = "no motion but rounding: the atoms are at rest"
+            elif self.momentum_change:
+                kept = KEPT[self.momentum_is_conserved]
+                change = f"change {self.momentum_change:.1e} of the sum of |mv|: {kept}"
+            rows.append(("momentum", change))
         if self.angular_momentum_change is not None and not self.is_at_rest:
-            said = f"sum of m|r||v|: {KEPT[self.angular_momentum_is_conserved]}"
-            rows.append(
-                ("ang. momentum", f"change {self.angular_momentum_change:.1e} of the {said}")
-            )
+            kept = KEPT[self.angular_momentum_is_conserved]
+            change = f"change {self.angular_momentum_change:.1e} of the sum of m|r||v|: {kept}"
+            rows.append(("ang. momentum", change))
         if self.constraint_violation is not None:
-            said = "kept" if self.constraint_violation < LENGTHS_KEPT else "NOT KEPT"
-            rows.append(
-                ("lengths", f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}")
-            )
+            kept = "kept" if self.constraint_violation < LENGTHS_KEPT else "NOT KEPT"
+            violation = f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {kept}"
+            rows.append(("lengths", violation))
         rows += [(line.name, f"{line.summary}: {line.verdict}") for line in self.lines]
-        spread = (
-            "of one frame"
-            if only
-            else f"on average, standard deviation {self.temperature_deviation:.2g} {heat}"
-        )
-        rows.append(
-            (
-                "temperature",
-                f"{with_error(self.mean_temperature, self.temperature_error)} {heat} {spread}",
-            )
-        )
+        mean = f"{with_error(self.mean_temperature, self.temperature_error)} {heat}"
+        spread = f"on average, standard deviation {self.temperature_deviation:.2g} {heat}"
+        rows.append(("temperature", f"{mean} {'of one frame' if has_one_frame else spread}"))
         if self.bath is not None:
             asked, deficit = self.bath
             setting = f"the thermostat is set to {asked:.4g} {heat}"
             if deficit > self.temperature_error:
                 setting += f"; in steps of this length velocities have {asked - deficit:.4g} {heat}, positions do not"
             rows.append(("", setting))
-        return [
-            *rows,
-            *(self.cost.rows() if self.cost is not None else ()),
-            ("verdict", self.verdict),
-        ]
+        if self.cost is not None:
+            rows += self.cost.rows()
+        return [*rows, ("verdict", self.verdict)]
 
     @property
     def verdict(self) -> str:
@@ -400,31 +395,34 @@ class Report(Displayed):
         taken = " and ".join(["reservoir energy"] * self.has_bath + ["work"] * self.has_work)
         name = f"total energy minus {taken}" if taken else "total energy"
         if self.energy_is_conserved is None:
-            share = self.energy_range / self.kinetic_energy if self.is_quiet else 0.0
-            within = (
-                f"varies by {100.0 * share:.1g} % of the kinetic energy"
-                if self.is_quiet
-                else "varies"
+            varies = "varies"
+            if self.is_quiet:
+                share = self.energy_range / self.kinetic_energy
+                varies = f"varies by {100.0 * share:.1g} % of the kinetic energy"
+            return (
+                f"the {name} {varies}; the run is too short to tell whether it drifts: "
+                "its fluctuations last nearly as long as the run"
             )
-            short = "the run is too short to tell whether it drifts: its fluctuations last nearly as long as the run"
-            return f"the {name} {within}; {short}"
+        cause = self.too_long_a_step
         if self.energy_is_conserved:
-            but = f"does not drift, BUT {self.too_long_a_step}"
-            return f"the {name} {but if self.too_long_a_step else 'is conserved'}"
+            return f"the {name} {f'does not drift, BUT {cause}' if cause else 'is conserved'}"
         if self._varies_too_much and self._has_no(self.energy_drift) is not False:
             times = f"BY {self.energy_range / self.kinetic_energy:.2g} TIMES THE KINETIC ENERGY"
             near = "it oscillates near the limit of stability, or has jumped; reduce the time step"
-            return f"THE {name.upper()} VARIES {times}, without a drift: {self.too_long_a_step or near}"
-        first, last = self.temperatures
-        swollen = ""
-        causes = [self.too_long_a_step] * bool(self.too_long_a_step)
+            return f"THE {name.upper()} VARIES {times}, without a drift: {cause or near}"
+        causes = [cause] if cause else []
         if self.is_settling:
-            went = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}"
-            causes.append(f"{went}, and with it the error of the energy; equilibrate first")
-        if self.swells:
-            swollen = f" (the volume changed by {100.0 * (self.volumes[1] / self.volumes[0] - 1.0):+.2g} %)"
+            first, last = self.temperatures
+            causes.append(
+                f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, "
+                "and with it the error of the energy; equilibrate first"
+            )
         if self.is_far_from_pressure:
-            causes.append(f"the barostat is far from its pressure{swollen}; equilibrate first")
+            change = ""
+            if self.swells:
+                first, last = self.volumes
+                change = f" (the volume changed by {100.0 * (last / first - 1.0):+.2g} %)"
+            causes.append(f"the barostat is far from its pressure{change}; equilibrate first")
         return f"THE {name.upper()} DRIFTS: {'; '.join(causes) or 'reduce the time step or smooth the cutoff'}"
 
 
@@ -450,38 +448,57 @@ def conservation_report(
     total energy and the shadow energy minus their work."""
     units = record.units
     has_bath = "conserved_energy" in record
+    has_work = "work" in record
     n = record.n_atoms
     heat = record.temperature
     thermal = record.kinetic_energy if n_dof is None else 0.5 * n_dof * units.k_B * heat
     time = record.time * units.to_picosecond
-    work = record.work if "work" in record else 0.0
-    energy = (record.conserved_energy if has_bath else record.total_energy - work) / n
-    slope = (
-        drift_of_walk(time, energy)
-        if has_bath
-        else drift(time, energy, beside=record.kinetic_energy)
-    )
+    work = record.work if has_work else 0.0
+    if has_bath:
+        energy = record.conserved_energy / n
+        slope = drift_of_walk(time, energy)
+    else:
+        energy = (record.total_energy - work) / n
+        slope = drift(time, energy, beside=record.kinetic_energy)
     shadow = None
-    potential = np.abs(record.potential_energy)
+    shadow_oscillation = 0.0
     if "shadow_energy" in record:
         series = (record.shadow_energy - work) / n
         shadow = drift(time, series, beside=record.kinetic_energy)
-    volume = record.volume if "volume" in record else np.zeros(1)
+        shadow_oscillation = _oscillation(time, series, shadow)
+    violation = None
+    if "constraint_violation" in record:
+        violation = float(record.constraint_violation.max())
+    potential = np.abs(record.potential_energy)
+    energy_range = float(np.ptp(energy) - RANGE_OF_ROUNDING * (potential / n).max())
+    angular_momentum = (record.angular_momentum, record.absolute_angular_momentum)
     return Report(
-        energy_drift=slope, energy_oscillation=_oscillation(time, energy, slope),
+        energy_drift=slope,
+        energy_oscillation=_oscillation(time, energy, slope),
         momentum_change=_largest_change(record.momentum, record.absolute_momentum, linear),
-        angular_momentum_change=_largest_change(record.angular_momentum, record.absolute_angular_momentum, angular),
-        mean_temperature=float(heat.mean()), temperature_deviation=float(heat.std()), duration=float(np.ptp(time)),
-        kinetic_energy=float(thermal.mean()) / n, n_frames=len(time), n_steps=int(record.step[-1] - record.step[0]),
-        units=(units.energy, units.shown_time, units.temperature), has_bath=has_bath, has_work="work" in record,
-        constraint_violation=float(record.constraint_violation.max()) if "constraint_violation" in record else None,
-        cost=cost, shadow_drift=shadow,
-        shadow_oscillation=0.0 if shadow is None else _oscillation(time, series, shadow), lines=tuple(lines),
-        energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * (potential / n).max())),
-        temperatures=_ends(heat), volumes=_ends(volume), not_finite=_not_finite(record),
+        angular_momentum_change=_largest_change(*angular_momentum, angular),
+        mean_temperature=float(heat.mean()),
+        temperature_deviation=float(heat.std()),
+        duration=float(np.ptp(time)),
+        kinetic_energy=float(thermal.mean()) / n,
+        n_frames=len(time),
+        n_steps=int(record.step[-1] - record.step[0]),
+        units=(units.energy, units.shown_time, units.temperature),
+        has_bath=has_bath,
+        has_work=has_work,
+        constraint_violation=violation,
+        cost=cost,
+        shadow_drift=shadow,
+        shadow_oscillation=shadow_oscillation,
+        lines=tuple(lines),
+        energy_range=max(0.0, energy_range),
+        temperatures=_ends(heat),
+        volumes=_ends(record.volume if "volume" in record else np.zeros(1)),
+        not_finite=_not_finite(record),
         temperature_error=mean_and_error(heat)[1],
-        is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * potential.max()), too_long_a_step=too_long_a_step,
-    )  # fmt: skip
+        is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * potential.max()),
+        too_long_a_step=too_long_a_step,
+    )
 
 
 def _not_finite(record: Record) -> str:
@@ -489,8 +506,10 @@ def _not_finite(record: Record) -> str:
     for name in ("time", *SERIES):
         if name in record:
             values = np.asarray(getattr(record, name)).reshape(len(record), -1)
-            if not (finite := np.isfinite(values).all(axis=1)).all():
-                return f"{name.replace('_', ' ')} is not finite at step {record.step[np.argmin(finite)]}"
+            is_finite = np.isfinite(values).all(axis=1)
+            if not is_finite.all():
+                step = record.step[np.argmin(is_finite)]
+                return f"{name.replace('_', ' ')} is not finite at step {step}"
     return ""
 
 

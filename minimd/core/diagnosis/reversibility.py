@@ -53,7 +53,9 @@ class Reversibility(Displayed):
         """True if rounding explains the distance; None if rounding has grown too much to tell."""
         if self.distance == 0.0:
             return True
-        return None if self.rounding > CHAOS * self.way else self.distance <= ENOUGH * self.rounding
+        if self.rounding > CHAOS * self.way:
+            return None
+        return self.distance <= ENOUGH * self.rounding
 
     def __str__(self) -> str:
         back = f"{self.n_steps} steps and back"
@@ -64,25 +66,30 @@ class Reversibility(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        words, _, verdict = str(self).rpartition(": ")
-        return [("reversibility", words), ("", verdict)]
+        summary, _, verdict = str(self).rpartition(": ")
+        return [("reversibility", summary), ("", verdict)]
 
 
 def make_steps_back(guard: RunGuard, n_steps: int) -> None:
     """See Simulation.run_back. At the end, step, time and velocities are those of the run that is retraced.
     Raises ValueError for an engine whose steps cannot be retraced to the last bit."""
     engine = guard.engine
-    precision = guard.engine.interactions.options.precision
-    if engine.interactions.grid is None:
+    interactions = engine.interactions
+    if interactions.grid is None:
+        precision = repr(interactions.options.precision)
         raise ValueError(
-            f"steps can be retraced only with precision='fixed-point'; precision is {precision!r}"
+            f"steps can be retraced only with precision='fixed-point'; precision is {precision}"
         )
     if engine.constraint_set.bonds is not None:
-        rounded = "constraint impulses are rounded after they are computed"
-        raise ValueError(f"steps with constraints cannot be retraced to the last bit: {rounded}")
+        raise ValueError(
+            "steps with constraints cannot be retraced to the last bit: "
+            "constraint impulses are rounded after they are computed"
+        )
     if not engine.method.is_symmetric:
-        take = "it is not symmetric: take velocity Verlet, position Verlet, leapfrog or symmetric compositions"
-        raise ValueError(f"steps of {engine.method.name} cannot be retraced, because {take}")
+        raise ValueError(
+            f"steps of {engine.method.name} cannot be retraced, because it is not symmetric: "
+            "take velocity Verlet, position Verlet, leapfrog or symmetric compositions"
+        )
     with guard.uncounted(), stop_on_signals(engine.surroundings):
         guard.check_start()
         step = engine.step
@@ -104,11 +111,9 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
     """See Simulation.probe_reversibility."""
     engine = guard.engine
     if engine.has_bath:
-        bath = (
-            f"{engine.method.name} is a thermostat"
-            if engine.method.is_thermostat
-            else "there is a barostat"
-        )
+        bath = "there is a barostat"
+        if engine.method.is_thermostat:
+            bath = f"{engine.method.name} is a thermostat"
         raise ValueError(f"{bath}: its noise cannot be undone, so no run with it is reversible")
     if engine.interactions.depend_on_time:
         raise ValueError(
@@ -127,6 +132,7 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
 def _probed(guard: RunGuard, n_steps: int) -> Reversibility:
     """Probe, without restoring the state."""
     engine = guard.engine
+    unit = engine.system.units.length
     start = engine.snapshot()
     guard.make_steps(n_steps)
     way = longest(engine.positions - start.positions)[1]
@@ -135,29 +141,29 @@ def _probed(guard: RunGuard, n_steps: int) -> Reversibility:
     forces = engine.forces.copy()
     guard.make_steps(n_steps)
     returned = engine.positions.copy()
-    if np.array_equal(returned, start.positions) and np.array_equal(
-        -engine.velocities, start.velocities
-    ):
-        return Reversibility(n_steps, 0.0, way, 0.0, engine.system.units.length, is_exact=True)
+    velocities = -engine.velocities
+    has_returned = np.array_equal(returned, start.positions)
+    if has_returned and np.array_equal(velocities, start.velocities):
+        return Reversibility(n_steps, 0.0, way, 0.0, unit, is_exact=True)
     engine.restore(turning)
     # the turning point is displaced by some roundings of random sign: of coordinates (or the tolerance of a solver),
     # forces and velocities
     random = np.random.default_rng(1)
     shape = engine.positions.shape
-    moving = engine.constraint_set.inverse_masses[:, None]
+    inverse_masses = engine.constraint_set.inverse_masses[:, None]
+    bonds = engine.constraint_set.bonds
     amplified = AMPLIFIED * ROUNDING
-    kicks = np.abs(forces) * moving * abs(engine.method.timestep)
-    swept = 0.0 if engine.constraint_set.bonds is None else engine.constraint_set.bonds.accuracy
-    sizes = (AMPLIFIED * swept + amplified * np.abs(engine.positions)) * (moving > 0.0)
-    engine.positions[:] += random.choice([-1.0, 1.0], shape) * sizes
-    engine.velocities[:] += (
-        random.choice([-1.0, 1.0], shape) * amplified * (kicks + np.abs(engine.velocities))
-    )
+    tolerance = 0.0 if bonds is None else AMPLIFIED * bonds.accuracy
+    moves = (tolerance + amplified * np.abs(engine.positions)) * (inverse_masses > 0.0)
+    engine.positions[:] += random.choice([-1.0, 1.0], shape) * moves
+    kicks = np.abs(forces) * inverse_masses * abs(engine.method.timestep)
+    sizes = kicks + np.abs(engine.velocities)
+    engine.velocities[:] += random.choice([-1.0, 1.0], shape) * amplified * sizes
     guard.make_steps(n_steps)
     growth = longest(engine.positions - returned)[1]
-    # two roundings may undo each other, as where nothing acts
-    one = max(growth / AMPLIFIED, ROUNDING * way)
-    rounding = one * (2.0 * n_steps) ** 0.5 if growth <= CHAOS * way else np.inf
-    return Reversibility(
-        n_steps, longest(returned - start.positions)[1], way, rounding, engine.system.units.length
-    )
+    rounding = np.inf
+    if growth <= CHAOS * way:
+        # two roundings may undo each other, as where nothing acts
+        rounding = max(growth / AMPLIFIED, ROUNDING * way) * (2.0 * n_steps) ** 0.5
+    distance = longest(returned - start.positions)[1]
+    return Reversibility(n_steps, distance, way, rounding, unit)

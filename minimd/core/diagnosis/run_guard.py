@@ -9,7 +9,9 @@ from typing import Any, NoReturn
 from minimd.core.compiled.kernels import compile_clock
 from minimd.core.console.quiet import warn
 from minimd.core.diagnosis.crash_report import examine
-from minimd.core.diagnosis.judge import GROWTH, RUNAWAY, START, Failure, fault_of, hints, runaway
+from minimd.core.diagnosis.evidence import Failure
+from minimd.core.diagnosis.judge import GROWTH, RUNAWAY, fault_of, hints, runaway
+from minimd.core.diagnosis.rules import at_start
 from minimd.core.engine.engine import Engine, Snapshot
 from minimd.core.engine.observation import observe
 from minimd.core.engine.record import Frame
@@ -25,9 +27,8 @@ SMALL = 50_000
 LONGEST_BLOCK = 500
 RUN_BEGAN = "the run began"
 FAILED_AS_BLOCK = "some steps failed together, although each of them succeeded alone"
-# numbers of snapshots kept, at least one, and of atoms in all of them
-MOST_SNAPSHOTS = 16
-ROOM = 10**6
+MOST_SNAPSHOTS = 16  # that are kept; at least one is
+ROOM = 10**6  # atoms in all snapshots that are kept
 SNAPSHOTS_APART = 40  # steps between two snapshots that are kept, at least
 # of K + |U|: a potential that gives another energy for the same atoms has been changed
 SAME_ENERGY = 1e-3
@@ -40,6 +41,10 @@ class RunGuard:
     seconds, n_steps : of the present run, without compilation.  observing : seconds of its observers.
     failed_from : Snapshot from which the last failure can be replayed."""
 
+    _snapshots: list[Snapshot]  # at least SNAPSHOTS_APART steps apart
+    _first: Mapping[str, Any] | None  # observables at the first look of a run
+    _seen: tuple[int, float]  # step of the last look, and the total energy then
+
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
         self.seconds = 0.0
@@ -48,18 +53,12 @@ class RunGuard:
         self.failed_from: Snapshot | None = None
         self._first_volume = engine.system.volume
         self._checked_timestep = 0.0  # none yet
-        # of every run: see judge_by
+        # by which every run is judged: see judge_by
         self._judged_by: tuple[Mapping[str, Any] | None, float] = None, RUNAWAY
-        self._first: Mapping[str, Any] | None = None  # observables at the first look of a run
-        # with which energies have run away, and since when
-        self._growth = RUNAWAY
-        self._since = RUN_BEGAN
-        self._seen: tuple[int, float] = (0, 0.0)  # step of the last look, and the total energy then
         # why the last block failed, if something was raised
         self._reason: NonFiniteError | ConstraintError | None = None
         self._before: Snapshot | None = None  # the start of the last block
-        self._snapshots: list[Snapshot] = []  # at least SNAPSHOTS_APART steps apart
-        self._first_step = 0  # of the present run
+        self.forget()
 
     @property
     def block(self) -> int:
@@ -101,7 +100,8 @@ class RunGuard:
         Raises NonFiniteError if the first step would throw atoms across the scene, and as Forces.check_resolution."""
         engine = self.engine
         timestep = engine.method.timestep
-        self._reason = self._before = None
+        self._reason = None
+        self._before = None
         if not is_same_run:
             self.forget()
         is_checked = engine.enter() and timestep == self._checked_timestep
@@ -118,14 +118,13 @@ class RunGuard:
             potential = engine.potential_energy
             change = abs(kinetic + potential - self._seen[1])
             if not change <= SAME_ENERGY * (kinetic + abs(potential)):
-                # another energy than at the last look, although nothing has moved since
-                self.forget()
+                self.forget()  # nothing has moved since the last look
         if self._checked_timestep != timestep:
             self._checked_timestep = timestep
             for hint in hints(engine):
                 warn(hint)
         if not is_checked:
-            fault = fault_of(engine, START)
+            fault = fault_of(engine, at_start)
             if fault:
                 raise self._failure(fault, engine.step)
 
@@ -133,9 +132,9 @@ class RunGuard:
         """Make steps, in blocks.  with_energy : as for advance.  Raises as advance and observe."""
         try:
             for done in range(0, n_steps, self.block):
-                self.advance(
-                    min(self.block, n_steps - done), with_energy and done + self.block >= n_steps
-                )
+                n_left = n_steps - done
+                is_last = n_left <= self.block
+                self.advance(min(self.block, n_left), with_energy and is_last)
                 if self.is_hot():
                     self.observe()
         finally:
@@ -147,19 +146,16 @@ class RunGuard:
         Raises NonFiniteError, ConstraintError if a step fails; the engine is then in the last good state.
         KeyboardInterrupt after Ctrl-C. ValueError if the scene no longer fits the list it needs."""
         engine = self.engine
-        kept = max(1, min(MOST_SNAPSHOTS, ROOM // len(engine.positions)))
-        is_due = (
-            kept == 1
-            or not self._snapshots
-            or engine.step - self._snapshots[-1].step >= SNAPSHOTS_APART
-        )
+        snapshots = self._snapshots
+        n_kept = max(1, min(MOST_SNAPSHOTS, ROOM // len(engine.positions)))
+        is_due = n_kept == 1 or not snapshots or engine.step - snapshots[-1].step >= SNAPSHOTS_APART
         self._before = None
         if is_due:
-            # makes room for the new one
-            del self._snapshots[: max(0, len(self._snapshots) + 1 - kept)]
-        self._before = before = engine.snapshot()
+            del snapshots[: max(0, len(snapshots) + 1 - n_kept)]  # makes room for the new one
+        before = engine.snapshot()
+        self._before = before
         if is_due:
-            self._snapshots.append(before)
+            snapshots.append(before)
         started = perf_counter()
         compiled = compile_clock.seconds
         self._reason = None
@@ -193,10 +189,11 @@ class RunGuard:
                     engine.evaluate()  # a method that ends with a drift has not done so
                     fault = self._fault_of_energy()
             except (NonFiniteError, ConstraintError) as reason:
-                words = (
-                    str(reason) if isinstance(reason, RangeError) else "the forces are not finite"
-                )
-                self._reason, fault = reason, fault_of(engine) or words
+                self._reason = reason
+                fault = fault_of(engine)
+                if not fault and isinstance(reason, RangeError):
+                    fault = str(reason)
+                fault = fault or "the forces are not finite"
             if fault:
                 at = engine.positions.copy()
                 engine.restore(good, is_whole=True)
@@ -224,43 +221,42 @@ class RunGuard:
         """What is wrong with the energies, which must be current; None if they are good."""
         if not isfinite(self.engine.potential_energy):
             return "the potential energy is not finite"
-        return (
-            None
-            if self._first is None
-            else runaway(self.engine, self._first, self._growth, self._since)
-        )
+        if self._first is None:
+            return None
+        return runaway(self.engine, self._first, self._growth, self._since)
 
     def check_kinetic_energy(self, most: float) -> None:
         """Raise NonFiniteError if the kinetic energy is larger than most [energy]; the engine is then in the last good
         state of the last block."""
-        kinetic = self.engine.kinetic_energy
+        engine = self.engine
+        kinetic = engine.kinetic_energy
         before = self._before
         if not kinetic > most:
             return
         if before is not None:
-            end = self.engine.snapshot()
-            self.engine.restore(before)
-            self._first = observe(self.engine).observables
+            end = engine.snapshot()
+            engine.restore(before)
+            self._first = observe(engine).observables
             self._since = f"step {before.step}"
-            self._seen = before.step, 0.0
-            self.engine.restore(end)
-        self._fail_if(
-            f"the kinetic energy has gone to {kinetic:.3g} {self.engine.system.units.energy}"
-        )
+            self._seen = (before.step, 0.0)
+            engine.restore(end)
+        unit = engine.system.units.energy
+        self._fail_if(f"the kinetic energy has gone to {kinetic:.3g} {unit}")
 
     def is_hot(self) -> bool:
         """Whether the kinetic energy alone, which costs nothing, is a reason to check all energies."""
-        if (first := self._first) is None:
+        first = self._first
+        if first is None:
             return False
-        return self.engine.kinetic_energy > RUNAWAY * (
-            first["kinetic_energy"] + abs(first["potential_energy"])
-        )
+        energy = first["kinetic_energy"] + abs(first["potential_energy"])
+        return self.engine.kinetic_energy > RUNAWAY * energy
 
     def forget(self) -> None:
         """Forget energies and snapshots: the state was changed from outside."""
         self._snapshots = []
-        self._first_step = self.engine.step
+        self._first_step = self.engine.step  # of the present run
         self._first = None
+        # with which energies have run away, and since when
         self._growth = RUNAWAY
         self._since = RUN_BEGAN
         self._seen = (self.engine.step, 0.0)
@@ -273,28 +269,28 @@ class RunGuard:
         """If there is a fault, fail at the first bad step, which may be some steps earlier."""
         if not fault:
             return
-        if self._before is None:
-            raise self._failure(fault, self.engine.step, self.engine.positions.copy())
-        # the latest stored state, since the last observation, in which no energy had run away yet
-        end = self.engine.step
+        engine = self.engine
+        end = engine.step
         start = self._before
+        if start is None:
+            raise self._failure(fault, end, engine.positions.copy())
+        # the latest stored state, since the last observation, in which no energy had run away yet
         growth = self._growth
-        self._growth = min(GROWTH, self._growth)
-        known = {
-            one.step: one
-            for one in (*self._snapshots, start)
-            if self._seen[0] <= one.step <= start.step
-        }
+        self._growth = min(GROWTH, growth)
+        known = {snapshot.step: snapshot for snapshot in (*self._snapshots, start)}
         for step in sorted(known, reverse=True):
-            self.engine.restore(known[step])
-            self.engine.evaluate()
+            if not self._seen[0] <= step <= start.step:
+                continue
+            engine.restore(known[step])
+            engine.evaluate()
             if not self._fault_of_energy():
                 start = known[step]
                 break
         else:
             self._growth = growth
-        self.n_steps -= end - start.step
-        self._replay(start, end - start.step, fault)
+        n_steps = end - start.step
+        self.n_steps -= n_steps
+        self._replay(start, n_steps, fault)
 
     def _failure(
         self, fault: str, step: int, at: Array | None = None
@@ -302,10 +298,12 @@ class RunGuard:
         """The error for a run that failed in a step, with its crash report; the engine is in the last good state.
         at : (N, 3), of the failure."""
         engine = self.engine
-        reason = self._reason
         snapshots = self._snapshots or [engine.snapshot()]
-        early = [one for one in snapshots if engine.step - one.step >= LEAST_REPLAY]
-        self.failed_from = start = early[-1] if early else snapshots[0]
+        early = [known for known in snapshots if engine.step - known.step >= LEAST_REPLAY]
+        start = early[-1] if early else snapshots[0]
+        self.failed_from = start
+        reason = self._reason
+        is_out_of_range = isinstance(reason, RangeError)
         kind: type[NonFiniteError | ConstraintError] = NonFiniteError
         if isinstance(reason, ConstraintError | RangeError):
             kind = type(reason)
@@ -317,25 +315,24 @@ class RunGuard:
         except Exception as broken:  # whatever a term of the user's own raises
             why = f"There is no crash report: {type(broken).__name__}: {broken}\n"
         else:
-            of_barostat = (
-                self._first_volume,
-                engine.barostat is not None and isinstance(reason, RangeError),
+            failure = Failure(
+                fault=fault,
+                step=step,
+                constraint=getattr(reason, "atoms", None),
+                at=at,
+                start=start,
+                is_first=start.step == self._first_step,
+                first_volume=self._first_volume,
+                is_of_barostat=engine.barostat is not None and is_out_of_range,
             )
-            at_all = start, start.step == self._first_step, *of_barostat
-            report = examine(
-                engine, Failure(fault, step, getattr(reason, "atoms", None), at, *at_all)
-            )
-            why = (
-                ""
-                if isinstance(reason, RangeError)
-                else f"Likely cause: {report.cause}; {report.advice}\n"
-            )
+            report = examine(engine, failure)
+            if not is_out_of_range:
+                why = f"Likely cause: {report.cause}; {report.advice}\n"
         pair = closest_pair(engine.system)
-        near = (
-            f"; in the last good state the closest pair is {pair.told(engine.system.units.length)}"
-            if pair
-            else ""
-        )
+        near = ""
+        if pair is not None:
+            apart = pair.told(engine.system.units.length)
+            near = f"; in the last good state the closest pair is {apart}"
         held = f"The system holds the last good state, that of step {engine.step}"
         error = kind(f"{why}At step {step}: {fault}{near}. {held}")
         error.crash_report = report

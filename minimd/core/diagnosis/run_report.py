@@ -5,7 +5,7 @@ They are about jumps at the cutoff, the number of steps that a list lasts, veloc
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,15 +44,22 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     bonds = engine.constraint_set.bonds
     is_free = engine.conserves_momentum
     solvers = f"{bonds.summary}; at most {bonds.iterations} iterations in a drift" if bonds else ""
-    made = (interactions.n_builds, interactions.n_evaluations)
-    what = (interactions.pair_search, interactions.skipped())
-    cost = Cost(guard.n_steps, guard.seconds, *made, *what, solvers, peak_memory(), guard.observing)
+    cost = Cost(
+        n_steps=guard.n_steps,
+        seconds=guard.seconds,
+        list_builds=interactions.n_builds,
+        n_evaluations=interactions.n_evaluations,
+        pair_search=interactions.pair_search,
+        skipped=interactions.skipped(),
+        constraints=solvers,
+        peak_memory=peak_memory(),
+        observing=guard.observing,
+    )
     angular = is_free and not engine.system.cell.is_periodic
     lines = static_checks(engine, reversibility)
     lines += pressure_lines(record, float(engine.system.masses.sum()), engine.barostat, is_free)
-    report = conservation_report(
-        record, angular, cost, is_free, lines, engine.n_dof, too_long_a_step(engine) or ""
-    )
+    advice = too_long_a_step(engine) or ""
+    report = conservation_report(record, angular, cost, is_free, lines, engine.n_dof, advice)
     return replace(report, bath=bath_of(engine))
 
 
@@ -70,51 +77,54 @@ def bath_of(engine: Engine) -> tuple[float, float] | None:
         return None
     if method.last_kick:
         engine.evaluate()
-    kicks = (
-        method.last_kick * method.timestep * engine.forces * constraint_set.inverse_masses[:, None]
-    )
+    inverse_masses = constraint_set.inverse_masses[:, None]
+    kicks = method.last_kick * method.timestep * engine.forces * inverse_masses
     constraint_set.project(kicks, engine.positions)
-    return method.temperature, constraint_set.temperature(
-        kicks, engine.system, engine.conserves_momentum
-    )
+    deficit = constraint_set.temperature(kicks, engine.system, engine.conserves_momentum)
+    return method.temperature, deficit
 
 
 def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[Line]:
     """All lines that apply to an engine as it stands."""
-    lines = [*cutoff_lines(engine.system, engine.interactions.potentials, engine.has_bath)]
+    interactions = engine.interactions
+    lines = [*cutoff_lines(engine.system, interactions.potentials, engine.has_bath)]
     stride = longest(engine.velocities)[1] * abs(engine.method.timestep)
     unit = engine.system.units.length
-    for skin, widest in zip(
-        engine.interactions.skins, engine.interactions.widest_skins, strict=True
-    ):
+    for skin, widest in zip(interactions.skins, interactions.widest_skins, strict=True):
         steps = 0.5 * skin / stride if stride > 0.0 else np.inf
-        words = f"skin/2 {0.5 * skin:.3g} {unit}, fastest atom {stride:.2g} {unit} a step: list lasts {steps:.3g} steps"
-        cure = (
-            "a wider skin"
-            if skin < ROOM * widest
-            else "a shorter cutoff (the cell has no room for a wider skin)"
-        )
-        often = (
-            f", but at nearly every step; {cure} or a shorter time step is cheaper"
-            if steps < FEW_STEPS
-            else ""
-        )
-        lines.append(Line("list margin", words, f"rebuilt in time{often}", not often))
-    if engine.constraint_set.bonds is not None:
-        turning = float(
-            engine.constraint_set.bonds.velocity_violation(
-                engine.positions, engine.velocities
-            ).max()
-        )
-        good = turning < TURNING
-        words = f"velocities along them {turning:.1e} of the speed"
-        lines.append(Line("rigid bonds", words, "obeyed" if good else "NOT OBEYED", good))
-    if reversibility is not None:
-        words, _, verdict = str(reversibility).rpartition(": ")
+        lasts = f"fastest atom {stride:.2g} {unit} a step: list lasts {steps:.3g} steps"
+        verdict = "rebuilt in time"
+        is_good = steps >= FEW_STEPS
+        if not is_good:
+            cure = "a shorter cutoff (the cell has no room for a wider skin)"
+            if skin < ROOM * widest:
+                cure = "a wider skin"
+            verdict += f", but at nearly every step; {cure} or a shorter time step is cheaper"
         lines.append(
-            Line("reversibility", words, verdict, reversibility.is_reversible is not False)
+            Line("list margin", f"skin/2 {0.5 * skin:.3g} {unit}, {lasts}", verdict, is_good)
         )
+    bonds = engine.constraint_set.bonds
+    if bonds is not None:
+        turning = float(bonds.velocity_violation(engine.positions, engine.velocities).max())
+        is_good = turning < TURNING
+        verdict = "obeyed" if is_good else "NOT OBEYED"
+        summary = f"velocities along them {turning:.1e} of the speed"
+        lines.append(Line("rigid bonds", summary, verdict, is_good))
+    if reversibility is not None:
+        summary, _, verdict = str(reversibility).rpartition(": ")
+        is_good = reversibility.is_reversible is not False
+        lines.append(Line("reversibility", summary, verdict, is_good))
     return lines
+
+
+class Jump(NamedTuple):
+    """What is cut off at cutoff [length].  energy, force : |u|, |u′| there.  size : of |u|, with which it is compared;
+    that of |u′| is size/cutoff."""
+
+    cutoff: float
+    energy: float
+    force: float
+    size: float
 
 
 def cutoff_lines(
@@ -126,17 +136,11 @@ def cutoff_lines(
         if not isinstance(potential, Nonbonded) or not np.isfinite(potential.cutoff):
             continue
         table = potential.table(system.species_names)
-        rows = table.reshape(-1, table.shape[-1])
-        jumps = [
-            _jumps(potential.law, float(row[0]) ** 0.5, tuple(row[1:].tolist())) for row in rows
-        ]
-        cutoffs = [float(row[0]) ** 0.5 for row in rows]
-        (energy, at), (force, there) = (
-            max((j[k], r) for j, r in zip(jumps, cutoffs, strict=True)) for k in (0, 1)
-        )
-        energy_jumps, force_jumps = (
-            any(jump[k] > CONTINUOUS * jump[k + 2] for jump in jumps) for k in (0, 1)
-        )
+        jumps = [_jump(potential.law, *row) for row in table.reshape(-1, table.shape[-1]).tolist()]
+        energy, at = max((jump.energy, jump.cutoff) for jump in jumps)
+        force, there = max((jump.force, jump.cutoff) for jump in jumps)
+        energy_jumps = any(jump.energy > CONTINUOUS * jump.size for jump in jumps)
+        force_jumps = any(jump.force > CONTINUOUS * (jump.size / jump.cutoff) for jump in jumps)
         verdict = "energy and force are continuous"
         if energy_jumps and has_bath:
             verdict = "the energy jumps; the bath compensates for this"
@@ -145,26 +149,24 @@ def cutoff_lines(
         elif force_jumps:
             verdict = "the energy is continuous, the force jumps; smooth the force for methods of order above 2"
         where = "" if at == there or energy == 0.0 else f" at {at:g} {units.length}"
-        pull = f"force {force:.1e} {units.energy}/{units.length} at {there:g} {units.length}"
-        yield Line(
-            "cutoff jump",
-            f"energy {energy:.1e} {units.energy}{where}, {pull}",
-            verdict,
-            not energy_jumps,
+        summary = (
+            f"energy {energy:.1e} {units.energy}{where}, "
+            f"force {force:.1e} {units.energy}/{units.length} at {there:g} {units.length}"
         )
+        yield Line("cutoff jump", summary, verdict, not energy_jumps)
 
 
-def _jumps(
-    law: tuple, cutoff: float, numbers: tuple[float, ...]
-) -> tuple[float, float, float, float]:
-    """|u|, |u′| at the cutoff, and the sizes with which they are compared."""
+def _jump(law: tuple, cutoff2: float, *numbers: float) -> Jump:
+    """The jump of a law with the numbers of a pair of species."""
+    cutoff = cutoff2**0.5
     u, f = np.abs(law_at(law, cutoff, numbers))
-    known = ((inside, np.abs(law_at(law, inside * cutoff, numbers))) for inside in INSIDE)
-    inside, (u_inside, f_inside) = next(
-        (one for one in known if np.isfinite(one[1]).all()), (0.0, (u, f))
-    )
-    size = u_inside + f_inside * inside * cutoff * cutoff
-    return float(u), float(f) * cutoff, float(size), float(size) / cutoff
+    size = u
+    for inside in INSIDE:
+        u_inside, f_inside = np.abs(law_at(law, inside * cutoff, numbers))
+        if np.isfinite([u_inside, f_inside]).all():
+            size = u_inside + f_inside * inside * cutoff * cutoff
+            break
+    return Jump(cutoff, float(u), float(f) * cutoff, float(size))
 
 
 def pressure_lines(
@@ -182,17 +184,24 @@ def pressure_lines(
         verdict = "EVAPORATED: at this pressure and temperature the atoms are a gas; for a liquid raise the pressure"
         yield Line("volume", grown, verdict, False)
         return
-    words = f"{record.volume.mean():.6g} {units.volume} on average"
-    spread = f"{record.volume.std():.2g}"
-    yield Line("volume", words, f"standard deviation {spread}", True)
-    amount, unit = (
-        (mass / GRAM_PER_CM3, "g/cm³")
-        if units == ASE
-        else (record.n_atoms, f"atoms/{units.volume}")
+    yield Line(
+        "volume",
+        f"{record.volume.mean():.6g} {units.volume} on average",
+        f"standard deviation {record.volume.std():.2g}",
+        True,
     )
+    amount = float(record.n_atoms)
+    unit = f"atoms/{units.volume}"
+    if units == ASE:
+        amount = mass / GRAM_PER_CM3
+        unit = "g/cm³"
     density = amount / record.volume
-    words = f"{with_error(*mean_and_error(density))} {unit} on average"
-    yield Line("density", words, f"standard deviation {density.std():.2g}", True)
+    yield Line(
+        "density",
+        f"{with_error(*mean_and_error(density))} {unit} on average",
+        f"standard deviation {density.std():.2g}",
+        True,
+    )
     if barostat.coupling not in ("isotropic", "triclinic"):
         return
     missing = 0.0
@@ -200,10 +209,9 @@ def pressure_lines(
         missing = units.k_B * record.temperature / record.volume
     mean, error = mean_and_error(record.pressure + missing)
     is_there = abs(mean - barostat.pressure) <= FAR * error
-    words = f"{with_error(mean, error)} {units.pressure} on average, {barostat.pressure:.4g} wanted"
     yield Line(
         "pressure",
-        words,
+        f"{with_error(mean, error)} {units.pressure} on average, {barostat.pressure:.4g} wanted",
         "reached" if is_there else "NOT REACHED; equilibrate longer",
         is_there,
         not is_there,

@@ -22,7 +22,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from minimd.core.engine.engine import Engine
-from minimd.core.engine.observation import Look, Observable, register
+from minimd.core.engine.observation import Observable, register
 from minimd.core.integrators.rows import PositionVerlet, VelocityVerlet
 from minimd.core.integrators.substeps import Substeps
 from minimd.core.structure.checks import checked_kind
@@ -60,9 +60,8 @@ def correction(engine: Engine) -> float:
     v·(∇²U) v [energy/time²] is the difference of dU/ds = ∂U/∂t − F·v at s = 0, d and 2d, right to d². Its times are not
     before the present one, at which a spring may begin to move."""
     of_motion, of_forces = COEFFICIENTS[engine.method.sequence()]
-    squares = float(
-        np.einsum("ij,ij,i->", engine.forces, engine.forces, engine.constraint_set.inverse_masses)
-    )
+    inverse_masses = engine.constraint_set.inverse_masses
+    squares = float(np.einsum("ij,ij,i->", engine.forces, engine.forces, inverse_masses))
     duration = NUDGE * engine.method.timestep
     change = -3.0 * engine.forces
     of_power = -3.0 * engine.surroundings.power
@@ -70,9 +69,8 @@ def correction(engine: Engine) -> float:
         with engine.coasted(later) as forces:
             change += weight * forces
             of_power += weight * engine.interactions.power
-    v_hessian_v = (of_power - float(np.einsum("ij,ij->", engine.velocities, change))) / (
-        2.0 * duration
-    )
+    power_of_forces = float(np.einsum("ij,ij->", engine.velocities, change))
+    v_hessian_v = (of_power - power_of_forces) / (2.0 * duration)
     return engine.method.timestep**2 * (of_motion * v_hessian_v + of_forces * squares)
 
 
@@ -80,30 +78,23 @@ def check_has_shadow(engine: Engine) -> None:
     """Raise ValueError where the shadow energy is not known, as shadow_energy says."""
     method = engine.method
     none = "there is no shadow energy"
-    is_known = method.sequence() in COEFFICIENTS
     with_bath = "which exchanges energy with the system"
-    refusals = (
-        (
-            method.is_thermostat,
-            f"{none} with a thermostat, {with_bath}; the method is {method.name}",
-        ),
-        (engine.barostat is not None, f"{none} with a barostat, {with_bath}"),
-        (
-            not is_known,
-            f"{none} of {method.name}, only of velocity-verlet, leapfrog and position-verlet",
-        ),
-        (
-            engine.constraint_set.bonds is not None,
-            f"{none} with rigid bonds; leave out the bonds or the observable",
-        ),
+    if method.is_thermostat:
+        raise ValueError(f"{none} with a thermostat, {with_bath}; the method is {method.name}")
+    if engine.barostat is not None:
+        raise ValueError(f"{none} with a barostat, {with_bath}")
+    if method.sequence() not in COEFFICIENTS:
+        known = "velocity-verlet, leapfrog and position-verlet"
+        raise ValueError(f"{none} of {method.name}, only of {known}")
+    if engine.constraint_set.bonds is not None:
+        raise ValueError(f"{none} with rigid bonds; leave out the bonds or the observable")
+
+
+register(
+    Observable(
+        "shadow_energy",
+        "energy",
+        lambda look: look.total_energy + correction(look.engine),
+        demand=check_has_shadow,
     )
-    for applies, why in refusals:
-        if applies:
-            raise ValueError(why)
-
-
-def _measured(look: Look) -> float:
-    return look.total_energy + correction(look.engine)
-
-
-register(Observable("shadow_energy", "energy", _measured, demand=check_has_shadow))
+)

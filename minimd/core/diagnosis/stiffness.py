@@ -22,8 +22,7 @@ from minimd.core.structure.units import ASE, BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_
 
 # of the closest pair: central differences are then right to 1e-9, and few pairs cross their cutoff
 DISPLACEMENT = 1e-6
-# of the largest coordinate: the smallest displacement, with six digits left after rounding
-ROUNDINGS = 1e-9
+ROUNDINGS = 1e-9  # of the largest coordinate: the smallest displacement, with six digits left after rounding
 ROUNDINGS_OF_FORCES = 100.0  # in a sum over some fifty neighbors and its projection
 SMALL = 90  # coordinates; up to this number the whole matrix is as cheap as iterations
 ACCURACY = 1e-4  # of ω², relative
@@ -41,7 +40,9 @@ COLDEST = ((CROWDED**2 - CROWDED_COLD) / CROWDED_HEAT) ** (6.0 / 7.0)
 DEEP = 0.5
 DEEPEST = 2.0
 WIDE = 2.7
-SHALLOW, LIKELY = 5e-4, 0.05  # eV: ε of helium is 9e-4, that of xenon 0.02
+# eV: ε of helium is 9e-4, that of xenon 0.02
+SHALLOW = 5e-4
+LIKELY = 0.05
 READINGS = (  # of an ε in another unit: its name, its size in eV, and the factor in words
     ("K", BOLTZMANN_EV_PER_K, "* md.units.ASE.k_B"),
     ("kJ/mol", 1.0 / KJ_PER_MOL_PER_EV, "/ md.units.KJ_PER_MOL_PER_EV"),
@@ -68,33 +69,29 @@ class Stiffness:
         self._potentials = potentials
         self._constraint_set = constraint_set
         bonds = constraint_set.bonds
-        self._held: NDArray[np.int64] = (
-            np.zeros((0, 2), dtype=np.int64) if bonds is None else bonds.pairs
-        )
+        no_bonds = np.zeros((0, 2), dtype=np.int64)
+        self._held: NDArray[np.int64] = no_bonds if bonds is None else bonds.pairs
 
     @cached_property
     def bond(self) -> StiffBond | None:
         """The harmonic bond with the highest frequency of its own, ω² = k/μ; None if there is none that can stretch.
         With other bonds, and if nothing is compressed, the stiffest mode is faster still: ω² is a lower bound for its
         square."""
-        found: list[StiffBond] = []
+        inverse_masses = self._constraint_set.inverse_masses
+        bonds: list[StiffBond] = []
         for potential in self._potentials:
             if isinstance(potential, HarmonicBond):
                 pairs = potential.groups_in(self.system)
-                squares = potential.numbers()["k"] * self._constraint_set.inverse_masses[pairs].sum(
-                    axis=1
-                )
+                squares = potential.numbers()["k"] * inverse_masses[pairs].sum(axis=1)
                 squares[among(pairs, self._held)] = 0.0
-                stiffest = [b for b in np.argsort(-squares)[:TRIED] if squares[b] > 0.0]
-                found += [
-                    StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b]))
-                    for b in stiffest
-                ]
+                for b in np.argsort(-squares)[:TRIED]:
+                    i, j = pairs[b].tolist()
+                    bonds.append(StiffBond(i, j, float(squares[b])))
+        bonds = [bond for bond in bonds if bond.square > 0.0]
         if len(self._held):
-            found = [one._replace(square=one.square * self._free_part(one)) for one in found]
-        return max(
-            (one for one in found if one.square > 0.0), key=lambda one: one.square, default=None
-        )
+            bonds = [bond._replace(square=bond.square * self._free_part(bond)) for bond in bonds]
+        stiffest = max(bonds, key=lambda bond: bond.square, default=None)
+        return stiffest if stiffest is not None and stiffest.square > 0.0 else None
 
     def _free_part(self, bond: StiffBond) -> float:
         """The fraction of 1/μ that constraints leave to a bond: the relative velocity that a unit impulse along it
@@ -117,24 +114,25 @@ class Stiffness:
         This is the largest ω of all pairs of species. An atom bonded to a heavier one moves with it, and does not
         count.  at_rest : whether the velocities are left out."""
         system = self.system
-        bonds = np.concatenate([self.system.bonds, self._held])
+        bonds = np.concatenate([system.bonds, self._held])
         masses = system.masses
-        lighter = bonds[np.arange(len(bonds)), np.argmin(masses[bonds], axis=1)]
+        of_bonds = masses[bonds]
+        lighter = bonds[np.arange(len(bonds)), np.argmin(of_bonds, axis=1)]
         inverse = 1.0 / masses
-        inverse[lighter[masses[bonds[:, 0]] != masses[bonds[:, 1]]]] = 0.0
+        inverse[lighter[of_bonds[:, 0] != of_bonds[:, 1]]] = 0.0
         fastest = np.zeros(len(system.species_names))
         np.maximum.at(fastest, system.species_index, inverse)
         thermal = 0.0 if at_rest else system.units.k_B * self.temperature
         square = 0.0
         for epsilon, sigma in self._wells():
             each = fastest if len(epsilon) > 1 else fastest.max(keepdims=True)
+            is_moving = (each[:, None] > 0.0) & (each > 0.0)
+            inverse_mass = np.where(is_moving, each[:, None] + each, 0.0)
+            no_heat = np.zeros_like(epsilon)
             with np.errstate(over="ignore"):  # in a run that has blown up
-                heat = np.divide(
-                    thermal, epsilon, out=np.zeros_like(epsilon), where=epsilon > 0.0
-                ) ** (7.0 / 6.0)
-                both = np.where((each[:, None] > 0.0) & (each > 0.0), each[:, None] + each, 0.0)
-                stiffness = curvature_at_minimum(epsilon, sigma) * both
-                crowd = np.maximum(CROWDED**2, CROWDED_COLD + CROWDED_HEAT * heat)
+                heat = np.divide(thermal, epsilon, out=no_heat, where=epsilon > 0.0)
+                stiffness = curvature_at_minimum(epsilon, sigma) * inverse_mass
+                crowd = np.maximum(CROWDED**2, CROWDED_COLD + CROWDED_HEAT * heat ** (7.0 / 6.0))
                 square = max(square, float((stiffness * crowd).max()))
         return square**0.5
 
@@ -151,22 +149,24 @@ class Stiffness:
         if self.system.units != ASE:
             return None
         for epsilon, sigma in self._wells():
-            strange = epsilon * ((epsilon > DEEPEST) | ((epsilon > DEEP) & (sigma > WIDE)))
-            if (worst := float(strange.max())) > 0.0:
-                fits = [one for one in READINGS if SHALLOW <= worst * one[1] <= LIKELY]
-                would_be = "if epsilon is in {}, it is {:.3g} eV: give epsilon={:.6g} {}"
-                told = [would_be.format(unit, worst * size, worst, x) for unit, size, x in fits]
+            is_strange = (epsilon > DEEPEST) | ((epsilon > DEEP) & (sigma > WIDE))
+            worst = float((epsilon * is_strange).max())
+            if worst > 0.0:
+                advice = [
+                    f"if epsilon is in {unit}, it is {worst * size:.3g} eV: give epsilon={worst:.6g} {factor}"
+                    for unit, size, factor in READINGS
+                    if SHALLOW <= worst * size <= LIKELY
+                ]
                 usual = "noble gases 0.001 to 0.02 eV, metals up to 1 eV"
                 cause = f"epsilon = {worst:.6g} eV is far deeper than any Lennard-Jones well of atoms ({usual})"
-                return cause, "; ".join(told) or "check its unit"
+                return cause, "; ".join(advice) or "check its unit"
         return None
 
     def _wells(self) -> Iterator[tuple[Array, Array]]:
         """ε and σ of each Lennard-Jones potential for pairs of species, (S, S) each."""
         for potential in self._potentials:
-            if isinstance(potential, Nonbonded) and isinstance(
-                potential.plain_law, LennardJonesLaw
-            ):
+            is_pair = isinstance(potential, Nonbonded)
+            if is_pair and isinstance(potential.plain_law, LennardJonesLaw):
                 table = potential.table(self.system.species_names)
                 yield table[..., -2], table[..., -1]
 
@@ -195,10 +195,12 @@ class Curvature:
         self.is_finite = bool(np.isfinite(self._first).all())
         # (pairs, λ) of each group of constraints, for atoms at rest
         self._springs: list[tuple[NDArray[np.int64], Array]] = []
-        if (bonds := constraint_set.bonds) is not None:
+        bonds = constraint_set.bonds
+        if bonds is not None:
             accelerations = self._first * constraint_set.inverse_masses[:, None]
-            found = bonds.multipliers(self._start, np.zeros_like(self._start), accelerations)
-            self._springs = [(bonds.pairs[order], multipliers) for order, multipliers in found]
+            at_rest = np.zeros_like(self._start)
+            groups = bonds.multipliers(self._start, at_rest, accelerations)
+            self._springs = [(bonds.pairs[order], multipliers) for order, multipliers in groups]
         closest = closest_pair(self._system)
         scale = closest.distance if closest and closest.distance > 0.0 else 1.0
         self.displacement = max(DISPLACEMENT * scale, ROUNDINGS * float(np.abs(self._start).max()))
@@ -206,9 +208,8 @@ class Curvature:
     @property
     def rounding(self) -> float:
         """The error of D that rounding of the forces causes [1/time²]: smaller eigenvalues mean nothing."""
-        largest = float(np.abs(self._first).max(initial=0.0)) * float(
-            self._constraint_set.inverse_masses.max()
-        )
+        inverse_masses = self._constraint_set.inverse_masses
+        largest = float(np.abs(self._first).max(initial=0.0)) * float(inverse_masses.max())
         return ROUNDINGS_OF_FORCES * EPS * largest / self.displacement
 
     def times(self, vector: Array) -> Array:
@@ -228,9 +229,9 @@ class Curvature:
             np.add.at(product, pairs[:, 0], pull)
         accelerations = self._constraint_set.inverse_masses[:, None] * product
         self._constraint_set.project(accelerations, self._start)
-        return np.divide(
-            accelerations, self._root, out=np.zeros_like(accelerations), where=self._root > 0.0
-        ).ravel()
+        weighted = np.zeros_like(accelerations)
+        np.divide(accelerations, self._root, out=weighted, where=self._root > 0.0)
+        return weighted.ravel()
 
     def stiffest(self, guess: Array) -> tuple[float, Array]:
         """The largest eigenvalue of D [1/time²] and its vector, (N, 3), of length one.  guess : (N, 3), of a start."""
@@ -249,19 +250,19 @@ class Curvature:
 
     def guess(self, bond: StiffBond | None) -> Array:
         """A vector that contains a part of every mode, and a large part of the stretching of a bond. (N, 3)."""
-        vector = np.random.default_rng(SEED).standard_normal(self._start.shape) / np.sqrt(
-            self._start.size
-        )
-        return vector if bond is None else vector + self.stretching(np.array([[bond.i, bond.j]]))[0]
+        start = self._start
+        vector = np.random.default_rng(SEED).standard_normal(start.shape) / np.sqrt(start.size)
+        if bond is not None:
+            vector += self.stretching(np.array([[bond.i, bond.j]]))[0]
+        return vector
 
     def stretching(self, pairs: NDArray[np.int64]) -> Array:
         """The stretching mode of each pair alone: its atoms move apart, in any direction if they are at the same place.
         (B, N, 3), of length one."""
         modes = np.zeros((len(pairs), *self._start.shape))
-        for mode, (i, j), arm in zip(
-            modes, pairs, nearest_vectors(self._start, self._system.cell, pairs), strict=True
-        ):
-            mode[i], mode[j] = np.outer((-self._root[i], self._root[j]), direction(arm))
+        arms = nearest_vectors(self._start, self._system.cell, pairs)
+        for mode, pair, arm in zip(modes, pairs, arms, strict=True):
+            mode[pair] = np.outer(self._root[pair] * [[-1.0], [1.0]], direction(arm))
             mode /= np.linalg.norm(mode)
         return modes
 

@@ -69,56 +69,50 @@ class StepAdvice(Displayed):
     def display_rows(self) -> Rows:
         """See Displayed."""
         units = self.units
-        shown = self.units.shown
+        shown = units.shown
         none = "none: nothing oscillates in this state"
         if self.frequency == 0.0 and self.recommended == inf:
             return [("stiffest mode", f"{none}, so it sets no limit to the time step")]
-        recommended = f"{shown(self.recommended)}: "
-        of_limit = ""
+        recommended = shown(self.recommended)
         by_heat = "collisions of Lennard-Jones atoms"
-        rows = [("stiffest mode", none), ("recommended", f"{recommended}set by {by_heat}")]
+        of_limit = ""
         if self.frequency:
-            omega = self.frequency / units.to_picosecond
             of_limit = f": {abs(self.timestep or 0) / self.limit:.3g} of the limit"
-            each = zip(self.atoms, self.shares, strict=True)
-            shares = ", ".join(f"{atom} ({100.0 * share:.0f} %)" for atom, share in each)
-            motion = f"{f'mostly of atoms {shares}, ' if shares else ''}spread over some {self.n_moving:.3g} atoms"
-            if self.bond is not None:
-                motion = f"the bond of atoms {self.bond[0]} and {self.bond[1]}: {shares} of the kinetic energy"
+            omega = f"{self.frequency / units.to_picosecond:.4g} / {units.shown_time}"
             blow_up = (
                 "longer steps blow up; with hot atoms, somewhat shorter steps may blow up, too"
             )
+            per_period = f"{self.period / self.recommended:.3g} steps a period"
             rows = [
-                (
-                    "stiffest mode",
-                    f"ω = {omega:.4g} / {units.shown_time}, period {shown(self.period)}",
-                ),
-                ("", motion),
+                ("stiffest mode", f"ω = {omega}, period {shown(self.period)}"),
+                ("", self._motion),
                 ("limit", f"{shown(self.limit)} for {self.method}: {blow_up}"),
-                (
-                    "recommended",
-                    f"{recommended}{self.period / self.recommended:.3g} steps a period",
-                ),
-                ("decided by", "the stiffest mode"),
+                ("recommended", f"{recommended}: {per_period}"),
             ]
             if self.collision < self.harmonic:
                 heat = f"{self.temperature:.3g} {units.temperature}" if self.temperature else "rest"
                 hotter = f"or at the temperature of the velocities if that is higher (now: {heat})"
-                rows[-1] = (
-                    "decided by",
-                    f"{by_heat} in a liquid at k_B T up to {COLDEST:.2g} ε, {hotter}",
-                )
-                rows.append(
-                    (
-                        "",
-                        f"the stiffest mode of this state alone would allow {shown(self.harmonic)}",
-                    )
-                )
-        return (
-            rows
-            if self.timestep is None
-            else [*rows, ("given", f"{shown(self.timestep)}{of_limit}")]
-        )
+                limits = f"{by_heat} in a liquid at k_B T up to {COLDEST:.2g} ε, {hotter}"
+                alone = f"the stiffest mode of this state alone would allow {shown(self.harmonic)}"
+                rows += [("decided by", limits), ("", alone)]
+            else:
+                rows.append(("decided by", "the stiffest mode"))
+        else:
+            rows = [("stiffest mode", none), ("recommended", f"{recommended}: set by {by_heat}")]
+        if self.timestep is not None:
+            rows.append(("given", f"{shown(self.timestep)}{of_limit}"))
+        return rows
+
+    @property
+    def _motion(self) -> str:
+        """Which atoms move in the stiffest mode."""
+        each = zip(self.atoms, self.shares, strict=True)
+        shares = ", ".join(f"{atom} ({100.0 * share:.0f} %)" for atom, share in each)
+        if self.bond is not None:
+            i, j = self.bond
+            return f"the bond of atoms {i} and {j}: {shares} of the kinetic energy"
+        mostly = f"mostly of atoms {shares}, " if shares else ""
+        return f"{mostly}spread over some {self.n_moving:.3g} atoms"
 
 
 def advise_timestep(
@@ -153,16 +147,14 @@ def advise_timestep(
     ------
     NonFiniteError : if the forces are not finite.  TypeError, ValueError : as Simulation.
     """
-    if not (
-        isinstance(method, Splitting)
-        or (isinstance(method, type) and issubclass(method, Splitting))
-    ):
+    kind = method if isinstance(method, type) else type(method)
+    if not issubclass(kind, Splitting):
         wanted = "a splitting, such as VelocityVerlet or VelocityVerlet(0.005)"
         raise TypeError(f"method must be {wanted}; got {shown(method)}")
     system = system.copy() if isinstance(system, System) else System.from_ase(system)
-    constraint_set = ConstraintSet(
-        system, system.constraints if constraints is None else constraints
-    )
+    if constraints is None:
+        constraints = system.constraints
+    constraint_set = ConstraintSet(system, constraints)
     return _advice(Forces(system, potentials), constraint_set, method)
 
 
@@ -187,7 +179,6 @@ def _advice(
     stiffness = Stiffness(system, forces.potentials, constraint_set)
     curvature = Curvature(forces, constraint_set)
     square = nan
-    mode = np.zeros_like(system.positions)
     if curvature.is_finite:
         square, mode = curvature.stiffest(curvature.guess(stiffness.bond))
     if not np.isfinite(square):
@@ -199,16 +190,16 @@ def _advice(
     frequency = square**0.5
     row = method.sequence()
     shares = np.einsum("ij,ij->i", mode, mode)
-    atoms = [
-        int(i) for i in np.argsort(-shares, kind="stable")[:SHOWN_ATOMS] if shares[i] >= SHOWN_SHARE
-    ]
+    leading = np.argsort(-shares, kind="stable")[:SHOWN_ATOMS]
+    atoms = leading[shares[leading] >= SHOWN_SHARE]
     collides = len(system) > 1 and (frequency > 0.0 or system.velocities.any())
-    step = accurate_step(row, OSCILLATION)
     colliding = stiffness.collisions() if collides else 0.0
-    harmonic, collision = (step / one if one else inf for one in (frequency, colliding))
+    step = accurate_step(row, OSCILLATION)
+    harmonic = step / frequency if frequency else inf
+    collision = step / colliding if colliding else inf
     # the bond whose stretching by itself makes up more than half of the mode
-    joined = (one.groups_in(system) for one in forces.potentials if isinstance(one, Bond))
-    pairs = np.concatenate([system.bonds, *joined])
+    bonds = [law.groups_in(system) for law in forces.potentials if isinstance(law, Bond)]
+    pairs = np.concatenate([system.bonds, *bonds])
     near = pairs[np.isin(pairs, np.argsort(-shares)[:SHOWN_ATOMS]).all(axis=1)]
     parts = np.einsum("bij,ij->b", curvature.stretching(near), mode) ** 2
     bond = tuple(near[np.argmax(parts)].tolist()) if parts.max(initial=0.0) > HALF else None
@@ -222,8 +213,8 @@ def _advice(
         temperature=stiffness.temperature,
         method=method.name,
         timestep=method.timestep if isinstance(method, Splitting) else None,
-        atoms=tuple(atoms),
-        shares=tuple(float(shares[i]) for i in atoms),
+        atoms=tuple(atoms.tolist()),
+        shares=tuple(shares[atoms].tolist()),
         n_moving=float(1.0 / (shares**2).sum()) if shares.any() else nan,
         bond=bond,
         n_evaluations=forces.n_evaluations,

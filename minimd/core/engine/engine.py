@@ -35,7 +35,7 @@ class Snapshot(NamedTuple):
     """A stored state, see Engine.restore.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy].
 
     clock : a step and its time, from which the times of other steps are counted.  cell : with a barostat, else None.
-    work : done by forces that depend on time [energy].
+    work : done by forces that depend on time [energy].  memory : of the method, see Splitting, or None.
     """
 
     step: int
@@ -46,6 +46,7 @@ class Snapshot(NamedTuple):
     clock: tuple[int, float] | None = None
     work: float = 0.0
     cell: Cell | None = None
+    memory: Array | None = None
 
 
 class Checkpoint(NamedTuple):
@@ -335,10 +336,18 @@ class Engine:
 
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""
-        arrays = self.positions.copy(), self.velocities.copy()
-        cell = None if self.barostat is None else self._system.cell
+        system = self._system
+        memory = self._method.memory
         return Snapshot(
-            self.step, self.time, *arrays, self.reservoir_energy, self._clock, self.work, cell
+            self._step,
+            self.time,
+            system.positions.copy(),
+            system.velocities.copy(),
+            self.reservoir_energy,
+            self._clock,
+            self.work,
+            cell=None if self.barostat is None else system.cell,
+            memory=None if memory is None else memory.copy(),
         )
 
     def restore(self, snapshot: Snapshot, is_whole: bool = False) -> None:
@@ -351,6 +360,7 @@ class Engine:
         self.velocities[:] = snapshot.velocities
         self.reservoir_energy = snapshot.reservoir_energy
         self.work = snapshot.work
+        self._remember(snapshot.memory)
         cell = snapshot.cell
         if cell is not None and cell is not self._system.cell:
             self.constraint_set.follow(self._system.cell, cell)
@@ -360,6 +370,18 @@ class Engine:
         self._pace = self._method.timestep
         if self.time != snapshot.time:  # counted with the time step of another method
             self.time = snapshot.time
+
+    def _remember(self, memory: Array | None) -> None:
+        """Give the method its memory back; one without a memory, which has taken over, needs none."""
+        own = self._method.memory
+        if memory is None or own is None:
+            return
+        if own.shape != memory.shape:
+            raise ValueError(
+                f"the memory of {self._method.name} must have the shape of the one that was stored, "
+                f"{memory.shape}; its shape is {own.shape}: pass the method of that run"
+            )
+        own[:] = memory
 
     def checkpoint(self) -> Checkpoint:
         """A copy of all that determines the bits of the steps to come, for go_on_from."""

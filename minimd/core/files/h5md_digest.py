@@ -85,6 +85,7 @@ def flattened(checkpoint: Checkpoint) -> tuple[Arrays, Numbers]:
         "positions": state.positions,
         "velocities": state.velocities,
         "images": images,
+        "memory": state.memory,
     }
     cells = {"cell": state.cell}
     cells |= {f"cell_of_list_{k}": built.cell for k, built in enumerate(lists)}
@@ -121,6 +122,7 @@ def unflattened(arrays: Arrays, numbers: Numbers) -> Checkpoint:
         clock=(int(numbers["clock_step"]), float(numbers["clock_time"])),
         work=float(numbers.get("work", 0.0)),
         cell=_stored_cell(arrays, "cell"),
+        memory=arrays.get("memory"),
     )
     lists = [
         Built(

@@ -46,6 +46,7 @@ FIELDS = {
     "positions": VECTORS,
     "velocities": VECTORS,
     "images": Stored(("K", 3)),
+    "memory": Stored(("*",)),
     "cell": TENSOR,
     "cell_reduction": COMBINATIONS,
     "list_#": VECTORS,

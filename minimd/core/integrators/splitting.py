@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, ClassVar
 
-from minimd.core.integrators.method import ClassProperty, Method, Problem, Step
+from minimd.core.integrators.method import Array, ClassProperty, Method, Problem, Step
 from minimd.core.integrators.order_conditions import nystrom_order
 from minimd.core.integrators.substeps import Kick, Substeps, is_palindrome, mechanical, merged
 
@@ -45,6 +45,9 @@ class Splitting(Method):
     -------------------------
     name, substeps, source : key in METHODS; kicks and drifts of one step; literature.
     conserves_momentum : true unless a bath acts on each atom separately.  is_thermostat : whether a bath acts at all.
+    memory : (M,) float64, what a bath of yours remembers between steps, such as ξ of Nosé and Hoover, changed in place;
+        None without. It is undone with a step that is undone, and stored with each restart. Give each simulation a
+        method of its own.
 
     Attributes computed from them
     -----------------------------
@@ -57,6 +60,7 @@ class Splitting(Method):
     is_explicit: ClassVar[bool] = True
     conserves_momentum: ClassVar[bool] = True
     is_thermostat: ClassVar[bool] = False
+    memory: Array | None = None
     order = ClassProperty(lambda method: nystrom_order(method.sequence()))
     is_symmetric = ClassProperty(lambda method: is_palindrome(method.sequence()))
     stages = ClassProperty(stages)

@@ -179,7 +179,7 @@ class StudentStep:
         self.words = {*" ".join(roles.values()).split()}
         kinds = {"x": TOLD[shape], "m": masses, **dict.fromkeys(FORCES, f"a function: {answers}")}
         told = (f"{name}: {kinds[role]}" if role in kinds else name for name, role in roles.items())
-        self.told = f"{getattr(function, '__name__', 'step')}({', '.join(told)})"
+        self.call_text = f"{getattr(function, '__name__', 'step')}({', '.join(told)})"
 
     def takes(self, *words: str) -> bool:
         """Whether one of these words is in the roles of the parameters."""
@@ -322,12 +322,12 @@ def understood(function: Function) -> StudentStep:
             with np.errstate(all="ignore"):
                 x, v = step(where, where.x, where.v, TINY)
         except Exception as error:  # whatever a student's function raises
-            first = first or (step.told, error)
+            first = first or (step.call_text, error)
             continue
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
             raise ValueError(
                 f"the step returned numbers that are not finite after one step of {TINY:g}, called as "
-                f"{step.told}"
+                f"{step.call_text}"
             )
         as_told, swapped = (
             np.abs(a - where.x).max() + np.abs(b - where.v).max() for a, b in ((x, v), (v, x))

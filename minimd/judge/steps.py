@@ -115,17 +115,15 @@ class Measured:
     def energy(self) -> Answer:
         """Drift of the total energy per step in a long run; a symplectic step has none, only slow oscillations."""
         x, v = self.where[:2]
-        kinetic = np.empty(LONG)
-        total = np.empty(LONG)
+        parts = np.empty((LONG, 2))  # kinetic and potential energy
         for k in range(LONG):
             x, v = self.step(self.where, x, v, PACE)
-            kinetic[k] = 0.5 * np.sum(self.where.mass * v * v)
-            total[k] = kinetic[k] + self.where.at(x)[1]
-            if not abs(total[k]) < TOO_LARGE:
+            parts[k] = 0.5 * np.sum(self.where.mass * v * v), self.where.at(x)[1]
+            if not abs(parts[k].sum()) < TOO_LARGE:
                 words = f"grows beyond {TOO_LARGE:g} in {k + 1} steps of {PACE:g}"
                 return np.inf, np.inf, words
         times = np.arange(LONG)
-        energies = total / kinetic.mean()
+        energies = parts.sum(axis=1) / parts.mean(axis=0)[0]
         slope, start = np.polyfit(times, energies, 1)
         oscillation = np.std(energies - slope * times - start)
         if oscillation < EXACTLY:
@@ -188,8 +186,8 @@ def angular_momenta(x: Array, p: Array) -> Array:
 
 
 PHASE_SPACE = (
-    "the step, like Runge-Kutta methods and thermostats, shrinks or stretches phase space, or is not a product of kicks "
-    "and drifts (see the laws symplectic and volume): the energy drifts"
+    "the step, like Runge-Kutta methods and thermostats, shrinks or stretches phase space, or is not a product of "
+    "kicks and drifts (see the laws symplectic and volume): the energy drifts"
 )
 # fmt: off
 LAWS = (

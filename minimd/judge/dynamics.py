@@ -130,12 +130,10 @@ class Motion:
         once = self.path(OF_PATHS)
         parted = self.path(OF_PATHS // 2, OF_PATHS // 2)
         off = float(np.abs(once - parted).max() / np.ptp(once))
-        if off < SAME:
-            return Measurement(off, 0.0)
-        cause = ": a step needs more than the atoms hold, or random numbers differ" * (
-            off >= SAME
-        )  # not NaN
-        return Measurement(off, np.nan, cause)
+        cause = ""
+        if off >= SAME:
+            cause = ": a step needs more than the atoms hold, or random numbers differ"
+        return Measurement(off, 0.0 if off < SAME else np.nan, cause)
 
     def center(self) -> tuple[float, float]:
         """The way of the center of mass over P t/M; open if the momentum is taken away."""
@@ -190,15 +188,17 @@ class Motion:
         order = float(np.log2(whole.std(axis=1).mean() / half.std(axis=1).mean()))
         if not np.isfinite(order):
             return Measurement(0.0, 1.0, "the energy grows without bound")
-        if order > LEAST_ORDER:
-            return Measurement(order, 0.0)
-        if not abs(self.drift()[1]) < 1.0:
+        is_right = order > LEAST_ORDER
+        if not is_right and not abs(self.drift()[1]) < 1.0:
             cause = "look for friction, or for a force at other positions than the new ones"
         elif order > 0.5:
             cause = "do positions and velocities belong to one time, and the force to the new positions?"
         else:
-            cause = "the force is not minus the gradient of the energy (is the force capped?), or x and p use two masses"
-        return Measurement(order, 1.0, cause)
+            cause = (
+                "the force is not minus the gradient of the energy (is the force capped?), or x and p use two "
+                "masses"
+            )
+        return Measurement(order, 0.0 if is_right else 1.0, cause)
 
     def softness(self) -> float:
         """How far rigid bonds are off."""
@@ -304,8 +304,8 @@ def of_half_a_step(halved: Make, claims: Claims, is_still: bool, heat: float) ->
     if 0.7 < new / heat < 1.4:
         return []
     return [
-        f"with half the time step the temperature is {new:.3f}, not {heat:.3f} times what was asked for: the noise of a "
-        "step must be proportional to √Δt"
+        f"with half the time step the temperature is {new:.3f}, not {heat:.3f} times what was asked for: the noise of "
+        "a step must be proportional to √Δt"
     ]
 
 
@@ -401,10 +401,10 @@ def maker(dynamics: Any, timestep: float, options: dict[str, Any]) -> Make:
         raise ValueError(f"{shown(dynamics)} takes {', '.join(parameters)}; got {', '.join(left)}")
 
     def make(atoms: Atoms, rng: np.random.RandomState) -> Any:
-        named = {**taken, "rng": rng} if "rng" in parameters else taken
+        noise = {"rng": rng} if "rng" in parameters else {}
         if is_in_order:
-            return dynamics(atoms, timestep, **named)
-        return dynamics(atoms=atoms, timestep=timestep, **named)
+            return dynamics(atoms, timestep, **taken, **noise)
+        return dynamics(atoms=atoms, timestep=timestep, **taken, **noise)
 
     return make
 

@@ -211,9 +211,9 @@ class StudentStep:
         ]
         self.call_text = f"{getattr(function, '__name__', 'step')}({', '.join(arguments)})"
 
-    def takes(self, *words: str) -> bool:
+    def takes(self, *parts: str) -> bool:
         """Whether one of these words is in the roles of the parameters."""
-        return not self.parts_of_roles.isdisjoint(words)
+        return not self.parts_of_roles.isdisjoint(parts)
 
     def problem(self, seed: int, stiffness: float = 0.0) -> TrialProblem:
         """A state in the shape of the step; masses are 1 if the step takes neither masses nor accelerations."""

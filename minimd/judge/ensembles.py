@@ -264,14 +264,16 @@ def of_log_volume(run: Frames, seen: Seen) -> float:
     return float(spread / polygamma(1, seen.n_volume))
 
 
-def row(name: str, words: str, measure: Measure, said: Said, needs: str, spare: float = 0.0) -> Law:
+def row(
+    name: str, quantity: str, measure: Measure, said: Said, needs: str, spare: float = 0.0
+) -> Law:
     """A law of an ensemble.
 
-    words : what is measured.  measure : of a run, a number or one of each group; 1 if the law holds.  said : what other
+    quantity : what is measured.  measure : of a run, a number or one of each group; 1 if the law holds.  said : what other
     numbers (G,) mean.  spare : what is allowed beside the error, since the distribution of the measure is skew.
     """
-    words += ": {0:.3f} ± {3:.3f} (finds errors of {4:.1%})"
-    return Law(name, lambda seen: seen.over_runs(measure, said, spare), 1.0, words, "{2}", needs)
+    quantity += ": {0:.3f} ± {3:.3f} (finds errors of {4:.1%})"
+    return Law(name, lambda seen: seen.over_runs(measure, said, spare), 1.0, quantity, "{2}", needs)
 
 
 BONDS = "lengths, and velocities along bonds, are off by {0:.1e}"

@@ -247,8 +247,8 @@ def stranger(
             f"velocities change by {rates}, … v{POWERS[power]} in addition to the kick: they are rescaled, as by a "
             "thermostat"
         )
-    is_bad = off > CHANGED * max(1.0, float(off.max()))
-    is_bad = is_bad.reshape(len(off) if off.ndim else 1, -1)
+    is_bad = np.atleast_1d(off > CHANGED * max(1.0, float(off.max())))
+    is_bad = is_bad.reshape(len(is_bad), -1)
     axes = is_bad.any(axis=0)
     atoms = is_bad.any(axis=1)
     place = ""

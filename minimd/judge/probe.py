@@ -377,8 +377,8 @@ class Probe:
         forces = self.forces.ravel()
         off = np.abs(forces - slopes).max()
         c = multiple_of(forces, slopes, EQUAL)
-        words = f": they are {c:.6g} (−∇U)" if np.isfinite(c) else ""
-        return off, off / (np.abs(slopes).max() or 1.0), words
+        relation = f": they are {c:.6g} (−∇U)" if np.isfinite(c) else ""
+        return off, off / (np.abs(slopes).max() or 1.0), relation
 
     def curl(self) -> float:
         """Whether forces without an energy can be a gradient: ∂F_i/∂x_j = ∂F_j/∂x_i."""

@@ -120,8 +120,8 @@ class Measured:
             x, v = self.step(self.where, x, v, PACE)
             parts[k] = 0.5 * np.sum(self.where.mass * v * v), self.where.at(x)[1]
             if not abs(parts[k].sum()) < TOO_LARGE:
-                words = f"grows beyond {TOO_LARGE:g} in {k + 1} steps of {PACE:g}"
-                return np.inf, np.inf, words
+                sentence = f"grows beyond {TOO_LARGE:g} in {k + 1} steps of {PACE:g}"
+                return np.inf, np.inf, sentence
         times = np.arange(LONG)
         energies = parts.sum(axis=1) / parts.mean(axis=0)[0]
         slope, start = np.polyfit(times, energies, 1)
@@ -131,10 +131,10 @@ class Measured:
         off = 0.0
         if self.form > SYMPLECTIC:
             off = abs(slope) * LONG / max(1e-9, oscillation)
-        words = "does not drift"
+        sentence = "does not drift"
         if off > 1.0:
-            words = f"changes by {slope:.1e} of the kinetic energy per step"
-        return slope, off, f"{words}; it oscillates by {oscillation:.1e} (dt = {PACE:g})"
+            sentence = f"changes by {slope:.1e} of the kinetic energy per step"
+        return slope, off, f"{sentence}; it oscillates by {oscillation:.1e} (dt = {PACE:g})"
 
     def oscillator(self) -> Answer:
         """The step as a matrix, for x″ = −x: its determinant, the quadratic form that it conserves, and the longest
@@ -154,8 +154,10 @@ class Measured:
         m = matrix(0.5)
         off = np.linalg.det(m) - 1.0
         if not abs(off) <= 1e-7:
-            words = f"at ω dt = 0.5 the energy changes by the factor {1.0 + off:.4g} in each step"
-            return off, np.inf, words
+            sentence = (
+                f"at ω dt = 0.5 the energy changes by the factor {1.0 + off:.4g} in each step"
+            )
+            return off, np.inf, sentence
         skew = (m[1, 1] - m[0, 0]) / m[0, 1]
         stiffness = -m[1, 0] / m[0, 1]
         n_stable = 0
@@ -165,8 +167,8 @@ class Measured:
             n_stable += 1
         longest = 0.01 * n_stable
         mixed = f" {skew:+.4g} ω x v" if abs(skew) > 1e-9 else ""
-        words = f"at ω dt = 0.5 it conserves v² {stiffness:+.6g} ω² x²{mixed}; stable up to ω dt = {longest:.2f}"
-        return longest, 0.0 if n_stable else np.inf, words
+        sentence = f"at ω dt = 0.5 it conserves v² {stiffness:+.6g} ω² x²{mixed}; stable up to ω dt = {longest:.2f}"
+        return longest, 0.0 if n_stable else np.inf, sentence
 
     def cost(self) -> Answer:
         """The number of force evaluations in one step."""

@@ -269,8 +269,10 @@ def row(
 ) -> Law:
     """A law of an ensemble.
 
-    quantity : what is measured.  measure : of a run, a number or one of each group; 1 if the law holds.  said : what other
-    numbers (G,) mean.  spare : what is allowed beside the error, since the distribution of the measure is skew.
+    quantity : what is measured.
+    measure : of a run, a number or one of each group; 1 if the law holds.
+    said : what other numbers (G,) mean.
+    spare : what is allowed beside the error, since the distribution of the measure is skew.
     """
     quantity += ": {0:.3f} ± {3:.3f} (finds errors of {4:.1%})"
     return Law(name, lambda seen: seen.over_runs(measure, said, spare), 1.0, quantity, "{2}", needs)

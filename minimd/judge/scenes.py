@@ -338,8 +338,8 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
         raise FloatingPointError(
             f"not finite: energy {ends[1][0]:.3g} eV or volume {atoms.get_volume():.3g} Å³"
         )
-    series = map(np.array, zip(*seen, strict=True))
-    return Frames(atoms.get_masses(), kt, *series, np.array(ends))
+    x, p, f, volumes, u = map(np.array, zip(*seen, strict=True))
+    return Frames(atoms.get_masses(), kt, x, p, f, volumes, u, np.array(ends))
 
 
 def started(make: Make, scene: Scene, seed: int) -> tuple[Atoms, Any]:

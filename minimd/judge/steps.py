@@ -67,8 +67,9 @@ class Measured:
                 kept = np.arange(2)
             logs = np.log(np.maximum(errors[kept], 1e-300))
             slope = -np.polyfit(np.log(np.array(COUNTS)[kept]), logs, 1)[0]
-        # the error does not decrease with dt
-        off = np.inf if slope < ORDER_OFF else max(self.expected - slope, 0.0)
+        off = max(self.expected - slope, 0.0)
+        if slope < ORDER_OFF:  # the error does not decrease with dt
+            off = np.inf
         shortest = DURATION / COUNTS[-1]
         return (
             slope,

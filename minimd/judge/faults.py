@@ -247,14 +247,15 @@ def stranger(
             f"velocities change by {rates}, … v{POWERS[power]} in addition to the kick: they are rescaled, as by a "
             "thermostat"
         )
-    is_bad = np.atleast_1d(off > CHANGED * max(1.0, float(off.max())))
-    is_bad = is_bad.reshape(len(is_bad), -1)
+    limit = CHANGED * max(1.0, float(off.max()))
+    n_atoms = len(off) if off.ndim else 1
+    is_bad = np.reshape(off > limit, (n_atoms, -1))
     axes = is_bad.any(axis=0)
     atoms = is_bad.any(axis=1)
     place = ""
     if not atoms.all():
         numbers = ", ".join(map(str, np.flatnonzero(atoms)))
-        place = f" of atom {numbers} of {len(atoms)} (check the bounds of the loop)"
+        place = f" of atom {numbers} of {n_atoms} (check the bounds of the loop)"
     elif not axes.all():
         place = f" along {' and '.join('xyz'[k] for k in np.flatnonzero(axes))}"
     return (

@@ -120,7 +120,7 @@ def grade_forces(
             )
         telling = judged(LAWS, probe)
         general = judged(GENERAL, probe)
-        if cutoff is None and probe.has >= {"forces", "pairs", "cell"}:
+        if cutoff is None and probe.cell is not None and probe.has >= {"forces", "pairs"}:
             rest = abs(probe.f(0.4999 * probe.cell.min()))
             if rest:
                 probe.remarks.append(

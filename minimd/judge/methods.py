@@ -179,9 +179,12 @@ def name_of_runge_kutta(own: Numbers) -> tuple[str, str]:
             other = matrix.copy()
             other[j] += (own.pushes[-1] - b @ matrix) / b[j]
             if own.is_same(other, b):
-                row = fractions(other[j, :j])
+                stage = fractions(other[j, :j])
                 right = fractions(matrix[j, :j])
-                return "", f"{nearly} stage {j + 1} has the weights {row} where {right} are needed"
+                return (
+                    "",
+                    f"{nearly} stage {j + 1} has the weights {stage} where {right} are needed",
+                )
     return "", ""
 
 

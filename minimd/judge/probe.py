@@ -86,7 +86,7 @@ class Probe:
         is_many = call.kind == "forces"
         has_field = is_many and self.takes(1) and call(self.place(PROBE)[:1])[0].any()
         self.has.add("field" if has_field else "nofield")
-        has_pairs = not has_field and np.isfinite(self.forces).all()
+        has_pairs = bool(not has_field and np.isfinite(self.forces).all())
         if is_many:
             self.order = np.random.default_rng(2).permutation(len(self.x))
             has_pairs = has_pairs and self.takes(2)

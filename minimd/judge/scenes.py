@@ -326,8 +326,8 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
             )
         if 2 * k >= steps // every:
             forces = atoms.get_forces(apply_constraint=False)
-            u = atoms.get_potential_energy() if scene.wanted else 0.0
-            seen.append((atoms.positions.copy(), atoms.get_momenta(), forces, volume, u))
+            energy = atoms.get_potential_energy() if scene.wanted else 0.0
+            seen.append((atoms.positions.copy(), atoms.get_momenta(), forces, volume, energy))
     ends.append(ends_of(atoms))
     edges = atoms.cell.lengths()
     if np.ptp(edges) > 1e-6 * edges[0] or np.ptp(atoms.cell.angles()) > 1e-4:

@@ -148,8 +148,8 @@ class Measured:
         def matrix(h: float) -> Array:
             columns = []
             for x, v in ((1.0, 0.0), (0.0, omega)):
-                x, v = self.step(where, x * one_each, v * one_each, h / omega)
-                columns.append((np.ravel(x)[0], np.ravel(v)[0] / omega))
+                new_x, new_v = self.step(where, x * one_each, v * one_each, h / omega)
+                columns.append((np.ravel(new_x)[0], np.ravel(new_v)[0] / omega))
             return np.array(columns).T
 
         m = matrix(0.5)

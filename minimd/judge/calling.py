@@ -237,15 +237,10 @@ class StudentStep:
             when, _, force = role.partition(" ")
             if force:
                 start[role] = where.scaled(force, before if when == "before" else x)
-        masses: Any = where.m.copy()
-        if self.masses == "(N, 1)":
-            masses = masses.reshape(-1, 1)
-        elif self.masses == "one number":
-            masses = float(masses.flat[0])
         arguments: dict[str, Any] = {role: copied(array) for role, array in start.items()}
         arguments |= {role: self._force(role, where) for role in FORCES}
         arguments |= {
-            "m": masses,
+            "m": self._masses(where),
             "dt": h,
             "time": 0.0,
             "box": FAR,
@@ -284,6 +279,12 @@ class StudentStep:
         elif of_v != "v":
             new_v = new_v + 0.5 * h * where.force(new_x) / where.mass
         return new_x, new_v
+
+    def _masses(self, where: TrialProblem) -> Any:
+        """Masses as the step takes them, a copy."""
+        if self.masses == "one number":
+            return float(where.m.flat[0])
+        return where.m.reshape(-1, 1).copy() if self.masses == "(N, 1)" else where.m.copy()
 
     def _force(self, role: str, where: TrialProblem) -> Function:
         def force(x: Any, *_: Any) -> Any:

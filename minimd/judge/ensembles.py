@@ -50,27 +50,27 @@ class Seen:
     def over_runs(self, measure: "Measure", said: "Said", spare: float) -> Measurement:
         """The mean of a measure over the runs, and how far it is off beside its error; of several, the worst. The
         spread of runs goes with the mean: where the mean is small by chance, the spread is too small."""
-        values = np.array([np.atleast_1d(measure(one, self)) for one in self.runs])
+        values = np.array([np.atleast_1d(measure(run, self)) for run in self.runs])
         means = values.mean(axis=0)
-        errors = values.std(axis=0, ddof=1) / np.sqrt(len(values))
-        quantile = stats.t.isf(0.5 * self.rate / len(means), len(values) - 1)
+        n = len(values)
+        errors = values.std(axis=0, ddof=1) / np.sqrt(n)
+        quantile = stats.t.isf(0.5 * self.rate / len(means), n - 1)
         limits = quantile * errors / np.clip(means, LEAST, 1.0) + spare + self.scene.error
         k = np.argmax(np.abs(means - 1.0) / limits)
         mean = means[k]
-        error = errors[k]
         limit = float(limits[k])
-        return Measurement(mean, (mean - 1.0) / limit, said(means, self), error, limit)
+        return Measurement(mean, (mean - 1.0) / limit, said(means, self), errors[k], limit)
 
     def acted(self) -> Measurement:
         """How much of the energy, or of the volume, is new at the end of a run."""
         ends = self.all.ends[:, :, int("volume" in self.has)]
-        found = ((ends[:, 1] - ends[:, 0]) ** 2).mean() / max(2.0 * ends.var(), 1e-300)
-        if found >= ACTED:
-            return Measurement(min(found, 1.0), 0.0)
-        off = 1.0 if found < NEVER else np.nan
-        return Measurement(
-            found, off, ": too little to judge; take a shorter relaxation time, or more steps="
-        )
+        changes = ends[:, 1] - ends[:, 0]
+        part = (changes**2).mean() / max(2.0 * ends.var(), 1e-300)
+        if part >= ACTED:
+            return Measurement(min(part, 1.0), 0.0)
+        off = 1.0 if part < NEVER else np.nan
+        advice = ": too little to judge; take a shorter relaxation time, or more steps="
+        return Measurement(part, off, advice)
 
 
 Measure: TypeAlias = Callable[[Frames, Seen], Any]
@@ -86,17 +86,19 @@ def temperature_said(means: Array, seen: Seen) -> str:
         0.5: "the noise is too weak by a factor √2, or the friction acts twice per step",
         2.0: "the noise is too strong by a factor √2, or the friction acts for half a step only",
         4.0: "the noise is twice as strong as the friction demands",
-        (free - 3.0)
-        / free: f"{free - 3} degrees of freedom are counted where {free} move: three are subtracted twice",
     }
+
+    def count(n: int, cause: str) -> None:
+        table[n / free] = f"{n} degrees of freedom are counted where {free} move{cause}"
+
+    count(free - 3, ": three are subtracted twice")
     n_rigid = round(3.0 * seen.scene.rigid.sum())
     if n_rigid:
-        table[1.0 + n_rigid / free] = (
-            f"{free + n_rigid} degrees of freedom are counted where {free} move: bonds are rigid"
-        )
-    at_rest = ", since the total momentum is kept at zero" if seen.is_still else ""
-    counted = free + 3 * (1 if seen.is_still else -1)
-    table[counted / free] = f"{counted} degrees of freedom are counted where {free} move{at_rest}"
+        count(free + n_rigid, ": bonds are rigid")
+    if seen.is_still:
+        count(free + 3, ", since the total momentum is kept at zero")
+    else:
+        count(free - 3, "")
     return f"the temperature is {ratio:.3f} times what was asked for" + nearest(ratio, table, 0.04)
 
 
@@ -105,63 +107,85 @@ def masses_said(means: Array, seen: Seen) -> str:
     masses = np.unique(seen.masses)
     power = np.polyfit(np.log(masses), np.log(np.maximum(means, 1e-9)), 1)[0]
     each = ", ".join(f"{mean:.2f} ({mass:g} amu)" for mean, mass in zip(means, masses, strict=True))
-    words = f"atoms of different masses have different temperatures, relative to the mean: {each}"
+    cause = ""
     if abs(power) > 0.3:
-        words += (
+        cause = (
             f"; the temperature goes as m^{power:.1f}: momenta need noise as √m, velocities as 1/√m"
         )
-    return words
+    return f"atoms of different masses have different temperatures, relative to the mean: {each}{cause}"
 
 
 def volume_said(means: Array, seen: Seen) -> str:
     """What a wrong mean volume means."""
     n = seen.scene.n_bodies
-    found = means[0] * seen.n_volume
+    ratio = means[0] * seen.n_volume
     table = {float(k): f"p(V) goes as V^{k - 1} exp(−PV/kT)" for k in (n - 1, n, n + 1)}
-    table |= {
-        2.0 * k: "this is the value of free atoms: is the virial in the pressure?"
-        for k in (n, n + 0.5)
-    }
-    table |= {3.0 * k: "the kinetic energy counts twice in the pressure" for k in (n, n + 1 / 3)}
-    return f"P<V>/kT of {n} molecules is {found:.2f}, not {seen.n_volume}" + nearest(
-        found, table, 0.07
-    )
+    for k in (n, n + 0.5):
+        table[2.0 * k] = "this is the value of free atoms: is the virial in the pressure?"
+    for k in (n, n + 1 / 3):
+        table[3.0 * k] = "the kinetic energy counts twice in the pressure"
+    cause = nearest(ratio, table, 0.07)
+    return f"P<V>/kT of {n} molecules is {ratio:.2f}, not {seen.n_volume}{cause}"
 
 
 def pressure_said(means: Array, seen: Seen) -> str:
     """What a wrong balance of the pressures means."""
-    found = (means[0] - 1.0) * seen.n_volume + seen.excess
+    difference = (means[0] - 1.0) * seen.n_volume + seen.excess
     table = {
         seen.excess - 1.0: "p(V) lacks one power of V: N where N + 1 is right",
         seen.excess + 1.0: "p(V) has one power of V too many: N + 2 where N + 1 is right",
         0.0: "the mean pressure is driven to P: add kT/V to P_int − P (in Martyna, Tobias, Klein a factor 1 + 3/N_f "
         "of the kinetic energy); a Monte Carlo move of ln V needs the power N + 1 of V for N particles, not N",
     }
-    near = min(table, key=lambda one: abs(found - one))
-    words = f"P<V> − <P_int V> is {found:.2f} kT, not {seen.excess} kT"
-    return f"{words}: {table[near]}" if abs(found - near) < 0.3 else words
+    near = min(table, key=lambda value: abs(difference - value))
+    cause = f": {table[near]}" if abs(difference - near) < 0.3 else ""
+    return f"P<V> − <P_int V> is {difference:.2f} kT, not {seen.excess} kT{cause}"
 
 
-def spread_said(means: Array, seen: Seen) -> str:
+def spread_said(means: Array, _: Seen) -> str:
     """What a wrong fluctuation of the volume means."""
-    why = "the volume is driven toward a pressure, and not drawn from its distribution"
+    cause = "the volume is driven toward a pressure, and not drawn from its distribution"
     if means[0] > 1.0:
-        why = "the volume moves too fast: do momenta shrink as it grows, and is its noise √(2 γ W kT)?"
-    return f"the variance of ln V is {means[0]:.2f} times that of the ensemble: {why}"
+        cause = "the volume moves too fast: do momenta shrink as it grows, and is its noise √(2 γ W kT)?"
+    return f"the variance of ln V is {means[0]:.2f} times that of the ensemble: {cause}"
 
 
-def kinetic_said(means: Array, seen: Seen) -> str:
+def kinetic_said(means: Array, _: Seen) -> str:
     """What a wrong fluctuation of the kinetic energy means."""
-    words = f"the variance of the kinetic energy is {means[0]:.2f} times the canonical one"
+    cause = ""
     if means[0] < 1.0:
-        words += ": velocities are scaled toward a temperature, and not drawn from its distribution"
-    return words
+        cause = ": velocities are scaled toward a temperature, and not drawn from its distribution"
+    return f"the variance of the kinetic energy is {means[0]:.2f} times the canonical one{cause}"
+
+
+def directions_said(means: Array, _: Seen) -> str:
+    """What temperatures that depend on the direction mean."""
+    x, y, z = means
+    return (
+        f"motion along x, y, z has {x:.2f}, {y:.2f}, {z:.2f} times the mean temperature: do all three get noise and "
+        "friction?"
+    )
+
+
+def positions_said(means: Array, _: Seen) -> str:
+    """What a wrong temperature of positions means."""
+    return f"positions of atoms have {means.min():.3f} to {means.max():.3f} times the temperature asked for"
+
+
+def components_said(means: Array, _: Seen) -> str:
+    """What correlated components of a momentum mean."""
+    least = means.min() - 1.0
+    most = means.max() - 1.0
+    return (
+        f"the components x, y, z of a momentum are correlated, by {least:+.2f} to {most:+.2f}: each needs a random "
+        "number of its own"
+    )
 
 
 def of_masses(run: Frames, seen: Seen) -> Array:
     """Kinetic temperatures of atoms of each mass, over that of all."""
     each = run.kinetic.mean(axis=0) / (3.0 * seen.shares * seen.heat)
-    return np.array([each[seen.masses == one].mean() for one in np.unique(seen.masses)])
+    return np.array([each[seen.masses == mass].mean() for mass in np.unique(seen.masses)])
 
 
 def of_directions(run: Frames, seen: Seen) -> Array:
@@ -188,10 +212,10 @@ def of_pairs(run: Frames, seen: Seen) -> float:
 def of_noise(run: Frames, seen: Seen) -> float:
     """1 + the correlation of one change of the total momentum with the next; 1 if it is negative, as of momenta that
     are drawn anew each time."""
-    jumps = np.diff(run.p.sum(axis=1), axis=0)
-    size = (jumps**2).sum()
     if seen.is_still:
         return 1.0
+    jumps = np.diff(run.p.sum(axis=1), axis=0)
+    size = (jumps**2).sum()
     if size <= 1e-20 * seen.kt * seen.masses.sum():
         return 2.0
     return 1.0 + max(0.0, float((jumps[1:] * jumps[:-1]).sum()) / size)
@@ -209,64 +233,103 @@ def of_pressure(run: Frames, seen: Seen) -> float:
     d, e, _ = zip(*(seen.scene.calculator.bonds(x) for x in run.x), strict=True)
     virial = -np.einsum("fbd,fbd,b->f", d, e, seen.scene.calculator.k)
     inner = (run.kinetic.sum(axis=1) + virial / seen.kt) / 3.0
-    return (
-        1.0
-        + float((run.volumes * seen.pressure / seen.kt - inner).mean() - seen.excess)
-        / seen.n_volume
-    )
+    difference = (run.volumes * seen.pressure / seen.kt - inner).mean()
+    return 1.0 + float(difference - seen.excess) / seen.n_volume
 
 
-def row(name: str, words: str, measure: Measure, said: Said, needs: str, spare: float = 0.0) -> Law:
+def of_temperature(run: Frames, seen: Seen) -> float:
+    """The kinetic energy over its share of kT."""
+    return float(run.kinetic.sum(axis=1).mean()) / seen.n_free
+
+
+def of_fourth_powers(run: Frames, seen: Seen) -> float:
+    """<u⁴>/3<u²>² of momenta."""
+    return float((run.p**4 / (3.0 * seen.runs_p2**2)[:, None]).mean())
+
+
+def of_components(run: Frames, seen: Seen) -> Array:
+    """1 + the correlations of x and y, y and z, z and x of a momentum."""
+    products = run.p * np.roll(run.p, -1, axis=2)
+    return np.asarray(1.0 + (products / seen.runs_p2[:, None]).mean(axis=(0, 1)))
+
+
+def of_volume(run: Frames, seen: Seen) -> float:
+    """P<V>/kT over its value."""
+    return float(run.volumes.mean()) * seen.pressure / (seen.kt * seen.n_volume)
+
+
+def of_log_volume(run: Frames, seen: Seen) -> float:
+    """The variance of ln V over that of the ensemble."""
+    spread = ((np.log(run.volumes) - seen.log_volume) ** 2).mean()
+    return float(spread / polygamma(1, seen.n_volume))
+
+
+def row(
+    name: str, quantity: str, measure: Measure, said: Said, needs: str, spare: float = 0.0
+) -> Law:
     """A law of an ensemble.
 
-    words : what is measured.  measure : of a run, a number or one of each group; 1 if the law holds.  said : what other
-    numbers (G,) mean.  spare : what is allowed beside the error, since the distribution of the measure is skew.
+    quantity : what is measured.
+    measure : of a run, a number or one of each group; 1 if the law holds.
+    said : what other numbers (G,) mean.
+    spare : what is allowed beside the error, since the distribution of the measure is skew.
     """
-    told = f"{words}: {{0:.3f}} ± {{3:.3f}} (finds errors of {{4:.1%}})"
-    return Law(name, lambda seen: seen.over_runs(measure, said, spare), 1.0, told, "{2}", needs)
+    quantity += ": {0:.3f} ± {3:.3f} (finds errors of {4:.1%})"
+    return Law(name, lambda seen: seen.over_runs(measure, said, spare), 1.0, quantity, "{2}", needs)
 
 
 BONDS = "lengths, and velocities along bonds, are off by {0:.1e}"
 BONDS_FAULT = "rigid bonds change their lengths, by {0:.1e}"
 # fmt: off
 LAWS = (  # of what a scene has
-    Law("constant volume", lambda seen: float(np.ptp(seen.all.volumes) > 0.0), 0.5, "changed in {0:g} of 1",
-        "the volume changes: give pressure= to have it judged as NPT", "fixed"),
-    Law("the bath acts", Seen.acted, 0.5, "{0:.0%} of the energy is new at the end of a run{2}",
-        "the energy never changes: nothing acts on it", "fixed"),
-    Law("the barostat acts", Seen.acted, 0.5, "{0:.0%} of the volume is new at the end of a run{2}",
-        "the volume never changes: nothing acts on it", "volume"),
-    row("temperature by mass", "that of atoms of one mass over that of all atoms", of_masses, masses_said, "masses"),
-    row("temperature by direction", "that along x, y or z over the mean", of_directions,
-        lambda means, _: f"motion along x, y, z has {', '.join(f'{mean:.2f}' for mean in means)} times the mean "
-        "temperature: do all three get noise and friction?", "ring"),
+    Law("constant volume", lambda seen: float(np.ptp(seen.all.volumes) > 0.0), 0.5,
+        "changed in {0:g} of 1",
+        "the volume changes: give pressure= to have it judged as NPT",
+        "fixed"),
+    Law("the bath acts", Seen.acted, 0.5,
+        "{0:.0%} of the energy is new at the end of a run{2}",
+        "the energy never changes: nothing acts on it",
+        "fixed"),
+    Law("the barostat acts", Seen.acted, 0.5,
+        "{0:.0%} of the volume is new at the end of a run{2}",
+        "the volume never changes: nothing acts on it",
+        "volume"),
+    row("temperature by mass", "that of atoms of one mass over that of all atoms",
+        of_masses, masses_said, "masses"),
+    row("temperature by direction", "that along x, y or z over the mean",
+        of_directions, directions_said, "ring"),
     row("temperature", "kinetic energy over its share of kT",
-        lambda run, seen: float(run.kinetic.sum(axis=1).mean()) / seen.n_free, temperature_said, ""),
-    row("temperature of positions", "<|∇U|²>/(kT <∇²U>) of atoms", of_positions, lambda means, _:
-        f"positions of atoms have {means.min():.3f} to {means.max():.3f} times the temperature asked for", "places"),
-    row("fluctuation of the kinetic energy", "its variance over that of the canonical ensemble", of_kinetic,
-        kinetic_said, "spread", 0.05),
-    row("normal momenta", "<u⁴>/3<u²>² of momenta",
-        lambda run, seen: float((run.p**4 / (3.0 * seen.runs_p2**2)[:, None]).mean()),
-        lambda means, _: f"momenta are not normally distributed: <u⁴>/3<u²>² is {means[0]:.3f}", "ring", 0.03),
-    row("independent momenta", "1 + correlation of momenta of different atoms", of_pairs, lambda means, _: "momenta of "
-        f"different atoms are correlated, by {means[0] - 1.0:+.2f}: each atom needs noise of its own", "ring", 0.05),
+        of_temperature, temperature_said, ""),
+    row("temperature of positions", "<|∇U|²>/(kT <∇²U>) of atoms",
+        of_positions, positions_said, "places"),
+    row("fluctuation of the kinetic energy", "its variance over that of the canonical ensemble",
+        of_kinetic, kinetic_said, "spread", 0.05),
+    row("normal momenta", "<u⁴>/3<u²>² of momenta", of_fourth_powers,
+        lambda means, _: f"momenta are not normally distributed: <u⁴>/3<u²>² is {means[0]:.3f}",
+        "ring", 0.03),
+    row("independent momenta", "1 + correlation of momenta of different atoms", of_pairs,
+        lambda means, _: f"momenta of different atoms are correlated, by {means[0] - 1.0:+.2f}: each atom needs noise "
+        "of its own",
+        "ring", 0.05),
     row("independent directions", "1 + correlation of two components of a momentum",
-        lambda run, seen: 1.0 + (run.p * np.roll(run.p, -1, axis=2) / seen.runs_p2[:, None]).mean(axis=(0, 1)),
-        lambda means, _: f"the components x, y, z of a momentum are correlated, by {means.min() - 1.0:+.2f} to "
-        f"{means.max() - 1.0:+.2f}: each needs a random number of its own", "ring", 0.05),
-    row("new noise", "1 + correlation of a change of the total momentum with the next", of_noise, lambda *_: "the "
-        "noise of one step is that of the step before: is the generator seeded anew in each step?", "ring", 0.3),
-    row("mean volume", "P<V>/kT over its value",
-        lambda run, seen: float(run.volumes.mean()) * seen.pressure / (seen.kt * seen.n_volume), volume_said, "volume"),
-    row("balance of pressures", "1 + the error of P<V> − <P_int V>, over P<V>", of_pressure, pressure_said, "volume"),
-    row("fluctuation of the volume", "the variance of ln V over that of the ensemble", lambda run, seen:
-        float(((np.log(run.volumes) - seen.log_volume) ** 2).mean() / polygamma(1, seen.n_volume)), spread_said,
-        "volume", 0.03),
-    Law("rigid bonds", lambda seen: seen.scene.calculator.softness(seen.all), SOFT, BONDS, BONDS_FAULT, "rigid"),
-    row("energy of the liquid", "over that of NIST", lambda run, seen: float(run.u.mean()) / seen.scene.wanted,
-        lambda means, _: f"the energy of the liquid is {means[0]:.4f} times that of NIST", "liquid"),
-    row("density of the liquid", "V over that of NIST", lambda run, seen: float(run.volumes.mean()) / seen.scene.wanted,
-        lambda means, _: f"the volume of the liquid is {means[0]:.4f} times that of NIST", "pressed"),
+        of_components, components_said, "ring", 0.05),
+    row("new noise", "1 + correlation of a change of the total momentum with the next", of_noise,
+        lambda *_: "the noise of one step is that of the step before: is the generator seeded anew in each step?",
+        "ring", 0.3),
+    row("mean volume", "P<V>/kT over its value", of_volume, volume_said, "volume"),
+    row("balance of pressures", "1 + the error of P<V> − <P_int V>, over P<V>",
+        of_pressure, pressure_said, "volume"),
+    row("fluctuation of the volume", "the variance of ln V over that of the ensemble",
+        of_log_volume, spread_said, "volume", 0.03),
+    Law("rigid bonds", lambda seen: seen.scene.calculator.softness(seen.all), SOFT,
+        BONDS, BONDS_FAULT, "rigid"),
+    row("energy of the liquid", "over that of NIST",
+        lambda run, seen: float(run.u.mean()) / seen.scene.wanted,
+        lambda means, _: f"the energy of the liquid is {means[0]:.4f} times that of NIST",
+        "liquid"),
+    row("density of the liquid", "V over that of NIST",
+        lambda run, seen: float(run.volumes.mean()) / seen.scene.wanted,
+        lambda means, _: f"the volume of the liquid is {means[0]:.4f} times that of NIST",
+        "pressed"),
 )
 # fmt: on

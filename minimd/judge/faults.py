@@ -14,20 +14,20 @@ from itertools import product
 import numpy as np
 
 from minimd.judge.calling import FORCES, StudentStep
-from minimd.judge.findings import coefficient, first_of, is_near
+from minimd.judge.findings import coefficient, is_near
 from minimd.judge.problems import Array, TrialProblem, difference
 
-# a step with more noise uses float32; smaller relative differences are rounding
-SINGLE = 1e-8
-ROUNDING = 1e-9
-SHORT, CHANGED = 1e-7, 1e-4  # a time step so short that nothing should change, and a change
-# velocities and starts at which limits are searched
-FASTER = 30.0
-FARTHER = 1.375 * 2.0 ** np.arange(12)
-SPACING, N_STEPS = 0.01, 8  # time steps for the extrapolation: SPACING · 1 … N_STEPS
-# coefficients that are zero, by power of Δt; relative rest of a fit
-SMALL = (5e-8, 1e-6, 1e-5)
-UNEXPLAINED = 1e-4
+SINGLE = 1e-8  # a step with more noise uses float32
+ROUNDING = 1e-9  # smaller relative differences are rounding
+SHORT = 1e-7  # a time step so short that nothing should change
+CHANGED = 1e-4  # a relative change
+FASTER = 30.0  # times the velocities, in the search for limits
+FARTHER = 1.375 * 2.0 ** np.arange(12)  # shifts of the start, in the search for a box
+MOVED = 1e-6  # a difference of positions
+SPACING = 0.01  # time steps for the extrapolation: SPACING · 1 … N_STEPS
+N_STEPS = 8
+SMALL = (5e-8, 1e-6, 1e-5)  # coefficients that are zero, by power of Δt
+UNEXPLAINED = 1e-4  # relative rest of a fit
 DIFFERENCE = 1e-3  # of x along v, for the derivative J v
 PARTS = ("positions", "velocities")
 POWERS = ("", " dt", " dt²")
@@ -38,15 +38,21 @@ RIGHT = (
 )
 # fmt: off
 MASSES = {  # terms in which the mass is wrong: those in which it is right, and what is wrong
-    "F": ("F/m", "1/m is missing"), "F/m²": ("F/m", "it is divided by m twice"), "mJv": ("Jv", "1/m is missing"),
+    "F": ("F/m", "1/m is missing"),
+    "F/m²": ("F/m", "it is divided by m twice"),
+    "mJv": ("Jv", "1/m is missing"),
     "mF": ("F/m", "it is multiplied by m where it should be divided; in Python /2*m is not /(2*m)"),
 }
 # causes of terms that do not belong there, by part, power and term; "F" stands for all with F
 ODD = {
-    (0, 0, "v"): "the drift lacks dt", (0, 0, "F"): "the force term lacks dt²", (1, 0, "F"): "the kick lacks dt",
+    (0, 0, "v"): "the drift lacks dt",
+    (0, 0, "F"): "the force term lacks dt²",
+    (1, 0, "F"): "the kick lacks dt",
     (1, 0, "v"): "a thermostat, a rescaling, or (x_new − x_old)/dt where (x_new − x_old)/(2 dt) is needed",
-    (0, 1, "F"): "the acceleration term needs dt², ½ dt² F/m", (1, 2, "F"): "a part of the kick has one dt too many",
-    (1, 1, "v"): "friction, a drive, or a thermostat hidden in the step", (1, 1, "x"): "a force that was not given",
+    (0, 1, "F"): "the acceleration term needs dt², ½ dt² F/m",
+    (1, 2, "F"): "a part of the kick has one dt too many",
+    (1, 1, "v"): "friction, a drive, or a thermostat hidden in the step",
+    (1, 1, "x"): "a force that was not given",
 }
 WEIGHTS = {  # causes of kicks that add up to another weight
     0.5: ": only half of the kick is made; a half kick is missing, or the velocity returned is that at half a step",
@@ -69,19 +75,22 @@ SECOND_ORDER = (  # coefficients of Δt² F/m in x, and of Δt² J v in v, times
 # fmt: on
 
 
-def hidden(step: StudentStep, where: TrialProblem) -> list[str]:
+def hidden(step: StudentStep, where: TrialProblem) -> str:
     """The reason why the step is not a function of x and v, such as noise or memory; empty if it is one."""
     first = np.array(step(where, where.x, where.v, 0.1))
     state = np.random.get_state()
     step.n_evaluations = 0
-    off = float(np.abs(np.array(step(where, where.x, where.v, 0.1)) - first).max())
+    second = np.array(step(where, where.x, where.v, 0.1))
     np.random.set_state(state)
-    return first_of(
-        (step.n_evaluations == 0 and {*FORCES} & {*step.roles}, "the step never computes the force, or computes it in "
-                                                                "its first call only and keeps that result"),
-        (off, f"two steps from the same x and v differ by {off:.1e}: the step draws random numbers, as a thermostat "
-              "does, or remembers earlier calls, such as a force kept outside. Pass all that it needs"),
-    )  # fmt: skip
+    off = np.abs(second - first).max()
+    if step.n_evaluations == 0 and not {*FORCES}.isdisjoint(step.roles):
+        return "the step never computes the force, or computes it in its first call only and keeps that result"
+    if off:
+        return (
+            f"two steps from the same x and v differ by {off:.1e}: the step draws random numbers, as a thermostat "
+            "does, or remembers earlier calls, such as a force kept outside. Pass all that it needs"
+        )
+    return ""
 
 
 def faults_of(
@@ -92,141 +101,134 @@ def faults_of(
     is_energy_kept: bool,
 ) -> list[str]:
     """The faults that single steps and the first powers of Δt show."""
-    faults = first_of(
-        (is_energy_kept, "the energy is kept to rounding: velocities are rescaled in each step to keep it, which hides "
-                         "the error of the step and is neither symplectic nor reversible"),
-        (step.rows_alike, "all states of the path are alike: the array is changed in place after it was appended. "
-                          "Append a copy, as in xs.append(x.copy())"),
-        (noise > SINGLE, f"the step rounds to {noise:.0e} of the coordinates: it uses float32 somewhere"),
-    )  # fmt: skip
-    faults = faults or explained(step, problems, n_powers) or limited(step, problems[0])
     where = problems[0]
-    # the force that is returned, for the next step, is that at x₁
-    new, _ = step(where, where.x, where.v, 0.1)
-    known = (
-        [role.split()[1] for role in step.roles if role.startswith("known")]
-        if step.third.size
-        else []
-    )
-    off = max(
-        (float(np.abs(step.third / where.scaled(role, new) - 1.0).max()) for role in known[:1]),
-        default=0.0,
-    )
-    return faults + first_of(
-        (
-            off > ROUNDING,
-            "the force that is returned is not the one at the new positions (off by "
-            f"{off:.1%}): the next step would begin with an old force",
-        )
-    )
+    if is_energy_kept:
+        faults = [
+            "the energy is kept to rounding: velocities are rescaled in each step to keep it, which hides the error "
+            "of the step and is neither symplectic nor reversible"
+        ]
+    elif step.rows_alike:
+        faults = [
+            "all states of the path are alike: the array is changed in place after it was appended. Append a copy, as "
+            "in xs.append(x.copy())"
+        ]
+    elif noise > SINGLE:
+        faults = [f"the step rounds to {noise:.0e} of the coordinates: it uses float32 somewhere"]
+    else:
+        faults = explained(step, problems, n_powers) or limited(step, where)
+    known = [role.split()[1] for role in step.roles if role.startswith("known")]
+    new_x, _ = step(where, where.x, where.v, 0.1)
+    if known and step.third.size:
+        off = np.abs(step.third / where.scaled(known[0], new_x) - 1.0).max()
+        if off > ROUNDING:
+            faults.append(
+                f"the force that is returned is not the one at the new positions (off by {off:.1%}): the next step "
+                "would begin with an old force"
+            )
+    return faults
 
 
 def limited(step: StudentStep, where: TrialProblem) -> list[str]:
     """The fault of positions that are wrapped, found by starts farther and farther away (the forces of the test have no
     cell), or of velocities that are limited."""
-    new = step(where, where.x, where.v, 0.02)[0]
-    fast = step(where, where.x, FASTER * where.v, SHORT)[1]
-    for far in np.outer(FARTHER, (-1.0, 1.0)).flat if where.x.ndim and not where.stiffness else ():
-        jump = np.abs(step(where, where.x + far, where.v, 0.02)[0] - far - new)
-        if jump.max() > 1e-6:
-            return [
-                f"atoms that start {far:g} farther away are moved by {jump[jump > 1e-6].min():.6g} more: positions "
-                "are wrapped into a box in the step, or the step depends on the origin"
-            ]
-    off = np.abs(fast - FASTER * where.v).max()
-    most = np.abs(fast).max()
-    return first_of(
-        (
-            off > CHANGED * FASTER,
-            f"velocities above {most:.4g} are cut off: they are limited (clipped)",
-        )
-    )
+    if where.x.ndim and not where.stiffness:
+        new_x = step(where, where.x, where.v, 0.02)[0]
+        for far in np.outer(FARTHER, (-1.0, 1.0)).flat:
+            jump = np.abs(step(where, where.x + far, where.v, 0.02)[0] - far - new_x)
+            if jump.max() > MOVED:
+                least = jump[jump > MOVED].min()
+                return [
+                    f"atoms that start {far:g} farther away are moved by {least:.6g} more: positions are wrapped into "
+                    "a box in the step, or the step depends on the origin"
+                ]
+    fast = FASTER * where.v
+    new_v = step(where, where.x, fast, SHORT)[1]
+    if np.abs(new_v - fast).max() > CHANGED * FASTER:
+        most = np.abs(new_v).max()
+        return [f"velocities above {most:.4g} are cut off: they are limited (clipped)"]
+    return []
 
 
 def series(step: StudentStep, where: TrialProblem) -> Array:
     """Coefficients of Δt⁰, Δt¹, Δt² of x₁ − x and of v₁ − v, (3, 2, *shape)."""
     times = SPACING * np.arange(1, N_STEPS + 1)
-    ends = np.array(
-        [np.array(step(where, where.x, where.v, h)) - np.array(where[:2]) for h in times]
-    )
-    powers = np.linalg.solve(
-        np.vander(times / times[-1], increasing=True), ends.reshape(N_STEPS, -1)
-    )[:3]
-    return np.asarray((powers / times[-1] ** np.arange(3)[:, None]).reshape(3, 2, *where.x.shape))
+    longest = times[-1]
+    start = np.array(where[:2])
+    changes = np.array([np.array(step(where, where.x, where.v, h)) - start for h in times])
+    matrix = np.vander(times / longest, increasing=True)
+    powers = np.linalg.solve(matrix, changes.reshape(N_STEPS, -1))[:3]
+    return np.asarray((powers / longest ** np.arange(3)[:, None]).reshape(3, *start.shape))
 
 
 def terms(where: TrialProblem) -> dict[str, Array]:
     """The terms of which the series may consist."""
     force = where.force(where.x)
     m = where.mass
-    v = where.v
-    turning = difference(where.force, where.x, DIFFERENCE * v) / DIFFERENCE
-    one = {"v": v, "F/m": force / m, "F": force, "F/m²": force / m**2, "mF": force * m}
-    return one | {"x": where.x, "Jv": turning / m, "mJv": turning}
+    turning = difference(where.force, where.x, DIFFERENCE * where.v) / DIFFERENCE
+    return {
+        "v": where.v,
+        "F/m": force / m,
+        "F": force,
+        "F/m²": force / m**2,
+        "mF": force * m,
+        "x": where.x,
+        "Jv": turning / m,
+        "mJv": turning,
+    }
 
 
 def fit(
-    known: list[dict[str, Array]], names: list[str], target: list[Array]
+    known: list[dict[str, Array]], names: list[str], changes: list[Array]
 ) -> tuple[Array, float]:
     """Coefficients of terms in the states, and the relative norm of what they do not explain."""
-    matrix = np.array([np.concatenate([np.ravel(one[name]) for one in known]) for name in names]).T
-    right = np.concatenate([np.ravel(one) for one in target])
-    found = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    return found, float(
-        np.linalg.norm(right - matrix @ found)
-        / max(np.linalg.norm(right), 0.1 * np.sqrt(right.size))
-    )
+    columns = [np.concatenate([np.ravel(state[name]) for state in known]) for name in names]
+    matrix = np.array(columns).T
+    right = np.concatenate([np.ravel(change) for change in changes])
+    weights = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    size = max(np.linalg.norm(right), 0.1 * np.sqrt(right.size))
+    return weights, float(np.linalg.norm(right - matrix @ weights) / size)
 
 
 def explained(step: StudentStep, problems: list[TrialProblem], n_powers: int) -> list[str]:
     """The faults that the first powers of Δt show in several states at once, so that no two terms are alike."""
-    measured = [series(step, one) for one in problems]
-    known = [terms(one) for one in problems]
-    found = dict[tuple[int, int], dict[str, float]]()
+    measured = [series(step, where) for where in problems]
+    known = [terms(where) for where in problems]
+    has_masses = step.takes("m", "acceleration")
+    names_of_mass = [name for name in known[0] if has_masses or name not in MASSES]
+    weights = dict[tuple[int, int], dict[str, float]]()
     rests = dict[tuple[int, int], float]()
     for power, part in product(range(n_powers), range(2)):
-        names = [
-            name
-            for name in known[0]
-            if (step.takes("m", "acceleration") or name not in MASSES)
-            and (power == 2 or "Jv" not in name)
-        ]
+        names = [name for name in names_of_mass if power == 2 or "Jv" not in name]
         if problems[0].stiffness:  # for a spring, x and F/m are proportional, and so are v and J v
             names = ["Jv" if part and power == 2 else "v", "F/m"]
-        weights, rests[part, power] = fit(known, names, [one[power, part] for one in measured])
+        values, rests[part, power] = fit(known, names, [change[power, part] for change in measured])
         # large terms have more rounding
-        small = SMALL[power] * max(1.0, float(np.abs(weights).max())) ** 3
-        found[part, power] = {
-            name: float(c) for name, c in zip(names, weights, strict=True) if abs(c) > small
-        }
+        small = SMALL[power] * max(1.0, float(np.abs(values).max())) ** 3
+        pairs = zip(names, values.tolist(), strict=True)
+        weights[part, power] = {name: value for name, value in pairs if abs(value) > small}
     for power in range(n_powers):
         for part in range(2):
-            if rests[part, power] > UNEXPLAINED:
-                return [
-                    stranger(
-                        part,
-                        power,
-                        rests[part, power],
-                        [one[power, part] for one in measured],
-                        known,
-                    )
-                ]
-        faults = [fault for part in range(2) for fault in wrong_terms(part, power, found)]
+            rest = rests[part, power]
+            if rest > UNEXPLAINED:
+                changes = [change[power, part] for change in measured]
+                return [stranger(part, power, rest, changes, known)]
+        faults = wrong_terms(0, power, weights) + wrong_terms(1, power, weights)
         if power == 2 and not faults:
-            x, v = (2.0 * sum(found[part, 2].values()) for part in range(2))
-            faults = first_of(
-                *((is_near(x, c) and is_near(v, d), words) for c, d, words in SECOND_ORDER),
-                (
-                    not is_near(x, 1.0),
-                    f"positions contain {coefficient(x / 2)} dt² F/m where ½ dt² F/m is needed",
-                ),
-                (
-                    not is_near(v, 1.0),
-                    f"the new force has the weight {coefficient(v / 2)} in the velocities, not ½",
-                ),
-            )
+            faults = wrong_second_order(*(2.0 * sum(weights[part, 2].values()) for part in (0, 1)))
         if faults:
             return faults
+    return []
+
+
+def wrong_second_order(x: float, v: float) -> list[str]:
+    """The fault of twice the coefficients of Δt² F/m in x, and of Δt² J v in v."""
+    for right_x, right_v, cause in SECOND_ORDER:
+        if is_near(x, right_x) and is_near(v, right_v):
+            return [cause]
+    if not is_near(x, 1.0):
+        return [f"positions contain {coefficient(x / 2)} dt² F/m where ½ dt² F/m is needed"]
+    if not is_near(v, 1.0):
+        return [f"the new force has the weight {coefficient(v / 2)} in the velocities, not ½"]
     return []
 
 
@@ -234,58 +236,77 @@ def stranger(
     part: int, power: int, rest: float, changes: list[Array], known: list[dict[str, Array]]
 ) -> str:
     """The fault of a change that is no combination of the known terms."""
-    off = changes[0] - RIGHT[part][power][1] * known[0].get(RIGHT[part][power][0], 0.0)
-    bad = (np.abs(off) > CHANGED * max(1.0, float(np.abs(off).max()))).reshape(
-        len(off) if off.ndim else 1, -1
-    )
-    axes = np.flatnonzero(bad.any(axis=0))
-    atoms = np.flatnonzero(bad.any(axis=1))
-    place = f" along {' and '.join('xyz'[k] for k in axes)}" if len(axes) < bad.shape[1] else ""
-    if len(atoms) < len(bad):
-        place = (
-            f" of atom {', '.join(map(str, atoms))} of {len(bad)} (check the bounds of the loop)"
+    term, weight, _ = RIGHT[part][power]
+    off = np.abs(changes[0] - weight * known[0].get(term, 0.0))
+    fits = [
+        fit([state], ["v", "F/m"], [change]) for state, change in zip(known, changes, strict=True)
+    ]
+    if part and off.ndim and max(alone for _, alone in fits) < UNEXPLAINED:
+        rates = ", ".join(f"{weights[0]:.3g}" for weights, _ in fits[:3])
+        return (
+            f"velocities change by {rates}, … v{POWERS[power]} in addition to the kick: they are rescaled, as by a "
+            "thermostat"
         )
-    alone = [fit([one], ["v", "F/m"], [change]) for one, change in zip(known, changes, strict=True)]
-    told = ", ".join(f"{c[0]:.3g}" for c, _ in alone[:3])
-    return first_of(
-        (
-            part and off.ndim and max(one for _, one in alone) < UNEXPLAINED,
-            f"velocities change by {told}, … "
-            f"v{POWERS[power]} in addition to the kick: they are rescaled, as by a thermostat",
-        ),
-        (
-            True,
-            f"{PARTS[part]}{place} do not change as Newton's equation says (off by {rest:.1%} of a "
-            f"term{POWERS[power]}): they are set, limited, wrapped or rescaled, or another force or mass acts",
-        ),
-    )[0]
+    limit = CHANGED * max(1.0, float(off.max()))
+    n_atoms = len(off) if off.ndim else 1
+    is_bad = np.reshape(off > limit, (n_atoms, -1))
+    axes = is_bad.any(axis=0)
+    atoms = is_bad.any(axis=1)
+    place = ""
+    if not atoms.all():
+        numbers = ", ".join(map(str, np.flatnonzero(atoms)))
+        place = f" of atom {numbers} of {n_atoms} (check the bounds of the loop)"
+    elif not axes.all():
+        place = f" along {' and '.join('xyz'[k] for k in np.flatnonzero(axes))}"
+    return (
+        f"{PARTS[part]}{place} do not change as Newton's equation says (off by {rest:.1%} of a term{POWERS[power]}): "
+        "they are set, limited, wrapped or rescaled, or another force or mass acts"
+    )
 
 
-def wrong_terms(part: int, power: int, found: dict[tuple[int, int], dict[str, float]]) -> list[str]:
+def wrong_terms(
+    part: int, power: int, weights: dict[tuple[int, int], dict[str, float]]
+) -> list[str]:
     """Faults of one part in one power of Δt: terms that do not belong there, wrong masses, and a wrong weight."""
     term, right, what = RIGHT[part][power]
-    c = found[part, power]
+    values = weights[part, power]
+    name_of_part = PARTS[part]
     faults = list[str]()
     total = 0.0
-    for name, value in c.items():
+    for name, value in values.items():
         meant, mass = MASSES.get(name, (name, ""))
-        change = f"{PARTS[part]} change by {coefficient(value)}{POWERS[power]} {name} in each step"
+        change = f"{name_of_part} change by {coefficient(value)}{POWERS[power]} {name} in each step"
         if power == 0 and name == "xv"[part]:
-            change = f"{PARTS[part]} are multiplied by {1.0 + value:.8g} in each step, even in the shortest one"
-        if meant != term:
-            why = ODD.get((part, power, "F" if "F" in name else name), "it belongs to no method")
-            faults.append(f"{change}: {why}{', and ' * bool(mass)}{mass}")
-            continue
-        total += value
-        if mass:
-            faults.append(
-                f"{'a part of ' * (term in c)}the {what or 'force term'} has a wrong mass: {mass}; {change}"
-            )
-    later = found.get((part, power + 1), {})
-    why = WEIGHTS.get(round(total, 5), "") if what == "kick" else ""
-    why = TWICE if why and is_near(total, 0.5) and is_near(later.get("F/m", 0.0), 0.5) else why
-    return faults if not what or is_near(total, right) else faults + first_of(
-        (is_near(total, 0.0), f"the {what} is missing: {PARTS[part]} lack dt {term}{'; it has dt²' * (term in later)}"),
-        (total < 0.0, f"the {what} has the wrong sign: {PARTS[part]} change by {coefficient(total)} dt {term}"),
-        (True, f"the {what} is multiplied by {coefficient(total)}: {PARTS[part]} change by {total:.7g} dt {term}{why}"),
-    )  # fmt: skip
+            change = f"{name_of_part} are multiplied by {1.0 + value:.8g} in each step, even in the shortest one"
+        if meant == term:
+            total += value
+            if mass:
+                some = "a part of " if term in values else ""
+                faults.append(
+                    f"{some}the {what or 'force term'} has a wrong mass: {mass}; {change}"
+                )
+        else:
+            cause = ODD.get((part, power, "F" if "F" in name else name), "it belongs to no method")
+            faults.append(f"{change}: {cause}, and {mass}" if mass else f"{change}: {cause}")
+    if not what or is_near(total, right):
+        return faults
+    later = weights.get((part, power + 1), {})
+    if is_near(total, 0.0):
+        it_has = "; it has dt²" if term in later else ""
+        return [*faults, f"the {what} is missing: {name_of_part} lack dt {term}{it_has}"]
+    if total < 0.0:
+        weight = coefficient(total)
+        return [
+            *faults,
+            f"the {what} has the wrong sign: {name_of_part} change by {weight} dt {term}",
+        ]
+    cause = ""
+    if what == "kick":
+        cause = WEIGHTS.get(round(total, 5), "")
+        if is_near(total, 0.5) and is_near(later.get("F/m", 0.0), 0.5):
+            cause = TWICE
+    weight = coefficient(total)
+    return [
+        *faults,
+        f"the {what} is multiplied by {weight}: {name_of_part} change by {total:.7g} dt {term}{cause}",
+    ]

@@ -62,21 +62,24 @@ class Law(NamedTuple):
     def finding(self, answer: Any) -> Finding:
         """The finding from what was measured."""
         numbers = answer if isinstance(answer, tuple) else (answer, answer)
-        passed = None if isnan(numbers[1]) else bool(abs(numbers[1]) < self.bound)
+        value, off = numbers[:2]
+        passed = None if isnan(off) else bool(abs(off) < self.bound)
         words = self.words.format(*numbers)
         cause = self.cause.format(*numbers)
         limit = numbers.limit if isinstance(numbers, Measurement) else nan
-        return Finding(self.name, passed, words, float(numbers[0]), cause, limit)
+        return Finding(self.name, passed, words, float(value), cause, limit)
 
 
-def judged(laws: Iterable[Law], one: Any) -> list[Finding]:
-    """The findings of the laws of which all needs are in one.has."""
-    return [law.finding(law.measure(one)) for law in laws if one.has >= {*law.needs.split()}]
+def judged(laws: Iterable[Law], case: Any) -> list[Finding]:
+    """The findings of the laws of which all needs are in case.has."""
+    return [
+        law.finding(law.measure(case)) for law in laws if case.has.issuperset(law.needs.split())
+    ]
 
 
 def causes(findings: Iterable[Finding]) -> list[str]:
     """The causes of laws that do not hold."""
-    return [one.cause for one in findings if one.passed is False and one.cause]
+    return [law.cause for law in findings if law.passed is False and law.cause]
 
 
 @dataclass(frozen=True)
@@ -115,26 +118,25 @@ class Grade(Displayed):
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
+        if self.passed:
+            return "nothing wrong was found"
         failed = [finding.name for finding in self.findings if finding.passed is False]
+        laws = "all laws that were tested hold"
+        if failed:
+            laws = f"laws that do not hold: {', '.join(failed)}"
         n = len(self.faults)
-        kept = (
-            f"laws that do not hold: {', '.join(failed)}"
-            if failed
-            else "all laws that were tested hold"
-        )
-        found = f"{n} fault{'s' * (n != 1)} found; {kept}" if n else kept
-        return "nothing wrong was found" if self.passed else found
+        return f"{n} fault{'s' * (n != 1)} found; {laws}" if n else laws
 
     def display_rows(self) -> Rows:
         """See Displayed."""
         rows = [("called as", self.function)]
         if self.method:
             rows.append(("recognized", self.method))
-        rows += [
-            (finding.name, f"{TICKS[finding.passed]} {finding.words}") for finding in self.findings
-        ]
-        rows += [("fault" if k == 0 else "", sentence) for k, sentence in enumerate(self.faults)]
-        rows += [("remark" if k == 0 else "", sentence) for k, sentence in enumerate(self.remarks)]
+        for finding in self.findings:
+            rows.append((finding.name, f"{TICKS[finding.passed]} {finding.words}"))
+        for name, sentences in (("fault", self.faults), ("remark", self.remarks)):
+            for k, sentence in enumerate(sentences):
+                rows.append(("" if k else name, sentence))
         return [*rows, ("verdict", self.verdict)]
 
 
@@ -154,7 +156,7 @@ def first_of(*rows: tuple[object, str]) -> list[str]:
     return [sentence for condition, sentence in rows if condition][:1]
 
 
-def nearest(found: float, table: dict[float, str], within: float) -> str:
+def nearest(value: float, table: dict[float, str], within: float) -> str:
     """: and the meaning of the number in a table that is nearest, if it is near."""
-    best = min(table, key=lambda one: abs(log(max(found, 1e-9) / one)))
-    return f": {table[best]}" if abs(found / best - 1.0) < within else ""
+    best = min(table, key=lambda number: abs(log(max(value, 1e-9) / number)))
+    return f": {table[best]}" if abs(value / best - 1.0) < within else ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from inspect import signature
+from inspect import isclass, signature
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -66,23 +66,25 @@ def grade(
     """
     if kind is not None:
         checked_choice("kind", kind, ("step", "dynamics", *KINDS))
-    checked_kind(
-        "function",
-        function,
-        Callable,
-        "a function, as step(x, v, force, m, dt) or forces(positions)",
-    )
+    hint = "a function, as step(x, v, force, m, dt) or forces(positions)"
+    checked_kind("function", function, Callable, hint)
     names = list[str]()
     with suppress(TypeError, ValueError):  # of what has no parameters
         names = [*signature(function).parameters]
-    if kind == "dynamics" or (kind is None and names[:1] == ["atoms"]):
+    runs = isclass(function) and hasattr(function, "run")
+    if kind == "dynamics" or (kind is None and (runs or names[:1] == ["atoms"])):
         from minimd.judge.dynamics import grade_dynamics
 
-        if any(one is not None for one in (potential, cell, cutoff, positions)):
+        if any(value is not None for value in (potential, cell, cutoff, positions)):
             raise TypeError(
                 "dynamics are judged in scenes of minimd: leave out potential, cell, cutoff and positions"
             )
         return grade_dynamics(function, options)
+    if isclass(function) and kind is None:
+        raise TypeError(
+            f"a class of dynamics has run(steps), and {shown(function)} has not; of a step or a force function, pass "
+            "the function, or the method of an object"
+        )
     if options:
         raise TypeError(
             f"options such as {', '.join(options)} are for dynamics; {shown(function)} takes no atoms"
@@ -91,6 +93,7 @@ def grade(
     if cutoff is not None:
         checked_number("cutoff", cutoff, "positive and finite")
     roles = {role_of(name) for name in names}
-    if kind == "step" or (kind is None and ("dt" in roles or ("v" in roles and len(names) > 2))):
+    moves = "dt" in roles or ("v" in roles and len(names) > 2)
+    if kind == "step" or (kind is None and moves):
         return grade_step(function, order)
     return grade_forces(function, potential, cell, cutoff, positions, kind)

@@ -20,11 +20,12 @@ from minimd.judge.calling import StudentStep
 from minimd.judge.findings import coefficient
 from minimd.judge.problems import Array, TrialProblem
 
-# of weights: equal, meant to be; substeps of a method that may be nearly another
-SAME = 1e-7
-CLOSE = 1e-3
-MANY = 6
-ROUNDING, MOST, STEP = 1e-9, 60, 0.1  # of v; evaluations of the force in one step; time step
+SAME = 1e-7  # difference of equal weights
+CLOSE = 1e-3  # difference of weights that are meant to be equal
+MANY = 6  # substeps of a method that may be nearly another
+ROUNDING = 1e-9  # of v
+MOST = 60  # evaluations of the force in one step
+STEP = 0.1  # time step
 # rows of the matrix from the second one on, and the weights
 RUNGE_KUTTA: dict[str, tuple[list[float], ...]] = {
     "RK2, midpoint": ([1 / 2], [0, 1]),
@@ -54,22 +55,24 @@ class Numbers(NamedTuple):
     weights: Array
 
     def is_same(self, matrix: Array, b: Array) -> bool:
-        """Whether these are the numbers of a Runge-Kutta method."""
-        if not len(self.weights) == len(b) == len(matrix):
-            return False
-        right = np.append(matrix.sum(axis=1), 1.0), np.vstack([matrix @ matrix, b @ matrix]), b
-        return all(np.allclose(one, two, 0.0, SAME) for one, two in zip(self, right, strict=True))
+        """Whether these are the numbers of a Runge-Kutta method with as many evaluations."""
+        places = np.append(matrix.sum(axis=1), 1.0)
+        pushes = np.vstack([matrix @ matrix, b @ matrix])
+        pairs = zip(self, (places, pushes, b), strict=True)
+        return all(np.allclose(own, right, 0.0, SAME) for own, right in pairs)
 
     @property
     def substeps(self) -> Substeps:
         """Kicks and drifts in turn; empty if the step is not such a sequence."""
-        c, b = self.places, self.weights
-        if np.abs(self.pushes - np.tril(b * (c[:, None] - c[:-1]), -1)).max() > SAME:
+        c = self.places
+        b = self.weights
+        pushes = np.tril(b * (c[:, None] - c[:-1]), -1)
+        if np.abs(self.pushes - pushes).max() > SAME:
             return ()
         parts: list[Substep] = [Drift(float(c[0]))]
         for length, weight in zip(np.diff(c), b, strict=True):
             parts += [Kick(float(weight)), Drift(float(length))]
-        return merged(one for one in parts if abs(one.coefficient) > SAME)
+        return merged(part for part in parts if abs(part.coefficient) > SAME)
 
 
 class Recorded(TrialProblem):
@@ -90,33 +93,32 @@ def numbers_of(step: StudentStep, where: TrialProblem) -> Numbers | str | None:
     drift = STEP * where.v
 
     def end_with(only: int) -> tuple[Array, Array]:
-        one = Recorded(*where)
-        one.places = []
-        one.only = only
-        x, v = step(one, where.x, where.v, STEP)
-        return np.array([*one.places, x]), v - where.v
+        recorded = Recorded(*where)
+        recorded.places = []
+        recorded.only = only
+        x, v = step(recorded, where.x, where.v, STEP)
+        return np.array([*recorded.places, x]), v - where.v
 
     def along(change: Array, unit: Array) -> float:
         return float(np.sum(change * unit) / np.sum(unit * unit))
 
     free, change = end_with(-1)
-    if len(free) == 1:
-        return None
     n = len(free) - 1
+    if n == 0:
+        return None
     moved = np.round((free - where.x) / drift, 6)
-    if (
-        where.x.ndim
-        and np.isin(moved, (0.0, 1.0)).all()
-        and np.ptp(moved[:-1].reshape(n, -1), axis=1).any()
-    ):
+    are_apart = np.ptp(moved[:-1].reshape(n, -1), axis=1).any()
+    if are_apart and np.isin(moved, (0.0, 1.0)).all():
         return IN_TURN
+    if n > MOST or np.abs(change).max() > ROUNDING:
+        return None
     pushes = np.zeros((n + 1, n))
     weights = np.zeros(n)
     for k in range(n):
         places, v = end_with(k)
-        if len(places) != n + 1 or np.abs(change).max() > ROUNDING or n > MOST:
+        if len(places) != n + 1:
             return None
-        pushes[:, k] = [along(one, a) / STEP**2 for one in places - free]
+        pushes[:, k] = [along(push, a) / STEP**2 for push in places - free]
         weights[k] = along(v, a) / STEP
     return Numbers(np.array([along(x - where.x, drift) for x in free]), pushes, weights)
 
@@ -124,46 +126,68 @@ def numbers_of(step: StudentStep, where: TrialProblem) -> Numbers | str | None:
 def named(own: Numbers) -> tuple[str, str]:
     """The name of a method, or what it consists of; the fault of a step that is nearly a known method."""
     parts = own.substeps
+    return name_of_splitting(parts) if parts else name_of_runge_kutta(own)
+
+
+def name_of_splitting(parts: Substeps) -> tuple[str, str]:
+    """The name and the fault of kicks and drifts in turn, see named."""
+    types = [type(part) for part in parts]
+    kinds = [kind.__name__.lower() for kind in types]
+    coefficients = np.array([part.coefficient for part in parts])
     near = list[tuple[int, str]]()
-    kinds = [type(one).__name__.lower() for one in parts]
-    mine = np.array([one.coefficient for one in parts])
     for name, method in methods_of(splittings).items():
-        if [type(one) for one in method.substeps] == [type(one) for one in parts]:
-            right = np.array([one.coefficient for one in method.substeps])
-            wrong = np.flatnonzero(np.abs(mine - right) > SAME)
-            if not len(wrong):
-                return name, ""
-            told = [
-                f"substep {k + 1}, a {kinds[k]}, is {mine[k]:.10g} where {right[k]:.10g} is needed"
+        if [type(part) for part in method.substeps] != types:
+            continue
+        right = np.array([part.coefficient for part in method.substeps])
+        off = np.abs(coefficients - right)
+        wrong = np.flatnonzero(off > SAME)
+        if not len(wrong):
+            return name, ""
+        if len(parts) >= MANY and (len(wrong) <= len(parts) // 2 or off.max() < CLOSE):
+            substeps = [
+                f"substep {k + 1}, a {kinds[k]}, is {coefficients[k]:.10g} where {right[k]:.10g} is needed"
                 for k in wrong
             ]
-            if len(parts) >= MANY and (
-                len(wrong) <= len(parts) // 2 or np.abs(mine - right).max() < CLOSE
-            ):
-                near.append((len(wrong), f"the step is nearly {name}, but {', '.join(told)}"))
-    if parts:
-        weights = [f"{kind} {coefficient(one)}" for kind, one in zip(kinds, mine, strict=True)]
-        return ", ".join(weights), min(near, default=(0, ""))[1]
-    for name, (*rows, last) in RUNGE_KUTTA.items():
-        n = len(last)
-        b = np.array(last)
-        words = f"the step is nearly {name}, but its"
-        matrix = np.array([[*row, *[0.0] * (n - len(row))] for row in ([], *rows)])
+            near.append((len(wrong), f"the step is nearly {name}, but {', '.join(substeps)}"))
+    weights = map(coefficient, coefficients)
+    substeps = [f"{kind} {weight}" for kind, weight in zip(kinds, weights, strict=True)]
+    return ", ".join(substeps), min(near, default=(0, ""))[1]
+
+
+def name_of_runge_kutta(own: Numbers) -> tuple[str, str]:
+    """The name and the fault of a Runge-Kutta method, see named."""
+    n = len(own.weights)
+    for name, (*rows, weights) in RUNGE_KUTTA.items():
+        if len(weights) != n:
+            continue
+        b = np.array(weights)
+        matrix = np.zeros((n, n))
+        for k, row in enumerate(rows, 1):
+            matrix[k, :k] = row
         if own.is_same(matrix, b):
             return name, ""
-        if n > 2 and own.is_same(matrix, own.weights):
-            return "", f"{words} weights are {told_row(own.weights)} where {told_row(b)} are needed"
+        if n == 2:
+            continue
+        nearly = f"the step is nearly {name}, but its"
+        if own.is_same(matrix, own.weights):
+            return (
+                "",
+                f"{nearly} weights are {fractions(own.weights)} where {fractions(b)} are needed",
+            )
         # the stage that makes β = b A right
-        for j in range(1, n if 2 < n == len(own.weights) else 0):
+        for j in range(1, n):
             other = matrix.copy()
             other[j] += (own.pushes[-1] - b @ matrix) / b[j]
             if own.is_same(other, b):
-                own_row = told_row(other[j, :j])
-                row = told_row(matrix[j, :j])
-                return "", f"{words} stage {j + 1} has the weights {own_row} where {row} are needed"
+                stage = fractions(other[j, :j])
+                right = fractions(matrix[j, :j])
+                return (
+                    "",
+                    f"{nearly} stage {j + 1} has the weights {stage} where {right} are needed",
+                )
     return "", ""
 
 
-def told_row(numbers: Array) -> str:
+def fractions(weights: Array) -> str:
     """Weights in words."""
-    return ", ".join(coefficient(float(one)) for one in numbers)
+    return ", ".join(map(coefficient, weights))

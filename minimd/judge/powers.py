@@ -6,15 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from minimd.judge.findings import coefficient, first_of, is_near
+from minimd.judge.findings import coefficient, is_near
 from minimd.judge.problems import Array, bisected
 
 EXPONENTS = range(1, 21)  # of 1/r
 FITTED = 1e-7  # largest relative rest of a fit of powers that is exact
 SAME = 1e-5  # relative difference of equal functions, one of them a slope
 JUMP = 1e-6  # relative difference of values that are no jump
-TWICE = ": pairs are counted twice, or a factor ½ is missing"
-HALF = ": a factor 2 is missing, or energies count twice"
 
 
 class Powers(NamedTuple):
@@ -34,61 +32,70 @@ class Powers(NamedTuple):
 
 def powers_of(values: Array, r: Array) -> Powers | None:
     """One or two inverse powers of r, with a constant if needed; None if no such sum fits."""
-    scale = np.abs(values)
-    weights = 1.0 / np.maximum(scale, max(1e-3 * scale.max(initial=0.0), 1e-300))
-    for constant, count in (
-        product((0, 1), (1, 2)) if scale.any() and np.isfinite(values).all() else ()
-    ):
-        for n in combinations(EXPONENTS, count):
-            matrix = (
-                np.array([r ** float(-k) for k in n] + [np.ones_like(r)] * constant).T
-                * weights[:, None]
-            )
-            sizes = np.linalg.norm(matrix, axis=0)
-            found = np.linalg.lstsq(matrix / sizes, values * weights, rcond=None)[0] / sizes
-            if np.abs(values * weights - matrix @ found).max() < FITTED:
-                return Powers(
-                    dict(zip(n[::-1], map(float, found[:count][::-1]), strict=True)),
-                    float(found[-1]) * constant,
-                )
+    sizes = np.abs(values)
+    if not (sizes.any() and np.isfinite(values).all()):
+        return None
+    weights = 1.0 / np.maximum(sizes, max(1e-3 * sizes.max(), 1e-300))
+    target = values * weights
+    for has_constant, count in product((False, True), (1, 2)):
+        for exponents in combinations(EXPONENTS, count):
+            columns = [r ** float(-n) for n in exponents]
+            if has_constant:
+                columns.append(np.ones_like(r))
+            matrix = np.array(columns).T * weights[:, None]
+            norms = np.linalg.norm(matrix, axis=0)
+            solution = np.linalg.lstsq(matrix / norms, target, rcond=None)[0] / norms
+            if np.abs(target - matrix @ solution).max() < FITTED:
+                constant = float(solution[-1]) if has_constant else 0.0
+                terms = zip(exponents, solution.tolist(), strict=False)
+                return Powers(dict(sorted(terms, reverse=True)), constant)
     return None
 
 
 def compared(f: Array, g: Array, r: Array, other: str) -> tuple[float, float, str]:
     """c and k if f = c rᵏ g, or NaN; and what is wrong if f should be g.  other : what g is."""
-    large = (
-        (np.abs(g) > 1e-3 * np.median(np.abs(g)))
-        & (np.abs(f) > 0.0)
-        & np.isfinite(f)
-        & np.isfinite(g)
-    )
-    ratio = f[large] / g[large]
-    logs = np.log(r[large])
-    k, log_c = np.polyfit(logs, np.log(np.abs(ratio)), 1) if large.sum() > 4 else (0.0, np.nan)
-    if (
-        np.isnan(log_c)
-        or np.ptp(np.sign(ratio))
-        or np.abs(np.log(np.abs(ratio)) - k * logs - log_c).max() > SAME
-    ):
+    is_large = np.abs(g) > 1e-3 * np.median(np.abs(g))
+    used = is_large & (np.abs(f) > 0.0) & np.isfinite(f) & np.isfinite(g)
+    ratio = f[used] / g[used]
+    k, log_c = 0.0, np.nan
+    if used.sum() > 4:
+        logs = np.log(r[used])
+        log_ratio = np.log(np.abs(ratio))
+        k, log_c = np.polyfit(logs, log_ratio, 1)
+        if np.ptp(np.sign(ratio)) or np.abs(log_ratio - k * logs - log_c).max() > SAME:
+            log_c = np.nan
+    if np.isnan(log_c):
         own = powers_of(f, r)
         right = powers_of(g, r)
-        told = (
-            f": wrong exponent, coefficient or sign in F = {own} where {right} is needed"
-            if own and right
-            else ""
-        )
-        return np.nan, np.nan, f"the force is not {other}{told or ', nor a multiple of it'}"
+        if own and right:
+            fault = f"wrong exponent, coefficient or sign in F = {own} where {right} is needed"
+            return np.nan, np.nan, f"the force is not {other}: {fault}"
+        return np.nan, np.nan, f"the force is not {other}, nor a multiple of it"
     c = np.sign(ratio[0]) * np.exp(log_c)
     k = round(k, 4)
-    faults = [
-        *first_of((c < 0.0, "the force has the wrong sign, so atoms that should repel each other attract each other")),
-        *first_of((k == 1.0, "the factor 1/r is missing: du/dr is multiplied by r_ij, not by the unit vector"),
-                  (k, f"the force goes as r^{k:g} times {other}: check the factors 1/r")),
-        *first_of((is_near(abs(c), 1.0), ""), (is_near(abs(c), 2.0), f"the force is twice {other}{TWICE}"),
-                  (is_near(abs(c), 0.5), f"the force is half of {other}{HALF}"),
-                  (True, f"the force is {coefficient(abs(c))} times {other}")),
-    ]  # fmt: skip
-    return c, k, "; ".join(fault for fault in faults if fault)
+    size = abs(c)
+    faults = list[str]()
+    if c < 0.0:
+        faults.append(
+            "the force has the wrong sign, so atoms that should repel each other attract each other"
+        )
+    if k == 1.0:
+        faults.append(
+            "the factor 1/r is missing: du/dr is multiplied by r_ij, not by the unit vector"
+        )
+    elif k:
+        faults.append(f"the force goes as r^{k:g} times {other}: check the factors 1/r")
+    if is_near(size, 2.0):
+        faults.append(
+            f"the force is twice {other}: pairs are counted twice, or a factor ½ is missing"
+        )
+    elif is_near(size, 0.5):
+        faults.append(
+            f"the force is half of {other}: a factor 2 is missing, or energies count twice"
+        )
+    elif not is_near(size, 1.0):
+        faults.append(f"the force is {coefficient(size)} times {other}")
+    return c, k, "; ".join(faults)
 
 
 def jumps(law: Callable[[float], float], r: Array) -> list[tuple[float, float, float]]:
@@ -98,14 +105,16 @@ def jumps(law: Callable[[float], float], r: Array) -> list[tuple[float, float, f
     def is_low(low: float, middle: float, high: float) -> bool:
         return not abs(law(middle) - law(low)) > abs(law(high) - law(middle))
 
-    values = np.array([law(one) for one in r])
-    found = list[tuple[float, float, float]]()
+    values = np.array([law(distance) for distance in r])
     change = np.abs(np.diff(values))
     scale = np.abs(values[r >= min(1.0, r[-1])]).max()
+    places = list[tuple[float, float, float]]()
     for k in range(2, len(change) - 2):
-        beside = max(change[k - 2], change[k - 1], min(change[k + 1], change[k - 1]))
-        if change[k] > JUMP * scale and change[k] > 3.0 * beside:
+        before = max(change[k - 2], change[k - 1])
+        if change[k] > JUMP * scale and change[k] > 3.0 * before:
             low, high = bisected(is_low, r[k], r[k + 1], 45)
-            if abs(law(high) - law(low)) > 0.3 * change[k]:
-                found.append((high, law(low), law(high)))
-    return found
+            below = law(low)
+            above = law(high)
+            if abs(above - below) > 0.3 * change[k]:
+                places.append((high, below, above))
+    return places

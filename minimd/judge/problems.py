@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Function = Callable[..., Any]  # a student's
-# k and g for N particles
-STIFFNESS = 0.25
+STIFFNESS = 0.25  # k and g for N particles
 QUARTIC = 0.06
 MASSES = np.array([1.0, 1.7, 0.6, 2.3, 1.2])
 SHAPES: tuple[tuple[int, ...], ...] = ((5, 3), (5, 2), (5,), ())
@@ -18,9 +17,8 @@ SHAPES: tuple[tuple[int, ...], ...] = ((5, 3), (5, 2), (5,), ())
 
 def difference(f: Callable[[Any], Any], x: Any, step: Any) -> Any:
     """step · f′(x) along a step, by a difference of order 6."""
-    return sum(
-        c * (f(x + k * step) - f(x - k * step)) for k, c in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
-    )
+    weights = (1, 3 / 4), (2, -3 / 20), (3, 1 / 60)
+    return sum(c * (f(x + k * step) - f(x - k * step)) for k, c in weights)
 
 
 def bisected(
@@ -29,7 +27,10 @@ def bisected(
     """An interval after n bisections.  is_low(low, middle, high) : whether the middle is the new lower end."""
     for _ in range(n):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if is_low(low, middle, high) else (low, middle)
+        if is_low(low, middle, high):
+            low = middle
+        else:
+            high = middle
     return low, high
 
 
@@ -52,16 +53,14 @@ class TrialProblem(NamedTuple):
         """−∇U, in the shape of x, and U."""
         if self.stiffness or self.x.ndim == 0:
             k, g = (self.stiffness, 0.0) if self.stiffness else (1.0, 0.3)
-            return np.asarray(-x * (k + g * x * x)), float(
-                np.sum(0.5 * k * x * x + 0.25 * g * x**4)
-            )
+            energy = np.sum(0.5 * k * x * x + 0.25 * g * x**4)
+            return np.asarray(-x * (k + g * x * x)), float(energy)
         points = x.reshape(len(x), -1)
         apart = points[:, None] - points
         r2 = (apart * apart).sum(axis=2, keepdims=True)
-        energy = float((0.5 * STIFFNESS * r2 + 0.25 * QUARTIC * r2 * r2).sum() / 2.0)
-        return np.asarray(-((STIFFNESS + QUARTIC * r2) * apart).sum(axis=1)).reshape(
-            x.shape
-        ), energy
+        energy = (0.5 * STIFFNESS * r2 + 0.25 * QUARTIC * r2 * r2).sum() / 2.0
+        force = -((STIFFNESS + QUARTIC * r2) * apart).sum(axis=1)
+        return force.reshape(x.shape), float(energy)
 
     def force(self, x: Array) -> Array:
         """−∇U, in the shape of x."""
@@ -87,10 +86,8 @@ class TrialProblem(NamedTuple):
             x, v = y.reshape(start.shape)
             return np.ravel([v, self.force(x) / self.mass])
 
-        end = solve_ivp(
-            slope, (0.0, time), np.ravel(start), method="DOP853", rtol=1e-13, atol=1e-14
-        ).y[:, -1]
-        x, v = end.reshape(start.shape)
+        path = solve_ivp(slope, (0.0, time), np.ravel(start), "DOP853", rtol=1e-13, atol=1e-14)
+        x, v = path.y[:, -1].reshape(start.shape)
         return np.asarray(x), np.asarray(v)
 
 

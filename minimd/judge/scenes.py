@@ -29,17 +29,15 @@ QUARTIC = 0.05  # of k²/kT: makes the motion chaotic
 STRETCH = 4.0  # length of the bonds of molecules, in units of their thermal motion
 SOFT = 1e-6  # a rigid bond that is off by more is none
 SMALLEST = 1e-4  # volume of a run, over that at its start
-# of the gas, and ω Δt; of the chain
-MOLECULES = 6
-OF_MOLECULES = 0.12
-RIGID = 4
+MOLECULES = 6  # of the gas
+OF_MOLECULES = 0.12  # ω Δt of their bonds, and of the bonds of the chain
+RIGID = 4  # molecules of the chain
 COARSE = 4.0  # times the frequencies of the ring: for the error of a long time step
 # T, ρ, U/N, P of liquids, of NIST [ε, σ]
 STATES = (0.85, 0.82, -5.7947, 0.55355), (0.9, 0.776, -5.4689, 0.24056)
-# of the liquids [σ], their time step [σ √(m/ε)], cells of their crystal
-CUTOFF = 2.5
-PACE = 0.004
-SIDE = 3
+CUTOFF = 2.5  # of the liquids [σ]
+PACE = 0.004  # their time step [σ √(m/ε)]
+SIDE = 3  # cells of their crystal
 MELTING = 1500  # steps in which that becomes a liquid
 
 
@@ -64,7 +62,7 @@ class AnharmonicSprings(GetPropertiesMixin):
         self.results: dict[str, Any] = {}
 
     def get_property(self, name: str, atoms: Any = None, allow_calculation: bool = True) -> Any:
-        """See ASE."""
+        """A property by its name in ASE."""
         d, e, r2 = self.bonds(atoms.positions)
         if name not in ("forces", "stress"):
             return (0.5 * self.k * r2 + 0.25 * self.q * r2**2).sum()
@@ -88,10 +86,11 @@ class AnharmonicSprings(GetPropertiesMixin):
     def curvature(self, x: Array) -> Array:
         """∇²U of each atom (N,), of a crystal."""
         r2 = self.bonds(x)[2]
-        found = np.zeros(len(x))
-        for ends in (self.first, self.second):
-            np.add.at(found, ends, 3.0 * self.k + 5.0 * self.q * r2)
-        return found
+        values = 3.0 * self.k + 5.0 * self.q * r2
+        curvature = np.zeros(len(x))
+        np.add.at(curvature, self.first, values)
+        np.add.at(curvature, self.second, values)
+        return curvature
 
 
 class Rigid(AnharmonicSprings):
@@ -101,11 +100,12 @@ class Rigid(AnharmonicSprings):
 
     def softness(self, seen: "Frames") -> float:
         """How far lengths are off, or velocities along bonds beside thermal ones."""
-        d, v = (one[:, 1::2] - one[:, ::2] for one in (seen.x, seen.p / seen.masses[:, None]))
+        velocities = seen.p / seen.masses[:, None]
+        d = seen.x[:, 1::2] - seen.x[:, ::2]
+        v = velocities[:, 1::2] - velocities[:, ::2]
         along = (d * v).sum(axis=2) / self.length * np.sqrt(seen.masses[:2].mean() / seen.kt)
-        return float(
-            max(np.abs(np.linalg.norm(d, axis=2) / self.length - 1.0).max(), np.abs(along).max())
-        )
+        stretch = np.linalg.norm(d, axis=2) / self.length - 1.0
+        return float(max(np.abs(stretch).max(), np.abs(along).max()))
 
 
 class Scene(NamedTuple):
@@ -131,7 +131,16 @@ class Scene(NamedTuple):
 def momenta(rng: np.random.RandomState, masses: Array, kt: float, is_still: bool = False) -> Array:
     """(N, 3) of a canonical ensemble, of one whose center of mass is at rest if is_still."""
     p = rng.standard_normal((len(masses), 3)) * np.sqrt(kt * masses)[:, None]
-    return p - masses[:, None] * p.sum(axis=0) / masses.sum() if is_still else p
+    if is_still:
+        p -= masses[:, None] * p.sum(axis=0) / masses.sum()
+    return p
+
+
+def boxed(x: Array, masses: Array, edge: float, calculator: Any) -> Atoms:
+    """Atoms in a periodic cubic cell."""
+    symbols = "H" * len(x)
+    cell = [edge] * 3
+    return Atoms(symbols, x, masses=masses, cell=cell, pbc=True, calculator=calculator)
 
 
 def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.0) -> Scene:
@@ -140,15 +149,12 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
     n = len(MASSES)
     first = np.arange(n)
     second = (first + 1) % n
-    k = (
-        np.minimum(MASSES[first], MASSES[second])
-        * (scale * STIFF * np.tile([1.0, 1.5], n // 2) / timestep) ** 2
-    )
+    frequencies = scale * STIFF * np.tile([1.0, 1.5], n // 2) / timestep
+    k = np.minimum(MASSES[first], MASSES[second]) * frequencies**2
     angles = 2.0 * np.pi * first / n
     places = 50.0 + 10.0 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
-    springs = AnharmonicSprings(
-        first, second, k, QUARTIC * k**2 / kt, places[second] - places[first]
-    )
+    lengths = places[second] - places[first]
+    springs = AnharmonicSprings(first, second, k, QUARTIC * k**2 / kt, lengths)
     bonds = np.eye(n)[second] - np.eye(n)
     hessian = bonds.T @ (k[:, None] * bonds)
     values, modes = np.linalg.eigh(hessian)
@@ -157,11 +163,10 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
     def draw(rng: np.random.RandomState) -> Atoms:
         while True:  # of the quadratic part alone, and accepted by the energy of the rest
             x = places + spread @ rng.standard_normal((n - 1, 3))
-            if rng.random_sample() < np.exp(
-                -(springs.q * springs.bonds(x)[2] ** 2).sum() / (4.0 * kt)
-            ):
+            rest = (springs.q * springs.bonds(x)[2] ** 2).sum()
+            if rng.random_sample() < np.exp(-rest / (4.0 * kt)):
                 break
-        atoms = Atoms("H8", x, masses=MASSES, cell=[100.0] * 3, pbc=True, calculator=springs)
+        atoms = boxed(x, MASSES, 100.0, springs)
         atoms.set_momenta(momenta(rng, MASSES, kt, is_still))
         return atoms
 
@@ -179,25 +184,21 @@ def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
     first = np.arange(1, 2 * n - 1, 2)
     length = np.sqrt(kt / k)
     apart = np.array([[5.0, 0.0, 0.0]])
-    springs = Rigid(
-        first, first + 1, np.full(n - 1, k), np.zeros(n - 1), np.repeat(apart, n - 1, axis=0)
-    )
+    ones = np.ones(n - 1)
+    springs = Rigid(first, first + 1, k * ones, 0.0 * ones, np.repeat(apart, n - 1, axis=0))
     springs.length = length
 
     def draw(rng: np.random.RandomState) -> Atoms:
         ways = rng.standard_normal((n, 3))
         ways /= np.linalg.norm(ways, axis=1)[:, None]
+        steps = apart + length * (rng.standard_normal((n - 1, 3)) + ways[:-1])
         x = np.zeros((2 * n, 3))
-        x[0::2] = np.cumsum(
-            np.vstack([apart, apart + length * (rng.standard_normal((n - 1, 3)) + ways[:-1])]),
-            axis=0,
-        )
+        x[0::2] = np.cumsum(np.vstack([apart, steps]), axis=0)
         x[1::2] = x[0::2] + length * ways
-        atoms = Atoms(
-            "H" * 2 * n, x + 30.0, masses=masses, cell=[100.0] * 3, pbc=True, calculator=springs
-        )
+        atoms = boxed(x + 30.0, masses, 100.0, springs)
         p = momenta(rng, masses, kt, is_still)
-        along = REDUCED * ((p[1::2] / HEAVY - p[0::2] / LIGHT) * ways).sum(axis=1)[:, None] * ways
+        v = p[1::2] / HEAVY - p[0::2] / LIGHT
+        along = REDUCED * (v * ways).sum(axis=1)[:, None] * ways
         p[0::2] += along
         p[1::2] -= along
         atoms.set_momenta(p)
@@ -205,41 +206,29 @@ def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
         return atoms
 
     springs.draw = draw
-    return Scene(
-        "chain",
-        draw,
-        springs,
-        "masses spread rigid fixed",
-        0.5 * OF_MOLECULES**2,
-        rigid=np.tile([0.75, 0.25], n) / 3.0,
-        slowness=4,
-    )
+    has = "masses spread rigid fixed"
+    shares = np.tile([0.75, 0.25], n) / 3.0
+    return Scene("chain", draw, springs, has, 0.5 * OF_MOLECULES**2, rigid=shares, slowness=4)
 
 
 def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: int = 0) -> Scene:
     """A Lennard-Jones liquid of 108 atoms, which starts from a crystal: its energy, or, under pressure, its density."""
     heat, density, energy, p = STATES[state]
-    tail = (
-        8.0
-        / 3.0
-        * np.pi
-        * density
-        * np.array([CUTOFF**-9.0 / 3.0 - CUTOFF**-3.0, CUTOFF**-9.0 / 1.5 - CUTOFF**-3.0])
-    )
+    tails = np.array([CUTOFF**-9.0 / 3.0 - CUTOFF**-3.0, CUTOFF**-9.0 / 1.5 - CUTOFF**-3.0])
+    tail_of_u, tail_of_p = 8.0 / 3.0 * np.pi * density * tails
     at_cutoff = 4.0 * (CUTOFF**-12.0 - CUTOFF**-6.0)  # by which ASE's energies of pairs are shifted
     n = 4 * SIDE**3
     epsilon = kt / heat
-    own = energy - tail[0] - 2.0 / 3.0 * np.pi * density * CUTOFF**3 * at_cutoff
-    sigma = ((p - 2.0 * density * tail[1]) * epsilon / pressure) ** (1.0 / 3.0) if pressure else 3.0
+    own = energy - tail_of_u - 2.0 / 3.0 * np.pi * density * CUTOFF**3 * at_cutoff
+    sigma = 3.0
+    if pressure:
+        sigma = ((p - 2.0 * density * tail_of_p) * epsilon / pressure) ** (1.0 / 3.0)
     calculator = LennardJones(sigma=sigma, epsilon=epsilon, rc=CUTOFF * sigma)
     masses = np.full(n, epsilon * (timestep / PACE / sigma) ** 2)
 
     def draw(rng: np.random.RandomState) -> Atoms:
-        atoms = bulk("Ar", "fcc", a=sigma * (4.0 / density) ** (1.0 / 3.0), cubic=True) * (
-            SIDE,
-            SIDE,
-            SIDE,
-        )
+        edge = sigma * (4.0 / density) ** (1.0 / 3.0)
+        atoms = bulk("Ar", "fcc", a=edge, cubic=True) * (SIDE, SIDE, SIDE)
         atoms.set_masses(masses)
         atoms.calc = calculator
         atoms.set_momenta(momenta(rng, masses, 2.0 * kt))
@@ -248,10 +237,11 @@ def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: i
         atoms.set_momenta(momenta(rng, masses, kt, is_still))
         return atoms
 
-    wanted = n * sigma**3 / density if pressure else n * epsilon * own
     name = f"liquid {state + 1}"
-    has = "pressed" if pressure else "liquid fixed"
-    return Scene(name, draw, calculator, has, 0.01, wanted=wanted, slowness=4 if pressure else 1)
+    if pressure:
+        volume = n * sigma**3 / density
+        return Scene(name, draw, calculator, "pressed", 0.01, wanted=volume, slowness=4)
+    return Scene(name, draw, calculator, "liquid fixed", 0.01, wanted=n * epsilon * own)
 
 
 def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
@@ -260,13 +250,9 @@ def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
     masses = np.tile([LIGHT, HEAVY], MOLECULES)
     k = REDUCED * (OF_MOLECULES / timestep) ** 2
     length = STRETCH * np.sqrt(kt / k)
-    springs = AnharmonicSprings(
-        np.arange(0, 2 * n, 2),
-        np.arange(1, 2 * n, 2),
-        np.full(n, k),
-        np.zeros(n),
-        np.full(n, length),
-    )
+    first = np.arange(0, 2 * n, 2)
+    ones = np.ones(n)
+    springs = AnharmonicSprings(first, first + 1, k * ones, 0.0 * ones, length * ones)
     r = np.linspace(0.05, 2.5, 4000) * length
     weights = np.cumsum(r**2 * np.exp(-0.5 * k * (r - length) ** 2 / kt))
 
@@ -279,7 +265,7 @@ def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
         x = np.repeat(edge * rng.random_sample((n, 3)), 2, axis=0)
         x[0::2] -= 0.75 * apart
         x[1::2] += 0.25 * apart
-        atoms = Atoms("H" * 2 * n, x, masses=masses, cell=[edge] * 3, pbc=True, calculator=springs)
+        atoms = boxed(x, masses, edge, springs)
         atoms.set_momenta(momenta(rng, masses, kt, is_still))
         return atoms
 
@@ -321,8 +307,8 @@ class Frames(NamedTuple):
 
 def joined(runs: Sequence[Frames]) -> Frames:
     """All frames of several runs."""
-    series = (np.concatenate([one[k] for one in runs]) for k in range(2, 7))  # type: ignore[arg-type]
-    return Frames._make([runs[0].masses, runs[0].kt, *series, np.stack([one.ends for one in runs])])
+    series = (np.concatenate([run[k] for run in runs]) for k in range(2, 7))  # type: ignore[arg-type]
+    return Frames._make([runs[0].masses, runs[0].kt, *series, np.stack([run.ends for run in runs])])
 
 
 def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) -> Frames:
@@ -333,21 +319,18 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
     start = atoms.get_volume()
     for k in range(steps // every):
         dynamics.run(every)
-        if not SMALLEST < (volume := atoms.get_volume()) / start < 1.0 / SMALLEST:
+        volume = atoms.get_volume()
+        if not SMALLEST < volume / start < 1.0 / SMALLEST:
             raise FloatingPointError(
                 f"the volume went from {start:.3g} to {volume:.3g} Å³ in {(k + 1) * every} steps"
             )
         if 2 * k >= steps // every:
             forces = atoms.get_forces(apply_constraint=False)
-            u = atoms.get_potential_energy() if scene.wanted else 0.0
-            seen.append(
-                (atoms.positions.copy(), atoms.get_momenta(), forces, atoms.get_volume(), u)
-            )
+            energy = atoms.get_potential_energy() if scene.wanted else 0.0
+            seen.append((atoms.positions.copy(), atoms.get_momenta(), forces, volume, energy))
     ends.append(ends_of(atoms))
-    if (
-        np.ptp(edges := atoms.cell.lengths()) > 1e-6 * edges[0]
-        or np.ptp(atoms.cell.angles()) > 1e-4
-    ):
+    edges = atoms.cell.lengths()
+    if np.ptp(edges) > 1e-6 * edges[0] or np.ptp(atoms.cell.angles()) > 1e-4:
         raise FloatingPointError(
             "the shape of the cell changes; a gas resists no shear: let only its volume change"
         )
@@ -355,9 +338,8 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
         raise FloatingPointError(
             f"not finite: energy {ends[1][0]:.3g} eV or volume {atoms.get_volume():.3g} Å³"
         )
-    return Frames._make(
-        [atoms.get_masses(), kt, *map(np.array, zip(*seen, strict=True)), np.array(ends)]
-    )
+    x, p, f, volumes, u = map(np.array, zip(*seen, strict=True))
+    return Frames(atoms.get_masses(), kt, x, p, f, volumes, u, np.array(ends))
 
 
 def started(make: Make, scene: Scene, seed: int) -> tuple[Atoms, Any]:
@@ -371,4 +353,5 @@ def started(make: Make, scene: Scene, seed: int) -> tuple[Atoms, Any]:
 def ends_of(atoms: Atoms) -> tuple[float, float]:
     """Energy, and log of the volume."""
     with np.errstate(all="ignore"):
-        return atoms.get_potential_energy() + atoms.get_kinetic_energy(), np.log(atoms.get_volume())
+        energy = atoms.get_potential_energy() + atoms.get_kinetic_energy()
+        return energy, np.log(atoms.get_volume())

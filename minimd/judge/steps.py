@@ -15,16 +15,14 @@ from minimd.judge.problems import Array, Function, TrialProblem, difference
 
 # needed to distinguish all terms, by the shape of x
 STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}
-# errors are compared after this time, made in these numbers of steps
-DURATION = 0.8
-COUNTS = (8, 16, 32, 64)
+DURATION = 0.8  # errors are compared after this time
+COUNTS = (8, 16, 32, 64)  # numbers of steps in this time
 ORDER_OFF = 0.25  # of the slope from the order
 HIGH = 2.5  # a step of higher order has the right terms up to dt²
-# time step of runs; steps back and forth, for momenta, for the energy
-PACE = 0.05
-BACK = 10
-SOME = 20
-LONG = 1000
+PACE = 0.05  # time step of runs
+BACK = 10  # steps back and forth
+SOME = 20  # steps for momenta
+LONG = 1000  # steps for the energy
 DELTA = 2e-3  # of differences
 NOISE = 1e-13  # of a step in float64
 EXACTLY = 1e-13  # of an energy that is rescaled
@@ -40,9 +38,8 @@ class Measured:
         self.step = step
         self.where = where
         self.expected = expected
-        line = [
-            np.ravel(step(where, where.x * (1.0 + 1e-6 * k), where.v, 0.1)[0]) for k in range(12)
-        ]
+        starts = [where.x * (1.0 + 1e-6 * k) for k in range(12)]
+        line = [np.ravel(step(where, x, where.v, 0.1)[0]) for x in starts]
         self.noise = np.abs(np.diff(line, n=3, axis=0)).max() / 8.0 / np.abs(where.x).max()
         self.fuzz = max(1.0, self.noise / NOISE)
         # springs to the origin conserve no momenta
@@ -61,19 +58,25 @@ class Measured:
     def order(self) -> Answer:
         """The slope, in a logarithmic plot, of the error after a fixed time against the time step."""
         right = np.array(self.where.flow(DURATION))
-        counts = np.array(COUNTS)
-        errors = np.array(
-            [np.linalg.norm(np.array(self.run(DURATION / n, n)) - right) for n in COUNTS]
+        ends = [np.array(self.run(DURATION / n, n)) for n in COUNTS]
+        errors = np.array([np.linalg.norm(end - right) for end in ends])
+        slope = 0.0
+        if np.isfinite(errors).all():
+            kept = np.flatnonzero(errors > 1e-11)[-3:]
+            if len(kept) < 3:
+                kept = np.arange(2)
+            logs = np.log(np.maximum(errors[kept], 1e-300))
+            slope = -np.polyfit(np.log(np.array(COUNTS)[kept]), logs, 1)[0]
+        off = max(self.expected - slope, 0.0)
+        if slope < ORDER_OFF:  # the error does not decrease with dt
+            off = np.inf
+        shortest = DURATION / COUNTS[-1]
+        return (
+            slope,
+            off,
+            f"{max(slope, 0.0):.2f} measured, {self.expected} expected; error {errors[-1]:.1e} at t = {DURATION:g}, "
+            f"dt = {shortest:g}",
         )
-        kept = np.flatnonzero(errors > 1e-11)[-3:]
-        kept = kept if len(kept) == 3 else np.arange(2)
-        is_finite = np.isfinite(errors).all()
-        logs = np.log(np.maximum(errors[kept], 1e-300))
-        slope = -np.polyfit(np.log(counts[kept]), logs, 1)[0] if is_finite else 0.0
-        # the error does not decrease with dt
-        off = np.inf if slope < ORDER_OFF else max(self.expected - slope, 0.0)
-        told = f"{self.expected} expected; error {errors[-1]:.1e} at t = {DURATION:g}, dt = {DURATION / counts[-1]:g}"
-        return slope, off, f"{max(slope, 0.0):.2f} measured, {told}"
 
     @cached_property
     def jacobian(self) -> Array:
@@ -86,9 +89,9 @@ class Measured:
             x, v = self.step(where, x, p / where.mass, 0.1)
             return np.ravel([x, where.mass * v])
 
-        return np.array(
-            [difference(end, start.ravel(), DELTA * unit) / DELTA for unit in np.eye(start.size)]
-        ).T
+        y = start.ravel()
+        columns = [difference(end, y, DELTA * unit) / DELTA for unit in np.eye(y.size)]
+        return np.array(columns).T
 
     @cached_property
     def form(self) -> float:
@@ -106,167 +109,173 @@ class Measured:
 
     def momentum(self, of: Callable[[Array, Array], Array]) -> float:
         """The relative change of Σ of(x, mv) in some steps."""
-        before, after = (
-            of(x, self.where.mass * v) for x, v in (self.where[:2], self.run(PACE, SOME))
-        )
+        ends = self.where[:2], self.run(PACE, SOME)
+        before, after = (of(x, self.where.mass * v) for x, v in ends)
         return float(np.abs((after - before).sum(axis=0)).max() / np.abs(before).sum()) / self.fuzz
 
     def energy(self) -> Answer:
         """Drift of the total energy per step in a long run; a symplectic step has none, only slow oscillations."""
         x, v = self.where[:2]
-        energies = list[tuple[float, float]]()
-        times = np.arange(LONG)
-        while len(energies) < LONG:
+        parts = np.empty((LONG, 2))  # kinetic and potential energy
+        for k in range(LONG):
             x, v = self.step(self.where, x, v, PACE)
-            energies.append((0.5 * np.sum(self.where.mass * v * v), self.where.at(x)[1]))
-            if not abs(sum(energies[-1])) < TOO_LARGE:
-                return (
-                    np.inf,
-                    np.inf,
-                    f"grows beyond {TOO_LARGE:g} in {len(energies)} steps of {PACE:g}",
-                )
-        series = np.sum(energies, axis=1)
-        k = np.mean(energies, axis=0)[0]
-        slope, start = np.polyfit(times, series / k, 1)
-        oscillation = np.std(series / k - slope * times - start)
+            parts[k] = 0.5 * np.sum(self.where.mass * v * v), self.where.at(x)[1]
+            if not abs(parts[k].sum()) < TOO_LARGE:
+                sentence = f"grows beyond {TOO_LARGE:g} in {k + 1} steps of {PACE:g}"
+                return np.inf, np.inf, sentence
+        times = np.arange(LONG)
+        energies = parts.sum(axis=1) / parts.mean(axis=0)[0]
+        slope, start = np.polyfit(times, energies, 1)
+        oscillation = np.std(energies - slope * times - start)
         if oscillation < EXACTLY:
             return 0.0, np.inf, "constant to rounding: no explicit step has this property by itself"
-        off = abs(slope) * LONG / max(1e-9, oscillation) if self.form > SYMPLECTIC else 0.0
-        words = (
-            f"changes by {slope:.1e} of the kinetic energy per step"
-            if off > 1.0
-            else "does not drift"
-        )
-        return slope, off, f"{words}; it oscillates by {oscillation:.1e} (dt = {PACE:g})"
+        off = 0.0
+        if self.form > SYMPLECTIC:
+            off = abs(slope) * LONG / max(1e-9, oscillation)
+        sentence = "does not drift"
+        if off > 1.0:
+            sentence = f"changes by {slope:.1e} of the kinetic energy per step"
+        return slope, off, f"{sentence}; it oscillates by {oscillation:.1e} (dt = {PACE:g})"
 
     def oscillator(self) -> Answer:
         """The step as a matrix, for x″ = −x: its determinant, the quadratic form that it conserves, and the longest
         stable step."""
         omega = np.sqrt(self.step.stiffness or 1.0)
         where = self.step.problem(1, stiffness=float(omega**2))
-        one = np.ones_like(where.x)
         where = where._replace(m=np.ones_like(where.m))
+        one_each = np.ones_like(where.x)
 
         def matrix(h: float) -> Array:
-            ends = [
-                self.step(where, x * one, v * one, h / omega) for x, v in ((1.0, 0.0), (0.0, omega))
-            ]
-            return np.array([(np.ravel(x)[0], np.ravel(v)[0] / omega) for x, v in ends]).T
+            columns = []
+            for x, v in ((1.0, 0.0), (0.0, omega)):
+                new_x, new_v = self.step(where, x * one_each, v * one_each, h / omega)
+                columns.append((np.ravel(new_x)[0], np.ravel(new_v)[0] / omega))
+            return np.array(columns).T
 
         m = matrix(0.5)
         off = np.linalg.det(m) - 1.0
         if not abs(off) <= 1e-7:
-            return (
-                off,
-                np.inf,
-                f"at ω dt = 0.5 the energy changes by the factor {1.0 + off:.4g} in each step",
+            sentence = (
+                f"at ω dt = 0.5 the energy changes by the factor {1.0 + off:.4g} in each step"
             )
+            return off, np.inf, sentence
         skew = (m[1, 1] - m[0, 0]) / m[0, 1]
         stiffness = -m[1, 0] / m[0, 1]
-        stable = next(
-            (k for k, h in enumerate(LENGTHS) if abs(np.trace(matrix(h))) > 2.0 + 1e-9),
-            len(LENGTHS),
-        )
+        n_stable = 0
+        for h in LENGTHS:
+            if abs(np.trace(matrix(h))) > 2.0 + 1e-9:
+                break
+            n_stable += 1
+        longest = 0.01 * n_stable
         mixed = f" {skew:+.4g} ω x v" if abs(skew) > 1e-9 else ""
-        words = f"at ω dt = 0.5 it conserves v² {stiffness:+.6g} ω² x²{mixed}; stable up to ω dt = {0.01 * stable:.2f}"
-        return 0.01 * stable, 0.0 if stable else np.inf, words
+        sentence = f"at ω dt = 0.5 it conserves v² {stiffness:+.6g} ω² x²{mixed}; stable up to ω dt = {longest:.2f}"
+        return longest, 0.0 if n_stable else np.inf, sentence
 
     def cost(self) -> Answer:
         """The number of force evaluations in one step."""
         self.step.n_evaluations = 0
         self.run(PACE, 1)
         n = self.step.n_evaluations
-        more = (
-            "; one is enough if the force at the end of a step is kept for the next step"
-            if n == 2
-            else ""
-        )
-        return n, 0.0 if n == 1 else np.nan, more
+        advice = ""
+        if n == 2:
+            advice = "; one is enough if the force at the end of a step is kept for the next step"
+        return n, 0.0 if n == 1 else np.nan, advice
+
+
+def angular_momenta(x: Array, p: Array) -> Array:
+    """x_a p_b − x_b p_a of each atom, (N, 3, 3)."""
+    products = x[:, :, None] * p[:, None]
+    return products - products.swapaxes(1, 2)
 
 
 PHASE_SPACE = (
-    "the step, like Runge-Kutta methods and thermostats, shrinks or stretches phase space, or is not a "
-    "product of kicks and drifts (see the laws symplectic and volume): the energy drifts"
+    "the step, like Runge-Kutta methods and thermostats, shrinks or stretches phase space, or is not a product of "
+    "kicks and drifts (see the laws symplectic and volume): the energy drifts"
 )
+# fmt: off
 LAWS = (
-    Law("order", Measured.order, ORDER_OFF, "{2}", "the terms up to dt² are right, but the measured order is {0:.2f}"),
+    Law("order", Measured.order, ORDER_OFF, "{2}",
+        "the terms up to dt² are right, but the measured order is {0:.2f}"),
     Law("symplectic", lambda s: s.form, SYMPLECTIC, "at dt = 0.1 JᵀΩJ − Ω is {0:.1e}", PHASE_SPACE),
-    Law("volume", lambda s: (np.linalg.det(s.jacobian) - 1.0) / s.fuzz, 1e-8, "det J − 1 is {0:.1e}", PHASE_SPACE),
-    Law("reversible", Measured.reversal, 1e-11, f"{BACK} steps and as many back miss the start by {{0:.1e}} on a way "
-        "of {2:.2g}", "the step is not symmetric: kicks and drifts do not read the same forwards and backwards"),
-    Law("momentum", lambda s: s.momentum(lambda x, p: p), 1e-11, f"changes by {{0:.1e}} of Σ|mv| in {SOME} steps",
-        "the total momentum changes: the forces of a step are not all computed at the same positions", "atoms"),
-    Law("angular momentum", lambda s: s.momentum(lambda x, p: x[:, :, None] * p[:, None] - x[:, None] * p[:, :, None]),
-        1e-11, f"changes by {{0:.1e}} of Σ|r × mv| in {SOME} steps", "the total angular momentum changes", "vectors"),
+    Law("volume", lambda s: (np.linalg.det(s.jacobian) - 1.0) / s.fuzz, 1e-8, "det J − 1 is {0:.1e}",
+        PHASE_SPACE),
+    Law("reversible", Measured.reversal, 1e-11,
+        f"{BACK} steps and as many back miss the start by {{0:.1e}} on a way of {{2:.2g}}",
+        "the step is not symmetric: kicks and drifts do not read the same forwards and backwards"),
+    Law("momentum", lambda s: s.momentum(lambda x, p: p), 1e-11,
+        f"changes by {{0:.1e}} of Σ|mv| in {SOME} steps",
+        "the total momentum changes: the forces of a step are not all computed at the same positions",
+        "atoms"),
+    Law("angular momentum", lambda s: s.momentum(angular_momenta), 1e-11,
+        f"changes by {{0:.1e}} of Σ|r × mv| in {SOME} steps",
+        "the total angular momentum changes",
+        "vectors"),
     Law("energy", Measured.energy, 1.0, "{2}", "the energy drifts"),
-    Law("oscillator", Measured.oscillator, 1.0, "{2}", "the energy of an oscillator is kept at no time step"),
-    Law("cost", Measured.cost, 0.5, "{0} force evaluations per step{2}", "", "force"),
-)  # fmt: skip
+    Law("oscillator", Measured.oscillator, 1.0, "{2}",
+        "the energy of an oscillator is kept at no time step"),
+    Law("cost", Measured.cost, 0.5, "{0} force evaluations per step{2}", needs="force"),
+)
 REMARKS = (
     (lambda step: step.swapped, "the step returns v before x; the usual order is x, v"),
-    (lambda step: step.in_place, "the step changes the arrays that it is given; copy them if you need the old ones"),
+    (lambda step: step.in_place,
+     "the step changes the arrays that it is given; copy them if you need the old ones"),
     (lambda step: step.masses == "(N, 1)", "masses must have shape (N, 1) in this step, not (N,)"),
-    (lambda step: step.takes("half"), "velocities are at half steps: the test adds half a kick before and after"),
-    (lambda step: step.takes("old"), "a recursion of two positions; the test takes v = (x₁ − x₀)/dt + ½ dt F/m"),
-    (lambda step: step.takes("before"), "a step that takes the force of the previous step is not a map of x and v, and "
-                                        "is not judged as one"),
-)  # fmt: skip
-# open if it is none
+    (lambda step: step.takes("half"),
+     "velocities are at half steps: the test adds half a kick before and after"),
+    (lambda step: step.takes("old"),
+     "a recursion of two positions; the test takes v = (x₁ − x₀)/dt + ½ dt F/m"),
+    (lambda step: step.takes("before"),
+     "a step that takes the force of the previous step is not a map of x and v, and is not judged as one"),
+)
+# fmt: on
+# open for a step that is no map
 NO_MAP = {"reversible", "symplectic", "volume", "angular momentum", "energy", "oscillator"}
 RUNGE_KUTTA = "a Runge-Kutta method: it is not symplectic, and its energy drifts at any order"
 
 
 def grade_step(function: Function, order: int = 2) -> Grade:
-    """See grade."""
+    """The grade of a step, see grade."""
     step = understood(function)
     problems = [step.problem(seed) for seed in range(STATES[step.shape])]
     where = problems[0]
-    remarks = [words for is_so, words in REMARKS if is_so(step)]
+    remarks = [sentence for is_so, sentence in REMARKS if is_so(step)]
     with np.errstate(all="ignore"):
-        if faults := hidden(step, where):
-            return Grade(
-                step.told,
-                (Finding("a map of x and v", False, faults[0]),),
-                tuple(faults),
-                "",
-                tuple(remarks),
-            )
-        one = Measured(step, where, order)
-        laws = {finding.name: finding for finding in judged(LAWS, one)}
+        fault = hidden(step, where)
+        if fault:
+            finding = Finding("a map of x and v", False, fault)
+            return Grade(step.call_text, (finding,), (fault,), remarks=tuple(remarks))
+        measured = Measured(step, where, order)
+        laws = {finding.name: finding for finding in judged(LAWS, measured)}
         reached = laws["order"].value
-        is_right = laws["order"].passed
+        is_map = not step.takes("before")
         is_symplectic = laws["symplectic"].passed
-        numbers = None if step.takes("before") else numbers_of(step, where)
-        method, near = named(numbers) if isinstance(numbers, Numbers) else ("", numbers or "")
         is_low = is_symplectic and order == 1  # and asked for
-        n_powers = 2 if reached > HIGH or is_low else 3
-        faults = (
-            [near]
-            if near
-            else faults_of(step, problems, one.noise, n_powers, laws["energy"].value == 0.0)
-        )
-        is_open = NO_MAP if step.takes("before") else set[str]()
-        # as Ruth's method of order 3, which is right
-        if is_symplectic and is_right and (reached > HIGH or is_low):
-            is_open = {"reversible"}
-        elif (
-            isinstance(numbers, Numbers)
-            and not numbers.substeps
-            and not is_symplectic
-            and not faults
-        ):
-            if is_right and abs(reached - order) < 0.5 and (order > 2 or method):
-                is_open = {name for name, law in laws.items() if law.passed is False}
-                remarks = [*remarks, RUNGE_KUTTA]
-            else:
-                faults = [
-                    f"{RUNGE_KUTTA}. If it is meant, ask for its order: md.grade(step, order={round(reached)})"
-                ]
-    laws |= {name: replace(laws[name], passed=None) for name in is_open if name in laws}
-    return Grade(
-        step.told,
-        (*laws.values(),),
-        tuple(faults or causes(laws.values())[:1]),
-        method,
-        tuple(remarks),
-    )
+        is_beyond = reached > HIGH or is_low
+        numbers = numbers_of(step, where) if is_map else None
+        method = ""
+        fault = numbers if isinstance(numbers, str) else ""
+        if isinstance(numbers, Numbers):
+            method, fault = named(numbers)
+        faults = [fault]
+        if not fault:
+            is_energy_kept = laws["energy"].value == 0.0
+            n_powers = 2 if is_beyond else 3
+            faults = faults_of(step, problems, measured.noise, n_powers, is_energy_kept)
+    open_laws = set[str]() if is_map else NO_MAP
+    is_right = laws["order"].passed
+    is_in_turn = isinstance(numbers, Numbers) and numbers.substeps
+    # as Ruth's method of order 3, which is right
+    if is_symplectic and is_right and is_beyond:
+        open_laws = {"reversible"}
+    elif isinstance(numbers, Numbers) and not (is_in_turn or is_symplectic or faults):
+        if is_right and abs(reached - order) < 0.5 and (order > 2 or method):
+            open_laws = {name for name, law in laws.items() if law.passed is False}
+            remarks.append(RUNGE_KUTTA)
+        else:
+            call = f"md.grade(step, order={round(reached)})"
+            faults = [f"{RUNGE_KUTTA}. If it is meant, ask for its order: {call}"]
+    for name in open_laws.intersection(laws):
+        laws[name] = replace(laws[name], passed=None)
+    findings = tuple(laws.values())
+    faults = faults or causes(findings)[:1]
+    return Grade(step.call_text, findings, tuple(faults), method, tuple(remarks))

@@ -10,29 +10,30 @@ from typing import Any
 
 import numpy as np
 
+from minimd.judge import grading
 from minimd.judge.findings import Finding, Grade
-from minimd.judge.grading import grade
 
 COLORS = {True: "tab:green", False: "tab:red", None: "tab:gray"}
 
 
-def as_dict(one: Grade) -> dict[str, Any]:
+def as_dict(grade: Grade) -> dict[str, Any]:
     """A grade for json.dumps: its fields, passed and verdict; numbers that are not finite are None."""
-    found = asdict(one) | {"passed": one.passed, "verdict": one.verdict}
-    for row in found["findings"]:
-        row.update(
-            {name: row[name] if np.isfinite(row[name]) else None for name in ("value", "limit")}
-        )
-    return found
+    fields = asdict(grade) | {"passed": grade.passed, "verdict": grade.verdict}
+    for finding in fields["findings"]:
+        for name in ("value", "limit"):
+            if not np.isfinite(finding[name]):
+                finding[name] = None
+    return fields
 
 
-def draw(one: Grade, file: Path) -> None:
+def draw(grade: Grade, file: Path) -> None:
     """A picture of a grade of dynamics: each measured number, and what would pass."""
     from matplotlib.figure import Figure
 
-    if not (rows := [row for row in one.findings if np.isfinite(row.limit)][::-1]):
+    rows = [finding for finding in grade.findings if np.isfinite(finding.limit)][::-1]
+    if not rows:
         raise ValueError(
-            f"a picture shows laws with a limit, as NVT and NPT have them; {one.function} has none"
+            f"a picture shows laws with a limit, as NVT and NPT have them; {grade.function} has none"
         )
     figure = Figure(figsize=(7.0, 1.2 + 0.32 * len(rows)), layout="constrained")
     axes = figure.subplots()
@@ -42,11 +43,8 @@ def draw(one: Grade, file: Path) -> None:
     axes.axvline(1.0, color="0.5", linewidth=1.0)
     axes.set_yticks(range(len(rows)), [row.name for row in rows])
     axes.set_xlabel("measured / right; gray: passes")
-    axes.set_title(
-        f"{one.function}\n{one.verdict if len(one.verdict) < 60 else 'faults were found'}",
-        fontsize=9,
-        parse_math=False,
-    )
+    verdict = grade.verdict if len(grade.verdict) < 60 else "faults were found"
+    axes.set_title(f"{grade.function}\n{verdict}", fontsize=9, parse_math=False)
     figure.savefig(file, dpi=120)
 
 
@@ -54,11 +52,13 @@ def named(place: str) -> Callable[..., Any]:
     """What "module:name" or "file.py:name" names.  Raises ValueError if it is not there."""
     module, _, name = place.partition(":")
     try:
-        return (run_path(module) if module.endswith(".py") else vars(import_module(module)))[name]
+        names = run_path(module) if module.endswith(".py") else vars(import_module(module))
+        return names[name]
     except (ImportError, OSError, KeyError, SyntaxError, TypeError, ValueError) as error:
-        said = f"{module} has no {name!r}" if isinstance(error, KeyError) else error
+        cause = f"{module} has no {name!r}" if isinstance(error, KeyError) else error
         raise ValueError(
-            f"dynamics must be module:class, as ase.md.langevin:Langevin, or file.py:class; got {place!r}: {said}"
+            "dynamics must be module:class, as ase.md.langevin:Langevin, or file.py:class; got "
+            f"{place!r}: {cause}"
         ) from error
 
 
@@ -73,7 +73,7 @@ def laws_of(dynamics: Callable[..., Any], **options: Any) -> list[Any]:
     """
     from minimd.judge.dynamics import names_of
 
-    graded = cache(lambda: grade(dynamics, kind="dynamics", **options))
+    graded = cache(lambda: grading.grade(dynamics, kind="dynamics", **options))
     return [LawOf(name, graded) for name in names_of(dynamics, options)]
 
 
@@ -89,10 +89,10 @@ class LawOf:
 
     def __call__(self) -> Finding:
         """Its finding.  Raises AssertionError if the law does not hold, or was not reached."""
-        answer = self._graded()
-        finding = next(
-            (one for one in answer if one.name == self.name),
-            Finding(self.name, False, "was not reached"),
-        )
-        assert finding.passed is not False, f"{finding.words}; {'; '.join(answer.faults)}"
+        grade = self._graded()
+        finding = Finding(self.name, False, "was not reached")
+        for law in grade:
+            if law.name == self.name:
+                finding = law
+        assert finding.passed is not False, f"{finding.words}; {'; '.join(grade.faults)}"
         return finding

@@ -140,6 +140,38 @@ def test_steps_of_constant_energy_are_judged():
     assert {"energy is kept", "reversible"} <= {one.name for one in wrong if one.passed is False}
 
 
+class Starred(VelocityVerlet):
+    def __init__(self, *args):
+        super().__init__(*args)
+
+
+class Named(VelocityVerlet):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+
+
+class Default(VelocityVerlet):
+    def __init__(self, system=None, dt=fs):
+        super().__init__(system, dt)
+
+
+class Friction(VelocityVerlet):
+    def __init__(self, friction=1.0):
+        self.friction = friction
+
+
+class Runless:
+    def __init__(self, *args):
+        self.args = args
+
+
+@pytest.mark.parametrize("dynamics", [Starred, Named, Default])
+def test_a_class_is_judged_however_it_takes_atoms_and_time_step(dynamics):
+    grade, known = md.grade(dynamics, steps=100), md.grade(VelocityVerlet, steps=100)
+    assert grade.passed, str(grade)
+    assert [law.value for law in grade] == [law.value for law in known]
+
+
 def test_a_conserved_energy_is_judged_where_one_is_offered():
     name = "order of the conserved energy's error"
     assert md.grade(NoseHooverChainNVT, **NVT, tdamp=50 * fs)[name].value == pytest.approx(2.0, abs=0.1)
@@ -164,6 +196,8 @@ test_what_cannot_be_judged_is_refused = answered(
     (lambda: md.grade(VelocityVerlet, liquids=True), ValueError, "liquids", "NVE"),
     (lambda: md.grade(Bussi, temperature_K=0.0, taut=5.0, runs=6, steps=40), ValueError, "temperature_K", "0.0"),
     (lambda: md.grade(Bussi, pressure=[]), ValueError, "pressure", "[]"),
+    (lambda: md.grade(Friction), TypeError, "Friction(atoms, timestep", "(friction)"),
+    (lambda: md.grade(Runless), TypeError, "Runless", "run(steps)"),
     (lambda: md.grade(lambda x, v, dt: (x, v), temperature_K=300.0), TypeError, "temperature_K", "dynamics"),
     (lambda: named("ase.md.bussi:Busi"), ValueError, "Busi"),
 )

@@ -128,6 +128,16 @@ def test_wrong_forces_are_told_their_fault(name):
     assert any(words in fault for fault in grade.faults), str(grade)
 
 
+@pytest.mark.parametrize(
+    "force", [lambda *args: pairs(*args, lambda r: 1 / r**3), lambda x=TWO: pairs(x, lambda r: 1 / r**3)]
+)
+def test_forces_are_judged_if_their_only_parameter_is_starred_or_has_a_default(force):
+    grade = md.grade(force)
+    assert grade.passed, str(grade)
+    with pytest.raises(TypeError, match=r"forces\(positions\)"):
+        md.grade(lambda **kwargs: 0.0)
+
+
 def test_atoms_beyond_the_cutoff_have_neither_forces_nor_energy():
     far, law = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]]), md.LennardJones(1.0, 1.0, 2.5)
     grade = md.grade(lambda x: (0.0 * x, 0.0), law, positions=far)

@@ -49,19 +49,22 @@ QUIET = flag("--quiet", "print only errors")  # of all commands
 
 def add(parsers: Any, command: Command) -> None:
     """Add a command to the subparsers of argparse."""
-    words = {"help": command.help, "description": command.description, "epilog": command.epilog}
-    parser: argparse.ArgumentParser = parsers.add_parser(command.name, **words)
+    parser: argparse.ArgumentParser = parsers.add_parser(
+        command.name, help=command.help, description=command.description, epilog=command.epilog
+    )
     parser.set_defaults(command=command.run, refuse=parser.error)
-    for one in command.arguments if command.below else (*command.arguments, QUIET):
-        kind = {"type": one.kind, "metavar": one.metavar}
-        given: dict[str, Any] = {name: value for name, value in kind.items() if value is not None}
-        parser.add_argument(one.name, help=one.help, **given, **one.more)
+    for argument in command.arguments if command.below else (*command.arguments, QUIET):
+        options = dict(argument.more)
+        if argument.kind is not None:
+            options["type"] = argument.kind
+        if argument.metavar is not None:
+            options["metavar"] = argument.metavar
+        parser.add_argument(argument.name, help=argument.help, **options)
     if command.below:
-        more = parser.add_subparsers(
-            metavar=f"{command.name}mark", title=f"{command.name}marks", required=True
-        )
+        word = f"{command.name}mark"
+        subparsers = parser.add_subparsers(metavar=word, title=f"{word}s", required=True)
         for below in command.below:
-            add(more, below)
+            add(subparsers, below)
 
 
 def whole_number(text: str, least: int = 0) -> int:
@@ -93,10 +96,10 @@ def potentials_of(arguments: argparse.Namespace) -> Any:
 
 def refuse(what: str, place: Path, run: Path, metavar: str) -> NoReturn:
     """Raise FileExistsError for an output; it says how to go on with the run in a file, if there is one."""
-    can_go_on = run.suffix.lower() == ".h5md" and run.exists()
-    resume = f", or go on with the run: minimd resume {run}" if can_go_on else ""
-    advice = f"replace it with --overwrite, write elsewhere with --out {metavar}{resume}"
-    raise FileExistsError(f"{what} {str(place)!r} exists; {advice}")
+    message = f"{what} {str(place)!r} exists; replace it with --overwrite, write elsewhere with --out {metavar}"
+    if run.suffix.lower() == ".h5md" and run.exists():
+        message += f", or go on with the run: minimd resume {run}"
+    raise FileExistsError(message)
 
 
 def drawing(file: Path) -> str:
@@ -114,9 +117,9 @@ def tell_next(files: Iterable[Path]) -> None:
     from minimd.scene.document import h5md_files
 
     for file in h5md_files(files):
-        print(
-            f"next           minimd check {file}\n               minimd plot {file}\n               minimd view {file}"
-        )
+        print(f"next           minimd check {file}")
+        print(f"               minimd plot {file}")
+        print(f"               minimd view {file}")
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -169,15 +172,12 @@ def scan(arguments: argparse.Namespace) -> bool:
         lines = [str(table)]
     print("\n".join(lines))
     if table.done.any() and arguments.members is None:
-        picture = save_picture(table, arguments.plot)
-        tables = (
-            []
-            if arguments.status is not None
-            else [table.folder / "table.csv", table.folder / "table.json"]
-        )
-        print(f"written        {', '.join(map(str, [*tables, picture]))}")
-    made = arguments.members or range(len(table))
-    return not any(table["status"][made.start : made.stop] == "failed")
+        files = [save_picture(table, arguments.plot)]
+        if arguments.status is None:
+            files = [table.folder / "table.csv", table.folder / "table.json", *files]
+        print(f"written        {', '.join(map(str, files))}")
+    members = arguments.members or range(len(table))
+    return not any(table["status"][members.start : members.stop] == "failed")
 
 
 def slice_of_members(text: str) -> range:
@@ -207,16 +207,14 @@ def replay(arguments: argparse.Namespace) -> None:
 
     verify_frames(arguments.file)
     potentials = potentials_of(arguments)
-    out = arguments.out
-    names: dict[str, Any] = (
-        {} if out is None else {"trajectory": out, "picture": out.with_suffix(".png")}
-    )
+    names = {}
+    if arguments.out is not None:
+        names = {"trajectory": arguments.out, "picture": arguments.out.with_suffix(".png")}
     print(read_crash_report(arguments.file).findings, flush=True)
-    seen = md.replay(arguments.file, potentials, overwrite=arguments.overwrite, **names)
-    print(seen)
-    print(
-        f"written        {', '.join(str(file) for file in (seen.trajectory, seen.picture) if file)}"
-    )
+    result = md.replay(arguments.file, potentials, overwrite=arguments.overwrite, **names)
+    print(result)
+    files = [str(file) for file in (result.trajectory, result.picture) if file]
+    print(f"written        {', '.join(files)}")
 
 
 def lammps(arguments: argparse.Namespace) -> None:
@@ -228,8 +226,15 @@ def lammps(arguments: argparse.Namespace) -> None:
     folder = arguments.out or Path(f"{scene.path.stem}-lammps")
     if folder.exists() and not arguments.overwrite:
         refuse("folder", folder, folder / TRAJECTORY, "FOLDER")
-    options = {name: getattr(arguments, name) for name in ("steps", "processes", "overwrite")}
-    tell_next([hand_over_scene(scene, folder, progress=not arguments.quiet, **options).trajectory])
+    result = hand_over_scene(
+        scene,
+        folder,
+        steps=arguments.steps,
+        processes=arguments.processes,
+        overwrite=arguments.overwrite,
+        progress=not arguments.quiet,
+    )
+    tell_next([result.trajectory])
 
 
 def check(arguments: argparse.Namespace) -> bool:
@@ -260,9 +265,9 @@ def view(arguments: argparse.Namespace) -> None:
     potentials = potentials_of(arguments)
     page = arguments.out or arguments.file.with_suffix(".html")
     word = drawing(page)
-    seen = md.view(arguments.file, frames=arguments.frames, potentials=potentials)
-    seen.save(page)
-    print(f"{word:<14} {page}: {seen.summary}, {page.stat().st_size / 1e6:.1f} MB")
+    result = md.view(arguments.file, frames=arguments.frames, potentials=potentials)
+    result.save(page)
+    print(f"{word:<14} {page}: {result.summary}, {page.stat().st_size / 1e6:.1f} MB")
     if arguments.open:
         import webbrowser
 
@@ -275,23 +280,27 @@ def frames(arguments: argparse.Namespace) -> None:
     progress = False if arguments.quiet else None
     past = md.Past(file, potentials_of(arguments))
     for step in arguments.at:
-        out = arguments.out or file.with_name(f"{file.stem}-{step}.h5md")
-        if arguments.out and len(arguments.at) > 1:
+        out = arguments.out
+        if out is None:
+            out = file.with_name(f"{file.stem}-{step}.h5md")
+        elif len(arguments.at) > 1:
             out = out.with_name(f"{out.stem}-{step}{out.suffix}")
         simulation = past.at(step, progress=progress)
         record = simulation.run(0, trajectory=out, overwrite=arguments.overwrite)
         units = simulation.system.units
-        energy = f"total energy {float(record.total_energy[0])!r} {units.energy}"
-        print(f"step {step:<9} t = {units.shown(simulation.time)}, {energy}: written to {out}")
+        time = units.shown(simulation.time)
+        energy = float(record.total_energy[0])
+        print(
+            f"step {step:<9} t = {time}, total energy {energy!r} {units.energy}: written to {out}"
+        )
 
 
 def archive(arguments: argparse.Namespace) -> None:
     """Write the archive and print its size.  Raises as minimd.archive."""
     file = arguments.file
-    every = arguments.every
-    overwrite = arguments.overwrite
     out = arguments.out or file.with_name(f"{file.stem}.archive.h5md")
-    print(md.archive(file, out, every, potentials_of(arguments), overwrite))
+    potentials = potentials_of(arguments)
+    print(md.archive(file, out, arguments.every, potentials, arguments.overwrite))
 
 
 def doctor(arguments: argparse.Namespace) -> Any:

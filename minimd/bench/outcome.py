@@ -146,7 +146,13 @@ def bars(ratios: Mapping[str, Array], label: str) -> "Figure":
     rounds = np.array(list(ratios.values()))
     middle = np.median(rounds, axis=1)
     ends = np.abs(np.array([rounds.min(axis=1), rounds.max(axis=1)]) - middle)
-    axes.barh(list(ratios), middle, xerr=ends, color="tab:blue", ecolor="gray")
+    axes.barh(
+        list(ratios),
+        middle,
+        xerr=ends,
+        color="tab:blue",
+        ecolor="gray",
+    )
     axes.axvline(1.0, color="black", lw=0.8)
     axes.invert_yaxis()
     axes.set(xlabel=label, title="median and range of all rounds")
@@ -161,8 +167,22 @@ def draw(panel: "Axes", curves: Mapping[str, tuple[Sequence[float], Array, bool]
         middle = np.median(y, axis=1)
         marker = MARKERS[k % MOST_CURVES]
         style, width = ("-", 2.5) if is_own else ("--", 1.5)
-        panel.plot(x, middle, style, marker=marker, lw=width, color=color, label=name)
-        panel.fill_between(x, y.min(axis=1), y.max(axis=1), alpha=0.15, color=color)
+        panel.plot(
+            x,
+            middle,
+            style,
+            marker=marker,
+            lw=width,
+            color=color,
+            label=name,
+        )
+        panel.fill_between(
+            x,
+            y.min(axis=1),
+            y.max(axis=1),
+            alpha=0.15,
+            color=color,
+        )
 
 
 def name_curves(panel: Any) -> None:

@@ -198,16 +198,12 @@ def _table(rows: Sequence[EngineSpeed]) -> list[str]:
 
 def _content(rows: Sequence[EngineSpeed], row: EngineSpeed) -> dict[str, Any]:
     faster, beside = ratios(rows, row)
-    return {
-        "engine": row.engine,
-        "threads": row.threads,
-        "precision": row.precision,
-        "n_atoms": row.n_atoms,
-        "bytes_per_atom": row.bytes_per_atom,
-        "atom_steps_per_second": summary(row.speeds),
-        "minimd_is_faster_by": summary(faster),
-        "beside_minimd_one_thread": summary(beside),
-    }
+    fields = row._asdict()
+    del fields["scene"]
+    fields["atom_steps_per_second"] = summary(fields.pop("speeds"))
+    fields["minimd_is_faster_by"] = summary(faster)
+    fields["beside_minimd_one_thread"] = summary(beside)
+    return fields
 
 
 def run_peers(options: PeersOptions) -> Peers:

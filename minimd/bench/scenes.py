@@ -376,7 +376,16 @@ def _water(name: str, n: int) -> BenchScene:
     )
     method = md.VelocityVerlet(2.0 * md.units.fs)
     laws = tuple(potentials)
-    scene = BenchScene(name, text, system, laws, 298.0, (rigid,), method, error=error)
+    scene = BenchScene(
+        name,
+        text,
+        system,
+        laws,
+        298.0,
+        (rigid,),
+        method,
+        error=error,
+    )
     return scene.cut(scene.law.cutoff, error)
 
 

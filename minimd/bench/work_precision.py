@@ -275,7 +275,13 @@ def measured(
     """Measure one run of a new engine; if it fails, its errors are infinite.  The observations count in the time of
     minimd, which makes them in its run, and not in that of a peer."""
     method = scene.method
-    point = Point("", method.name, method.order, DURATION / steps, steps * method.stages / DURATION)
+    point = Point(
+        "",
+        method.name,
+        method.order,
+        DURATION / steps,
+        steps * method.stages / DURATION,
+    )
     seconds = np.inf
     for _ in range(repeats):
         engine = make()
@@ -330,7 +336,13 @@ def _kepler(_name: str, quick: bool, repeats: int) -> Case:
             timestep = END / n
             point = Point("minimd", method.name, method.order, timestep, cost)
             integrator = method(timestep)
-            run = partial(md.integrators.run_steps, problem, integrator, (Q0, V0), every=every)
+            run = partial(
+                md.integrators.run_steps,
+                problem,
+                integrator,
+                (Q0, V0),
+                every=every,
+            )
             try:
                 runs = [timed(run, n) for _ in range(repeats)]
             except (ConvergenceError, ArithmeticError):

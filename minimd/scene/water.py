@@ -38,7 +38,13 @@ ModelName = Literal["SPC/E", "TIP3P", "OPC3"]
 MODELS = {
     # H. J. C. Berendsen, J. R. Grigera, T. P. Straatsma, J. Phys. Chem. 91, 6269 (1987): u = (B/r)¹² − (A/r)⁶ with
     # A = 3.7122 Å (kJ/mol)^(1/6), B = 3.428 Å (kJ/mol)^(1/12), from which σ = B²/A, ε = ¼ (A/B)¹²
-    "SPC/E": Model(1.0, 109.47, 0.4238, 0.25 * (3.7122 / 3.428) ** 12, 3.428**2 / 3.7122),
+    "SPC/E": Model(
+        1.0,
+        109.47,
+        0.4238,
+        0.25 * (3.7122 / 3.428) ** 12,
+        3.428**2 / 3.7122,
+    ),
     # W. L. Jorgensen et al., J. Chem. Phys. 79, 926 (1983): u = A/r¹² − C/r⁶ with A = 582 000 kcal Å¹²/mol,
     # C = 595 kcal Å⁶/mol, from which σ⁶ = A/C, ε = C²/(4 A)
     "TIP3P": Model(
@@ -99,7 +105,13 @@ def water(
     random = np.random.default_rng(checked_count("seed", seed, 0))
     turns = np.linalg.qr(random.normal(size=(n, 3, 3)))[0]
     positions = (centers[:, None] + length * np.array(arms) @ turns).reshape(-1, 3)
-    system = System(positions, masses=1.0, species=["O", "H", "H"] * n, cell=edge, units=ASE)
+    system = System(
+        positions,
+        masses=1.0,
+        species=["O", "H", "H"] * n,
+        cell=edge,
+        units=ASE,
+    )
     return _rigid(system, model, np.arange(3 * n).reshape(n, 3), potentials)
 
 

@@ -105,7 +105,8 @@ def machine() -> dict[str, str | int]:
 
 def table(titles: Mapping[str, type], cells: Sequence[Sequence[Any]]) -> list[str]:
     """Lines of a Markdown table. titles : column → str or float, for left or right."""
-    lines = [list(titles), [ALIGN[kind] for kind in titles.values()], *cells]
+    alignments = [ALIGN[kind] for kind in titles.values()]
+    lines = [list(titles), alignments, *cells]
     return [f"| {' | '.join(map(str, line))} |" for line in lines]
 
 
@@ -145,7 +146,7 @@ def bars(ratios: Mapping[str, Array], label: str) -> "Figure":
     axes = figure.subplots()
     rounds = np.array(list(ratios.values()))
     middle = np.median(rounds, axis=1)
-    ends = np.abs(np.array([rounds.min(axis=1), rounds.max(axis=1)]) - middle)
+    ends = [middle - rounds.min(axis=1), rounds.max(axis=1) - middle]
     axes.barh(
         list(ratios),
         middle,

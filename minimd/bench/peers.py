@@ -246,7 +246,8 @@ def _checked_peers(options: PeersOptions) -> tuple[str, ...]:
     """The peers that take part.  Raises ValueError for one that is unknown or missing, or can run no scene."""
     if options.peers == NO_PEERS:
         return ()
-    _check_names("peers", options.peers, (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS)
+    allowed = (*PEERS, *NO_PEERS) if len(options.peers) == 1 else tuple(PEERS)
+    _check_names("peers", options.peers, allowed)
     able = able_peers(PEERS, options.scenes)
     for name in options.peers:
         peer = PEERS[name]
@@ -258,10 +259,17 @@ def _checked_peers(options: PeersOptions) -> tuple[str, ...]:
             raise ValueError(f"{peer.package} is {peer.remedy}")
     if options.peers:
         return options.peers
-    missing = {PEERS[name].package: PEERS[name] for name in able if not PEERS[name].is_installed}
+    missing = {}
+    installed = []
+    for name in able:
+        peer = PEERS[name]
+        if peer.is_installed:
+            installed.append(name)
+        else:
+            missing[peer.package] = peer
     for package, peer in missing.items():
         tell(f"no comparison with {package}: {peer.remedy}")
-    return tuple(name for name in able if PEERS[name].is_installed)
+    return tuple(installed)
 
 
 def _check_names(option: str, names: Sequence[str], allowed: Collection[str]) -> None:
@@ -277,13 +285,16 @@ def _beside(
     if name != MELT:  # the melt is equilibrated while the engines warm up
         scene = equilibrated(scene)
     n_atoms = len(scene.system)
+    asked: list[tuple[Load, int]] = []
+    for count in dict.fromkeys((1, *threads)):
+        asked.append((Minimd, count))
     counts = {"one": (1,), "each": threads, "most": (max(threads),)}
-    asked: list[tuple[Load, int]] = [(Minimd, count) for count in dict.fromkeys((1, *threads))]
     for peer_name in peers:
         peer = PEERS[peer_name]
         is_wanted = peer_name in options.peers or n_atoms <= peer.most_atoms
         if is_wanted and name in peer.scenes:
-            asked += [(partial(_load, peer_name), count) for count in counts[peer.threads]]
+            load = partial(_load, peer_name)
+            asked += [(load, count) for count in counts[peer.threads]]
     if scene.error:
         groups = _accurate(asked, scene)
     else:
@@ -317,7 +328,8 @@ def _accurate(
     for cutoff in [r for r in WATER_CUTOFFS if r <= widest] or [scene.law.cutoff]:
         exact = scene.cut(cutoff, EXACT)
         forces = Minimd(exact).forces
-        scale = np.linalg.norm(Minimd(exact._replace(potentials=exact.potentials[1:])).forces)
+        charges = exact._replace(potentials=exact.potentials[1:])
+        scale = np.linalg.norm(Minimd(charges).forces)
         group = dict[int, LoadedEngine]()
         for k, (load, count) in enumerate(asked):
             for accuracy in scene.error * LADDER:

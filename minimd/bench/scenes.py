@@ -213,7 +213,8 @@ def _dumbbells(n: int) -> md.System:
     arms = np.random.default_rng(SEED).normal(size=centers.shape)
     arms *= 0.5 * DUMBBELL_LENGTH / np.linalg.norm(arms, axis=1)[:, None]
     positions = np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3)
-    return _atoms(positions, edges, bonds=np.arange(len(positions)).reshape(-1, 2))
+    pairs = np.arange(len(positions)).reshape(-1, 2)
+    return _atoms(positions, edges, bonds=pairs)
 
 
 def _triangles(n: int) -> md.System:
@@ -224,14 +225,16 @@ def _triangles(n: int) -> md.System:
     triangle = np.stack([np.zeros(3), along + side, along - side])
     positions = (centers[:, None] + triangle).reshape(-1, 3)
     sites = np.arange(len(positions)).reshape(-1, 3)
-    return _atoms(positions, edges, bonds=sites[:, [0, 1, 0, 2]].reshape(-1, 2))
+    sides = sites[:, [0, 1, 0, 2]].reshape(-1, 2)
+    return _atoms(positions, edges, bonds=sides)
 
 
 def _rigid_triangles(system: md.System) -> md.DistanceConstraints:
     third = system.bonds[:, 1].reshape(-1, 2)
     pairs = np.concatenate([system.bonds, third])
-    lengths = [1.0, 2.0 * np.sin(0.5 * TRIANGLE_ANGLE)]
-    return md.DistanceConstraints(pairs, np.repeat(lengths, [len(system.bonds), len(third)]))
+    base = 2.0 * np.sin(0.5 * TRIANGLE_ANGLE)
+    lengths = np.repeat([1.0, base], [len(system.bonds), len(third)])
+    return md.DistanceConstraints(pairs, lengths)
 
 
 def lennard_jones(
@@ -249,7 +252,11 @@ TRUNCATED = lennard_jones(CUTOFF, "truncated")
 KOB_ANDERSEN = md.LennardJones(
     {"A": (1.0, 1.0), "B": (0.5, 0.88)},
     pairs={("A", "B"): (1.5, 0.8)},
-    cutoff={("A", "A"): CUTOFF, ("A", "B"): CUTOFF * 0.8, ("B", "B"): CUTOFF * 0.88},
+    cutoff={
+        ("A", "A"): CUTOFF,
+        ("A", "B"): CUTOFF * 0.8,
+        ("B", "B"): CUTOFF * 0.88,
+    },
 )
 DECANE = (
     md.LennardJones(
@@ -389,7 +396,8 @@ def _water(name: str, n: int) -> BenchScene:
     return scene.cut(scene.law.cutoff, error)
 
 
-SCENES: dict[str, Callable[[int], BenchScene]] = {name: partial(_planned, name) for name in PLANS}
+SCENES: dict[str, Callable[[int], BenchScene]] = {}
+SCENES |= {name: partial(_planned, name) for name in PLANS}
 SCENES |= {name: partial(_water, name) for name in WATER}
 melt = SCENES[MELT]
 
@@ -418,7 +426,8 @@ def pairs_in_range(scene: BenchScene, positions: Array) -> int:
         places[places >= box] = 0.0  # by rounding
     names = scene.system.species_names
     trees = [cKDTree(places[scene.system.species == name], boxsize=box) for name in names]
-    cutoffs = np.sqrt(np.broadcast_to(scene.law.table(names)[:, :, 0], (len(names),) * 2))
+    cutoffs = np.sqrt(scene.law.table(names)[:, :, 0])
+    cutoffs = np.broadcast_to(cutoffs, (len(names), len(names)))
     count = 0
     for a, b in combinations_with_replacement(range(len(names)), 2):
         both_ways = trees[a].count_neighbors(trees[b], cutoffs[a, b])

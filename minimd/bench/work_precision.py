@@ -245,7 +245,8 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
             own = scene._replace(method=method(timestep))
             if peer is None:
                 make: Any = partial(engines.Minimd, own, 1, steps // OBSERVATIONS)
-                distance = np.sqrt(np.mean((_path(scene, method, cost) - reference) ** 2))
+                deviations = _path(scene, method, cost) - reference
+                distance = np.sqrt(np.mean(deviations**2))
             else:
                 make = partial(peer.load, own, 1)
                 distance = np.nan
@@ -300,9 +301,11 @@ def measured(
         except (ArithmeticError, RuntimeError):
             return point
         seconds = min(seconds, taken)
-    n_dof = 3 * len(scene.system) - 3 - sum(len(rigid.pairs) for rigid in scene.constraints)
+    n_held = sum(len(rigid.pairs) for rigid in scene.constraints)
+    n_dof = 3 * len(scene.system) - 3 - n_held
     scale = scene.temperature * np.sqrt(n_dof)
-    errors = about_line(np.linspace(0.0, 1.0, OBSERVATIONS + 1), energies / scale)
+    time = np.linspace(0.0, 1.0, OBSERVATIONS + 1)
+    errors = about_line(time, energies / scale)
     return point._replace(seconds=seconds, **errors, distance=distance)
 
 
@@ -350,8 +353,9 @@ def _kepler(_name: str, quick: bool, repeats: int) -> Case:
                 continue
             path = runs[-1][0]
             seconds = min(taken for _, taken in runs)
-            energy = 0.5 * (path.v**2).sum(axis=1) - 1.0 / np.linalg.norm(path.q, axis=1)
-            errors = about_line(path.t / END, energy)
+            kinetic = 0.5 * (path.v**2).sum(axis=1)
+            potential = -1.0 / np.linalg.norm(path.q, axis=1)
+            errors = about_line(path.t / END, kinetic + potential)
             errors["distance"] = float(np.linalg.norm(path.q[-1] - Q0))
             points.append(point._replace(forces=path.nfev / END, seconds=seconds, **errors))
     periods = f"{PERIODS} periods"

@@ -242,9 +242,10 @@ def parsed(kind: type[D], text: str, path: Path) -> D:
         reading = Reading(tomllib.loads(text))
         return kind(path, text, SceneSections.model_validate(reading.document, context=reading))
     except tomllib.TOMLDecodeError as error:
-        # without it the message says "at end of document"
+        line = text.rstrip().rpartition("\n")[2]  # for a message that says "at end of document"
         place = re.search(r"at line (\d+)", str(error))
-        line = text.split("\n")[int(place[1]) - 1] if place else text.rstrip().rpartition("\n")[2]
+        if place:
+            line = text.split("\n")[int(place[1]) - 1]
         raise ValueError(f"{path}: this is not valid TOML: {error}, in {line[:120]!r}") from None
     except RecursionError:
         raise ValueError(f"{path}: its tables are nested too deeply for a scene file") from None

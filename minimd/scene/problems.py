@@ -9,11 +9,17 @@ from pydantic import ValidationError
 from minimd.scene.section import UNKNOWN, Keys, Reading, Section, sections_below
 
 PLAIN = {  # words of pydantic: words of minimd
-    "Input should be": "must be", "a valid integer": "a whole number", "a valid ": "a ",
-    "dictionary or instance of": "table like", "dictionary or object to extract fields from": "table",
-    "dictionary": "table", "List should have": "must have", "item after validation": "entry",
-    "items after validation": "entries", "Value error, ": "",
-}  # fmt: skip
+    "Input should be": "must be",
+    "a valid integer": "a whole number",
+    "a valid ": "a ",
+    "dictionary or instance of": "table like",
+    "dictionary or object to extract fields from": "table",
+    "dictionary": "table",
+    "List should have": "must have",
+    "item after validation": "entry",
+    "items after validation": "entries",
+    "Value error, ": "",
+}
 EDGES = "give all three edges, 0 along a direction that does not repeat, as of a slab"
 MOST = 20  # problems that are told
 OF_MASSES = (

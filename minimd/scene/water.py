@@ -101,10 +101,12 @@ def water(
     centers = places[np.arange(n) * n_places // n]
     length, angle, *_ = MODELS[model]
     half = radians(0.5 * angle)
-    arms = [[0.0, 0.0, 0.0], [sin(half), 0.0, cos(half)], [-sin(half), 0.0, cos(half)]]
+    first = [sin(half), 0.0, cos(half)]
+    second = [-sin(half), 0.0, cos(half)]
+    shape = length * np.array([[0.0, 0.0, 0.0], first, second])
     random = np.random.default_rng(checked_count("seed", seed, 0))
     turns = np.linalg.qr(random.normal(size=(n, 3, 3)))[0]
-    positions = (centers[:, None] + length * np.array(arms) @ turns).reshape(-1, 3)
+    positions = (centers[:, None] + shape @ turns).reshape(-1, 3)
     system = System(
         positions,
         masses=1.0,

@@ -1,6 +1,6 @@
 """`minimd bench`: its benchmarks and their options. A benchmark is imported only when it runs."""
 
-import argparse
+from argparse import Namespace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -41,7 +41,7 @@ def benchmark(name: str, text: str, *arguments: Argument, description: str = "")
     )
 
 
-def bench(name: str, arguments: argparse.Namespace) -> None:
+def bench(name: str, arguments: Namespace) -> None:
     """Run a benchmark, print its outcome, and write it with --out.  Raises as the benchmark."""
     from minimd.bench.outcome import markdown, write
 
@@ -54,7 +54,7 @@ def bench(name: str, arguments: argparse.Namespace) -> None:
         write(outcome, arguments.out)
 
 
-def _outcome(name: str, arguments: argparse.Namespace, repeats: int) -> "Outcome":
+def _outcome(name: str, arguments: Namespace, repeats: int) -> "Outcome":
     quick = arguments.quick
     if name == "work-precision":
         from minimd.bench.work_precision import run_work_precision

@@ -260,16 +260,13 @@ def _checked_peers(options: PeersOptions) -> tuple[str, ...]:
     if options.peers:
         return options.peers
     missing = {}
-    installed = []
     for name in able:
         peer = PEERS[name]
-        if peer.is_installed:
-            installed.append(name)
-        else:
-            missing[peer.package] = peer
-    for package, peer in missing.items():
-        tell(f"no comparison with {package}: {peer.remedy}")
-    return tuple(installed)
+        if not peer.is_installed:
+            missing[peer.package] = peer.remedy
+    for package, remedy in missing.items():
+        tell(f"no comparison with {package}: {remedy}")
+    return tuple(name for name in able if PEERS[name].package not in missing)
 
 
 def _check_names(option: str, names: Sequence[str], allowed: Collection[str]) -> None:

@@ -204,11 +204,8 @@ def same_bits() -> Finding:
     median time of a program of one operation with two empty chunks, on all cores."""
     cores = available_cores()
     numbers = sorted({1, 2, cores})
-    first, *others = [_moved(threads).positions for threads in numbers]
-    different = []
-    for n, end in zip(numbers[1:], others, strict=True):
-        if not np.array_equal(end, first):
-            different.append(str(n))
+    ends = {threads: _moved(threads).positions for threads in numbers}
+    different = [str(n) for n, end in ends.items() if not np.array_equal(end, ends[1])]
     on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
     if different:
         threads = " and ".join(different)
@@ -235,13 +232,13 @@ def speed() -> Finding:
     """Atom-steps per second of the liquid on one thread and on all cores, the best of three rounds, without
     compilation."""
     simulations = [_moved(1), _moved(None)]
-    seconds = np.empty((TURNS, 2))
-    for turn in range(TURNS):
-        for k, simulation in enumerate(simulations):
-            run = partial(simulation.run, STEPS_TIMED, every=STEPS_TIMED, progress=False)
-            seconds[turn, k] = timeit(run, number=1)
+    runs = [
+        partial(simulation.run, STEPS_TIMED, every=STEPS_TIMED, progress=False)
+        for simulation in simulations
+    ]
+    rounds = [[timeit(run, number=1) for run in runs] for _ in range(TURNS)]
     work = 1e-6 * STEPS_TIMED * len(simulations[0].system)
-    single, parallel = work / seconds.min(axis=0)
+    single, parallel = work / np.min(rounds, axis=0)
     hint = "; is the machine busy?" if parallel < single and available_cores() > 1 else ""
     cost = simulations[1].report().cost
     pair_search = cost.pair_search if cost else "no list"

@@ -3,9 +3,9 @@
 A command of another package is a Command that an entry point of the group "minimd.commands" names.
 """
 
-import argparse
 import ast
 import json
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
@@ -34,7 +34,7 @@ class Command(NamedTuple):
     help: str
     description: str
     arguments: tuple[Argument, ...] = ()
-    run: Callable[[argparse.Namespace], Any] | None = None
+    run: Callable[[Namespace], Any] | None = None
     below: tuple["Command", ...] = ()
     epilog: str | None = None
 
@@ -49,7 +49,7 @@ QUIET = flag("--quiet", "print only errors")  # of all commands
 
 def add(parsers: Any, command: Command) -> None:
     """Add a command to the subparsers of argparse."""
-    parser: argparse.ArgumentParser = parsers.add_parser(
+    parser: ArgumentParser = parsers.add_parser(
         command.name, help=command.help, description=command.description, epilog=command.epilog
     )
     parser.set_defaults(command=command.run, refuse=parser.error)
@@ -71,9 +71,7 @@ def whole_number(text: str, least: int = 0) -> int:
     """A whole number, for argparse.  Raises ArgumentTypeError for any other text, or a number that is too small."""
     digits = text.replace("_", "")
     if not digits.isdecimal() or int(digits) < least:
-        raise argparse.ArgumentTypeError(
-            f"must be a whole number, at least {least}; it is {text!r}"
-        )
+        raise ArgumentTypeError(f"must be a whole number, at least {least}; it is {text!r}")
     return int(digits)
 
 
@@ -82,14 +80,14 @@ def written_to(metavar: str, text: str, **more: Any) -> Argument:
     return Argument("--out", text, Path, metavar, more)
 
 
-def scene_of(arguments: argparse.Namespace) -> Any:
+def scene_of(arguments: Namespace) -> Any:
     """The minimd.scene.Scene in the file that is named; None if there is none."""
     from minimd.scene import load_scene
 
     return None if arguments.scene is None else load_scene(arguments.scene)
 
 
-def potentials_of(arguments: argparse.Namespace) -> Any:
+def potentials_of(arguments: Namespace) -> Any:
     """The potentials of the file of --scene; None if it is not given."""
     return arguments.scene and scene_of(arguments).potentials()
 
@@ -122,7 +120,7 @@ def tell_next(files: Iterable[Path]) -> None:
         print(f"               minimd view {file}")
 
 
-def run(arguments: argparse.Namespace) -> None:
+def run(arguments: Namespace) -> None:
     """Run a scene.  Raises as run_scene."""
     from minimd.scene import run_scene
 
@@ -143,7 +141,7 @@ def run(arguments: argparse.Namespace) -> None:
     tell_next(scene.trajectories(out))
 
 
-def scan(arguments: argparse.Namespace) -> bool:
+def scan(arguments: Namespace) -> bool:
     """Scan a scene, or print the status of a scan, with averages and picture; False if members have failed.  Raises as
     scan_scene."""
     from minimd.ensemble.scan import parsed_setting, scan_scene
@@ -186,7 +184,7 @@ def slice_of_members(text: str) -> range:
     return range(whole_number(first), whole_number(end))
 
 
-def resume(arguments: argparse.Namespace) -> None:
+def resume(arguments: Namespace) -> None:
     """Go on with a run.  Raises as resume_run."""
     from minimd.scene import resume_run
 
@@ -200,7 +198,7 @@ def resume(arguments: argparse.Namespace) -> None:
     tell_next([arguments.file])
 
 
-def replay(arguments: argparse.Namespace) -> None:
+def replay(arguments: Namespace) -> None:
     """Print the crash report and make the steps.  Raises as verify_frames and minimd.replay."""
     from minimd.core.files.crash_file import read_crash_report
     from minimd.core.files.h5md_reader import verify_frames
@@ -217,7 +215,7 @@ def replay(arguments: argparse.Namespace) -> None:
     print(f"written        {', '.join(files)}")
 
 
-def lammps(arguments: argparse.Namespace) -> None:
+def lammps(arguments: Namespace) -> None:
     """Hand a scene over.  Raises as hand_over_scene."""
     from minimd.lammps.handing_over import TRAJECTORY
     from minimd.scene.running import hand_over_scene
@@ -237,7 +235,7 @@ def lammps(arguments: argparse.Namespace) -> None:
     tell_next([result.trajectory])
 
 
-def check(arguments: argparse.Namespace) -> bool:
+def check(arguments: Namespace) -> bool:
     """Print the check of a file; True if it passed.  Raises as check_file."""
     from minimd.view.check import check_file
 
@@ -246,7 +244,7 @@ def check(arguments: argparse.Namespace) -> bool:
     return result.passed
 
 
-def plot(arguments: argparse.Namespace) -> None:
+def plot(arguments: Namespace) -> None:
     """Draw the picture and print its name.  Raises as verify_frames, drawing and plot_file."""
     from minimd.core.files.h5md_reader import verify_frames
     from minimd.view.plot import plot_file
@@ -257,7 +255,7 @@ def plot(arguments: argparse.Namespace) -> None:
     print(f"{word:<14} {plot_file(arguments.file, picture)}")
 
 
-def view(arguments: argparse.Namespace) -> None:
+def view(arguments: Namespace) -> None:
     """Write the page and print its name.  Raises as verify_frames, drawing and minimd.view."""
     from minimd.core.files.h5md_reader import verify_frames
 
@@ -274,7 +272,7 @@ def view(arguments: argparse.Namespace) -> None:
         webbrowser.open(page.resolve().as_uri())
 
 
-def frames(arguments: argparse.Namespace) -> None:
+def frames(arguments: Namespace) -> None:
     """Write a file for each step.  Raises as minimd.Past."""
     file = arguments.file
     progress = False if arguments.quiet else None
@@ -295,7 +293,7 @@ def frames(arguments: argparse.Namespace) -> None:
         )
 
 
-def archive(arguments: argparse.Namespace) -> None:
+def archive(arguments: Namespace) -> None:
     """Write the archive and print its size.  Raises as minimd.archive."""
     file = arguments.file
     out = arguments.out or file.with_name(f"{file.stem}.archive.h5md")
@@ -303,14 +301,14 @@ def archive(arguments: argparse.Namespace) -> None:
     print(md.archive(file, out, arguments.every, potentials, arguments.overwrite))
 
 
-def doctor(arguments: argparse.Namespace) -> Any:
+def doctor(arguments: Namespace) -> Any:
     """Print what is found about this machine; False if a test of it fails."""
     from minimd.commands.doctor import clear_cache, examine
 
     return clear_cache() if arguments.clear_cache else examine()
 
 
-def grade(arguments: argparse.Namespace) -> bool:
+def grade(arguments: Namespace) -> bool:
     """Print the grade of a class of dynamics; True if it passed.  Raises ValueError for one that is not there."""
     from minimd.judge.telling import as_dict, draw, named
 

@@ -73,12 +73,12 @@ class EnsembleTable(Displayed):
         self.observables = tuple(name.removesuffix("_mean") for name in means)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        names = self.array.dtype.names or ()
-        if name not in names:
+        columns = self._columns()
+        if name not in columns:
             raise KeyError(
-                f"a table has no column {name!r}; it has {', '.join(names)}{near(name, names)}"
+                f"a table has no column {name!r}; it has {', '.join(columns)}{near(name, columns)}"
             )
-        return self.array[name]
+        return columns[name]
 
     def __len__(self) -> int:
         return len(self.array)

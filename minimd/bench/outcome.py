@@ -57,26 +57,15 @@ class Outcome(Protocol):
 
 def markdown(outcome: Outcome) -> str:
     """The tables, below a description of machine and versions."""
-    words = ", ".join(f"{name} {number}" for name, number in versions(outcome.packages).items())
-    return "\n".join(
-        [
-            f"# minimd bench {outcome.name}",
-            "",
-            f"{machine()['text']}.  ",
-            f"{words}.",
-            "",
-            *outcome.lines(),
-        ]
-    )
+    title = f"# minimd bench {outcome.name}"
+    numbers = ", ".join(f"{name} {number}" for name, number in versions(outcome.packages).items())
+    return "\n".join([title, "", f"{machine()['text']}.  ", f"{numbers}.", "", *outcome.lines()])
 
 
 def as_json(outcome: Outcome) -> str:
     """All results as JSON, with machine and versions."""
-    return json.dumps(
-        {"machine": machine(), "versions": versions(outcome.packages), **outcome.content()},
-        indent=2,
-        ensure_ascii=False,
-    )
+    where = {"machine": machine(), "versions": versions(outcome.packages)}
+    return json.dumps(where | outcome.content(), indent=2, ensure_ascii=False)
 
 
 def write(outcome: Outcome, folder: Path) -> None:
@@ -91,16 +80,15 @@ def write(outcome: Outcome, folder: Path) -> None:
 
 def versions(packages: Sequence[str]) -> dict[str, str]:
     """Versions of minimd, numba, numpy, and of the packages and programs that took part, as they say themselves."""
-    found = {"minimd": md.__version__}
+    numbers = {"minimd": md.__version__}
     for name in ("numba", "numpy", *packages):
-        found[name] = version(name)
-        if found[name] == MISSING and shutil.which(name) is not None:
-            told = subprocess.run(
-                [name, "--version"], capture_output=True, text=True, check=False
-            ).stdout
-            said = re.search(r"version:?[ \t]+(\d\S*)", told, re.IGNORECASE)
-            found[name] = said[1] if said else "of unknown version"
-    return found
+        numbers[name] = version(name)
+        if numbers[name] == MISSING and shutil.which(name) is not None:
+            command = [name, "--version"]
+            answer = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+            number = re.search(r"version:?[ \t]+(\d\S*)", answer, re.IGNORECASE)
+            numbers[name] = number[1] if number else "of unknown version"
+    return numbers
 
 
 def machine() -> dict[str, str | int]:
@@ -117,7 +105,8 @@ def machine() -> dict[str, str | int]:
 
 def table(titles: Mapping[str, type], cells: Sequence[Sequence[Any]]) -> list[str]:
     """Lines of a Markdown table. titles : column → str or float, for left or right."""
-    lines = [list(titles), [ALIGN[kind] for kind in titles.values()], *cells]
+    alignments = [ALIGN[kind] for kind in titles.values()]
+    lines = [list(titles), alignments, *cells]
     return [f"| {' | '.join(map(str, line))} |" for line in lines]
 
 
@@ -132,15 +121,16 @@ def spread(values: Ratios) -> str:
         return ""
     if np.all(values == 1.0):
         return "1"
-    digits = max(0, DIGITS - 1 - floor(log10(np.median(values))))
-    return f"**{np.median(values):.{digits}f}** ({values.min():.{digits}f} to {values.max():.{digits}f})"
+    middle = np.median(values)
+    digits = max(0, DIGITS - 1 - floor(log10(middle)))
+    return f"**{middle:.{digits}f}** ({values.min():.{digits}f} to {values.max():.{digits}f})"
 
 
 def summary(values: Ratios) -> dict[str, Any] | None:
     """Median and the values of all rounds, for programs."""
-    return (
-        None if values is None else {"median": float(np.median(values)), "turns": values.tolist()}
-    )
+    if values is None:
+        return None
+    return {"median": float(np.median(values)), "turns": values.tolist()}
 
 
 def new_figure(height: float) -> "Figure":
@@ -156,8 +146,14 @@ def bars(ratios: Mapping[str, Array], label: str) -> "Figure":
     axes = figure.subplots()
     rounds = np.array(list(ratios.values()))
     middle = np.median(rounds, axis=1)
-    ends = np.abs(np.array([rounds.min(axis=1), rounds.max(axis=1)]) - middle)
-    axes.barh(list(ratios), middle, xerr=ends, color="tab:blue", ecolor="gray")
+    ends = [middle - rounds.min(axis=1), rounds.max(axis=1) - middle]
+    axes.barh(
+        list(ratios),
+        middle,
+        xerr=ends,
+        color="tab:blue",
+        ecolor="gray",
+    )
     axes.axvline(1.0, color="black", lw=0.8)
     axes.invert_yaxis()
     axes.set(xlabel=label, title="median and range of all rounds")
@@ -168,12 +164,26 @@ def draw(panel: "Axes", curves: Mapping[str, tuple[Sequence[float], Array, bool]
     """Draw medians of all rounds and their ranges, six curves at most.
     curves : by name: x (P,), y (P, R), and whether it is minimd's."""
     for k, (name, (x, y, is_own)) in enumerate(curves.items()):
-        style, width = ("-", 2.5) if is_own else ("--", 1.5)
+        color = f"C{k}"
+        middle = np.median(y, axis=1)
         marker = MARKERS[k % MOST_CURVES]
+        style, width = ("-", 2.5) if is_own else ("--", 1.5)
         panel.plot(
-            x, np.median(y, axis=1), style, marker=marker, lw=width, color=f"C{k}", label=name
+            x,
+            middle,
+            style,
+            marker=marker,
+            lw=width,
+            color=color,
+            label=name,
         )
-        panel.fill_between(x, y.min(axis=1), y.max(axis=1), alpha=0.15, color=f"C{k}")
+        panel.fill_between(
+            x,
+            y.min(axis=1),
+            y.max(axis=1),
+            alpha=0.15,
+            color=color,
+        )
 
 
 def name_curves(panel: Any) -> None:
@@ -193,13 +203,14 @@ def name_curves(panel: Any) -> None:
     height = -1.0
     for curve in sorted(panel.lines, key=place):
         height = max(place(curve)[2], height + gap)
+        color = curve.get_color()
         panel.annotate(
             curve.get_label(),
             curve.get_xydata()[-1],
             (1.02, height),
             textcoords="axes fraction",
             va="center",
-            color=curve.get_color(),
-            arrowprops={"arrowstyle": "-", "lw": 0.6, "color": curve.get_color(), "alpha": 0.6},
+            color=color,
+            arrowprops={"arrowstyle": "-", "lw": 0.6, "color": color, "alpha": 0.6},
             annotation_clip=False,
         )

@@ -1,6 +1,6 @@
 """`minimd bench peers`: the same scene in minimd and in other installed engines, or many scenes beside LAMMPS."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -45,15 +45,21 @@ class EngineSpeed(NamedTuple):
         """False for a peer."""
         return self.engine.startswith("minimd")
 
+    @property
+    def shown(self) -> str:
+        """The speed in 10⁶ atom-steps per second."""
+        return spread(self.speeds / 1e6)
+
 
 def ratios(rows: Sequence[EngineSpeed], row: EngineSpeed) -> tuple[outcome.Ratios, outcome.Ratios]:
     """For a peer, the speed of minimd on as many threads divided by its own; for minimd, its speed divided by that on
     one thread; each in each turn, None for the other kind of row, or if there is no such row of minimd."""
     threads = 1 if row.is_minimd else row.threads
-    own = next((one.speeds for one in rows if one.is_minimd and one.threads == threads), None)
-    if own is None:
-        return None, None
-    return (None, row.speeds / own) if row.is_minimd else (own / row.speeds, None)
+    for own in rows:
+        if own.is_minimd and own.threads == threads:
+            faster = row.speeds / own.speeds
+            return (None, faster) if row.is_minimd else (own.speeds / row.speeds, None)
+    return None, None
 
 
 class PeersOptions(NamedTuple):
@@ -92,43 +98,30 @@ class Peers:
                 "atoms": float,
                 "minimd": float,
                 "fastest peer, one thread": str,
+                "its speed": float,
+                "minimd is faster by": float,
             }
             cells = []
             for own, peer in self.fastest():
-                cells.append(
-                    [
-                        own.scene,
-                        own.n_atoms,
-                        spread(own.speeds / 1e6),
-                        peer.engine,
-                        spread(peer.speeds / 1e6),
-                        spread(own.speeds / peer.speeds),
-                    ]
-                )
-            lines += [
-                "",
-                *table(titles | {"its speed": float, "minimd is faster by": float}, cells),
-            ]
+                ratio = spread(own.speeds / peer.speeds)
+                row = [own.scene, own.n_atoms, own.shown, peer.engine, peer.shown, ratio]
+                cells.append(row)
+            lines += ["", *table(titles, cells)]
         for rows in self.sizes:
-            lines += [
-                "",
-                f"## {rows[0].scene}, {rows[0].n_atoms} atoms",
-                "",
-                f"{self.texts[rows[0].scene]}.",
-                "",
-            ]
-            lines += _table(rows)
+            scene = rows[0].scene
+            title = f"## {scene}, {rows[0].n_atoms} atoms"
+            lines += ["", title, "", f"{self.texts[scene]}.", "", *_table(rows)]
         return lines
 
     def fastest(self) -> list[tuple[EngineSpeed, EngineSpeed]]:
         """For each scene and size, on one thread: the row of minimd, double, and that of the fastest peer,
         or minimd's again without peers."""
-        peers = [
-            [row for row in rows if not row.is_minimd and row.threads == 1] or [rows[0]]
-            for rows in self.sizes
-        ]
-        best = [max(rows, key=lambda row: float(np.median(row.speeds))) for rows in peers]
-        return list(zip([rows[0] for rows in self.sizes], best, strict=True))
+        pairs = []
+        for rows in self.sizes:
+            peers = [row for row in rows if not row.is_minimd and row.threads == 1]
+            best = max(peers, key=lambda row: float(np.median(row.speeds)), default=rows[0])
+            pairs.append((rows[0], best))
+        return pairs
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
@@ -146,28 +139,24 @@ class Peers:
         """Speed against the number of atoms, with a panel for each number of threads; at most the six fastest engines
         are drawn. For several scenes, how much faster minimd is than the fastest peer."""
         if len(self.texts) > 1:
-            return outcome.bars(
-                {
-                    f"{own.scene}, {own.n_atoms}": own.speeds / peer.speeds
-                    for own, peer in self.fastest()
-                },
-                "speed of minimd, double, one thread, divided by that of the fastest peer",
-            )
+            faster = {
+                f"{own.scene}, {own.n_atoms}": own.speeds / peer.speeds
+                for own, peer in self.fastest()
+            }
+            label = "speed of minimd, double, one thread, divided by that of the fastest peer"
+            return outcome.bars(faster, label)
         rows = [row for rows in self.sizes for row in rows]
         all_threads = sorted({row.threads for row in rows})
         figure = outcome.new_figure(3.8 * len(all_threads))
         panels = figure.subplots(len(all_threads), sharex=True, sharey=True, squeeze=False)[:, 0]
         for panel, threads in zip(panels, all_threads, strict=True):
-            curves = {
-                one.engine: [row for row in rows if row[:2] == one[:2]]
-                for one in rows
-                if one.threads == threads
-            }
-            fastest = sorted(curves.items(), key=lambda curve: -np.median(curve[1][-1].speeds))[
-                : outcome.MOST_CURVES
-            ]
+            curves = dict[str, list[EngineSpeed]]()
+            for row in rows:
+                if row.threads == threads:
+                    curves.setdefault(row.engine, []).append(row)
+            fastest = sorted(curves.items(), key=lambda curve: -np.median(curve[1][-1].speeds))
             drawn = {}
-            for name, points in fastest:
+            for name, points in fastest[: outcome.MOST_CURVES]:
                 speeds = np.array([point.speeds for point in points]) / 1e6
                 drawn[name] = [point.n_atoms for point in points], speeds, points[0].is_minimd
             outcome.draw(panel, drawn)
@@ -186,60 +175,61 @@ class Peers:
 
 
 def _table(rows: Sequence[EngineSpeed]) -> list[str]:
-    titles: dict[str, type] = {"engine": str, "threads": float, "precision": str, "speed": float}
-    titles |= {"minimd, same threads, is faster by": float, "ratio to minimd, 1 thread": float}
+    titles: dict[str, type] = {
+        "engine": str,
+        "threads": float,
+        "precision": str,
+        "speed": float,
+        "minimd, same threads, is faster by": float,
+        "ratio to minimd, 1 thread": float,
+    }
+    has_memory = any(row.bytes_per_atom is not None for row in rows)
+    if has_memory:
+        titles["bytes per atom"] = float
     cells = []
     for row in rows:
         name = f"**{row.engine}**" if row.is_minimd else row.engine
-        memory = "" if row.bytes_per_atom is None else f"{row.bytes_per_atom:.0f}"
-        numbers = spread(row.speeds / 1e6), *map(spread, ratios(rows, row))
-        cells.append([name, row.threads, row.precision, *numbers, memory])
-    if any(row.bytes_per_atom is not None for row in rows):
-        return table(titles | {"bytes per atom": float}, cells)
-    return table(titles, [line[:-1] for line in cells])
+        cells.append([name, row.threads, row.precision, row.shown, *map(spread, ratios(rows, row))])
+        if has_memory:
+            memory = row.bytes_per_atom
+            cells[-1].append("" if memory is None else f"{memory:.0f}")
+    return table(titles, cells)
 
 
 def _content(rows: Sequence[EngineSpeed], row: EngineSpeed) -> dict[str, Any]:
-    kept = ("engine", "threads", "precision", "n_atoms", "bytes_per_atom")
-    names = ("atom_steps_per_second", "minimd_is_faster_by", "beside_minimd_one_thread")
-    measured = zip(names, map(summary, (row.speeds, *ratios(rows, row))), strict=True)
-    return {name: getattr(row, name) for name in kept} | dict(measured)
+    faster, beside = ratios(rows, row)
+    fields = row._asdict()
+    del fields["scene"]
+    fields["atom_steps_per_second"] = summary(fields.pop("speeds"))
+    fields["minimd_is_faster_by"] = summary(faster)
+    fields["beside_minimd_one_thread"] = summary(beside)
+    return fields
 
 
 def run_peers(options: PeersOptions) -> Peers:
     """Measure one scene and one size after the other; progress is printed to standard error.
     Raises ValueError for options that do not fit, or if a peer does not start.  HandOverError as check_agreement."""
-    threads = _checked(options)
-    texts = {name: SCENES[name](min(options.cells)).text for name in options.scenes}
-    able = [name for name, peer in PEERS.items() if {*options.scenes} & {*peer.scenes}]
-    able = [] if options.peers == NO_PEERS else able
-    missing = {peer.package: peer for name in able if not (peer := PEERS[name]).is_installed}
-    for package, peer in {} if options.peers else missing.items():
-        tell(
-            f"no comparison with {package}: not installed; {peer.installer.format(package)} installs it"
-        )
-    peers = [
-        name for name in (options.peers or able) if able and PEERS[name].package not in missing
-    ]
+    texts = _checked_scenes(options)
+    threads = thread_numbers(options.threads)
+    peers = _checked_peers(options)
+    packages = tuple(dict.fromkeys(PEERS[name].package for name in peers))
     sizes = [
         _beside(scene, n, options, threads, peers)
         for scene in options.scenes
         for n in options.cells
     ]
-    return Peers(
-        texts, options.repeats, tuple(dict.fromkeys(PEERS[name].package for name in peers)), sizes
-    )
+    return Peers(texts, options.repeats, packages, sizes)
 
 
-def _checked(options: PeersOptions) -> tuple[int, ...]:
-    """The numbers of threads.  Raises ValueError unless the options fit together, and fit this machine."""
-    for name, value, allowed in (
-        ("scene", options.scenes, SCENES),
-        ("peers", options.peers, (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS),
-    ):
-        if unknown := [word for word in value if word not in allowed]:
-            raise ValueError(f"--{name} must be one of {', '.join(allowed)}; it is {unknown[0]!r}")
-    threads = thread_numbers(options.threads)
+def able_peers(names: Iterable[str], scenes: Sequence[str]) -> tuple[str, ...]:
+    """Those of some peers that can run one of the scenes."""
+    return tuple(name for name in names if {*scenes} & {*PEERS[name].scenes})
+
+
+def _checked_scenes(options: PeersOptions) -> dict[str, str]:
+    """The texts of the scenes, by name.  Raises ValueError for an unknown scene, or one with too small a cell."""
+    _check_names("scene", options.scenes, SCENES)
+    texts = {}
     smallest = min(options.cells)
     for name in options.scenes:
         scene = SCENES[name](smallest)
@@ -248,17 +238,41 @@ def _checked(options: PeersOptions) -> tuple[int, ...]:
                 f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {name!r}; give a "
                 "larger number"
             )
-    for name in () if options.peers == NO_PEERS else options.peers:
+        texts[name] = scene.text
+    return texts
+
+
+def _checked_peers(options: PeersOptions) -> tuple[str, ...]:
+    """The peers that take part.  Raises ValueError for one that is unknown or missing, or can run no scene."""
+    if options.peers == NO_PEERS:
+        return ()
+    allowed = (*PEERS, *NO_PEERS) if len(options.peers) == 1 else tuple(PEERS)
+    _check_names("peers", options.peers, allowed)
+    able = able_peers(PEERS, options.scenes)
+    for name in options.peers:
         peer = PEERS[name]
-        if not {*options.scenes} & {*peer.scenes}:
+        if name not in able:
             raise ValueError(
                 f"--peers {name} cannot run the scene {options.scenes[0]!r}; it runs {', '.join(peer.scenes)}"
             )
         if not peer.is_installed:
-            raise ValueError(
-                f"{peer.package} is not installed; {peer.installer.format(peer.package)} installs it"
-            )
-    return threads
+            raise ValueError(f"{peer.package} is {peer.remedy}")
+    if options.peers:
+        return options.peers
+    missing = {}
+    for name in able:
+        peer = PEERS[name]
+        if not peer.is_installed:
+            missing[peer.package] = peer.remedy
+    for package, remedy in missing.items():
+        tell(f"no comparison with {package}: {remedy}")
+    return tuple(name for name in able if PEERS[name].package not in missing)
+
+
+def _check_names(option: str, names: Sequence[str], allowed: Collection[str]) -> None:
+    for name in names:
+        if name not in allowed:
+            raise ValueError(f"--{option} must be one of {', '.join(allowed)}; it is {name!r}")
 
 
 def _beside(
@@ -268,28 +282,31 @@ def _beside(
     if name != MELT:  # the melt is equilibrated while the engines warm up
         scene = equilibrated(scene)
     n_atoms = len(scene.system)
+    asked: list[tuple[Load, int]] = []
+    for count in dict.fromkeys((1, *threads)):
+        asked.append((Minimd, count))
     counts = {"one": (1,), "each": threads, "most": (max(threads),)}
-    asked: list[tuple[Load, int]] = [(Minimd, count) for count in dict.fromkeys((1, *threads))]
-    for peer in peers:
-        if name in PEERS[peer].scenes and (
-            peer in options.peers or n_atoms <= PEERS[peer].most_atoms
-        ):
-            asked += [(partial(_load, peer), count) for count in counts[PEERS[peer].threads]]
-    groups = (
-        _accurate(asked, scene)
-        if scene.error
-        else [dict(enumerate(load(scene, count) for load, count in asked))]
-    )
+    for peer_name in peers:
+        peer = PEERS[peer_name]
+        is_wanted = peer_name in options.peers or n_atoms <= peer.most_atoms
+        if is_wanted and name in peer.scenes:
+            load = partial(_load, peer_name)
+            asked += [(load, count) for count in counts[peer.threads]]
+    if scene.error:
+        groups = _accurate(asked, scene)
+    else:
+        groups = [{k: load(scene, count) for k, (load, count) in enumerate(asked)}]
     for group in groups:
         check_agreement([*group.values()], scene)
     tell(f"{name}: the energies agree")
-    tried = [one for group in groups for one in group.items()]
+    places = [k for group in groups for k in group]
+    engines = [engine for group in groups for engine in group.values()]
+    speeds = n_atoms * in_turns(engines, options.repeats, n_atoms)
     best = dict[int, EngineSpeed]()
-    speeds = n_atoms * in_turns([engine for _, engine in tried], options.repeats, n_atoms)
-    for (k, engine), speed in zip(tried, speeds, strict=True):
+    for k, engine, speed in zip(places, engines, speeds, strict=True):
         if k not in best or np.median(speed) > np.median(best[k].speeds):
             best[k] = EngineSpeed(
-                engine.name, engine.threads, engine.precision, scene.name, n_atoms, speed
+                engine.name, engine.threads, engine.precision, name, n_atoms, speed
             )
     for k, row in best.items():
         if row.is_minimd and 4 * n**3 >= FROM_ATOMS:
@@ -304,25 +321,25 @@ def _accurate(
     """For each cutoff that the cell has room for, the engines that are asked for, by their places: each with the least
     accuracy whose measured error is allowed, without those that do not reach it."""
     groups = []
-    for cutoff in [one for one in WATER_CUTOFFS if 2.0 * one <= scene.edges.min()] or [
-        scene.law.cutoff
-    ]:
+    widest = 0.5 * scene.edges.min()
+    for cutoff in [r for r in WATER_CUTOFFS if r <= widest] or [scene.law.cutoff]:
         exact = scene.cut(cutoff, EXACT)
-        forces, of_charges = (
-            Minimd(exact._replace(potentials=exact.potentials[k:])).forces for k in (0, 1)
-        )
-        groups.append(dict[int, LoadedEngine]())
+        forces = Minimd(exact).forces
+        charges = exact._replace(potentials=exact.potentials[1:])
+        scale = np.linalg.norm(Minimd(charges).forces)
+        group = dict[int, LoadedEngine]()
         for k, (load, count) in enumerate(asked):
             for accuracy in scene.error * LADDER:
                 engine = load(scene.cut(cutoff, accuracy), count)
-                error = np.linalg.norm(forces - engine.forces) / np.linalg.norm(of_charges)
+                error = np.linalg.norm(forces - engine.forces) / scale
                 engine.name += f", r_c {cutoff:g} Å, error {error:.1e}"
                 if error <= scene.error:
-                    groups[-1][k] = engine
+                    group[k] = engine
+                    tell(f"{scene.name}: {engine.name}")
                     break
-            tell(
-                f"{scene.name}: {engine.name}{'' if k in groups[-1] else ': left out, as no accuracy is high enough'}"
-            )
+            else:
+                tell(f"{scene.name}: {engine.name}: left out, as no accuracy is high enough")
+        groups.append(group)
     return groups
 
 

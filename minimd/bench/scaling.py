@@ -22,11 +22,9 @@ if TYPE_CHECKING:
 
 CELLS = (3, 5, 8, 12, 20, 32, 63)  # 108 to 1 000 188 atoms
 CELLS_QUICK = (3, 5, 10, 20)  # 108 to 32 000
-# cells
-MEMORY_OF = 63
+MEMORY_OF = 63  # cells
 MEMORY_OF_QUICK = 40
-# cells: with a first scene of 32 000 atoms, the memory of Python and of the kernels does not count
-SMALL = 20
+SMALL = 20  # cells: above 32 000 atoms, the memory of Python and of the kernels does not count
 MEMORY_STEPS = 120  # enough for the snapshots to which a failed run goes back
 
 
@@ -51,14 +49,15 @@ class Scaling:
     def lines(self) -> list[str]:
         """See Outcome."""
         threads = list(self.sizes[0].seconds)
-        columns = [f"ns per atom and step, {threads_text(t)}" for t in threads]
-        titles = ["atoms", *columns, *(f"speedup with {t} threads" for t in threads if t > 1)]
+        several = [t for t in threads if t > 1]
+        titles = ["atoms"]
+        titles += [f"ns per atom and step, {threads_text(t)}" for t in threads]
+        titles += [f"speedup with {t} threads" for t in several]
         cells = []
         for n_atoms, seconds in self.sizes:
             times = [spread(1e9 * seconds[t] / n_atoms) for t in threads]
-            cells.append(
-                [n_atoms, *times, *(spread(seconds[1] / seconds[t]) for t in threads if t > 1)]
-            )
+            speedups = [spread(seconds[1] / seconds[t]) for t in several]
+            cells.append([n_atoms, *times, *speedups])
         head = f"The melt, double precision; median of {self.repeats} rounds (least to most)."
         lines = [head, "", *table(dict.fromkeys(titles, float), cells), ""]
         if self.memory is not None:
@@ -88,8 +87,11 @@ class Scaling:
         figure = new_figure(4.0)
         axes = figure.subplots()
         n = [size.n_atoms for size in self.sizes]
-        times = lambda t: np.array([1e9 * size.seconds[t] / size.n_atoms for size in self.sizes])  # noqa: E731
-        draw(axes, {threads_text(t): (n, times(t), True) for t in self.sizes[0].seconds})
+        curves = {}
+        for t in self.sizes[0].seconds:
+            times = np.array([1e9 * size.seconds[t] / size.n_atoms for size in self.sizes])
+            curves[threads_text(t)] = n, times, True
+        draw(axes, curves)
         axes.set(
             xscale="log",
             ylim=(0.0, None),
@@ -103,13 +105,13 @@ class Scaling:
 
 def run_scaling(threads: Sequence[int], quick: bool, repeats: int) -> Scaling:
     """Measure time and memory of the melt.  Raises ValueError for more threads than cores."""
-    kinds = tuple(dict.fromkeys((1, *thread_numbers(threads))))
+    numbers = dict.fromkeys((1, *thread_numbers(threads)))
     sizes = []
     for n in CELLS_QUICK if quick else CELLS:
         scene = SCENES[MELT](n)
         n_atoms = 4 * n**3
-        speeds = in_turns([Minimd(scene, t) for t in kinds], repeats, n_atoms)
-        sizes.append(Size(n_atoms, dict(zip(kinds, 1.0 / speeds, strict=True))))
+        speeds = in_turns([Minimd(scene, t) for t in numbers], repeats, n_atoms)
+        sizes.append(Size(n_atoms, dict(zip(numbers, 1.0 / speeds, strict=True))))
     n = MEMORY_OF_QUICK if quick else MEMORY_OF
     return Scaling(sizes, bytes_per_atom(MELT, n, 1), 4 * n**3, repeats)
 
@@ -119,27 +121,21 @@ def bytes_per_atom(scene: str, n: int, threads: int) -> float | None:
     built and run, in a process of their own. None if the operating system does not give the peak, or this fails."""
     if not STATUS.exists():
         return None
-    answer = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            f"from minimd.bench.scaling import growth; print(); print(growth({scene!r}, {n}, {threads}))",
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
+    program = f"from minimd.bench.scaling import growth; print(); print(growth({scene!r}, {n}, {threads}))"
+    process = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
     )
-    if answer.returncode:
-        tell(
-            f"memory could not be measured: {(answer.stderr.splitlines() or ['no reason given'])[-1]}"
-        )
+    if process.returncode:
+        reason = (process.stderr.splitlines() or ["no reason given"])[-1]
+        tell(f"memory could not be measured: {reason}")
         return None
-    return float(answer.stdout.splitlines()[-1])
+    return float(process.stdout.splitlines()[-1])
 
 
 def growth(scene: str, n: int, threads: int) -> float:
     """As bytes_per_atom, in this process, which must be new."""
-    (few, before), (many, after) = (_peak(scene, cells, threads) for cells in (SMALL, n))
+    few, before = _peak(scene, SMALL, threads)
+    many, after = _peak(scene, n, threads)
     return (after - before) / (many - few)
 
 

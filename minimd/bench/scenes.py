@@ -11,6 +11,8 @@ from math import cbrt, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import minimd as md
@@ -87,7 +89,7 @@ class BenchScene(NamedTuple):
     @property
     def law(self) -> Nonbonded:
         """The potential of its pairs."""
-        return next(one for one in self.potentials if isinstance(one, Nonbonded))
+        return next(law for law in self.potentials if isinstance(law, Nonbonded))
 
     @property
     def scatter(self) -> float:
@@ -96,14 +98,10 @@ class BenchScene(NamedTuple):
 
     def cut(self, cutoff: float, accuracy: float) -> "BenchScene":
         """Water with both laws cut at a distance [Å], and charges summed to an accuracy."""
-        own: Any = self.law.parameters
-        return self._replace(
-            potentials=(
-                md.LennardJones(own, None, cutoff, "truncated", bonded_scale=self.law.bonded_scale),
-                md.Coulomb(cutoff, accuracy),
-            ),
-            accuracy=accuracy,
-        )
+        wells: Any = self.law.parameters
+        scale = self.law.bonded_scale
+        law = md.LennardJones(wells, None, cutoff, "truncated", bonded_scale=scale)
+        return self._replace(potentials=(law, md.Coulomb(cutoff, accuracy)), accuracy=accuracy)
 
 
 class Plan(NamedTuple):
@@ -150,31 +148,36 @@ def _slab(n: int) -> md.System:
 def _mixture(n: int) -> md.System:
     """4 n³ atoms on the fcc lattice, of two species distributed at random, a fifth of them B."""
     positions, edges = _lattice(n, 1.2)
-    species = np.full(len(positions), "A")
-    species[
-        np.random.default_rng(SEED).permutation(len(positions))[: round(0.2 * len(positions))]
-    ] = "B"
+    n_atoms = len(positions)
+    shuffled = np.random.default_rng(SEED).permutation(n_atoms)
+    species = np.full(n_atoms, "A")
+    species[shuffled[: round(0.2 * n_atoms)]] = "B"
     return _atoms(positions, edges, species=species)
 
 
 def _beads(density: float, n: int) -> md.System:
     """Nearly 4 n³ beads in chains of 100, along a path that winds through a simple cubic lattice."""
     width = round(cbrt(4 * n**3))  # lattice sites along an edge
-    n_beads = width**3 // BEADS * BEADS
+    n_sites = width**3
+    n_beads = n_sites // BEADS * BEADS
     if n_beads == 0:
         raise ValueError(
-            f"a scene of chains needs at least {BEADS} sites, for one chain of {BEADS} beads; it has "
-            f"{width**3}"
+            f"a scene of chains needs at least {BEADS} sites, for one chain of {BEADS} beads; it has {n_sites}"
         )
     edge = cbrt(n_beads / density)
-    first = np.arange(n_beads - 1)
-    first = first[(first + 1) % BEADS != 0]
     # a winding path: each site is the nearest neighbor of the one before
-    z, y, x = np.unravel_index(np.arange(width**3), (width,) * 3)
+    z, y, x = np.indices((width,) * 3).reshape(3, -1)
+    row = z * width + y
+    x = np.where(row % 2 == 0, x, width - 1 - x)
     y = np.where(z % 2 == 0, y, width - 1 - y)
-    row = np.arange(width**3) // width
-    path = np.column_stack([np.where(row % 2 == 0, x, width - 1 - x), y, z]).astype(np.float64)
-    return _atoms(path[:n_beads] * (edge / width), edge, bonds=np.column_stack([first, first + 1]))
+    path = np.column_stack([x, y, z])[:n_beads]
+    chains = np.arange(n_beads).reshape(-1, BEADS)
+    return _atoms(path * (edge / width), edge, bonds=_runs(chains, 2))
+
+
+def _runs(molecules: NDArray[np.int64], size: int) -> NDArray[np.int64]:
+    """All runs of neighboring atoms in chains, (K, size).  molecules : (M, L), the atoms of each."""
+    return sliding_window_view(molecules, size, axis=1).reshape(-1, size)
 
 
 def _decane(n: int) -> md.System:
@@ -185,25 +188,23 @@ def _decane(n: int) -> md.System:
     layers = max(2, round(cbrt(4 * n**3 / CARBONS / DECANE_DENSITY) / height))
     rows = round(sqrt(4 * n**3 / CARBONS / layers))
     apart = 1.0 / sqrt(DECANE_DENSITY * height)
-    corners = np.stack(
-        np.meshgrid(*map(np.arange, (rows, rows, layers)), indexing="ij"), axis=-1
-    ).reshape(-1, 1, 3)
+    spacing = np.array([apart, apart, height])
+    counts = (rows, rows, layers)
+    corners = np.indices(counts).reshape(3, -1).T * spacing
     carbon = np.arange(CARBONS)
     molecule = np.column_stack([amplitude * (carbon % 2), 0.0 * carbon, rise * carbon])
-    positions = (corners * (apart, apart, height) + molecule).reshape(-1, 3)
+    positions = (corners[:, None] + molecule).reshape(-1, 3)
     atoms = np.arange(len(positions)).reshape(-1, CARBONS)
-    groups = {
-        name: np.stack(
-            [atoms[:, k : CARBONS - size + 1 + k] for k in range(size)], axis=-1
-        ).reshape(-1, size)
-        for name, size in {"bonds": 2, "angles": 3, "dihedrals": 4}.items()
-    }
     is_end = np.tile(np.isin(carbon, (0, CARBONS - 1)), len(atoms))
-    groups |= {
-        "masses": np.where(is_end, METHYL_MASS, 1.0),
-        "species": np.where(is_end, "CH3", "CH2"),
-    }
-    return _atoms(positions, np.array([rows * apart, rows * apart, layers * height]), **groups)
+    return _atoms(
+        positions,
+        spacing * counts,
+        bonds=_runs(atoms, 2),
+        angles=_runs(atoms, 3),
+        dihedrals=_runs(atoms, 4),
+        masses=np.where(is_end, METHYL_MASS, 1.0),
+        species=np.where(is_end, "CH3", "CH2"),
+    )
 
 
 def _dumbbells(n: int) -> md.System:
@@ -212,7 +213,8 @@ def _dumbbells(n: int) -> md.System:
     arms = np.random.default_rng(SEED).normal(size=centers.shape)
     arms *= 0.5 * DUMBBELL_LENGTH / np.linalg.norm(arms, axis=1)[:, None]
     positions = np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3)
-    return _atoms(positions, edges, bonds=np.arange(len(positions)).reshape(-1, 2))
+    pairs = np.arange(len(positions)).reshape(-1, 2)
+    return _atoms(positions, edges, bonds=pairs)
 
 
 def _triangles(n: int) -> md.System:
@@ -220,32 +222,41 @@ def _triangles(n: int) -> md.System:
     centers, edges = _lattice(round(cbrt(n**3 / 3)), 0.3187)  # molecules per σ³: 1.08 g/cm³
     side = np.sin(0.5 * TRIANGLE_ANGLE) * np.eye(3)[1]
     along = np.cos(0.5 * TRIANGLE_ANGLE) * np.sqrt([0.5, 0.0, 0.5])
-    positions = (centers[:, None] + np.stack([np.zeros(3), along + side, along - side])).reshape(
-        -1, 3
-    )
-    tips = np.arange(0, len(positions), 3)[:, None, None]
-    return _atoms(positions, edges, bonds=(tips + np.array([[0, 1], [0, 2]])).reshape(-1, 2))
+    triangle = np.stack([np.zeros(3), along + side, along - side])
+    positions = (centers[:, None] + triangle).reshape(-1, 3)
+    sites = np.arange(len(positions)).reshape(-1, 3)
+    sides = sites[:, [0, 1, 0, 2]].reshape(-1, 2)
+    return _atoms(positions, edges, bonds=sides)
 
 
 def _rigid_triangles(system: md.System) -> md.DistanceConstraints:
     third = system.bonds[:, 1].reshape(-1, 2)
-    return md.DistanceConstraints(
-        np.concatenate([system.bonds, third]),
-        np.repeat([1.0, 2.0 * np.sin(0.5 * TRIANGLE_ANGLE)], [len(system.bonds), len(third)]),
-    )
+    pairs = np.concatenate([system.bonds, third])
+    base = 2.0 * np.sin(0.5 * TRIANGLE_ANGLE)
+    lengths = np.repeat([1.0, base], [len(system.bonds), len(third)])
+    return md.DistanceConstraints(pairs, lengths)
 
 
-def _lj(cutoff: float = CUTOFF, truncation: TruncationName = "shifted", scale=(1.0, 1.0, 1.0)):
+def lennard_jones(
+    cutoff: float = CUTOFF,
+    truncation: TruncationName = "shifted",
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0),
+) -> md.LennardJones:
     """The law of most scenes, with factors for pairs one, two and three bonds apart."""
     return md.LennardJones(1.0, 1.0, cutoff, truncation, bonded_scale=scale)
 
 
-AT_MELT = "fcc at ρ* 0.8442, T* 1.44, r_c {} σ, {}, Δt* 0.005, NVE"
 UNBONDED = (0.0, 1.0, 1.0)
+SHIFTED = lennard_jones()
+TRUNCATED = lennard_jones(CUTOFF, "truncated")
 KOB_ANDERSEN = md.LennardJones(
     {"A": (1.0, 1.0), "B": (0.5, 0.88)},
     pairs={("A", "B"): (1.5, 0.8)},
-    cutoff={("A", "A"): CUTOFF, ("A", "B"): CUTOFF * 0.8, ("B", "B"): CUTOFF * 0.88},
+    cutoff={
+        ("A", "A"): CUTOFF,
+        ("A", "B"): CUTOFF * 0.8,
+        ("B", "B"): CUTOFF * 0.88,
+    },
 )
 DECANE = (
     md.LennardJones(
@@ -260,99 +271,133 @@ DECANE = (
 PLANS = {
     # LAMMPS' benchmark
     MELT: Plan(
-        f"Lennard-Jones melt: {AT_MELT.format(2.5, 'truncated')}",
-        partial(_fluid, MELT_DENSITY), (_lj(CUTOFF, "truncated"),)),
-    "cutoff-4": Plan(f"Long cutoff: {AT_MELT.format(4, 'shifted')}", partial(_fluid, MELT_DENSITY), (_lj(4.0),)),
-    "wca": Plan(f"WCA fluid: {AT_MELT.format(1.12, 'shifted')}", partial(_fluid, MELT_DENSITY), (_lj(WCA_CUTOFF),)),
+        "Lennard-Jones melt: fcc at ρ* 0.8442, T* 1.44, r_c 2.5 σ, truncated, Δt* 0.005, NVE",
+        partial(_fluid, MELT_DENSITY),
+        (TRUNCATED,),
+    ),
+    "cutoff-4": Plan(
+        "Long cutoff: fcc at ρ* 0.8442, T* 1.44, r_c 4 σ, shifted, Δt* 0.005, NVE",
+        partial(_fluid, MELT_DENSITY),
+        (lennard_jones(4.0),),
+    ),
+    "wca": Plan(
+        "WCA fluid: fcc at ρ* 0.8442, T* 1.44, r_c 1.12 σ, shifted, Δt* 0.005, NVE",
+        partial(_fluid, MELT_DENSITY),
+        (lennard_jones(WCA_CUTOFF),),
+    ),
     # W. Kob, H. C. Andersen, Phys. Rev. E 51, 4626 (1995)
     "kob-andersen": Plan(
         "Kob-Andersen mixture: 80 % A and 20 % B, ρ* 1.2, T* 1.0, r_c 2.5 σ of each pair, shifted, Δt* 0.005, NVE",
-        _mixture, (KOB_ANDERSEN,), 1.0),
-    "gas": Plan("Gas: fcc at ρ* 0.01, T* 1.44, r_c 2.5 σ, shifted, Δt* 0.005, NVE", partial(_fluid, 0.01), (_lj(),)),
+        _mixture,
+        (KOB_ANDERSEN,),
+        1.0,
+    ),
+    "gas": Plan(
+        "Gas: fcc at ρ* 0.01, T* 1.44, r_c 2.5 σ, shifted, Δt* 0.005, NVE",
+        partial(_fluid, 0.01),
+        (SHIFTED,),
+    ),
     "droplet": Plan(
         "Droplet in vacuum: T* 0.75, in a cell of 4 times its diameter, r_c 2.5 σ, shifted, Δt* 0.005, NVE",
-        _droplet, (_lj(),), LIQUID_TEMPERATURE),
+        _droplet,
+        (SHIFTED,),
+        LIQUID_TEMPERATURE,
+    ),
     "slab": Plan(
         "Slab between vacuum: T* 0.75, in a cell of 4 times its thickness, r_c 2.5 σ, shifted, Δt* 0.005, NVE",
-        _slab, (_lj(),), LIQUID_TEMPERATURE),
+        _slab,
+        (SHIFTED,),
+        LIQUID_TEMPERATURE,
+    ),
     # pressure and compressibility are about those of the melt itself
     "npt": Plan(
         "Lennard-Jones melt at constant pressure: T* 1.44, P* 5, r_c 2.5 σ, truncated, Δt* 0.005, NPT",
-        partial(_fluid, MELT_DENSITY), (_lj(CUTOFF, "truncated"),),
+        partial(_fluid, MELT_DENSITY),
+        (TRUNCATED,),
         method=md.StochasticVelocityRescaling(TIMESTEP, MELT_TEMPERATURE, 0.5, SEED),
-        barostat=md.StochasticCellRescaling(5.0, 0.03, 5.0, SEED)),
+        barostat=md.StochasticCellRescaling(5.0, 0.03, 5.0, SEED),
+    ),
     # after the bead-spring model of K. Kremer, G. S. Grest, J. Chem. Phys. 92, 5057 (1990)
     "chains": Plan(
         "Chains of 100 beads: harmonic bonds (k* 400, length 1 σ), bonded neighbors excluded, ρ* 0.85, T* 1.0, r_c "
         "2.5 σ, shifted, Δt* 0.005, NVE",
-        partial(_beads, 0.85), (_lj(scale=UNBONDED), md.HarmonicBond(BOND_CONSTANT, BOND_LENGTH)), 1.0),
+        partial(_beads, 0.85),
+        (lennard_jones(scale=UNBONDED), md.HarmonicBond(BOND_CONSTANT, BOND_LENGTH)),
+        1.0,
+    ),
     # that model itself
     "chain": Plan(
         "LAMMPS' benchmark chain: 100 beads, FENE bonds (k* 30, R 1.5 σ), WCA, bonded neighbors excluded, ρ* 0.8442, "
         "T* 1.0, friction 0.1/τ, Δt* 0.012, Langevin",
-        partial(_beads, MELT_DENSITY), (_lj(WCA_CUTOFF, scale=UNBONDED), md.FENEBond(30.0, 1.5)), 1.0,
-        md.LangevinBAOAB(CHAIN_TIMESTEP, 1.0, FRICTION, SEED)),
+        partial(_beads, MELT_DENSITY),
+        (lennard_jones(WCA_CUTOFF, scale=UNBONDED), md.FENEBond(30.0, 1.5)),
+        1.0,
+        md.LangevinBAOAB(CHAIN_TIMESTEP, 1.0, FRICTION, SEED),
+    ),
     # TraPPE, at 300 K and with a time step of 1 fs: M. G. Martin, J. I. Siepmann, J. Phys. Chem. B 102, 2569 (1998)
     "decane": Plan(
         "Decane of united atoms: TraPPE with harmonic bonds (k* 90 000), angles and torsions, 0.19 molecules per σ³, "
         "T* 6.5, r_c 2.5 σ, shifted, Δt* 0.0004, NVE",
-        _decane, DECANE, 6.5, md.VelocityVerlet(0.0004)),
+        _decane,
+        DECANE,
+        6.5,
+        md.VelocityVerlet(0.0004),
+    ),
     "dumbbells": Plan(
         "Rigid dumbbells: two atoms 0.6 σ apart, 0.4 molecules per σ³, T* 1.5, r_c 2.5 σ, truncated, Δt* 0.005, NVE",
-        _dumbbells, (_lj(CUTOFF, "truncated", UNBONDED),), 1.5,
-        rigid=lambda system: md.DistanceConstraints(system.bonds, DUMBBELL_LENGTH)),
+        _dumbbells,
+        (lennard_jones(CUTOFF, "truncated", UNBONDED),),
+        1.5,
+        rigid=lambda system: md.DistanceConstraints(system.bonds, DUMBBELL_LENGTH),
+    ),
     # ortho-terphenyl: L. J. Lewis, G. Wahnström, Phys. Rev. E 50, 3865 (1994)
     "triangles": Plan(
         "Rigid triangles, as water without charges: three alike sites, sides of 1 σ at 75°, 0.3187 molecules per σ³, "
         "T* 1.0, r_c 2.5 σ, shifted, friction 0.1/τ, Δt* 0.005, Langevin",
-        _triangles, (_lj(scale=(0.0, 0.0, 1.0)),), 1.0,
-        md.LangevinBAOAB(TIMESTEP, 1.0, FRICTION, SEED), rigid=_rigid_triangles),
-}  # fmt: skip
+        _triangles,
+        (lennard_jones(scale=(0.0, 0.0, 1.0)),),
+        1.0,
+        md.LangevinBAOAB(TIMESTEP, 1.0, FRICTION, SEED),
+        rigid=_rigid_triangles,
+    ),
+}
 
 
 def _planned(name: str, n: int) -> BenchScene:
     """The scene of a plan, with velocities drawn at its temperature."""
-    plan = PLANS[name]
-    system = plan.build(n)
-    system.velocities[:] = maxwell_boltzmann(
-        system.masses, plan.temperature, system.units.k_B, SEED
-    )
-    rigid = () if plan.rigid is None else (plan.rigid(system),)
-    return BenchScene(
-        name,
-        plan.text,
-        system,
-        plan.potentials,
-        plan.temperature,
-        rigid,
-        plan.method,
-        plan.barostat,
-    )
+    text, build, potentials, heat, method, barostat, rigid = PLANS[name]
+    system = build(n)
+    system.velocities[:] = maxwell_boltzmann(system.masses, heat, system.units.k_B, SEED)
+    constraints = () if rigid is None else (rigid(system),)
+    return BenchScene(name, text, system, potentials, heat, constraints, method, barostat)
 
 
 def _water(name: str, n: int) -> BenchScene:
     """n³ molecules on the simple cubic lattice, turned at random."""
     with quiet():  # a shorter cutoff in a small box is meant
         system, potentials, rigid = md.water("SPC/E", n**3)
+    error = WATER[name]
     text = (
-        f"Rigid SPC/E water: 298 K, measured errors of the forces of charges of at most {WATER[name]:g} of "
-        "their rms, both laws cut at the one of 8, 9, 10 and 12 Å with which an engine is fastest, Δt 2 fs, "
-        "NVE"
+        f"Rigid SPC/E water: 298 K, measured errors of the forces of charges of at most {error:g} of their rms, "
+        "both laws cut at the one of 8, 9, 10 and 12 Å with which an engine is fastest, Δt 2 fs, NVE"
     )
+    method = md.VelocityVerlet(2.0 * md.units.fs)
+    laws = tuple(potentials)
     scene = BenchScene(
         name,
         text,
         system,
-        tuple(potentials),
+        laws,
         298.0,
         (rigid,),
-        md.VelocityVerlet(2.0 * md.units.fs),
-        error=WATER[name],
+        method,
+        error=error,
     )
-    return scene.cut(scene.law.cutoff, scene.error)
+    return scene.cut(scene.law.cutoff, error)
 
 
-SCENES: dict[str, Callable[[int], BenchScene]] = {name: partial(_planned, name) for name in PLANS}
+SCENES: dict[str, Callable[[int], BenchScene]] = {}
+SCENES |= {name: partial(_planned, name) for name in PLANS}
 SCENES |= {name: partial(_water, name) for name in WATER}
 melt = SCENES[MELT]
 
@@ -381,9 +426,12 @@ def pairs_in_range(scene: BenchScene, positions: Array) -> int:
         places[places >= box] = 0.0  # by rounding
     names = scene.system.species_names
     trees = [cKDTree(places[scene.system.species == name], boxsize=box) for name in names]
-    cutoffs = np.sqrt(np.broadcast_to(scene.law.table(names)[:, :, 0], (len(names),) * 2))
+    cutoffs = np.sqrt(scene.law.table(names)[:, :, 0])
+    cutoffs = np.broadcast_to(cutoffs, (len(names), len(names)))
     count = 0
     for a, b in combinations_with_replacement(range(len(names)), 2):
         both_ways = trees[a].count_neighbors(trees[b], cutoffs[a, b])
         count += (both_ways - trees[a].n) // 2 if a == b else both_ways
-    return int(count) - (scene.law.bonded_scale[0] == 0.0) * len(scene.system.bonds)
+    if scene.law.bonded_scale[0] == 0.0:
+        count -= len(scene.system.bonds)
+    return int(count)

@@ -37,35 +37,24 @@ def check_agreement(engines: Sequence[LoadedEngine], scene: BenchScene) -> None:
     n_atoms = len(scene.system)
     heat = scene.temperature * scene.system.units.k_B
 
-    def compare(quantity: str, energies: Sequence[float], relative: float, absolute: float) -> None:
+    def compare(quantity: str, energies: Sequence[float], allowed: float) -> None:
+        first = energies[0]
         for engine, energy in zip(engines, energies, strict=True):
-            if not abs(energy - energies[0]) <= relative * abs(energies[0]) + absolute:
+            if not abs(energy - first) <= allowed:
                 raise HandOverError(
-                    f"{quantity}: {label(engines[0])} has {energies[0]:.8g}, {label(engine)} has {energy:.8g}"
+                    f"{quantity}: {label(engines[0])} has {first:.8g}, {label(engine)} has {energy:.8g}"
                 )
 
-    compare(
-        "potential energy at step 0",
-        [engine.potential_energy() for engine in engines],
-        SAME_START,
-        0.0,
-    )
+    potential = [engine.potential_energy() for engine in engines]
+    compare("potential energy at step 0", potential, SAME_START * abs(potential[0]))
     for engine in engines:
         engine.run(STEPS_COMPARED)
     when = f"per atom after {STEPS_COMPARED} steps"
     allowed = (SAME_COURSE + scene.scatter) * heat
-    compare(
-        f"potential energy {when}",
-        [engine.potential_energy() / n_atoms for engine in engines],
-        0.0,
-        allowed,
-    )
-    compare(
-        f"total energy {when}",
-        [engine.total_energy() / n_atoms for engine in engines],
-        0.0,
-        allowed,
-    )
+    potential = [engine.potential_energy() / n_atoms for engine in engines]
+    compare(f"potential energy {when}", potential, allowed)
+    total = [engine.total_energy() / n_atoms for engine in engines]
+    compare(f"total energy {when}", total, allowed)
 
 
 def in_turns(engines: Sequence[LoadedEngine], repeats: int, n_atoms: int) -> Array:
@@ -79,10 +68,10 @@ def warm_up(engines: Sequence[LoadedEngine], n_atoms: int) -> list[int]:
     for engine in engines:
         tell(f"{n_atoms} atoms: warming up {label(engine)}")
         started = perf_counter()
-        done = 0
         burst = 1
         seconds = timed(engine.run, burst)[1]
-        while (done := done + burst) < WARM_UP and perf_counter() - started <= SECONDS_WARM_UP:
+        # all bursts so far are 2 burst - 1 steps
+        while 2 * burst <= WARM_UP and perf_counter() - started <= SECONDS_WARM_UP:
             burst *= 2
             seconds = timed(engine.run, burst)[1]
         n_steps.append(steps_in_a_turn(seconds / burst))
@@ -97,9 +86,8 @@ def take_turns(
     of a turn."""
     speeds = np.empty((len(engines), repeats))
     for turn in range(repeats):
-        speeds[:, turn] = [
-            n / timed(engine.run, n)[1] for engine, n in zip(engines, n_steps, strict=True)
-        ]
+        for k, engine in enumerate(engines):
+            speeds[k, turn] = n_steps[k] / timed(engine.run, n_steps[k])[1]
         tell(f"{n_atoms} atoms: turn {turn + 1} of {repeats}")
     return speeds
 
@@ -118,9 +106,11 @@ def label(engine: LoadedEngine) -> str:
 def thread_numbers(threads: Sequence[int]) -> tuple[int, ...]:
     """Numbers of threads, without repetition; if none are given, one and all cores.  Raises ValueError for more threads
     than cores."""
-    if max(threads, default=1) > (cores := available_cores()):
+    cores = available_cores()
+    most = max(threads, default=1)
+    if most > cores:
         raise ValueError(
-            f"--threads {max(threads)} is more than the {cores} cores that this process may use"
+            f"--threads {most} is more than the {cores} cores that this process may use"
         )
     return tuple(dict.fromkeys(threads or (1, cores)))
 
@@ -129,4 +119,7 @@ def timed(run: Callable[[int], Any], n_steps: int) -> tuple[Any, float]:
     """What a run returns, and its seconds: that number itself, if it is a float, which an engine's own clock gives."""
     started = perf_counter()
     result = run(n_steps)
-    return result, result if isinstance(result, float) else perf_counter() - started
+    seconds = perf_counter() - started
+    if isinstance(result, float):
+        seconds = result
+    return result, seconds

@@ -18,7 +18,7 @@ import numpy as np
 import minimd as md
 from minimd.bench import engines
 from minimd.bench.outcome import MOST_CURVES, draw, name_curves, new_figure, table
-from minimd.bench.scenes import CUTOFF, MELT, SCENES, BenchScene, equilibrated
+from minimd.bench.scenes import MELT, SCENES, BenchScene, equilibrated, lennard_jones
 from minimd.bench.turns import timed
 from minimd.core.compiled.terminal import tell
 from minimd.core.integrators.splitting import Splitting
@@ -30,12 +30,10 @@ from minimd.textbook.methods import IMPLICIT
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# τ of a run, and number of times at which its energy is read
-DURATION = 4.0
-OBSERVATIONS = 20
+DURATION = 4.0  # τ, of a run
+OBSERVATIONS = 20  # times at which its energy is read
 SHORT = 0.2  # τ, time at which the distance is measured: before chaos has amplified rounding
-# forces per τ
-COSTS = (100, 141, 200, 283, 400, 566, 800, 1600, 3200)
+COSTS = (100, 141, 200, 283, 400, 566, 800, 1600, 3200)  # forces per τ
 COSTS_QUICK = (100, 200, 400, 800)
 REFERENCE = "kahan-li-8"
 REFERENCE_COST = 34_000
@@ -73,6 +71,11 @@ class Point(NamedTuple):
     drift: float = np.inf
     distance: float = np.inf
 
+    @property
+    def is_minimd(self) -> bool:
+        """False for a peer."""
+        return self.who.startswith("minimd")
+
 
 class Case(NamedTuple):
     """All runs of one scene."""
@@ -85,42 +88,42 @@ class Case(NamedTuple):
 
     def front(self, error: str) -> list[Point]:
         """Runs for which no other run is better both in time and in the error, the fastest first."""
-        points = sorted(self.points, key=lambda p: p.seconds)
-        best = np.minimum.accumulate(
-            [np.inf, *(np.nan_to_num(getattr(p, error), nan=np.inf) for p in points)]
-        )
-        return [
-            point
-            for point, least in zip(points, best, strict=False)
-            if getattr(point, error) < least
-        ]
+        front = []
+        least = np.inf
+        for point in sorted(self.points, key=lambda p: p.seconds):
+            value = getattr(point, error)
+            if value < least:  # False for NaN
+                front.append(point)
+                least = value
+        return front
 
     def advice(self, error: str) -> list[str]:
         """For each power of ten, the fastest run whose error is at most that."""
         lines = []
         for target in TARGETS:
             able = [point for point in self.points if getattr(point, error) <= target]
-            for p in sorted(able, key=lambda p: p.seconds)[:1]:
-                lines.append(
-                    f"for {error} {target:.0e} use {p.method}, Δt = {p.timestep:.3g} {self.unit}, {p.who}: "
-                    f"{p.seconds:.3g} s"
-                )
+            if able:
+                p = min(able, key=lambda p: p.seconds)
+                step = f"Δt = {p.timestep:.3g} {self.unit}"
+                advice = f"use {p.method}, {step}, {p.who}: {p.seconds:.3g} s"
+                lines.append(f"for {error} {target:.0e} {advice}")
         return lines
 
     def beside(self) -> list[str]:
         """The time of each peer divided by that of the fastest run of minimd with the same oscillation or a smaller
         one."""
-        ours = [p for p in self.points if p.who.startswith("minimd")]
+        ours = [p for p in self.points if p.is_minimd]
         ratios = dict[str, list[float]]()
         for peer in self.points:
             able = [p.seconds for p in ours if p.oscillation <= peer.oscillation]
-            if able and np.isfinite(peer.oscillation) and not peer.who.startswith("minimd"):
+            if able and np.isfinite(peer.oscillation) and not peer.is_minimd:
                 ratios.setdefault(peer.who, []).append(peer.seconds / min(able))
-        return [
-            f"{who}: {np.median(each):.2f} times the time of minimd at equal oscillation ({min(each):.2f} to "
-            f"{max(each):.2f})"
-            for who, each in ratios.items()
-        ]
+        lines = []
+        for who, times in ratios.items():
+            span = f"({min(times):.2f} to {max(times):.2f})"
+            middle = f"{np.median(times):.2f} times the time of minimd"
+            lines.append(f"{who}: {middle} at equal oscillation {span}")
+        return lines
 
     def draw(self, panel: Any) -> None:
         """Draw six curves at most: velocity Verlet, peers, and the other methods with most points on the front."""
@@ -129,14 +132,16 @@ class Case(NamedTuple):
             if 0.0 < point.oscillation < np.inf:
                 curves.setdefault((point.who, point.method), []).append(point)
         on_front = [(p.who, p.method) for p in self.front("oscillation")]
-        others = [one for one in curves if one[1] != md.VelocityVerlet.name]
-        best = sorted(
-            others, key=lambda one: (-on_front.count(one), min(p.oscillation for p in curves[one]))
-        )
+
+        def rank(curve: tuple[str, str]) -> tuple[int, float]:
+            return -on_front.count(curve), min(p.oscillation for p in curves[curve])
+
+        first = [curve for curve in curves if curve[1] == md.VelocityVerlet.name]
+        others = sorted((curve for curve in curves if curve not in first), key=rank)
         shown = {}
-        for who, method in [*(one for one in curves if one not in others), *best][:MOST_CURVES]:
+        for who, method in (first + others)[:MOST_CURVES]:
             points = curves[who, method]
-            is_own = who.startswith("minimd")
+            is_own = points[0].is_minimd
             errors = np.array([[p.oscillation] for p in points])
             shown[method if is_own else who] = [p.seconds for p in points], errors, is_own
         panel.set(xscale="log", yscale="log", xlabel="seconds", ylabel="oscillation of the energy")
@@ -162,98 +167,92 @@ class WorkPrecision:
         titles |= dict.fromkeys(("Δt", "forces per time", "seconds", *ERRORS), float)
         for case in self.cases:
             lines += [f"## {case.name}", "", f"{case.text}.", ""]
-            for said in (*map(case.advice, ERRORS), case.beside()):
-                lines += [*(f"- {line}" for line in said), ""]
-            cells = [
-                [
-                    p.who,
-                    p.method,
-                    f"{p.timestep:.3g}",
-                    f"{p.forces:.0f}",
-                    f"{p.seconds:.3g}",
-                    *map(_number, p[-3:]),
-                ]
-                for p in case.points
-            ]
+            for items in (*map(case.advice, ERRORS), case.beside()):
+                lines += [*(f"- {item}" for item in items), ""]
+            cells = []
+            for p in case.points:
+                numbers = f"{p.timestep:.3g}", f"{p.forces:.0f}", f"{p.seconds:.3g}"
+                cells.append([p.who, p.method, *numbers, *map(_number, p[-3:])])
             lines += [*table(titles, cells), ""]
         return lines
 
     def content(self) -> dict[str, Any]:
         """See Outcome.  JSON has no numbers that are not finite: they are None."""
-        return {
-            "cases": [
-                {"name": c.name, "text": c.text, "points": list(map(_finite, c.points))}
-                for c in self.cases
-            ]
-        }
+        cases = []
+        for case in self.cases:
+            points = [_finite(point) for point in case.points]
+            cases.append({"name": case.name, "text": case.text, "points": points})
+        return {"cases": cases}
 
     def figure(self) -> "Figure":
         """For each case, the oscillation of the energy against seconds."""
         figure = new_figure(4.0 * len(self.cases))
-        for panel, case in zip(
-            figure.subplots(len(self.cases), squeeze=False)[:, 0], self.cases, strict=True
-        ):
+        panels = figure.subplots(len(self.cases), squeeze=False)[:, 0]
+        for panel, case in zip(panels, self.cases, strict=True):
             case.draw(panel)
         return figure
 
 
 def _number(value: float) -> str:
-    return f"{value:.2e}" if np.isfinite(value) else ("failed" if np.isinf(value) else "")
+    if np.isinf(value):
+        return "failed"
+    return "" if np.isnan(value) else f"{value:.2e}"
 
 
 def _finite(point: Point) -> dict[str, Any]:
     """The fields of a point, with None for numbers that JSON does not have."""
-    return {
-        key: None if isinstance(value, float) and not np.isfinite(value) else value
-        for key, value in point._asdict().items()
-    }
+    fields = point._asdict()
+    for name, value in fields.items():
+        if isinstance(value, float) and not np.isfinite(value):
+            fields[name] = None
+    return fields
 
 
 def run_work_precision(names: Sequence[str], quick: bool, repeats: int) -> WorkPrecision:
     """Measure some cases, or all; each run is repeated, and the shortest time counts.
     Raises ValueError for an unknown name."""
-    if unknown := [name for name in names if name not in CASES]:
-        raise ValueError(f"a scene must be one of {', '.join(CASES)}; it is {unknown[0]!r}")
-    return WorkPrecision(
-        [CASES[name](name, quick, repeats) for name in names or (QUICK_CASES if quick else CASES)],
-        [p for p in ("lammps", "openmm") if engines.PEERS[p].is_installed],
-    )
+    for name in names:
+        if name not in CASES:
+            raise ValueError(f"a scene must be one of {', '.join(CASES)}; it is {name!r}")
+    chosen = names or (QUICK_CASES if quick else CASES)
+    cases = [CASES[name](name, quick, repeats) for name in chosen]
+    packages = [name for name in ("lammps", "openmm") if engines.PEERS[name].is_installed]
+    return WorkPrecision(cases, packages)
 
 
 def _dynamics(name: str, quick: bool, repeats: int) -> Case:
     """All methods and time steps on one scene, and the peers with velocity Verlet; argon is the melt, with the
     truncation of the peers or with a smooth potential."""
-    scene = equilibrated(SCENES[name if name in SCENES else MELT](CELLS_QUICK if quick else CELLS))
-    truncation, words = ARGONS.get(name, (None, ""))
-    if truncation is not None:
-        scene = scene._replace(potentials=(md.LennardJones(1.0, 1.0, CUTOFF, truncation),))
-    costs, methods = (COSTS_QUICK, QUICK_METHODS) if quick else (COSTS, tuple(SPLITTINGS))
-    names = () if name == "argon-smooth" else PEER_NAMES  # no peer has this potential
-    peers = [engines.PEERS[one] for one in names if engines.PEERS[one].is_installed]
-    runs = [(SPLITTINGS[one], None) for one in methods] + [
-        (md.VelocityVerlet, peer) for peer in peers
-    ]
+    scene = SCENES[name if name in SCENES else MELT](CELLS_QUICK if quick else CELLS)
+    scene = equilibrated(scene)
+    text = scene.text
+    if name in ARGONS:
+        truncation, cut = ARGONS[name]
+        scene = scene._replace(potentials=(lennard_jones(truncation=truncation),))
+        text += f"; {cut}"
+    runs: list[tuple[type[Splitting], engines.Peer | None]] = []
+    runs += [(SPLITTINGS[method], None) for method in (QUICK_METHODS if quick else SPLITTINGS)]
+    if name != "argon-smooth":  # no peer has this potential
+        peers = [engines.PEERS[peer] for peer in PEER_NAMES]
+        runs += [(md.VelocityVerlet, peer) for peer in peers if peer.is_installed]
     reference = _path(scene, SPLITTINGS[REFERENCE], REFERENCE_COST)
     points = []
     for method, peer in runs:
-        for cost in costs:
+        for cost in COSTS_QUICK if quick else COSTS:
             steps = OBSERVATIONS * max(1, round(cost * DURATION / method.stages / OBSERVATIONS))
             timestep = DURATION / steps
             tell(f"{name}: {peer.package if peer else method.name}, Δt = {timestep:.3g}")
             own = scene._replace(method=method(timestep))
             if peer is None:
                 make: Any = partial(engines.Minimd, own, 1, steps // OBSERVATIONS)
-                distance = np.sqrt(np.mean((_path(scene, method, cost) - reference) ** 2))
+                deviations = _path(scene, method, cost) - reference
+                distance = np.sqrt(np.mean(deviations**2))
             else:
                 make = partial(peer.load, own, 1)
                 distance = np.nan
             points.append(measured(own, steps, make, repeats, distance))
-    return Case(
-        name,
-        f"{scene.text}{'; ' if words else ''}{words}; {len(scene.system)} atoms, one thread, {DURATION:g} τ",
-        "τ",
-        points,
-    )
+    text += f"; {len(scene.system)} atoms, one thread, {DURATION:g} τ"
+    return Case(name, text, "τ", points)
 
 
 def _path(scene: BenchScene, method: type[Splitting], cost: float) -> Array:
@@ -277,7 +276,13 @@ def measured(
     """Measure one run of a new engine; if it fails, its errors are infinite.  The observations count in the time of
     minimd, which makes them in its run, and not in that of a peer."""
     method = scene.method
-    point = Point("", method.name, method.order, DURATION / steps, steps * method.stages / DURATION)
+    point = Point(
+        "",
+        method.name,
+        method.order,
+        DURATION / steps,
+        steps * method.stages / DURATION,
+    )
     seconds = np.inf
     for _ in range(repeats):
         engine = make()
@@ -288,19 +293,19 @@ def measured(
                 record, taken = timed(engine.run, steps)
                 energies = record.total_energy
             else:
-                seen = [engine.total_energy()]
+                energies = np.array([engine.total_energy()])
                 taken = 0.0
                 for _ in range(OBSERVATIONS):
                     taken += timed(engine.run, steps // OBSERVATIONS)[1]
-                    seen.append(engine.total_energy())
-                energies = np.array(seen)
+                    energies = np.append(energies, engine.total_energy())
         except (ArithmeticError, RuntimeError):
             return point
         seconds = min(seconds, taken)
-    n_dof = 3 * len(scene.system) - 3 - sum(len(rigid.pairs) for rigid in scene.constraints)
-    errors = about_line(
-        np.linspace(0.0, 1.0, OBSERVATIONS + 1), energies / (scene.temperature * np.sqrt(n_dof))
-    )
+    n_held = sum(len(rigid.pairs) for rigid in scene.constraints)
+    n_dof = 3 * len(scene.system) - 3 - n_held
+    scale = scene.temperature * np.sqrt(n_dof)
+    time = np.linspace(0.0, 1.0, OBSERVATIONS + 1)
+    errors = about_line(time, energies / scale)
     return point._replace(seconds=seconds, **errors, distance=distance)
 
 
@@ -310,10 +315,8 @@ def about_line(time: Array, energies: Array) -> dict[str, Any]:
     if not np.isfinite(energies).all():
         return {"oscillation": np.inf, "drift": np.inf}
     slope, start = np.polyfit(time, energies, 1)
-    return {
-        "oscillation": float((energies - start - slope * time).std()),
-        "drift": float(abs(slope)),
-    }
+    rest = energies - start - slope * time
+    return {"oscillation": float(rest.std()), "drift": float(abs(slope))}
 
 
 def attraction(q):
@@ -327,16 +330,22 @@ def _kepler(_name: str, quick: bool, repeats: int) -> Case:
 
     problem = md.integrators.SecondOrder(njit(attraction))
     points = []
-    for method in (
-        *SPLITTINGS.values(),
-        *(method for method in IMPLICIT.values() if method.is_symmetric),
-    ):
+    implicit = [method for method in IMPLICIT.values() if method.is_symmetric]
+    for method in (*SPLITTINGS.values(), *implicit):
         for cost in COSTS_QUICK if quick else COSTS:
             # a tenth of the forces: orbits are slow
             n = PERIODS * max(1, round(cost / method.stages * END / PERIODS / 10))
             every = max(1, n // (20 * PERIODS))
-            point = Point("minimd", method.name, method.order, END / n, cost)
-            run = partial(md.integrators.run_steps, problem, method(END / n), (Q0, V0), every=every)
+            timestep = END / n
+            point = Point("minimd", method.name, method.order, timestep, cost)
+            integrator = method(timestep)
+            run = partial(
+                md.integrators.run_steps,
+                problem,
+                integrator,
+                (Q0, V0),
+                every=every,
+            )
             try:
                 runs = [timed(run, n) for _ in range(repeats)]
             except (ConvergenceError, ArithmeticError):
@@ -344,14 +353,15 @@ def _kepler(_name: str, quick: bool, repeats: int) -> Case:
                 continue
             path = runs[-1][0]
             seconds = min(taken for _, taken in runs)
-            energy = 0.5 * (path.v**2).sum(axis=1) - 1.0 / np.linalg.norm(path.q, axis=1)
-            errors = about_line(path.t / END, energy) | {
-                "distance": float(np.linalg.norm(path.q[-1] - Q0))
-            }
+            kinetic = 0.5 * (path.v**2).sum(axis=1)
+            potential = -1.0 / np.linalg.norm(path.q, axis=1)
+            errors = about_line(path.t / END, kinetic + potential)
+            errors["distance"] = float(np.linalg.norm(path.q[-1] - Q0))
             points.append(point._replace(forces=path.nfev / END, seconds=seconds, **errors))
-    text = f"Kepler's ellipse, eccentricity {ECCENTRICITY}, {PERIODS} periods; "
-    text += "units a (half axis) and v (velocity in a circle)"
-    return Case("kepler", text, "a/v", points, f"{PERIODS} periods")
+    periods = f"{PERIODS} periods"
+    units = "units a (half axis) and v (velocity in a circle)"
+    text = f"Kepler's ellipse, eccentricity {ECCENTRICITY}, {periods}; {units}"
+    return Case("kepler", text, "a/v", points, periods)
 
 
 # how argon is cut

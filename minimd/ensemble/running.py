@@ -139,19 +139,12 @@ def ensemble(
     n_workers = _check_executor(executor, workers, plan)
     chosen_members = checked_members(members, len(rows), resume)
     with EnsembleFolder(place, writes=True, members=members and chosen_members) as opened:
-        names = (name_of(build), name_of(prepare), name_of(run))
-        drawn = randbits(128) if seed is None else seed
-        asked = opened.begin(
-            Asked(drawn, steps, every, rows, *names), resume, any_seed=seed is None
-        )
+        entropy = randbits(128) if seed is None else seed
+        functions = (name_of(build), name_of(prepare), name_of(run))
+        asked = Asked(entropy, steps, every, rows, *functions)
+        asked = opened.begin(asked, resume, any_seed=seed is None)
         todo = [index for index in chosen_members if not asked.is_done(opened.rows.get(index))]
-        jobs = (
-            (
-                Member(k, rows[k], asked.seed, steps, opened.file(k)),
-                opened.rows.get(k, {}).get("is_blown_up", False),
-            )
-            for k in todo
-        )
+        n_done = len(chosen_members) - len(todo)
         try:
             with (
                 endings_are_told(),
@@ -159,28 +152,34 @@ def ensemble(
                 _executor(executor, n_workers) as (chosen, most_waiting, seconds),
                 progress_of(len(chosen_members), "ensemble", progress, "member") as tell,
             ):
-                tell(n_done := len(chosen_members) - len(todo))
-                for n_made, row in enumerate(
-                    _rows(chosen, plan, _Jobs(jobs, retries, seconds), most_waiting), n_done
-                ):
+                tell(n_done)
+                jobs = _Jobs(_jobs_of(opened, asked, todo), retries, seconds)
+                for row in _rows(chosen, plan, jobs, most_waiting):
                     opened.take(row)
-                    tell(n_made + 1)
+                    n_done += 1
+                    tell(n_done)
         except (KeyboardInterrupt, Terminated) as stopped:
             table = written_table(opened, asked, len(rows))
-            done = f"{int(table.done.sum())} of {len(table)} members are done and kept in {place}"
-            told = f"{done}; make the same call again to go on"
+            n_kept = int(table.done.sum())
+            state = f"{n_kept} of {len(table)} members are done and kept in {place}; make the same call again to go on"
             if isinstance(stopped, Terminated):
-                stopped.words = f"{stopped.words}; {told}"
+                stopped.words = f"{stopped.words}; {state}"
                 stopped.kept = ()
                 tell_ending(stopped)
                 raise
-            raise Interrupted(f"interrupted: {told}", table) from None
+            raise Interrupted(f"interrupted: {state}", table) from None
         except EnsembleError:
             written_table(opened, asked, len(rows))
             raise
         table = written_table(opened, asked, len(rows))
     _tell_failures(table, opened.rows, chosen_members)
     return table
+
+
+def _jobs_of(folder: EnsembleFolder, asked: Asked, indices: list[int]) -> Iterator[Job]:
+    for k in indices:
+        member = Member(k, asked.parameters[k], asked.seed, asked.steps, folder.file(k))
+        yield member, folder.rows.get(k, {}).get("is_blown_up", False)
 
 
 class _Jobs:
@@ -194,15 +193,15 @@ class _Jobs:
         self._retries = retries
         self._seconds = seconds
         self._size = 1
-        self._again, self._tries, self._recent = (
-            deque[Job](),
-            Counter[int](),
-            deque[float](maxlen=RECENT),
-        )
+        self._again = deque[Job]()
+        self._tries = Counter[int]()
+        self._recent = deque[float](maxlen=RECENT)
 
     def batch(self) -> list[Job]:
         """The next jobs; what is done again is done alone."""
-        return [self._again.popleft()] if self._again else list(islice(self._jobs, self._size))
+        if self._again:
+            return [self._again.popleft()]
+        return list(islice(self._jobs, self._size))
 
     def take(self, batch: list[Job], future: Future) -> Iterator[Row]:
         """The rows of a batch that has ended, without those of members that are tried again.  Raises EnsembleError if
@@ -221,7 +220,8 @@ class _Jobs:
                 yield row
         if self._recent:
             most = min(2 * self._size, MOST_IN_A_BATCH)
-            self._size = int(min(most, max(1.0, self._seconds / max(1e-9, *self._recent))))
+            wanted = max(1.0, self._seconds / max(1e-9, *self._recent))
+            self._size = int(min(most, wanted))
 
 
 def _rows(executor: Executor, plan: Plan, jobs: _Jobs, most_waiting: int) -> Iterator[Row]:
@@ -229,36 +229,39 @@ def _rows(executor: Executor, plan: Plan, jobs: _Jobs, most_waiting: int) -> Ite
     ended: SimpleQueue[Future] = SimpleQueue()
     waiting: dict[Future, list[Job]] = {}
     numbers = count()
+
+    def next_rows() -> Iterator[Row]:
+        future = ended.get()
+        return jobs.take(waiting.pop(future), future)
+
     try:
         while True:
             # what has ended is looked at first: it says how large the next batch should be
-            while (
-                len(waiting) < most_waiting
-                and (not waiting or ended.empty())
-                and (batch := jobs.batch())
-            ):
+            while len(waiting) < most_waiting and (not waiting or ended.empty()):
+                batch = jobs.batch()
+                if not batch:
+                    break
                 try:
                     future = executor.submit(work_through, plan, batch, next(numbers))
                 except Exception as error:  # such as that of an executor which has lost a process
                     while not ended.empty():
-                        yield from jobs.take(waiting.pop(future := ended.get()), future)
-                    words = (
-                        f"{batch[0][0]} could not be given to the executor: {type(error).__name__}"
-                    )
-                    raise EnsembleError(f"{words}: {sentence(error)}. {ANOTHER}") from error
+                        yield from next_rows()
+                    raise EnsembleError(
+                        f"{batch[0][0]} could not be given to the executor: {type(error).__name__}: {sentence(error)}. "
+                        f"{ANOTHER}"
+                    ) from error
                 waiting[future] = batch
                 future.add_done_callback(ended.put)
             if not waiting:
                 return
-            yield from jobs.take(waiting.pop(future := ended.get()), future)
+            yield from next_rows()
     finally:
         for future in waiting:
             future.cancel()
-        while isinstance(executor, ThreadPoolExecutor) and not all(
-            future.done() for future in waiting
-        ):
-            stop_runs_of_threads()
-            sleep(BETWEEN_REQUESTS)
+        if isinstance(executor, ThreadPoolExecutor):
+            while not all(future.done() for future in waiting):
+                stop_runs_of_threads()
+                sleep(BETWEEN_REQUESTS)
 
 
 def _rows_of(batch: list[Job], future: Future) -> list[Row]:
@@ -267,23 +270,26 @@ def _rows_of(batch: list[Job], future: Future) -> list[Row]:
         rows: list[Row] = future.result()
         return rows
     except (WorkerNeverBegan, BrokenExecutor, CancelledError, pickle.PicklingError) as error:
-        given_up = "the executor gave up, as dask does if it has lost its scheduler"
-        told = given_up if isinstance(error, CancelledError) else sentence(error)
+        reason = sentence(error)
+        if isinstance(error, CancelledError):
+            reason = "the executor gave up, as dask does if it has lost its scheduler"
         advice = OUTSIDE if isinstance(error, WorkerNeverBegan | pickle.PicklingError) else ANOTHER
-        words = f"{batch[0][0]} could not be run, and neither can the others: {told}. {advice}"
-        raise EnsembleError(words) from None
+        raise EnsembleError(
+            f"{batch[0][0]} could not be run, and neither can the others: {reason}. {advice}"
+        ) from None
     except (WorkerStopped, SystemExit):
         raise KeyboardInterrupt from None
     except Exception as error:  # of a worker that died, or any error of an executor
-        failed = {
+        failure = {
             "status": FAILED,
             "message": f"{type(error).__name__}: {sentence(error)}",
             "died": True,
+            "traceback": "",
+            "crash_file": "",
+            "seconds": 0.0,
         }
-        failed |= {"traceback": "", "crash_file": "", "seconds": 0.0}
-        return [
-            {"index": one.index, "parameters": dict(one.parameters), **failed} for one, _ in batch
-        ]
+        members = [member for member, _ in batch]
+        return [{"index": m.index, "parameters": dict(m.parameters), **failure} for m in members]
 
 
 @contextmanager
@@ -294,11 +300,9 @@ def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Execu
     """
     if executor is not None:
         seconds = 0.0 if isinstance(executor, ThreadPoolExecutor) else SECONDS_OF_A_BATCH
-        yield (
-            executor.get_executor() if hasattr(executor, "get_executor") else executor,
-            MOST_WAITING,
-            seconds,
-        )
+        if hasattr(executor, "get_executor"):
+            executor = executor.get_executor()
+        yield executor, MOST_WAITING, seconds
     elif n_workers == 0:
         yield ThisProcess(), 1, 0.0
     else:
@@ -317,28 +321,27 @@ def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) 
     are wrong, or cannot work together."""
     functions = {"build": plan.build, "prepare": plan.prepare, "run": plan.run}
     for name, function in functions.items():
-        checked_kind(
-            name,
-            function,
-            Callable if name == "build" else Callable | None,
-            "a function of a member",
-        )
-    if executor is not None and workers is not None:
-        words = "workers is the number of minimd's own processes; with an executor leave it out"
-        raise ValueError(f"{words}; workers = {shown(workers)}")
-    if executor is not None and not callable(getattr(executor, "submit", None)):
-        words = "executor must have a method submit, like a concurrent.futures.Executor"
-        raise TypeError(f"{words}; executor = {shown(executor)}")
+        kind = Callable if name == "build" else Callable | None
+        checked_kind(name, function, kind, "a function of a member")
+    if executor is not None:
+        if workers is not None:
+            raise ValueError(
+                "workers is the number of minimd's own processes; with an executor leave it out; workers = "
+                f"{shown(workers)}"
+            )
+        if not callable(getattr(executor, "submit", None)):
+            raise TypeError(
+                "executor must have a method submit, like a concurrent.futures.Executor; executor = "
+                f"{shown(executor)}"
+            )
     n_workers = available_cores() if workers is None else checked_count("workers", workers, 0)
     if isinstance(executor, ProcessPoolExecutor) or (executor is None and n_workers):
         for name, function in functions.items():
             _check_can_be_sent(name, function)
         frame = sys._getframe()
         while frame.f_back is not None:
-            if (
-                frame.f_code.co_name == "<module>"
-                and frame.f_globals.get("__name__") == "__mp_main__"
-            ):
+            is_module = frame.f_code.co_name == "<module>"
+            if is_module and frame.f_globals.get("__name__") == "__mp_main__":
                 raise RuntimeError(
                     f"a worker process imports the script, which calls md.ensemble again; {BELOW}"
                 )
@@ -350,13 +353,11 @@ def checked_members(members: range | None, n_members: int, resume: bool) -> rang
     """The indices of members that this call makes.  Raises ValueError."""
     if members is None:
         return range(n_members)
-    if (
-        not isinstance(members, range)
-        or members.step != 1
-        or not 0 <= members.start < min(members.stop, n_members)
-    ):
-        words = f"members must be some of the {n_members} members, such as range(0, 50)"
-        raise ValueError(f"{words}; members = {shown(members)}")
+    is_slice = isinstance(members, range) and members.step == 1
+    if not is_slice or not 0 <= members.start < min(members.stop, n_members):
+        raise ValueError(
+            f"members must be some of the {n_members} members, such as range(0, 50); members = {shown(members)}"
+        )
     if not resume:
         raise ValueError(
             f"members = {members} cannot be given with resume = False (--overwrite), which replaces all members"
@@ -382,18 +383,20 @@ def _check_can_be_sent(name: str, function: Callable | None) -> None:
     )
 
 
-def _tell_failures(table: EnsembleTable, rows: dict[int, Row], made: range) -> None:
+def _tell_failures(table: EnsembleTable, rows: dict[int, Row], members: range) -> None:
     """Warn of members that have failed, of those that were to be made.  Raises EnsembleError if all have failed."""
-    sentences = list(table.failures(made))
-    of = f"{len(made)} members have failed"
-    if sentences and len(sentences) == len(made):
-        failure = EnsembleError(f"all {of}; the first failure was:\n{sentences[0]}")
-        failure.add_note(
-            next(rows[index]["traceback"] for index in made if rows[index]["status"] == FAILED)
+    sentences = list(table.failures(members))
+    n_failed = len(sentences)
+    n_members = len(members)
+    if n_failed == n_members:
+        failure = EnsembleError(
+            f"all {n_members} members have failed; the first failure was:\n{sentences[0]}"
         )
+        failure.add_note(rows[members.start]["traceback"])
         raise failure
     if sentences:
-        told = [f"{len(sentences)} of {of}:", *sentences[:TOLD]]
-        n_more = len(sentences) - TOLD
-        told += [f"and {n_more} more, see the messages in the table"] if n_more > 0 else []
-        warn("\n".join([*told, "The next call tries them again."]))
+        lines = [f"{n_failed} of {n_members} members have failed:", *sentences[:TOLD]]
+        if n_failed > TOLD:
+            lines.append(f"and {n_failed - TOLD} more, see the messages in the table")
+        lines.append("The next call tries them again.")
+        warn("\n".join(lines))

@@ -6,6 +6,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from itertools import product
@@ -45,11 +46,11 @@ class Setting(NamedTuple):
     values: list[Value]
 
     def __str__(self) -> str:
-        shown = [str(value) for value in self.values]
-        return (
-            f"{self.key} = {', '.join(shown if len(shown) <= 12 else [*shown[:6], '...', *shown[-3:]])} "
-            f"({len(shown)} values)"
-        )
+        values = [str(value) for value in self.values]
+        n = len(values)
+        if n > 12:
+            values[6:-3] = ["..."]
+        return f"{self.key} = {', '.join(values)} ({n} values)"
 
 
 def parsed_setting(text: str) -> Setting:
@@ -57,14 +58,15 @@ def parsed_setting(text: str) -> Setting:
 
     Steps are counted in decimal arithmetic: 0.1:0.3:0.1 is 0.1, 0.2, 0.3.  Raises ValueError.
     """
-    key, equals, values = text.partition("=")
-    if not equals or not key.strip() or not values.strip():
+    key, _, values = text.partition("=")
+    key = key.strip()
+    if not key or not values.strip():
         raise ValueError(f"--set needs KEY=FROM:TO:STEP or KEY=VALUE,VALUE,...; it is {text!r}")
-    numbers = values.split(":")
+    numbers = [number.strip() for number in values.split(":")]
     if len(numbers) != 3:
-        return Setting(key.strip(), [_value(one) for one in values.split(",")])
+        return Setting(key, [_value(value.strip()) for value in values.split(",")])
     try:
-        start, end, step = (Decimal(one.strip()) for one in numbers)
+        start, end, step = map(Decimal, numbers)
         n = int((end - start) / step) + 1 if step else 0
     except (InvalidOperation, OverflowError, ValueError):
         raise ValueError(f"--set needs numbers FROM:TO:STEP; it is {text!r}") from None
@@ -72,20 +74,18 @@ def parsed_setting(text: str) -> Setting:
         raise ValueError(
             f"--set needs a STEP that leads from FROM to TO with at most {MOST_VALUES} values; it is {text!r}"
         )
-    is_whole = all(one.strip().lstrip("+-").isdecimal() for one in numbers)
-    return Setting(
-        key.strip(),
-        [int(start + k * step) if is_whole else float(start + k * step) for k in range(n)],
-    )
+    is_whole = all(number.lstrip("+-").isdecimal() for number in numbers)
+    kind = int if is_whole else float
+    return Setting(key, [kind(start + k * step) for k in range(n)])
 
 
 def _value(text: str) -> Value:
     """A number, text or bool as TOML reads it; anything else is a text."""
-    try:
-        value = tomllib.loads(f"value = {text.strip()}")["value"]
-    except (tomllib.TOMLDecodeError, RecursionError):
-        value = text.strip()
-    return value if isinstance(value, bool | int | float | str) else text.strip()
+    with suppress(tomllib.TOMLDecodeError, RecursionError):
+        value = tomllib.loads(f"value = {text}")["value"]
+        if isinstance(value, Value):
+            return value
+    return text
 
 
 def changed_text(path: Path, text: str, values: Iterable[tuple[str, Value]]) -> str:
@@ -99,9 +99,8 @@ def changed_text(path: Path, text: str, values: Iterable[tuple[str, Value]]) -> 
         *way, last = [part for part in re.split(r"[.\[\]]", key) if part]
         for part in way:
             try:
-                node = (
-                    node[int(part)] if part.isdecimal() and isinstance(node, list) else node[part]
-                )
+                is_index = part.isdecimal() and isinstance(node, list)
+                node = node[int(part) if is_index else part]
             except (KeyError, IndexError, TypeError):
                 raise ValueError(f"{path} has no {key!r}, because it has no {part!r}") from None
         if not isinstance(node, dict):
@@ -122,10 +121,10 @@ class SceneMembers:
 
     def scene(self, member: Member) -> Scene:
         """The scene of a member; its dynamics.seed is the seed of the member, unless the scan sets dynamics.seed."""
-        seed = [] if SEED in member.parameters else [(SEED, member.seed)]
-        return parse_scene(
-            changed_text(self.path, self.text, [*member.parameters.items(), *seed]), self.path
-        )
+        values = list(member.parameters.items())
+        if SEED not in member.parameters:
+            values.append((SEED, member.seed))
+        return parse_scene(changed_text(self.path, self.text, values), self.path)
 
     def __call__(self, member: Member) -> Simulation:
         """The simulation of a member at its start."""
@@ -175,29 +174,33 @@ def scan_scene(
             raise ValueError(
                 f"{setting.key} is the same for all members of a scan; {OF_THE_SCAN[setting.key]}"
             )
-    grid = [
-        dict(zip([one.key for one in settings], values, strict=True))
-        for values in product(*(one.values for one in settings))
-    ]
+    keys = [setting.key for setting in settings]
+    combinations = product(*(setting.values for setting in settings))
+    grid = [dict(zip(keys, values, strict=True)) for values in combinations]
     n_steps = scene.sections.dynamics.steps if steps is None else steps
     for row in grid[:MOST_TRIED]:
         parse_scene(changed_text(Path(path), scene.text, row.items()), Path(path))
     build(Member(0, grid[0], seed, n_steps, place))  # checks the structure and the potentials, too
     replicas = checked_count("replicas", replicas)
+    n_members = len(grid) * replicas
     kept = place / SCENE
-    checked_members(members, len(grid) * replicas, resume)
+    checked_members(members, n_members, resume)
     place.mkdir(parents=True, exist_ok=True)
     with alone(place):
         if not (resume and kept.exists()):
             # refuses one that is in use, before the change
             EnsembleFolder(place, writes=True, members=members).close()
             write_whole(kept, scene.text)
-        elif _text(kept) != scene.text:
-            raise ValueError(
-                f"folder {str(place)!r} holds a scan of another scene, {kept}; choose another folder with --out, or "
-                "replace it with --overwrite"
-            )
-    tell(f"scene          {path}" + (f": {scene.sections.title}" if scene.sections.title else ""))
+        else:
+            with open(kept, encoding="utf-8", opener=regular) as stream:
+                is_same = stream.read() == scene.text
+            if not is_same:
+                raise ValueError(
+                    f"folder {str(place)!r} holds a scan of another scene, {kept}; choose another folder with --out, "
+                    "or replace it with --overwrite"
+                )
+    title = scene.sections.title
+    tell(f"scene          {path}: {title}" if title else f"scene          {path}")
     if scene.sections.observer:
         tell(
             "NOTE           the observers of the scene are not used: they need a single run, and a scan has many"
@@ -205,27 +208,25 @@ def scan_scene(
     for setting in settings:
         tell(f"set            {setting}")
     tell(
-        f"members        {len(grid) * replicas}, {n_steps} steps each; {replicas} for each set of values; files in "
-        f"{place}"
+        f"members        {n_members}, {n_steps} steps each; {replicas} for each set of values; files in {place}"
     )
-    options: dict[str, Any] = {
-        "every": scene.sections.output.every,
-        "executor": executor,
-        "workers": workers,
-        "seed": seed,
-        "resume": resume,
-        "members": members,
-        "retries": retries,
-        "progress": progress,
-    }
     parameters: Any = grid * replicas if settings else replicas
-    return ensemble(build, parameters, n_steps, prepare=build.prepare, folder=place, **options)
+    return ensemble(
+        build,
+        parameters,
+        n_steps,
+        prepare=build.prepare,
+        every=scene.sections.output.every,
+        executor=executor,
+        workers=workers,
+        seed=seed,
+        folder=place,
+        resume=resume,
+        members=members,
+        retries=retries,
+        progress=progress,
+    )
 
 
 def _silent(_line: str) -> None:
     """Discard a line: members of a scan print nothing."""
-
-
-def _text(file: Path) -> str:
-    with open(file, encoding="utf-8", opener=regular) as opened:
-        return opened.read()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -21,18 +22,27 @@ from minimd.core.structure.errors import sentence
 from minimd.core.structure.statistics import with_error
 from minimd.core.structure.units import SYSTEMS, UnitSystem
 from minimd.ensemble.folder import DESCRIPTION, Asked, EnsembleFolder, alone
-from minimd.ensemble.member import BEGUN, DONE, FAILED, MISSING, NOTE, STATES, file_of, read_note
+from minimd.ensemble.member import (
+    BEGUN,
+    DONE,
+    FAILED,
+    MISSING,
+    NOTE,
+    STATES,
+    file_of,
+    member_text,
+    read_note,
+)
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
 SHOWN_FAILURES = 3
-# observables listed as text; if none of them exists, all are listed
+# observables listed first, and not listed, as text; if no others exist, all are listed
 TOLD = "temperature", "potential_energy", "pressure"
-# of the lines for each set of parameters
 LEFT_OUT = "kinetic_energy", "total_energy", "conserved_energy"
-MOST_LINES = 100
+MOST_LINES = 100  # of the lines for each set of parameters
 MOST_TOLD = 10  # members that are listed as running, and as begun
 DRAWN = ("pressure", "potential_energy")
 MOST_CURVES = 8
@@ -63,12 +73,12 @@ class EnsembleTable(Displayed):
         self.observables = tuple(name.removesuffix("_mean") for name in means)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        names = self.array.dtype.names or ()
-        if name not in names:
+        columns = self._columns()
+        if name not in columns:
             raise KeyError(
-                f"a table has no column {name!r}; it has {', '.join(names)}{near(name, names)}"
+                f"a table has no column {name!r}; it has {', '.join(columns)}{near(name, columns)}"
             )
-        return self.array[name]
+        return columns[name]
 
     def __len__(self) -> int:
         return len(self.array)
@@ -85,36 +95,29 @@ class EnsembleTable(Displayed):
         The error of a mean over M ≥ 2 members is the larger of √(Σ σ²) / M, with the error σ of each member, and the
         standard error that follows from the scatter of their means. Sets without a member that is done are left out.
         """
-        # the number of each set, in the order of their members
         rows = self.array[self.done]
+        # the number of each set, in the order of their members
+        kinds = [np.zeros(len(rows), dtype=np.int64)]
+        kinds += [np.unique(rows[name], return_inverse=True)[1] for name in self.parameters]
         sets = dict[tuple, int]()
-        kinds_of = [
-            np.unique(rows[name], return_inverse=True)[1].tolist() for name in self.parameters
-        ]
-        keys = zip(*kinds_of, strict=True) if kinds_of else [()] * len(rows)
+        keys = zip(*kinds, strict=True)
         groups = np.array([sets.setdefault(key, len(sets)) for key in keys], dtype=np.int64)
+        n_sets = len(sets)
+        n = np.bincount(groups, minlength=n_sets)
         first = np.unique(groups, return_index=True)[1]
-        kinds: list[tuple[str, Any]] = [(name, rows.dtype[name]) for name in self.parameters]
-        kinds += [("n_members", np.int64)]
-        kinds += [
-            (name + ending, np.float64)
-            for name in self.observables
-            for ending in ("_mean", "_error")
-        ]
-        made = np.zeros(len(sets), dtype=kinds)
-        for name in self.parameters:
-            made[name] = rows[name][first]
-        n = made["n_members"] = np.bincount(groups, minlength=len(sets))
+        columns = {name: rows[name][first] for name in self.parameters}
+        columns["n_members"] = n
         for name in self.observables:
             means = rows[f"{name}_mean"]
             errors = rows[f"{name}_error"]
-            scatter = np.full(len(sets), np.nan)
-            mean = made[f"{name}_mean"] = np.bincount(groups, means, len(sets)) / n
-            squares = np.bincount(groups, (means - mean[groups]) ** 2, len(sets))
+            mean = np.bincount(groups, means, n_sets) / n
+            squares = np.bincount(groups, (means - mean[groups]) ** 2, n_sets)
+            scatter = np.full(n_sets, np.nan)
             np.divide(squares, n * (n - 1.0), out=scatter, where=n > 1)
-            inner = np.sqrt(np.bincount(groups, errors**2, len(sets))) / n
-            made[f"{name}_error"] = np.fmax(inner, np.sqrt(scatter))
-        return made
+            inner = np.sqrt(np.bincount(groups, errors**2, n_sets)) / n
+            columns[f"{name}_mean"] = mean
+            columns[f"{name}_error"] = np.fmax(inner, np.sqrt(scatter))
+        return _structured(columns)
 
     def unit(self, name: str) -> str:
         """The unit of an observable, in words; empty for a pure number, or if it is not known."""
@@ -131,58 +134,69 @@ class EnsembleTable(Displayed):
             raise ModuleNotFoundError(
                 "to_pandas needs pandas, which is not installed: install it, or use table.array or table.csv"
             ) from error
-        return DataFrame(
-            {name: self.array[name] for name in self.array.dtype.names or ()}
-        ).set_index("index")
+        return DataFrame(self._columns()).set_index("index")
+
+    def _columns(self) -> dict[str, Any]:
+        """The columns of the array, by name."""
+        return {name: self.array[name] for name in self.array.dtype.names or ()}
 
     def write(self) -> None:
         """Write table.csv and table.json into the folder; numbers have all their digits, paths are relative to the
         folder.  Raises OSError."""
-        columns = {name: self.array[name].tolist() for name in self.array.dtype.names or ()}
-        pairs = zip(columns["index"], columns["file"], strict=True)
-        columns["file"] = [file_of(index).as_posix() if file else "" for index, file in pairs]
+        columns = {name: column.tolist() for name, column in self._columns().items()}
+        for index, file in enumerate(columns["file"]):
+            if file:
+                columns["file"][index] = file_of(index).as_posix()
         stream = io.StringIO()
         lines = csv.writer(stream, lineterminator="\n")
         lines.writerow(columns)
         lines.writerows(zip(*columns.values(), strict=True))
         write_whole(self.folder / "table.csv", stream.getvalue())
-        units = {name: unit for name in self.observables if (unit := self.unit(name))}
-        whole = {
-            name: [None if number != number else number for number in values]
-            for name, values in columns.items()
-        }
-        told = {"parameters": self.parameters, "units": units, "columns": whole}
-        write_whole(self.folder / "table.json", json.dumps(told))
+        for name, column in columns.items():
+            columns[name] = [None if number != number else number for number in column]
+        units = {name: self.unit(name) for name in self.observables if self.unit(name)}
+        table = {"parameters": self.parameters, "units": units, "columns": columns}
+        write_whole(self.folder / "table.json", json.dumps(table))
 
     def failures(self, members: range | None = None) -> Iterator[str]:
         """A sentence for each member that has failed.  members : consecutive indices of those that are told, None for
         all."""
         rows = self.array if members is None else self.array[members.start : members.stop]
         for row in rows[rows["status"] == FAILED]:
-            told = ", ".join(f"{name} = {row[name]}" for name in self.parameters)
-            yield f"member {row['index']}{f' ({told})' if told else ''}: {row['message']}"
+            parameters = {name: row[name] for name in self.parameters}
+            yield f"{member_text(row['index'], parameters)}: {row['message']}"
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        counts = {status: int((self["status"] == status).sum()) for status in STATES}
-        told = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
-        rows = [("ensemble", f"{len(self)} members in {self.folder}: {told}")]
+        counts = Counter(self["status"].tolist())
+        states = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state])
+        rows = [("ensemble", f"{len(self)} members in {self.folder}: {states}")]
         for name in self.parameters:
             values = self[name]
             limits = f", {values.min()} to {values.max()}" if values.dtype.kind in "if" else ""
             rows.append((name, f"{len(set(values.tolist()))} values{limits}"))
         if self.done.any():
-            rows += [("" if k else "means", line) for k, line in enumerate(told_averages(self))]
-        several = list(self.failures())
-        rows += [("FAILED", told) for told in several[:SHOWN_FAILURES]]
-        return rows + (
-            [("", f"and {len(several) - SHOWN_FAILURES} more")]
-            if len(several) > SHOWN_FAILURES
-            else []
-        )
+            first, *others = told_averages(self)
+            rows.append(("means", first))
+            rows += [("", line) for line in others]
+        failures = list(self.failures())
+        rows += [("FAILED", failure) for failure in failures[:SHOWN_FAILURES]]
+        n_more = len(failures) - SHOWN_FAILURES
+        if n_more > 0:
+            rows.append(("", f"and {n_more} more"))
+        return rows
 
     def __repr__(self) -> str:
         return f"EnsembleTable({len(self)} members, {', '.join([*self.parameters, *self.observables])})"
+
+
+def _structured(columns: dict[str, Any]) -> NDArray[Any]:
+    """A structured array of these columns."""
+    n_rows = len(next(iter(columns.values())))
+    array = np.empty(n_rows, dtype=[(name, column.dtype) for name, column in columns.items()])
+    for name, column in columns.items():
+        array[name] = column
+    return array
 
 
 def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTable:
@@ -190,48 +204,34 @@ def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTa
 
     Results are those of members that have failed, or are done with all steps that are asked for now.
     """
-    found = [folder.rows.get(index) for index in range(n_members)]
-    rows = [row if row and (row["status"] == FAILED or asked.is_done(row)) else {} for row in found]
-    there = folder.files()
-    places = [file_of(index).as_posix() for index in range(n_members)]
-    is_there = [place in there for place in places]
+    on_disk = folder.files()
+    rows = []
+    states = []
+    files = []
+    for index in range(n_members):
+        row = folder.rows.get(index, {})
+        has_result = bool(row) and (row["status"] == FAILED or asked.is_done(row))
+        rows.append(row if has_result else {})
+        place = file_of(index).as_posix()
+        files.append(str(folder.path / place) if place in on_disk else "")
+        states.append(rows[-1].get("status", BEGUN if files[-1] else MISSING))
     columns: dict[str, Any] = {"index": np.arange(n_members)}
-    columns |= {
-        name: np.array([one[name] for one in asked.parameters[:n_members]])
-        for name in asked.parameters[0]
-    }
-    states = [
-        row.get("status", BEGUN if file else MISSING)
-        for row, file in zip(rows, is_there, strict=True)
-    ]
+    for name in asked.parameters[0]:
+        columns[name] = np.array([values[name] for values in asked.parameters[:n_members]])
     columns["status"] = np.array(states)
-    columns |= {
-        name: np.array([row.get(name, 0) for row in rows], dtype=np.int64)
-        for name in ("n_steps", "n_atoms")
-    }
+    for name in ("n_steps", "n_atoms"):
+        columns[name] = np.array([row.get(name, 0) for row in rows], dtype=np.int64)
     names = list(dict.fromkeys(name for row in rows for name in row.get("means", ())))
-    nothing = dict.fromkeys(names, np.nan)
     for ending, key in (("_mean", "means"), ("_error", "errors")):
-        several = [row.get(key, nothing) for row in rows]
-        alike = [one if list(one) == names else nothing | one for one in several]
-        numbers = np.array([list(one.values()) for one in alike], dtype=np.float64).reshape(
-            n_members, len(names)
-        )
-        columns |= {f"{name}{ending}": numbers[:, k] for k, name in enumerate(names)}
-    files = [
-        str(folder.path / place) if file else ""
-        for place, file in zip(places, is_there, strict=True)
-    ]
-    columns |= {
-        "file": np.array(files, object),
-        "message": np.array([row.get("message", "") for row in rows], object),
-    }
-    array = np.empty(n_members, dtype=[(name, column.dtype) for name, column in columns.items()])
-    for name, column in columns.items():
-        array[name] = column
+        results = [row.get(key, {}) for row in rows]
+        for name in names:
+            numbers = [result.get(name, np.nan) for result in results]
+            columns[name + ending] = np.array(numbers, dtype=np.float64)
+    columns["file"] = np.array(files, object)
+    columns["message"] = np.array([row.get("message", "") for row in rows], object)
     units = {row["units"] for row in rows if "units" in row}
     known = SYSTEMS.get(units.pop()) if len(units) == 1 else None
-    return EnsembleTable(folder.path, list(asked.parameters[0]), array, known)
+    return EnsembleTable(folder.path, list(asked.parameters[0]), _structured(columns), known)
 
 
 def written_table(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTable:
@@ -257,17 +257,18 @@ def status(folder: Path) -> tuple[EnsembleTable, list[str]]:
         table = table_of(opened, opened.asked, len(opened.asked.parameters))
         steps = opened.asked.steps
         noted = sorted(int(Path(name).stem) for name in opened.files() if name.endswith(NOTE))
+    notes = {index: read_note(opened.file(index)) for index in noted}
+    running = [index for index in noted if notes[index]]
+    begun = np.flatnonzero(table["status"] == BEGUN).tolist()
+    stopped = [index for index in begun if not notes.get(index)]
     lines = str(table).splitlines()
-    running = {index: told for index in noted if (told := read_note(opened.file(index)))}
-    begun = [
-        index for index in np.flatnonzero(table["status"] == BEGUN).tolist() if index not in running
-    ]
-    for word, members in (("running", list(running)), ("begun", begun)):
-        for index in islice(members, MOST_TOLD):
-            lines.append(
-                f"{word:<14} member {index}: {running.get(index) or _progress(table['file'][index], steps)}"
-            )
-        lines += [f"{'':<14} and {len(members) - MOST_TOLD} more"] * (len(members) > MOST_TOLD)
+    for word, members in (("running", running), ("begun", stopped)):
+        for index in members[:MOST_TOLD]:
+            progress = notes.get(index) or _progress(table["file"][index], steps)
+            lines.append(f"{word:<14} member {index}: {progress}")
+        n_more = len(members) - MOST_TOLD
+        if n_more > 0:
+            lines.append(f"{'':<14} and {n_more} more")
     return table, lines
 
 
@@ -286,28 +287,22 @@ def told_averages(table: EnsembleTable) -> Iterator[str]:
     """A line of names, then the averages over members with the same parameters, a line for each of the first hundred
     sets."""
     rows = table.averaged()
-    own = [
-        name
-        for name in table.observables
-        if name not in (*TOLD, *LEFT_OUT) and "momentum" not in name
-    ]
-    names = [name for name in TOLD if name in table.observables] + own or list(table.observables)
-    units = {name: f" [{table.unit(name)}]" if table.unit(name) else "" for name in names}
-    lines = [
-        [
-            *table.parameters,
-            "members",
-            *(f"{name.replace('_', ' ')}{units[name]}" for name in names),
-        ]
-    ]
-    for row in rows[:MOST_LINES]:
-        means = [with_error(row[f"{name}_mean"], row[f"{name}_error"]) for name in names]
-        lines.append(
-            [*(str(row[name]) for name in table.parameters), str(row["n_members"]), *means]
-        )
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    for line in lines:
-        yield "  ".join(f"{word:>{width}}" for word, width in zip(line, widths, strict=True))
+    names = [name for name in TOLD if name in table.observables]
+    for name in table.observables:
+        if name not in (*TOLD, *LEFT_OUT) and "momentum" not in name:
+            names.append(name)
+    names = names or list(table.observables)
+    columns = [[name, *map(str, rows[name][:MOST_LINES])] for name in table.parameters]
+    columns.append(["members", *map(str, rows["n_members"][:MOST_LINES])])
+    for name in names:
+        unit = table.unit(name)
+        title = name.replace("_", " ")
+        averages = zip(rows[f"{name}_mean"], rows[f"{name}_error"], strict=True)
+        cells = [with_error(*average) for average in islice(averages, MOST_LINES)]
+        columns.append([f"{title} [{unit}]" if unit else title, *cells])
+    widths = [max(map(len, column)) for column in columns]
+    for line in zip(*columns, strict=True):
+        yield "  ".join(f"{cell:>{width}}" for cell, width in zip(line, widths, strict=True))
     if len(rows) > MOST_LINES:
         yield f"and {len(rows) - MOST_LINES} more, see {table.folder / 'table.csv'}"
 
@@ -320,8 +315,9 @@ def drawn_quantity(table: EnsembleTable, quantity: str | None) -> str:
     if quantity is None:
         return next((name for name in DRAWN if name in table.observables), table.observables[0])
     if quantity not in table.observables:
-        words = f"the quantity must be one of {listed(table.observables)}"
-        raise ValueError(f"{words}; it is {quantity!r}{near(quantity, table.observables)}")
+        known = listed(table.observables)
+        hint = near(quantity, table.observables)
+        raise ValueError(f"the quantity must be one of {known}; it is {quantity!r}{hint}")
     return quantity
 
 
@@ -335,34 +331,37 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
 
     name = drawn_quantity(table, quantity)
     rows = table.averaged()
-    several = [one for one in table.parameters if len(set(rows[one].tolist())) > 1]
-    x_name = next((one for one in several if rows.dtype[one].kind in "if"), None)
-    others = [one for one in several if one != x_name]
+    several = [
+        parameter for parameter in table.parameters if len(set(rows[parameter].tolist())) > 1
+    ]
+    x_name = next((parameter for parameter in several if rows.dtype[parameter].kind in "if"), None)
+    others = [parameter for parameter in several if parameter != x_name]
     figure = Picture(figsize=(7.0, 4.5), dpi=150, layout="constrained")
     axes = figure.subplots()
-    curves = dict[tuple, list[int]]()
+    curves = dict[str, list[int]]()
     for k, row in enumerate(rows):
-        curves.setdefault(tuple(row[one] for one in others), []).append(k)
-    for key, members in curves.items():
-        curve = (
-            rows[members] if x_name is None else rows[members][np.argsort(rows[members][x_name])]
+        values = [f"{parameter.rpartition('.')[2]} = {row[parameter]}" for parameter in others]
+        curves.setdefault(", ".join(values), []).append(k)
+    for label, members in curves.items():
+        curve = rows[members]
+        x = np.arange(len(curve))
+        if x_name is not None:
+            curve = curve[np.argsort(curve[x_name])]
+            x = curve[x_name]
+        axes.errorbar(
+            x,
+            curve[f"{name}_mean"],
+            curve[f"{name}_error"],
+            marker="o",
+            ms=3.5,
+            lw=1.0,
+            capsize=2.5,
+            label=label.replace("$", r"\$"),
         )
-        x = np.arange(len(curve)) if x_name is None else curve[x_name]
-        label = ", ".join(
-            f"{one.rpartition('.')[2]} = {value}" for one, value in zip(others, key, strict=True)
-        )
-        bars: dict[str, Any] = {
-            "marker": "o",
-            "ms": 3.5,
-            "lw": 1.0,
-            "capsize": 2.5,
-            "label": label.replace("$", r"\$"),
-        }
-        axes.errorbar(x, curve[f"{name}_mean"], curve[f"{name}_error"], **bars)
     unit = table.unit(name).replace("k_B", "$k_B$")
     quantity = name.replace("_", " ").replace("$", r"\$")
     axes.set_xlabel(x_name or "set of parameters", parse_math=False)
-    axes.set_ylabel(f"mean {quantity}" + (f"  [{unit}]" if unit else ""))
+    axes.set_ylabel(f"mean {quantity}  [{unit}]" if unit else f"mean {quantity}")
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(alpha=0.25, lw=0.6)
     axes.set_title(f"{int(table.done.sum())} members, bars: one standard error", fontsize=10)
@@ -376,6 +375,5 @@ def save_picture(
 ) -> Path:
     """Save the figure to out, or to a file in the folder named after the quantity.  Raises ValueError as
     picture_of_scan, OSError."""
-
     place = out or table.folder / f"{drawn_quantity(table, quantity)}.png"
     return write_picture(picture_of_scan(table, quantity), place)

@@ -12,8 +12,8 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
-from typing import Any, cast
+from contextlib import contextmanager, suppress
+from typing import Any
 
 from minimd.core.compiled.machine import available_cores
 from minimd.core.console.signals import endings_are_told
@@ -42,7 +42,9 @@ class SpawnedProcesses(Executor):
 
     def __init__(self, n_workers: int) -> None:
         self._threads = ThreadPoolExecutor(n_workers, thread_name_prefix="minimd worker")
-        self._own, self._workers, self._is_stopped = threading.local(), list[WorkerProcess](), False
+        self._own = threading.local()
+        self._workers = list[WorkerProcess]()
+        self._is_stopped = False
 
     def submit(self, function: Callable, /, *args: Any, **kwargs: Any) -> Future:
         """Call function(*args, **kwargs) in one of the processes; function and arguments must be picklable."""
@@ -152,20 +154,20 @@ def serve(pipe: Any, parent: int) -> None:
 
 def _answer(job: bytes) -> bytes:
     """Result and error of a job, pickled."""
-    answer: tuple[Any, BaseException | None]
+    result = None
+    failure: BaseException | None = None
     try:
         function, args, kwargs = pickle.loads(job)
-        answer = function(*args, **kwargs), None
+        result = function(*args, **kwargs)
     except (KeyboardInterrupt, SystemExit):
-        answer = None, WorkerStopped()
+        failure = WorkerStopped()
     except Exception as error:
-        answer = None, error
+        failure = error
     try:
-        return pickle.dumps(answer)
+        return pickle.dumps((result, failure))
     except Exception as error:  # pickling objects of the user may raise any error
-        return pickle.dumps(
-            (None, RuntimeError(f"the result of a worker cannot be sent back: {error}"))
-        )
+        failure = RuntimeError(f"the result of a worker cannot be sent back: {error}")
+        return pickle.dumps((None, failure))
 
 
 class ThisProcess(Executor):
@@ -192,7 +194,7 @@ def named_executor(name: str, workers: int | None) -> Iterator[dict[str, Any] | 
     """
     if name not in EXECUTORS:
         raise ValueError(
-            f"--executor must be {', '.join(EXECUTORS[:-1])} or {EXECUTORS[-1]}; --executor {shown(name)}"
+            f"--executor must be processes, threads, dask or mpi; --executor {shown(name)}"
         )
     try:
         if name == "dask":
@@ -202,35 +204,32 @@ def named_executor(name: str, workers: int | None) -> Iterator[dict[str, Any] | 
             from mpi4py.futures import MPICommExecutor
             from mpi4py.MPI import COMM_WORLD
     except ModuleNotFoundError as error:
-        advice = "pip install 'minimd-engine[cluster]'"
         raise ValueError(
-            f"--executor {name} needs {error.name}, which is missing: {advice}"
+            f"--executor {name} needs {error.name}, which is missing: pip install 'minimd-engine[cluster]'"
         ) from error
-    # the address may come from the environment
-    is_there = name == "mpi" or (name == "dask" and config.get("scheduler-address", None))
-    if is_there and workers is not None:
-        whose = "mpiexec" if name == "mpi" else "the scheduler"
+    if name == "processes":
+        yield {"workers": workers}
+        return
+    owner = "mpiexec" if name == "mpi" else ""
+    if name == "dask" and config.get("scheduler-address", None):  # perhaps from the environment
+        owner = "the scheduler"
+    if owner and workers is not None:
         raise ValueError(
-            f"--executor {name} uses all processes of {whose}: leave out --workers, which is {workers}"
+            f"--executor {name} uses all processes of {owner}: leave out --workers, which is {workers}"
         )
     n_workers = max(1, available_cores() if workers is None else workers)
-    executor = cast(Any, None)
-    with ExitStack() as closing:
-        if name == "threads":
-            executor = closing.enter_context(ThreadPoolExecutor(n_workers))
-        elif name == "dask":
-            here = (
-                {}
-                if is_there
-                else {"n_workers": n_workers, "threads_per_worker": 1, "dashboard_address": None}
+    opened: Any
+    if name == "threads":
+        opened = ThreadPoolExecutor(n_workers)
+    elif name == "dask":
+        local = {"n_workers": n_workers, "threads_per_worker": 1, "dashboard_address": None}
+        opened = Client(**({} if owner else local))
+    else:
+        if COMM_WORLD.size == 1:
+            raise ValueError(
+                "--executor mpi needs at least 2 processes of MPI; there is 1: begin the command by mpiexec -n P: the "
+                "first process gives out the work"
             )
-            executor = closing.enter_context(Client(**here))
-        elif name == "mpi":
-            if (size := COMM_WORLD.size) == 1:
-                words = "begin the command by mpiexec -n P: the first process gives out the work"
-                raise ValueError(
-                    f"--executor mpi needs at least 2 processes of MPI; there is {size}: {words}"
-                )
-            executor = closing.enter_context(MPICommExecutor())
-        options = {"workers": workers} if name == "processes" else {"executor": executor}
-        yield None if name != "processes" and executor is None else options
+        opened = MPICommExecutor()
+    with opened as executor:
+        yield None if executor is None else {"executor": executor}

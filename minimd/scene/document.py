@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,9 +28,8 @@ from minimd.scene.sections import (
 )
 
 D = TypeVar("D", bound="Document")
-Made = TypeVar("Made")
 BYTE_ORDER_MARK = "\ufeff"  # with which editors of Windows begin UTF-8
-# of tables in tables, for which tomllib would take gigabytes
+# a key of tables in tables, for which tomllib would take gigabytes
 DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+\s*\.\s*){64}")
 
 
@@ -55,49 +54,50 @@ class Document:
         or for impossible constraints."""
         structure = self.sections.structure
         water = self.sections.water
-        is_built = water is not None and structure.file is None
-        with blamed_on(f"{self.path}: {'water' if is_built else 'structure'}"):
-            made = self._from_lattice if structure.file is None else self._from_file
-            given = structure.model_dump(include={"species", "charges"}, exclude_none=True)
-            system: Any = None if is_built else changed(made(), **given)
-            system = water.system(system) if water else system
+        if water is not None and structure.file is None:
+            with blamed_on(f"{self.path}: water"):
+                system = water.system(None)
+        else:
+            with blamed_on(f"{self.path}: structure"):
+                system = self._from_lattice() if structure.file is None else self._from_file()
+                changes = structure.model_dump(include={"species", "charges"}, exclude_none=True)
+                system = changed(system, **changes)
+                if water is not None:
+                    system = water.system(system)
         return self.constrained(system)
 
     def potentials(self) -> list[Any]:
         """The potentials, those of water first, in the order of the file.
         Raises ValueError with the name of the file and the entry."""
-        with blamed_on(f"{self.path}: water"):
-            first: list[Any] = (
-                [] if self.sections.water is None else self.sections.water.potentials()
-            )
-        return [
-            *first,
-            *self._each(
-                lambda one: one.potential(*[self._table] * isinstance(one, TabulatedSection))
-            ),
-        ]
+        potentials: list[Any] = []
+        if self.sections.water is not None:
+            with blamed_on(f"{self.path}: water"):
+                potentials += self.sections.water.potentials()
+        for place, section in self._sections():
+            with blamed_on(place):
+                tables = [self._table] if isinstance(section, TabulatedSection) else []
+                potentials.append(section.potential(*tables))
+        return potentials
 
     def tables(self) -> dict[str, Numbers]:
         """The numbers of all tables of tabulated laws, by name.  Raises ValueError as potentials."""
-        each = self._each(
-            lambda one: [(name, self._table(name)) for name in getattr(one, "files", ())]
-        )
-        return dict(table for tables in each for table in tables)
+        tables: dict[str, Numbers] = {}
+        for place, section in self._sections():
+            if isinstance(section, TabulatedSection):
+                with blamed_on(place):
+                    tables |= {name: self._table(name) for name in section.files}
+        return tables
 
-    def _each(self, made: Callable[[Any], Made]) -> Iterator[Made]:
-        """What is made of each section of a potential; errors are blamed on the section."""
+    def _sections(self) -> Iterator[tuple[str, Any]]:
+        """The sections of potentials, each with its place in the scene."""
         for index, section in enumerate(self.sections.potential):
-            with blamed_on(f"{self.path}: potential[{index}]"):
-                yield made(section)
+            yield f"{self.path}: potential[{index}]", section
 
     def whole_text(self) -> str:
         """The text of the scene with all tables added to it: no other files are needed to make the potentials again."""
-        elsewhere = {
-            name: numbers
-            for name, numbers in self.tables().items()
-            if name not in self.sections.tables
-        }
-        return self.text + as_sections(elsewhere, self.sections.units)
+        inside = self.sections.tables
+        files = {name: numbers for name, numbers in self.tables().items() if name not in inside}
+        return self.text + as_sections(files, self.sections.units)
 
     def method(self) -> Splitting:
         """The integrator with its time step and its bath.  Raises ValueError, with the name of the file."""
@@ -121,22 +121,20 @@ class Document:
 
     def trajectories(self, instead: Path | None = None) -> list[Path]:
         """The trajectory files, relative to the current folder.  instead : one file in place of those of the scene."""
-        named = self.sections.output.trajectory if instead is None else instead
-        several = (
-            [self.path.stem + ".h5md"]
-            if named is None
-            else named
-            if isinstance(named, list)
-            else [named]
-        )
-        return [Path(name) for name in several]
+        names = self.sections.output.trajectory
+        if instead is not None:
+            return [instead]
+        if names is None:
+            names = self.path.stem + ".h5md"
+        return [Path(name) for name in (names if isinstance(names, list) else [names])]
 
     def named_outputs(self, instead: Path | None = None) -> list[Path]:
         """Files that must not exist unless they may be replaced: trajectories, and a picture whose name is given."""
         plot = self.sections.output.plot
-        return self.trajectories(instead) + (
-            [Path(plot)] if isinstance(plot, str) and instead is None else []
-        )
+        files = self.trajectories(instead)
+        if isinstance(plot, str) and instead is None:
+            files.append(Path(plot))
+        return files
 
     def plot_name(self, trajectories: list[Path], *, beside: bool = False) -> Path | None:
         """The picture that the scene asks for; None if it asks for none.
@@ -147,19 +145,19 @@ class Document:
         if plot is False or (beside and not drawn):
             return None
         if not drawn:
+            names = list(map(str, trajectories))
             raise ValueError(
-                f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = "
-                f"{list(map(str, trajectories))}"
+                f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = {names}"
             )
         picture = Path(plot) if isinstance(plot, str) else drawn[0].with_suffix(".png")
         return drawn[0].with_suffix(picture.suffix) if beside else picture
 
     def _table(self, name: str) -> Numbers:
         """The numbers of a table.  Raises ValueError as read_table."""
-        inside = self.sections.tables.get(name)
-        return (
-            read_table(self.path.parent / name) if inside is None else Numbers(inside.r, inside.u)
-        )
+        table = self.sections.tables.get(name)
+        if table is None:
+            return read_table(self.path.parent / name)
+        return Numbers(table.r, table.u)
 
     def constrained(self, system: System) -> System:
         """Set the constraints of the scene, if it has a section for them, in place; return the same system.
@@ -179,27 +177,29 @@ class Document:
             from minimd.core.structure.elements import atomic_mass
 
             mass = atomic_mass(element or "")
-        edge = structure.lattice_constant or constant_from_density(
-            lattice, structure.density or 0.0, mass
-        )
+        density = structure.density or 0.0
+        edge = structure.lattice_constant or constant_from_density(lattice, density, mass)
         positions, edges = crystal(lattice, structure.repeat or [], edge)
-        given: dict[str, Any] = {
-            "species": element and [element] * len(positions),
-            "bonds": structure.bonds,
-        }
+        bonds: Any = structure.bonds
         return System(
-            positions, masses=mass, cell=edges, pbc=structure.pbc, **given, units=self.units
+            positions,
+            masses=mass,
+            cell=edges,
+            pbc=structure.pbc,
+            species=[element] * len(positions) if element else None,
+            bonds=bonds,
+            units=self.units,
         )
 
     def _from_file(self) -> System:
         from minimd.core.files.structure_file import system_from_file
 
         structure = self.sections.structure
-        named: dict[str, Any] = {"units": self.units} | structure.model_dump(include=set(OF_FILES))
-        named["bonds"] = [] if self.sections.water else structure.bonds  # water has its own
-        return system_from_file(
-            self.path.parent / (structure.file or ""), structure.cell, structure.pbc, **named
-        )
+        file = self.path.parent / (structure.file or "")
+        options: dict[str, Any] = structure.model_dump(include=set(OF_FILES))
+        options["units"] = self.units
+        options["bonds"] = [] if self.sections.water else structure.bonds  # water has its own
+        return system_from_file(file, structure.cell, structure.pbc, **options)
 
 
 def h5md_files(files: Iterable[Path]) -> list[Path]:
@@ -226,10 +226,9 @@ def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[An
     for the messages.  Raises ValueError if there is no scene, or as stored."""
     if scene:
         return stored(Document, scene, file).potentials()
-    remedy = "pass the potentials of the script, as in md.Simulation.resume(file, [...]); or give a --scene"
     raise ValueError(
-        f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; "
-        f"{remedy}"
+        f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; pass the "
+        "potentials of the script, as in md.Simulation.resume(file, [...]); or give a --scene"
     )
 
 
@@ -243,16 +242,16 @@ def parsed(kind: type[D], text: str, path: Path) -> D:
         reading = Reading(tomllib.loads(text))
         return kind(path, text, SceneSections.model_validate(reading.document, context=reading))
     except tomllib.TOMLDecodeError as error:
-        # without it the message says "at end of document"
+        line = text.rstrip().rpartition("\n")[2]  # for a message that says "at end of document"
         place = re.search(r"at line (\d+)", str(error))
-        line = text.split("\n")[int(place[1]) - 1] if place else text.rstrip().rpartition("\n")[2]
+        if place:
+            line = text.split("\n")[int(place[1]) - 1]
         raise ValueError(f"{path}: this is not valid TOML: {error}, in {line[:120]!r}") from None
     except RecursionError:
         raise ValueError(f"{path}: its tables are nested too deeply for a scene file") from None
     except ValidationError as error:
-        raise ValueError(
-            "\n".join(f"{path}: {sentence}" for sentence in problems(reading, error))
-        ) from None
+        lines = [f"{path}: {sentence}" for sentence in problems(reading, error)]
+        raise ValueError("\n".join(lines)) from None
     except ValueError as error:  # a number of more digits than Python reads
         raise ValueError(f"{path}: {error}") from None
 

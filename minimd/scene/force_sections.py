@@ -4,14 +4,12 @@ The type of a section is the name of the class, as harmonic-bond; its keys are t
 another quantity that is not zero by default must be given, since units differ between scenes.
 """
 
-import functools
-import operator
 import re
 from collections.abc import Iterator
 from dataclasses import MISSING, fields
 from importlib import import_module
 from math import inf
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Union
 
 from pydantic import Field, FiniteFloat, NonNegativeInt, create_model
 
@@ -50,67 +48,61 @@ KINDS: dict[Any, Any] = dict.fromkeys(
 }
 
 
-def key(one: Any, made: type[law.Declared]) -> tuple[Any, Any]:
+def key(argument: Any, potential: type[law.Declared]) -> tuple[Any, Any]:
     """Type and default of a field of a section, from one of a class; the default is ... if the key must be given."""
-    asked = one.metadata["parameter"]
-    default = one.default
-    kind: Any = KINDS.get(asked.kind) or NUMBERS.get(asked.demand, FiniteFloat)
-    words = asked.words
-    if issubclass(made, Bonded) and asked.kind is law.groups:
-        words = f"{one.name} of atoms{words and ', '}{words}; the {made.acts_on} of the structure"
-        kind = GROUPS[asked.of]
-        words = words + (" if not given" if made.acts_on == "bonds" else " file if not given")
-    elif asked.kind is law.atoms:
-        words = "atoms on which the potential acts; all if not given"
-    elif asked.kind is law.choice:
-        kind = Literal[tuple(asked.of)]
+    parameter = argument.metadata["parameter"]
+    default = argument.default
+    kind: Any = KINDS.get(parameter.kind) or NUMBERS.get(parameter.demand, FiniteFloat)
+    text = parameter.words
+    if issubclass(potential, Bonded) and parameter.kind is law.groups:
+        kind = GROUPS[parameter.of]
+        group = f"{argument.name} of atoms, {text}" if text else f"{argument.name} of atoms"
+        source = "structure" if potential.acts_on == "bonds" else "structure file"
+        text = f"{group}; the {potential.acts_on} of the {source} if not given"
+    elif parameter.kind is law.atoms:
+        text = "atoms on which the potential acts; all if not given"
+    elif parameter.kind is law.choice:
+        kind = Literal[tuple(parameter.of)]
     if default in (None, inf):
         kind = kind | None
         default = None
-    elif default is MISSING or (asked.dimension and default != 0.0):
+    elif default is MISSING or (parameter.dimension and default != 0.0):
         default = ...
-    told = Field(description=words)
-    return Annotated[kind, told, Dimension(asked.dimension)] if asked.dimension else Annotated[
-        kind, told
-    ], default
+    marks = [Field(description=text)]
+    if parameter.dimension:
+        marks.append(Dimension(parameter.dimension))
+    return Annotated[kind, *marks], default
 
 
 class OfForces(Section):
-    """[[potential]] with one of the types in MADE."""
+    """[[potential]] with one of the types in LAWS."""
 
     def potential(self) -> Any:
         """The potential that the section describes."""
-        given = {name: value for name, value in self if name != "type" and value is not None}
-        if len(given.get("points", ())) == 1:  # for all atoms
-            given["points"] = given["points"][0]
-        return MADE[self.type](**given)  # type: ignore[attr-defined]
+        arguments = {name: value for name, value in self if name != "type" and value is not None}
+        if len(arguments.get("points", ())) == 1:  # for all atoms
+            arguments["points"] = arguments["points"][0]
+        return LAWS[self.type](**arguments)  # type: ignore[attr-defined]
 
 
 def declared_laws() -> Iterator[tuple[str, type[law.Declared]]]:
     """The public potentials whose arguments are all numbers, texts and atoms, with their types."""
     for name, place in places_of(potentials.__name__).items():
-        potential: Any = (
-            getattr(import_module(place), name) if place.startswith("minimd.core.") else None
-        )
-        is_declared = isinstance(potential, type) and issubclass(potential, law.Declared)
-        if is_declared and not {law.own_law, law.given} & potential.kinds():
-            yield (
-                re.sub("(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", name).lower(),
-                potential,
-            )
+        if place.startswith("minimd.core."):
+            potential: Any = getattr(import_module(place), name)
+            is_declared = isinstance(potential, type) and issubclass(potential, law.Declared)
+            if is_declared and not {law.own_law, law.given} & potential.kinds():
+                kind = re.sub("(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", name).lower()
+                yield kind, potential
 
 
-MADE = dict(declared_laws())
-ForceSection = functools.reduce(
-    operator.or_,
-    (
-        create_model(  # type: ignore[call-overload]
-            f"{made.__name__}Section",
-            __base__=OfForces,
-            __module__=__name__,
-            type=(Literal[kind], ...),
-            **{one.name: key(one, made) for one in fields(made)},  # type: ignore[arg-type]
-        )
-        for kind, made in MADE.items()
-    ),
-)
+def section_of(kind: str, potential: Any) -> type[OfForces]:
+    """The section for a potential; kind : its type in scene files."""
+    keys: dict[str, Any] = {"type": (Literal[kind], ...)}
+    keys |= {argument.name: key(argument, potential) for argument in fields(potential)}
+    name = f"{potential.__name__}Section"
+    return create_model(name, __base__=OfForces, __module__=__name__, **keys)
+
+
+LAWS = dict(declared_laws())
+ForceSection: Any = Union[tuple(map(section_of, LAWS, LAWS.values()))]

@@ -12,7 +12,7 @@ from minimd.core.console.display import NAME_WIDTH
 from minimd.core.console.signals import Terminated
 from minimd.core.diagnosis.report import conservation_report
 from minimd.core.files.crash_file import crash_file_place
-from minimd.core.files.h5md_reader import read_file, verify_frames
+from minimd.core.files.h5md_reader import H5MDContents, read_file, verify_frames
 from minimd.core.files.h5md_schema import other_potentials
 from minimd.core.files.trajectory import FORMATS, checked_output
 from minimd.core.simulation.simulation import Simulation
@@ -70,16 +70,21 @@ def run_scene(
     minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell, crash_file_place(True, files))
     observers = scene.observers()
-    named: dict[str, Any] = {
-        "trajectory": files,
-        "store_forces": output.forces,
-        "overwrite": overwrite,
-        "max_seconds": scene.sections.dynamics.max_seconds if max_seconds is None else max_seconds,
-    }
+    if max_seconds is None:
+        max_seconds = scene.sections.dynamics.max_seconds
     with kept(scene, files, n_steps):
-        simulation.run(n_steps, every=output.every, observers=observers, progress=progress, **named)
+        simulation.run(
+            n_steps,
+            every=output.every,
+            observers=observers,
+            trajectory=files,
+            store_forces=output.forces,
+            overwrite=overwrite,
+            max_seconds=max_seconds,
+            progress=progress,
+        )
     tell_results(simulation, observers, tell)
-    drawn = []
+    written = list(files)
     if picture is not None and picture.exists() and not overwrite:
         tell(f"not drawn      {picture} exists and is kept; draw the picture with: minimd plot")
     elif picture is not None:
@@ -87,8 +92,8 @@ def run_scene(
 
         tell(f"drawing        {picture} ...")
         with kept(scene, files, n_steps):
-            drawn = [plot_file(h5md_files(files)[0], picture)]
-    tell(f"written        {', '.join(map(str, [*files, *drawn]))}{_how_to_go_on(files, n_steps)}")
+            written.append(plot_file(h5md_files(files)[0], picture))
+    tell(f"written        {', '.join(map(str, written))}{_how_to_go_on(files, n_steps)}")
     return simulation
 
 
@@ -121,94 +126,117 @@ def resume_run(
     verify_frames(file)
     path = Path(file)
     contents = read_file(file)
-    known = stored(Scene, contents.scene, path) if contents.scene else None
-    given = scene
-    scene = scene or known
+    own_scene = stored(Scene, contents.scene, path) if contents.scene else None
+    is_own = scene is None
+    scene = scene or own_scene
     if scene is None:
-        resumed = f"sim = minimd.Simulation.resume({str(file)!r}, potentials)"
-        script = f"go on in the script: {resumed}; sim.run(n_steps, trajectory={str(file)!r}, append=True)"
         raise ValueError(
-            f"file {str(file)!r} holds no scene from which to rebuild its potentials; {script}"
+            f"file {str(file)!r} holds no scene from which to rebuild its potentials; go on in the script: "
+            f"sim = minimd.Simulation.resume({str(file)!r}, potentials); "
+            f"sim.run(n_steps, trajectory={str(file)!r}, append=True)"
         )
-    end = scene.sections.dynamics.steps if steps is None else contents.step + steps
-    if steps is None and end <= contents.step:
-        if not contents.lacks_results:
-            there = f"it is at step {contents.step}, dynamics.steps = {end}"
-            remedy = "give the number of further steps with --steps"
-            raise ValueError(
-                f"the run in {str(file)!r} has reached the end of its scene: {there}; {remedy}"
-            )
-        end = contents.step  # it was killed after its last step
-    if known is not None and (other := differences(known, scene)):
+    end = _end(scene, contents, steps, str(file))
+    changes = [] if own_scene is None else differences(own_scene, scene)
+    if changes:
         tell(
             "NOTE           the scene given replaces the one of the run so far; the keys that differ are:"
         )
-        for line in other:
-            tell(f"               {line}")
+    for change in changes:
+        tell(f"               {change}")
     if contents.repaired:
         tell(f"repaired       {contents.repaired}")
     simulation = scene.simulation(contents.system)
     simulation.engine.go_on_from(contents.restart)
-    if (simulation.method.name, simulation.method.parameters) != (
-        contents.method,
-        contents.parameters,
-    ):
-        if given is None:  # a script went on with a method other than that of the scene
-            simulation.method = contents.integrator()
-            tell(
-                f"NOTE           the last steps were made with {simulation.method!r}, not with the method of the"
-            )
-            tell("               scene in the file; the run goes on with the method of these steps")
-        else:
-            simulation.engine.changed()
-    if given is None and (changed := other_potentials(contents.potentials, simulation.potentials)):
-        those = f"the run goes on with those of the scene: {changed}"
-        tell(
-            f"NOTE           the last steps were made with other potentials than the scene in the file has; {those}"
-        )
+    if is_own:
+        _tell_changes(simulation, contents, tell)
+    elif not _is_method_of(simulation, contents):
+        simulation.engine.changed()
     for line in description(scene, simulation, end - contents.step):
         tell(line)
-    when = f"at step {contents.step}, {scene.units.shown(contents.time)}, after {contents.n_frames} frames"
-    tell(f"resumed        {when}")
+    when = scene.units.shown(contents.time)
+    tell(f"resumed        at step {contents.step}, {when}, after {contents.n_frames} frames")
     if len(scene.trajectories()) > 1:
         tell(
             f"               only {file} is continued; the other trajectories keep their frames up to this step"
         )
     observers = scene.observers()
-    named: dict[str, Any] = {
-        "every": scene.sections.output.every,
-        "trajectory": path,
-        "append": True,
-        "max_seconds": scene.sections.dynamics.max_seconds if max_seconds is None else max_seconds,
-    }
+    if max_seconds is None:
+        max_seconds = scene.sections.dynamics.max_seconds
     with kept(scene, [path], end):
-        simulation.run(until_step=end, observers=observers, progress=progress, **named)
+        simulation.run(
+            until_step=end,
+            every=scene.sections.output.every,
+            observers=observers,
+            trajectory=path,
+            append=True,
+            max_seconds=max_seconds,
+            progress=progress,
+        )
     tell_results(simulation, observers, tell)
     tell(f"written        {file}{_how_to_go_on([path], end)}")
     return simulation
 
 
+def _end(scene: Scene, contents: H5MDContents, steps: int | None, file: str) -> int:
+    """The step at which a resumed run ends.  Raises ValueError if it has reached the end of its scene."""
+    step = contents.step
+    if steps is not None:
+        return step + steps
+    end = scene.sections.dynamics.steps
+    if end > step:
+        return end
+    if contents.lacks_results:  # it was killed after its last step
+        return step
+    raise ValueError(
+        f"the run in {file!r} has reached the end of its scene: it is at step {step}, dynamics.steps = {end}; give the "
+        "number of further steps with --steps"
+    )
+
+
+def _is_method_of(simulation: Simulation, contents: H5MDContents) -> bool:
+    method = simulation.method
+    return (method.name, method.parameters) == (contents.method, contents.parameters)
+
+
+def _tell_changes(simulation: Simulation, contents: H5MDContents, tell: Tell) -> None:
+    """Note what a script has changed since the scene was stored; the method of the last steps is taken over."""
+    if not _is_method_of(simulation, contents):
+        simulation.method = contents.integrator()
+        tell(
+            f"NOTE           the last steps were made with {simulation.method!r}, not with the method of the"
+        )
+        tell("               scene in the file; the run goes on with the method of these steps")
+    changed = other_potentials(contents.potentials, simulation.potentials)
+    if changed:
+        tell(
+            "NOTE           the last steps were made with other potentials than the scene in the file has; the run "
+            f"goes on with those of the scene: {changed}"
+        )
+
+
 def tell_results(simulation: Simulation, observers: Sequence[Accumulator], tell: Tell) -> None:
     """Tell the report of a run, and the results of observers, in one or several lines for each."""
     tell(str(simulation.report()))
-    for one in observers:
-        if one.n_looks:
-            tell(str(one.result()))
+    for observer in observers:
+        if observer.n_looks:
+            tell(str(observer.result()))
 
 
 def differences(one: Scene, other: Scene) -> list[str]:
     """The keys whose values differ in two scenes, with both values as written in the files."""
-    found = []
+    lines = []
     before, now = (dict(_entries(tomllib.loads(scene.whole_text()))) for scene in (one, other))
-    for key in dict.fromkeys([*before, *now]):
-        if before.get(key) != now.get(key):
-            values = (scene.get(key, "not given") for scene in (before, now))
-            was, becomes = (
-                v if len(v) <= LONGEST_VALUE else f"{v[:LONGEST_VALUE]}..." for v in values
-            )
+    for key in before | now:
+        old = before.get(key, "not given")
+        new = now.get(key, "not given")
+        if old != new:
             remark = " (no effect: the start is over)" if key.startswith(OF_THE_START) else ""
-            found.append(f"{key}: {was} before, {becomes} now{remark}")
-    return found
+            lines.append(f"{key}: {_shortened(old)} before, {_shortened(new)} now{remark}")
+    return lines
+
+
+def _shortened(value: str) -> str:
+    return value if len(value) <= LONGEST_VALUE else f"{value[:LONGEST_VALUE]}..."
 
 
 def _entries(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
@@ -230,11 +258,11 @@ def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: 
     if plan is None:
         return
     with kept(scene):
-        found = simulation.minimize(**plan.model_dump(), progress=progress)
+        minimum = simulation.minimize(**plan.model_dump(), progress=progress)
     if dynamics.temperature is not None:
         # drawn again, because rigid bonds have turned
         simulation.set_temperature(dynamics.temperature, dynamics.seed)
-    tell(str(found))
+    tell(str(minimum))
 
 
 def equilibrate(
@@ -251,23 +279,23 @@ def equilibrate(
     if plan is None or target is None or plan.steps == 0:
         return
     every = plan.rescale_every
-    tell(
-        f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every {every}"
-    )
+    temperature = f"{target:g} {scene.units.temperature}"
+    tell(f"equilibration  {plan.steps} steps, rescaled to {temperature} every {every}")
     with kept(scene, where=" of the equilibration"):
         simulation.equilibrate(plan.steps, target, every, progress, crash_report)
 
 
 def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]:
     """Lines about what has been built and will be run."""
-    run = f"{n_steps} steps = {scene.units.shown(n_steps * simulation.method.timestep)}"
-    rows = [
-        ("scene", f"{scene.path}" + (f": {scene.sections.title}" if scene.sections.title else ""))
-    ]
+    title = scene.sections.title
+    rows = [("scene", f"{scene.path}: {title}" if title else f"{scene.path}")]
     rows += simulation.engine.scene_in_words()
-    rows += [("n_dof", f"{simulation.n_dof} degrees of freedom")] if simulation.constraints else []
-    rows += [("run", f"{run}, observed every {scene.sections.output.every}")]
-    return [f"{name:<{NAME_WIDTH}} {words}" for name, words in rows]
+    if simulation.constraints:
+        rows.append(("n_dof", f"{simulation.n_dof} degrees of freedom"))
+    duration = scene.units.shown(n_steps * simulation.method.timestep)
+    every = scene.sections.output.every
+    rows.append(("run", f"{n_steps} steps = {duration}, observed every {every}"))
+    return [f"{name:<{NAME_WIDTH}} {text}" for name, text in rows]
 
 
 @contextmanager
@@ -281,22 +309,21 @@ def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = ""
     try:
         yield
     except (KeyboardInterrupt, Terminated, NonFiniteError, ConstraintError, OSError) as error:
-        written = [
-            file
-            for file in files
-            if file.is_file() and file.stat().st_size and file.stat().st_mtime > begun
-        ]
-        interrupted = isinstance(error, (KeyboardInterrupt, Terminated))
-        if not written and not interrupted:
+        there = [(file, file.stat()) for file in files if file.is_file()]
+        written = [file for file, stat in there if stat.st_size and stat.st_mtime > begun]
+        is_interrupted = isinstance(error, KeyboardInterrupt | Terminated)
+        if written:
+            ending = f"; what was written before is kept in {', '.join(map(str, written))}"
+        elif is_interrupted:
+            ending = f"{where}; nothing was written"
+        else:
             raise
-        files_kept = f"; what was written before is kept in {', '.join(map(str, written))}"
-        ending = files_kept if written else f"{where}; nothing was written"
+        if is_interrupted:
+            ending += _how_to_go_on(written, end)
         if isinstance(error, Terminated):
-            error.words += ending + _how_to_go_on(written, end)
+            error.words += ending
             raise
-        failure = type(error)(
-            sentence(error) + ending + (_how_to_go_on(written, end) if interrupted else "")
-        )
+        failure = type(error)(sentence(error) + ending)
         failure.__dict__.update(error.__dict__)  # such as the crash report
         raise failure from None
 
@@ -333,30 +360,25 @@ def hand_over_scene(
     simulation = scene.simulation()
     for line in description(scene, simulation, n_steps):
         tell(line)
-    # before the minimization begins
-    check_hand_over(
-        simulation, folder, n_steps, processes=processes, every=output.every, overwrite=overwrite
-    )
-    if scene.sections.observer:
-        why = "they work in runs of minimd only, and LAMMPS makes this run"
-        tell(f"NOTE           the observers of the scene are not used: {why}")
-    minimize(scene, simulation, progress, tell)
-    equilibrate(scene, simulation, progress, tell)
-    asked: dict[str, Any] = {
+    options: dict[str, Any] = {
+        "processes": processes,
         "every": output.every,
-        "store_forces": output.forces,
         "overwrite": overwrite,
     }
-    done = hand_over(
-        simulation, folder, n_steps, processes=processes, progress=progress, tell=tell, **asked
-    )
+    # before the minimization begins
+    check_hand_over(simulation, folder, n_steps, **options)
+    if scene.sections.observer:
+        tell(
+            "NOTE           the observers of the scene are not used: they work in runs of minimd only, and LAMMPS "
+            "makes this run"
+        )
+    minimize(scene, simulation, progress, tell)
+    equilibrate(scene, simulation, progress, tell)
+    options |= {"store_forces": output.forces, "progress": progress, "tell": tell}
+    result = hand_over(simulation, folder, n_steps, **options)
     is_free = simulation.conserves_momentum
     angular = is_free and not simulation.system.cell.is_periodic
-    tell(
-        str(
-            conservation_report(
-                done.record, linear=is_free, angular=angular, n_dof=simulation.n_dof
-            )
-        )
-    )
-    return done
+    n_dof = simulation.n_dof
+    report = conservation_report(result.record, linear=is_free, angular=angular, n_dof=n_dof)
+    tell(str(report))
+    return result

@@ -1,7 +1,6 @@
 """Scenes: a scene file, and the simulation that it describes."""
 
 from pathlib import Path
-from typing import Any
 
 from minimd.core.simulation.simulation import Simulation
 from minimd.core.structure.checks import checked_path
@@ -23,13 +22,15 @@ class Scene(Document):
         potentials = self.potentials()
         method = self.method()
         with blamed_on(str(self.path)):
-            options: dict[str, Any] = {
-                "threads": dynamics.threads,
-                "precision": dynamics.precision,
-                "barostat": self.barostat(),
-            }
-            simulation = Simulation(start, potentials, method, **options)
-        simulation.engine.notes.update(title=self.sections.title or "", scene=self.whole_text())
+            simulation = Simulation(
+                start,
+                potentials,
+                method,
+                threads=dynamics.threads,
+                precision=dynamics.precision,
+                barostat=self.barostat(),
+            )
+        simulation.engine.notes.update(title=self.sections.title, scene=self.whole_text())
         for name in self.sections.output.extra_observables:
             with blamed_on(f"{self.path}: output.{name}"):
                 simulation.extra_observables = (*simulation.extra_observables, name)
@@ -48,12 +49,13 @@ def load_scene(path: str | Path) -> Scene:
     """
     file = checked_path("path", path)
     try:
-        if (written := file.read_bytes()).startswith(b"\x89HDF"):
-            goes_on = (
-                "minimd resume continues it; in a script, md.Simulation.resume(file) has its state"
+        content = file.read_bytes()
+        if content.startswith(b"\x89HDF"):
+            raise ValueError(
+                f"{file} is not a scene file (TOML), but the file of a run: minimd resume continues it; in a script, "
+                "md.Simulation.resume(file) has its state"
             )
-            raise ValueError(f"{file} is not a scene file (TOML), but the file of a run: {goes_on}")
-        return parse_scene(written.decode("utf-8"), file)
+        return parse_scene(content.decode("utf-8"), file)
     except FileNotFoundError:
         raise FileNotFoundError(f"scene file {str(file)!r} does not exist") from None
     except UnicodeDecodeError as error:

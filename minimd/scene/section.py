@@ -29,17 +29,24 @@ from minimd.core.structure.units import (
 )
 
 # unit system: dimension: ending of the key: size of that unit in units of the engine
-KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {"ASE": {
-    "length": {"_A": 1.0}, "time": {"_fs": FEMTOSECOND}, "temperature": {"_K": 1.0},
-    "energy": {"_K": BOLTZMANN_EV_PER_K, "_eV": 1.0}, "force": {"_eV_A": 1.0}, "density": {"_g_cm3": GRAM_PER_CM3},
-    "pressure": {"_bar": BAR, "_GPa": 1e4 * BAR}, "compressibility": {"_per_bar": 1.0 / BAR, "_per_GPa": 1e-4 / BAR},
-    "stiffness": {"_eV_A2": 1.0}, "angle": {"_degree": DEGREE}, "angular stiffness": {"_eV_rad2": 1.0},
-    "inverse length": {"_per_A": 1.0}, "velocity": {"_A_ps": 1.0 / PICOSECOND},
+KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {}
+KEY_UNITS["ASE"] = {
+    "length": {"_A": 1.0},
+    "time": {"_fs": FEMTOSECOND},
+    "temperature": {"_K": 1.0},
+    "energy": {"_K": BOLTZMANN_EV_PER_K, "_eV": 1.0},
+    "force": {"_eV_A": 1.0},
+    "density": {"_g_cm3": GRAM_PER_CM3},
+    "pressure": {"_bar": BAR, "_GPa": 1e4 * BAR},
+    "compressibility": {"_per_bar": 1.0 / BAR, "_per_GPa": 1e-4 / BAR},
+    "stiffness": {"_eV_A2": 1.0},
+    "angle": {"_degree": DEGREE},
+    "angular stiffness": {"_eV_rad2": 1.0},
+    "inverse length": {"_per_A": 1.0},
+    "velocity": {"_A_ps": 1.0 / PICOSECOND},
     "acceleration": {"_A_ps2": 1.0 / PICOSECOND**2},
-}}  # fmt: skip
-KEY_UNITS["LJ"] = {dimension: {"": 1.0} for dimension in KEY_UNITS["ASE"]} | {
-    "angle": {"_degree": DEGREE}
 }
+KEY_UNITS["LJ"] = {name: {"": 1.0} for name in KEY_UNITS["ASE"]} | {"angle": {"_degree": DEGREE}}
 # key: its field, and the factor by which its numbers are multiplied, None if it is not a quantity
 Keys = dict[str, tuple[str, float | None]]
 # types of values that several sections use
@@ -84,17 +91,17 @@ class Section(BaseModel):
         """All keys that the section may have."""
         keys: Keys = {}
         for name, info in cls.model_fields.items():
-            dimension = next((mark for mark in info.metadata if isinstance(mark, Dimension)), None)
-            endings: Mapping[str, float | None] = (
-                {"": None} if dimension is None else KEY_UNITS[units][dimension]
-            )
+            endings: Mapping[str, float | None] = {"": None}
+            for mark in info.metadata:
+                if isinstance(mark, Dimension):
+                    endings = KEY_UNITS[units][mark]
             keys |= {name + ending: (name, size) for ending, size in endings.items()}
         return keys
 
     @classmethod
     def key(cls, name: str, units: str) -> str:
         """The first key for a field."""
-        return next(key for key, (meant, _) in cls.keys(units).items() if meant == name)
+        return next(key for key, (field, _) in cls.keys(units).items() if field == name)
 
     def faults(self, units: str) -> Iterator[str]:
         """What is wrong with its values together, in words that follow its name.  units : of the document."""
@@ -125,20 +132,19 @@ class Section(BaseModel):
 
 def sections_below(section: type[Section]) -> Iterator[type[Section]]:
     """All subclasses of a section that have fields, with theirs."""
-    for one in section.__subclasses__():
-        if one.model_fields:
-            yield one
-        yield from sections_below(one)
+    for subclass in section.__subclasses__():
+        if subclass.model_fields:
+            yield subclass
+        yield from sections_below(subclass)
 
 
 def _multiplied(value: Any, size: float | None) -> Any:
     if isinstance(value, list):
         return [_multiplied(entry, size) for entry in value]
-    is_quantity = (
-        size is not None and isinstance(value, int | float) and not isinstance(value, bool)
-    )
-    # larger numbers are refused later, as they are written
-    return value * size if size is not None and is_quantity and abs(value) < LARGEST else value
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if size is None or not is_number or not abs(value) < LARGEST:
+        return value  # numbers that are too large are refused later, as they are written
+    return value * size
 
 
 def one_of(allowed: Collection[str]) -> AfterValidator:

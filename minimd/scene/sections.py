@@ -44,11 +44,15 @@ from minimd.scene.section import (
     Positive,
     Section,
     Three,
+    Vector,
     one_of,
 )
 from minimd.scene.water import ModelName, water, water_of, water_potentials
 
+# types of values
 Column = Annotated[list[FiniteFloat], Field(min_length=FEWEST)]
+Length = Annotated[Positive | None, Dimension("length")]
+PairOfSpecies = Annotated[list[str], Field(min_length=2, max_length=2)]
 
 
 class Numbers(NamedTuple):
@@ -83,10 +87,10 @@ def read_table(path: Path) -> Numbers:
         raise ValueError(
             f"table {str(path)!r} must hold two numbers on each line, r and u: {error}"
         ) from None
-    if columns.shape[1:] != (2,) or not len(columns):
+    n_lines, n_columns = columns.shape
+    if n_columns != 2 or n_lines == 0:
         raise ValueError(
-            f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} "
-            f"lines of {columns.shape[1]}"
+            f"table {str(path)!r} must hold two numbers on each line, r and u; it has {n_lines} lines of {n_columns}"
         )
     return Numbers(*columns.T.tolist())
 
@@ -96,20 +100,18 @@ def as_sections(tables: Mapping[str, Numbers], units: str) -> str:
     # the units of the engine, of size 1: the first of lengths, the last of energies
     (length, *_) = KEY_UNITS[units]["length"]
     (*_, energy) = KEY_UNITS[units]["energy"]
-    return "".join(
-        f"\n[tables.{json.dumps(name, ensure_ascii=False)}]\nr{length} = {one.r}\nu{energy} = {one.u}\n"
-        for name, one in tables.items()
-    )
+    text = ""
+    for name, table in tables.items():
+        title = json.dumps(name, ensure_ascii=False)
+        text += f"\n[tables.{title}]\nr{length} = {table.r}\nu{energy} = {table.u}\n"
+    return text
 
 
 # by structure and water: either gives the atoms, and water their charges and bonds
 GIVEN_TWICE = {"lattice", "bonds", "charges", "molecules", "density", "seed"}
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
-
-
-# keys of system_from_file
-OF_FILES = ("format", "masses", "elements", "atom_style", "lammps_units")
+OF_FILES = ("format", "masses", "elements", "atom_style", "lammps_units")  # of system_from_file
 
 
 class StructureSection(Section):
@@ -123,7 +125,7 @@ class StructureSection(Section):
     element: str | None = None
     repeat: Annotated[list[PositiveInt], Three] | None = None
     density: Annotated[Positive | None, Dimension("density")] = None
-    lattice_constant: Annotated[Positive | None, Dimension("length")] = None
+    lattice_constant: Length = None
     cell: Annotated[Annotated[list[NotNegative], Three] | None, Dimension("length")] = None
     pbc: bool | Annotated[list[bool], Three] | None = None
     species: list[str] | None = None
@@ -139,24 +141,19 @@ class StructureSection(Section):
         """See Section."""
         if (self.file is None) == (self.lattice is None):
             yield "must have either file or lattice"
-        of_files = ("cell", *OF_FILES)
-        of_lattices = ("element", "repeat", "density", "lattice_constant")
-        made, others = ("lattice", of_files) if self.file is None else ("file", of_lattices)
-        yield from (
-            f"cannot have {name} together with {made}"
-            for name in others
-            if name in self.model_fields_set
-        )
         if self.file is not None:
+            for name in ("element", "repeat", "density", "lattice_constant"):
+                if name in self.model_fields_set:
+                    yield f"cannot have {name} together with file"
             return
+        for name in ("cell", *OF_FILES):
+            if name in self.model_fields_set:
+                yield f"cannot have {name} together with lattice"
         if isinstance(self.bonds, str):
             yield "cannot have bonds from a file together with lattice; list the pairs, or give the structure as a file"
-        needed = ("repeat", "element") if units == "ASE" else ("repeat",)
-        yield from (
-            f"must have {name} together with lattice"
-            for name in needed
-            if name not in self.model_fields_set
-        )
+        for name in ("repeat", "element") if units == "ASE" else ("repeat",):
+            if name not in self.model_fields_set:
+                yield f"must have {name} together with lattice"
         if (self.density is None) == (self.lattice_constant is None):
             density = self.key("density", units)
             edge = self.key("lattice_constant", units)
@@ -170,27 +167,26 @@ class WaterSection(Section):
     model: ModelName = "SPC/E"
     molecules: Annotated[PositiveInt, Field(le=MOST_ATOMS // 3)] = 512
     density: Annotated[Positive, Dimension("density")] = 0.997 * GRAM_PER_CM3
-    cutoff: Annotated[Positive | None, Dimension("length")] = None
+    cutoff: Length = None
     accuracy: Positive = 1e-5
     seed: NonNegativeInt = 0
 
     def system(self, placed: System | None) -> System:
         """The molecules, held rigid.  placed : the atoms of a file, or None.  Raises ValueError as water, water_of."""
-        given = self.model, self.molecules, self.density / GRAM_PER_CM3
-        made = (
-            water_of(placed, self.model)
-            if placed
-            else water(*given, cutoff=self.cutoff, seed=self.seed)
-        )
-        system, _, rigid = made
+        if placed:
+            system, _, rigid = water_of(placed, self.model)
+        else:
+            density = self.density / GRAM_PER_CM3
+            system, _, rigid = water(
+                self.model, self.molecules, density, cutoff=self.cutoff, seed=self.seed
+            )
         return changed(system, constraints=(*system.constraints, rigid))
 
     def potentials(self) -> list[OwnPotential]:
         """Its potentials, also of a run in a file, without making molecules.  With atoms of a file, molecules and
         density have their default values, and the default cutoff is 9 Å.  Raises ValueError as water."""
-        return water_potentials(
-            self.model, self.molecules, self.density / GRAM_PER_CM3, self.cutoff, self.accuracy
-        )
+        density = self.density / GRAM_PER_CM3
+        return water_potentials(self.model, self.molecules, density, self.cutoff, self.accuracy)
 
 
 class ConstraintsSection(Section):
@@ -219,28 +215,26 @@ class ConstraintsSection(Section):
         bonds : of the structure.  known : constraints of the file; they hold where the section says nothing,
             lengths only if the pairs are the same.
         Raises ValueError for impossible constraints."""
-        fixed: list[Constraint] = [one for one in known if isinstance(one, FixedAtoms)]
+        fixed: list[Constraint] = [held for held in known if isinstance(held, FixedAtoms)]
         if self.fixed is not None:
             fixed = [FixedAtoms(self.fixed)] if self.fixed else []
-        held = next((one for one in known if isinstance(one, DistanceConstraints)), None)
+        rigid = next((held for held in known if isinstance(held, DistanceConstraints)), None)
         pairs = bonds if self.pairs == "bonds" else self.pairs
-        if pairs is None and held is not None:
-            pairs = held.pairs.tolist()
+        if pairs is None and rigid is not None:
+            pairs = rigid.pairs.tolist()
         if not pairs:
             if self.tolerance is not None or self.solver is not None:
-                remedy = "give pairs, or leave tolerance and solver out"
                 raise ValueError(
-                    f"tolerance and solver are for lengths, and no lengths are held; {remedy}"
+                    "tolerance and solver are for lengths, and no lengths are held; give pairs, or leave tolerance and "
+                    "solver out"
                 )
             return tuple(fixed)
-        if held is None or held.pairs.tolist() != pairs:
-            held = DistanceConstraints(pairs)
-        lengths = held.lengths if self.lengths is None else self.lengths
-        solved = self.solver or held.solver
-        return (
-            *fixed,
-            DistanceConstraints(pairs, lengths, self.tolerance or held.tolerance, solved),
-        )
+        if rigid is None or rigid.pairs.tolist() != pairs:
+            rigid = DistanceConstraints(pairs)
+        lengths = rigid.lengths if self.lengths is None else self.lengths
+        tolerance = self.tolerance or rigid.tolerance
+        solver = self.solver or rigid.solver
+        return (*fixed, DistanceConstraints(pairs, lengths, tolerance, solver))
 
 
 class SpeciesSection(Section):
@@ -253,7 +247,7 @@ class SpeciesSection(Section):
 class PairSection(SpeciesSection):
     """An entry of pairs: Lennard-Jones parameters of two species, in place of those of the mixing rule."""
 
-    species: Annotated[list[str], Field(min_length=2, max_length=2)]
+    species: PairOfSpecies
 
 
 class LennardJonesSection(Section):
@@ -261,39 +255,38 @@ class LennardJonesSection(Section):
 
     type: Literal["lennard-jones"]
     epsilon: Annotated[NotNegative | None, Dimension("energy")] = None
-    sigma: Annotated[Positive | None, Dimension("length")] = None
+    sigma: Length = None
     species: dict[str, SpeciesSection] | None = None
     pairs: list[PairSection] = Field([])
     mixing: Annotated[str, one_of(MIXING)] = "lorentz-berthelot"
-    cutoff: Annotated[Positive | None, Dimension("length")] = None
+    cutoff: Length = None
     truncation: Annotated[str, one_of(TRUNCATIONS)] = "shifted"
-    switch_start: Annotated[Positive | None, Dimension("length")] = None
-    bonded_scale: Annotated[list[FiniteFloat], Three] = Field([1.0, 1.0, 1.0])
+    switch_start: Length = None
+    bonded_scale: Vector = Field([1.0, 1.0, 1.0])
     tail_correction: bool = False
 
     def faults(self, units: str) -> Iterator[str]:
         """See Section."""
-        if (self.epsilon is None) != (self.sigma is None) or (self.epsilon is None) == (
-            self.species is None
-        ):
+        has_epsilon = self.epsilon is not None
+        has_sigma = self.sigma is not None
+        has_species = self.species is not None
+        if has_epsilon != has_sigma or has_epsilon == has_species:
             yield "must have either epsilon and sigma, or a table of species with both"
 
     def potential(self) -> LennardJones:
         """The potential that the section describes."""
-        species: Any = {
-            name: (one.epsilon, one.sigma) for name, one in (self.species or {}).items()
-        }
-        pairs: Any = {tuple(one.species): (one.epsilon, one.sigma) for one in self.pairs}
-        others = self.model_dump(exclude={"type", "epsilon", "species", "pairs"})
-        return LennardJones(
-            species if self.epsilon is None else self.epsilon, pairs=pairs, **others
-        )
+        epsilon: Any = self.epsilon
+        if self.species is not None:
+            epsilon = {name: (well.epsilon, well.sigma) for name, well in self.species.items()}
+        pairs: Any = {tuple(pair.species): (pair.epsilon, pair.sigma) for pair in self.pairs}
+        options = self.model_dump(exclude={"type", "epsilon", "species", "pairs"})
+        return LennardJones(epsilon, pairs=pairs, **options)
 
 
 class PairTableSection(Section):
     """An entry of pairs: the table of two species."""
 
-    species: Annotated[list[str], Field(min_length=2, max_length=2)]
+    species: PairOfSpecies
     file: str
 
 
@@ -305,10 +298,10 @@ class TabulatedSection(Section):
     type: Literal["tabulated"]
     file: str | None = None
     pairs: Annotated[list[PairTableSection] | None, Field(min_length=1)] = None
-    cutoff: Annotated[Positive | None, Dimension("length")] = None
+    cutoff: Length = None
     truncation: Annotated[str, one_of(TRUNCATIONS)] = "shifted"
-    switch_start: Annotated[Positive | None, Dimension("length")] = None
-    bonded_scale: Annotated[list[FiniteFloat], Three] = Field([1.0, 1.0, 1.0])
+    switch_start: Length = None
+    bonded_scale: Vector = Field([1.0, 1.0, 1.0])
 
     def faults(self, units: str) -> Iterator[str]:
         """See Section."""
@@ -318,25 +311,24 @@ class TabulatedSection(Section):
     @property
     def files(self) -> list[str]:
         """The names of its tables, without repetition."""
-        return (
-            [self.file]
-            if self.file is not None
-            else list(dict.fromkeys(one.file for one in self.pairs or ()))
-        )
+        if self.file is not None:
+            return [self.file]
+        return list(dict.fromkeys(pair.file for pair in self.pairs or ()))
 
     def potential(self, table_of: Callable[[str], Numbers]) -> Tabulated:
         """The potential that the section describes.  table_of : returns the numbers of a table.
         Raises ValueError for tables that do not fit."""
         tables = {name: table_of(name) for name in self.files}
         first = self.files[0]
-        if others := [name for name, table in tables.items() if table.r != tables[first].r]:
-            raise ValueError(
-                f"the tables of one potential must have the same r; those of {others[0]!r} and {first!r} "
-                "differ"
-            )
-        by_pair: Any = {tuple(one.species): tables[one.file].u for one in self.pairs or ()}
+        r, u = tables[first]
+        for name, table in tables.items():
+            if table.r != r:
+                raise ValueError(
+                    f"the tables of one potential must have the same r; those of {name!r} and {first!r} differ"
+                )
+        by_pair: Any = {tuple(pair.species): tables[pair.file].u for pair in self.pairs or ()}
         options = self.model_dump(exclude={"type", "file", "pairs"})
-        return Tabulated(tables[first].r, by_pair or tables[first].u, **options)
+        return Tabulated(r, by_pair or u, **options)
 
 
 class DynamicsSection(Section):
@@ -354,17 +346,19 @@ class DynamicsSection(Section):
 
     def faults(self, units: str) -> Iterator[str]:
         """See Section."""
-        missing = [
-            self.key(name, units)
-            for name in ("temperature", "relaxation_time")
-            if getattr(self, name) is None
-        ]
-        if self.method in THERMOSTATS and missing:
-            yield f"must have {' and '.join(missing)} with method {self.method!r}"
-        if self.method not in THERMOSTATS and self.relaxation_time is not None:
+        relaxation_time = self.key("relaxation_time", units)
+        if self.method in THERMOSTATS:
+            missing = []
+            if self.temperature is None:
+                missing.append(self.key("temperature", units))
+            if self.relaxation_time is None:
+                missing.append(relaxation_time)
+            if missing:
+                yield f"must have {' and '.join(missing)} with method {self.method!r}"
+        elif self.relaxation_time is not None:
             yield (
-                f"cannot have {self.key('relaxation_time', units)} with method {self.method!r}, which has no "
-                f"relaxation time; {', '.join(THERMOSTATS)} have one"
+                f"cannot have {relaxation_time} with method {self.method!r}, which has no relaxation time; "
+                f"{', '.join(THERMOSTATS)} have one"
             )
 
     def integrator(self) -> Splitting:
@@ -509,29 +503,32 @@ class SceneSections(Section):
 
     def faults(self, units: str) -> Iterator[str]:
         """See Section."""
-        given = self.model_fields_set
-        temperature = f"dynamics.{DynamicsSection.key('temperature', units)}"
+        given_sections = self.model_fields_set
+        if not given_sections & {"structure", "water"}:
+            yield "structure is missing; give it, or water in its place"
+        if not given_sections & {"potential", "water"}:
+            yield "potential is missing; give it"
         pairs = self.constraints and self.constraints.pairs
-        is_cold = self.dynamics.temperature is None
-        named = {
-            name
-            for one in self.potential
-            if isinstance(one, TabulatedSection)
-            for name in one.files
-        }
-        unused = ", tables.".join(repr(name) for name in self.tables if name not in named)
-        faults = {
-            "structure is missing; give it, or water in its place": not given & {"structure", "water"},
-            "potential is missing; give it": not given & {"potential", "water"},
-            "structure and water give the same; leave lattice, bonds, charges, molecules, density, seed out": self.water
-            and "structure" in given
-            and (self.structure.model_fields_set | self.water.model_fields_set) & GIVEN_TWICE,
-            "constraints.pairs would replace those of water; leave them out": self.water and pairs is not None,
-            f'water needs units = "ASE"; units = "{units}"': self.water and units != "ASE",
-            f"equilibration needs {temperature}, at which first velocities are drawn": self.equilibration and is_cold,
-            f"barostat needs {temperature}, the temperature of its noise": self.barostat and is_cold,
-            'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs': pairs == "bonds"
-            and not self.structure.bonds,
-            f"no tabulated potential uses tables.{unused}; name it as the file of a potential, or leave it out": unused,
-        }  # fmt: skip
-        yield from (fault for fault, is_there in faults.items() if is_there)
+        if self.water:
+            keys = self.structure.model_fields_set | self.water.model_fields_set
+            if "structure" in given_sections and keys & GIVEN_TWICE:
+                yield "structure and water give the same; leave lattice, bonds, charges, molecules, density, seed out"
+            if pairs is not None:
+                yield "constraints.pairs would replace those of water; leave them out"
+            if units != "ASE":
+                yield f'water needs units = "ASE"; units = "{units}"'
+        if self.dynamics.temperature is None:
+            temperature = f"dynamics.{DynamicsSection.key('temperature', units)}"
+            if self.equilibration:
+                yield f"equilibration needs {temperature}, at which first velocities are drawn"
+            if self.barostat:
+                yield f"barostat needs {temperature}, the temperature of its noise"
+        if pairs == "bonds" and not self.structure.bonds:
+            yield 'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs'
+        used = set[str]()
+        for section in self.potential:
+            if isinstance(section, TabulatedSection):
+                used.update(section.files)
+        unused = ", tables.".join(repr(name) for name in self.tables if name not in used)
+        if unused:
+            yield f"no tabulated potential uses tables.{unused}; name it as the file of a potential, or leave it out"

@@ -1,7 +1,7 @@
 """Rigid water of three charges, by the name of its model: box, charges, laws, constraints."""
 
 from math import ceil, cos, radians, sin
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,13 @@ ModelName = Literal["SPC/E", "TIP3P", "OPC3"]
 MODELS = {
     # H. J. C. Berendsen, J. R. Grigera, T. P. Straatsma, J. Phys. Chem. 91, 6269 (1987): u = (B/r)¹² − (A/r)⁶ with
     # A = 3.7122 Å (kJ/mol)^(1/6), B = 3.428 Å (kJ/mol)^(1/12), from which σ = B²/A, ε = ¼ (A/B)¹²
-    "SPC/E": Model(1.0, 109.47, 0.4238, 0.25 * (3.7122 / 3.428) ** 12, 3.428**2 / 3.7122),
+    "SPC/E": Model(
+        1.0,
+        109.47,
+        0.4238,
+        0.25 * (3.7122 / 3.428) ** 12,
+        3.428**2 / 3.7122,
+    ),
     # W. L. Jorgensen et al., J. Chem. Phys. 79, 926 (1983): u = A/r¹² − C/r⁶ with A = 582 000 kcal Å¹²/mol,
     # C = 595 kcal Å⁶/mol, from which σ⁶ = A/C, ε = C²/(4 A)
     "TIP3P": Model(
@@ -78,26 +84,36 @@ def water(
     """
     potentials = water_potentials(model, n, density, cutoff, accuracy)
     edge = edge_of(n, density)
-    if cutoff is None and (most := OF_BOX * edge) < CUTOFF:
-        small = f"the cutoff of water is {most:.3g} Å, not {CUTOFF:g} Å, because the box is only {edge:.3g} Å wide"
-        warn(f"{small}; take more molecules, or give cutoff to choose it")
-    length, angle, *_ = MODELS[model]
+    longest = OF_BOX * edge
+    if cutoff is None and longest < CUTOFF:
+        warn(
+            f"the cutoff of water is {longest:.3g} Å, not {CUTOFF:g} Å, because the box is only {edge:.3g} Å wide; "
+            "take more molecules, or give cutoff to choose it"
+        )
     # the lattice with the fewest empty places, from which some are left out evenly
-    repeats = {
-        name: ceil(round((n / len(BASES[name])) ** (1.0 / 3.0), 9)) for name in ("sc", "bcc", "fcc")
-    }
-    name = min(repeats, key=lambda one: len(BASES[one]) * repeats[one] ** 3)
-    places, _ = crystal(name, [repeats[name]] * 3, edge / repeats[name])
-    centers = places[np.arange(n) * len(places) // n]
+    lattices = []
+    for name in ("sc", "bcc", "fcc"):
+        n_sites = len(BASES[name])
+        repeat = ceil(round((n / n_sites) ** (1.0 / 3.0), 9))
+        lattices.append((n_sites * repeat**3, name, repeat))
+    n_places, name, repeat = min(lattices, key=lambda lattice: lattice[0])
+    places, _ = crystal(name, [repeat] * 3, edge / repeat)
+    centers = places[np.arange(n) * n_places // n]
+    length, angle, *_ = MODELS[model]
     half = radians(0.5 * angle)
-    shape = length * np.array(
-        [[0.0, 0.0, 0.0], [sin(half), 0.0, cos(half)], [-sin(half), 0.0, cos(half)]]
-    )
-    turns = np.linalg.qr(
-        np.random.default_rng(checked_count("seed", seed, 0)).normal(size=(n, 3, 3))
-    )[0]
+    first = [sin(half), 0.0, cos(half)]
+    second = [-sin(half), 0.0, cos(half)]
+    shape = length * np.array([[0.0, 0.0, 0.0], first, second])
+    random = np.random.default_rng(checked_count("seed", seed, 0))
+    turns = np.linalg.qr(random.normal(size=(n, 3, 3)))[0]
     positions = (centers[:, None] + shape @ turns).reshape(-1, 3)
-    system = System(positions, masses=1.0, species=["O", "H", "H"] * n, cell=edge, units=ASE)
+    system = System(
+        positions,
+        masses=1.0,
+        species=["O", "H", "H"] * n,
+        cell=edge,
+        units=ASE,
+    )
     return _rigid(system, model, np.arange(3 * n).reshape(n, 3), potentials)
 
 
@@ -127,13 +143,13 @@ def water_of(
     n_arms = np.bincount(np.append(oxygens, hydrogens), minlength=len(system))
     odd = np.flatnonzero(n_arms != 1 + (species == "O"))
     if odd.size:
-        atom = f"atom {odd[0]}, {species[odd[0]]}, has {n_arms[odd[0]]} partners"
+        k = odd[0]
         raise ValueError(
-            f"molecules of water must be an O and two H within {OH:g} Å of it, and no fourth site; {atom}"
+            f"molecules of water must be an O and two H within {OH:g} Å of it, and no fourth site; atom {k}, "
+            f"{species[k]}, has {n_arms[k]} partners"
         )
-    return _rigid(
-        system, model, np.column_stack([oxygens[::2], hydrogens.reshape(-1, 2)]), potentials
-    )
+    molecules = np.column_stack([oxygens[::2], hydrogens.reshape(-1, 2)])
+    return _rigid(system, model, molecules, potentials)
 
 
 def _rigid(
@@ -142,13 +158,14 @@ def _rigid(
     """What water returns, from atoms in their places.  molecules : (n, 3), indices of O, H, H."""
     length, angle, charge, *_ = MODELS[model]
     pairs = molecules[:, [[0, 1], [0, 2], [1, 2]]]
-    lengths = np.tile([length, length, 2.0 * length * sin(radians(0.5 * angle))], len(molecules))
+    base = 2.0 * length * sin(radians(0.5 * angle))
+    lengths = np.tile([length, length, base], len(molecules))
     held = changed(
         system,
         masses=np.where(system.species == "O", *MASSES[:2]),
         charges={"O": -2.0 * charge, "H": charge},
         bonds=pairs[:, :2].reshape(-1, 2),
-        constraints=[one for one in system.constraints if isinstance(one, FixedAtoms)],
+        constraints=[held for held in system.constraints if isinstance(held, FixedAtoms)],
     )
     return held, potentials, DistanceConstraints(pairs.reshape(-1, 2), lengths)
 
@@ -169,14 +186,16 @@ def water_potentials(
 ) -> list[OwnPotential]:
     """The potentials of water, without its molecules.  Arguments and errors are those of water."""
     _, _, _, epsilon, sigma = MODELS[checked_choice("model", model, MODELS)]
-    most = min(CUTOFF, OF_BOX * edge_of(n, density))
+    longest = min(CUTOFF, OF_BOX * edge_of(n, density))
+    cutoff = longest if cutoff is None else checked_number("cutoff", cutoff, "positive and finite")
     excluded = (0.0, 0.0, 1.0)
-    cutoff = most if cutoff is None else checked_number("cutoff", cutoff, "positive and finite")
-    parameters = {"O": (epsilon / KJ_PER_MOL_PER_EV, sigma), "H": (0.0, 1.0)}
-    options = {
-        "switch_start": SWITCH_FROM * cutoff,
-        "bonded_scale": excluded,
-        "tail_correction": True,
-    }
-    of_oxygen = LennardJones(parameters, None, cutoff, "switched", **options)  # type: ignore[arg-type]
-    return [of_oxygen, Coulomb(cutoff, accuracy, bonded_scale=excluded)]
+    wells: Any = {"O": (epsilon / KJ_PER_MOL_PER_EV, sigma), "H": (0.0, 1.0)}
+    dispersion = LennardJones(
+        wells,
+        cutoff=cutoff,
+        truncation="switched",
+        switch_start=SWITCH_FROM * cutoff,
+        bonded_scale=excluded,
+        tail_correction=True,
+    )
+    return [dispersion, Coulomb(cutoff, accuracy, bonded_scale=excluded)]

@@ -30,6 +30,7 @@ from minimd.core.neighbors.domains import (
 )
 from minimd.core.neighbors.search import counting_sort
 from minimd.core.neighbors.verlet_list import count_not_finite
+from minimd.core.structure.vectors import dot, minus
 
 
 class Building(
@@ -41,7 +42,7 @@ class Building(
     ),
 ):
     """What the operations work on.
-    positions : (N, 3) [length].  Outputs: arrays : ClusterArrays, binned : Binned, and layout : Layout but its columns.
+    positions : (N, 3) [length].  Outputs: arrays : ClusterArrays; binned : Binned; layout : Layout, but its columns.
     n_blocks : of forces, as there is room.  n_chunks : of columns.  goes_along : see cut_into_domains.
     entry_start : (K + 1,) int, first entry of each domain.
     needed : (K,) int, output, entries that each domain needs, which may be more than there is room for.
@@ -55,22 +56,19 @@ def place_atoms(building, domain):
     needed, LAYERS + 1 if the list is no longer valid, as for a position that is not a number."""
     arrays = building.arrays
     clusters = arrays.clusters
-    rows = arrays.rows
-    n_lanes = count(arrays.clusters.lanes)
+    lanes = clusters.lanes
+    limits2 = arrays.rows.limits2
+    n_lanes = count(lanes)
+    all_lanes = (1 << n_lanes) - 1
     n_layers = 1
-    if rows.layers[IN_USE] == 0:  # there is no list
+    if arrays.rows.layers[IN_USE] == 0:  # there is no list
         return GO_ON
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
-        at = gathered(building.positions, clusters.atom, k * n_lanes, clusters.lanes)
-        was = loaded(
-            clusters.positions, np.uintp(k) * np.uintp(DIMENSIONS * n_lanes), clusters.lanes
-        )
-        dx, dy, dz = at[0] - was[0], at[1] - was[1], at[2] - was[2]
-        moved2 = dx * dx + dy * dy + dz * dz  # padding moves with the last atom
-        while (
-            n_layers <= LAYERS
-            and bits_from_mask(moved2 <= rows.limits2[n_layers - 1]) != (1 << n_lanes) - 1
-        ):
+        at = gathered(building.positions, clusters.atom, k * n_lanes, lanes)
+        start = np.uintp(k) * np.uintp(DIMENSIONS * n_lanes)
+        moved = minus(at, loaded(clusters.positions, start, lanes))
+        moved2 = dot(moved, moved)  # padding moves with the last atom
+        while n_layers <= LAYERS and bits_from_mask(moved2 <= limits2[n_layers - 1]) != all_lanes:
             n_layers += 1
         place(k, arrays, at)
     arrays.memory.layers[domain] = n_layers
@@ -106,7 +104,8 @@ def sort_atoms(building, _chunk):
     counts = columns.counts
     column_start = clusters.column_start
     n_lanes = count(clusters.lanes)
-    for a in range(DIMENSIONS):  # the cell of the clusters is the one in which they are made
+    # the cell of the clusters is the one in which they are made
+    for a in range(DIMENSIONS):
         for b in range(DIMENSIONS):
             clusters.wrapping.inverse[a, b] = columns.inverse[a, b]
             clusters.wrapping.lattice[a, b] = columns.lattice[a, b]
@@ -125,9 +124,9 @@ def cut_columns(building, chunk):
     clusters = building.layout.clusters
     n = building.n_chunks
     counts = columns.counts
-    for column in range(
-        chunk * counts[0] // n * counts[1], (chunk + 1) * counts[0] // n * counts[1]
-    ):
+    first = chunk * counts[0] // n * counts[1]
+    last = (chunk + 1) * counts[0] // n * counts[1]
+    for column in range(first, last):
         fill_column(column, building.positions, columns, building.binned, clusters)
     return GO_ON
 
@@ -135,8 +134,7 @@ def cut_columns(building, chunk):
 @called_kernel
 def find_domains(building, _chunk):
     """Clusters into domains.  NEEDS_ROOM if there is too little: how much is needed is then in layout.domains."""
-    columns, clusters, domains, ghosts, _, shifts = building.layout
-    rows = building.arrays.rows
+    columns, clusters, domains, ghosts, _, shifts, rows = building.layout
     cut_into_domains(clusters, columns, domains, building.goes_along)
     fill_shifts(columns, shifts)
     for layer in range(LAYERS):
@@ -145,7 +143,6 @@ def find_domains(building, _chunk):
         domains.numbers[GHOSTS] <= ghosts.owner.size
         and domains.window[domains.window.size - 1] <= ghosts.parts.size
         and domains.numbers[BLOCKS] <= building.n_blocks
-        and building.entry_start.size == domains.column.size
     )
     return GO_ON if has_room else NEEDS_ROOM
 
@@ -160,11 +157,10 @@ def place_ghosts(building, domain):
 @filling_kernel
 def list_rows(building, domain):
     """The rows of a domain.  NEEDS_ROOM if there is too little: how much is needed is then in needed."""
+    layout = building.layout
     first = building.entry_start[domain]
     last = building.entry_start[domain + 1]
-    needed = find_rows(
-        domain, building.layout, building.arrays.rows, (first, last), make_work(building.layout)
-    )
+    needed = find_rows(domain, layout, (first, last), make_work(layout))
     building.needed[domain] = needed
     return GO_ON if needed <= last - first else NEEDS_ROOM
 
@@ -173,8 +169,9 @@ def list_rows(building, domain):
 def finish_list(building, _chunk):
     """Which ghosts are used. There is a list now."""
     sort_ghosts(building.layout.domains, building.layout.ghosts)
-    layers = building.arrays.rows.layers
-    layers[IN_USE], layers[BUILDS] = 1, layers[BUILDS] + 1
+    layers = building.layout.rows.layers
+    layers[IN_USE] = 1
+    layers[BUILDS] += 1
     return GO_ON
 
 
@@ -194,7 +191,6 @@ def number_slots(building, domain):
 def exclude_pairs(building, domain):
     """Clear the lane of each excluded partner, at its nearest image, in the row of a domain that has it."""
     layout = building.layout
-    slot_of = building.slot_of
     start, values = building.excluded
     clusters = layout.clusters
     lattice, inverse, pbc, safe_distance2 = building.images
@@ -205,7 +201,6 @@ def exclude_pairs(building, domain):
             i = clusters.atom[slot]
             # unsigned: none counts from the end
             for p in range(np.uintp(start[i]), np.uintp(start[i + 1])):
-                exclude(
-                    domain, slot, slot_of[np.uintp(values[p])], layout, image, building.arrays.rows
-                )
+                partner = np.uintp(values[p])
+                exclude(domain, slot, building.slot_of[partner], layout, image)
     return GO_ON

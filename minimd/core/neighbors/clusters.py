@@ -13,11 +13,8 @@ and count nowhere.
 """
 
 from collections import namedtuple
-from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import kernel, scalar
@@ -27,7 +24,7 @@ from minimd.core.neighbors.buffers import Buffers
 from minimd.core.neighbors.search import ATOMS_PER_BIN, WIDER, into_cell
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.system import local_density
-from minimd.core.structure.vectors import Array
+from minimd.core.structure.vectors import Array, plus
 
 N_FIXED = 5  # fields of Columns that stay as the cell is strained
 # numbers of an atom; a cluster of n atoms is a block of 3 n numbers in memory: n x, n y, n z
@@ -55,11 +52,11 @@ class Columns(
 
     def move_to(self, to: "Columns") -> bool:
         """Whether there are as many columns in another cell, or elsewhere; then they move there, in the same arrays."""
-        if not all(np.array_equal(a, b) for a, b in zip(self[:N_FIXED], to[:N_FIXED], strict=True)):
-            return False
-        for a, b in zip(self[N_FIXED:], to[N_FIXED:], strict=True):
-            a[:] = b
-        return True
+        is_alike = all(map(np.array_equal, self[:N_FIXED], to[:N_FIXED]))
+        if is_alike:
+            for array, values in zip(self[N_FIXED:], to[N_FIXED:], strict=True):
+                array[:] = values
+        return is_alike
 
 
 class Clusters(
@@ -94,21 +91,17 @@ def offsets_of(start, clusters):
     """Lattice vectors that bring the atoms of the block at start into the cell: vectors x, y, z [length]."""
     inverse, periodic, lattice, origin = clusters.wrapping
     x, y, z = loaded(clusters.origins, start, clusters.lanes)
-    a = (
-        -np.floor(x * inverse[0, 0] + y * inverse[1, 0] + z * inverse[2, 0] - origin[0])
-        * periodic[0]
+    along_a = x * inverse[0, 0] + y * inverse[1, 0] + z * inverse[2, 0]
+    along_b = x * inverse[0, 1] + y * inverse[1, 1] + z * inverse[2, 1]
+    along_c = x * inverse[0, 2] + y * inverse[1, 2] + z * inverse[2, 2]
+    a = -np.floor(along_a - origin[0]) * periodic[0]
+    b = -np.floor(along_b - origin[1]) * periodic[1]
+    c = -np.floor(along_c - origin[2]) * periodic[2]
+    return (
+        a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0],
+        a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1],
+        a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2],
     )
-    b = (
-        -np.floor(x * inverse[0, 1] + y * inverse[1, 1] + z * inverse[2, 1] - origin[1])
-        * periodic[1]
-    )
-    c = (
-        -np.floor(x * inverse[0, 2] + y * inverse[1, 2] + z * inverse[2, 2] - origin[2])
-        * periodic[2]
-    )
-    x = a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0]
-    y = a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1]
-    return x, y, a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
 
 
 def region_of(cell: Cell, positions: Array, reach: float) -> Array:
@@ -119,12 +112,16 @@ def region_of(cell: Cell, positions: Array, reach: float) -> Array:
     extent = np.ones(3)
     margin = WIDER * reach / cell.heights
     # not @: see observables
-    for k, s in enumerate(np.einsum("ij,jk->ki", positions, cell.inverse)):
-        s = np.sort(s - np.floor(s) if cell.pbc[k] else s)
-        gaps = np.diff(s, append=s[0] + 1.0 if cell.pbc[k] else np.inf)
-        widest = int(np.argmax(gaps)) if cell.pbc[k] else len(s) - 1
-        first = s[(widest + 1) % len(s)]
-        width = 1.0 - gaps[widest] if cell.pbc[k] else s[-1] - s[0]
+    for k, coordinates in enumerate(np.einsum("ij,jk->ki", positions, cell.inverse)):
+        if cell.pbc[k]:
+            s = np.sort(coordinates - np.floor(coordinates))
+            gaps = np.diff(s, append=s[0] + 1.0)
+            widest = int(np.argmax(gaps))
+            first = s[(widest + 1) % len(s)]
+            width = 1.0 - gaps[widest]
+        else:
+            first = coordinates.min()
+            width = coordinates.max() - first
         if not cell.pbc[k] or width + 2.0 * margin[k] <= 1.0:
             origin[k] = first - 0.5 * margin[k]
             extent[k] = width + margin[k]
@@ -188,31 +185,30 @@ def columns_fit(positions, columns):
 
 
 def make_clusters(
-    n_clusters: int,
-    columns: Columns,
-    lanes: Lanes,
-    for_build: Sequence[NDArray],
-    memory: Buffers,
-    spare: float,
+    n_clusters: int, columns: Columns, lanes: Lanes, is_strained: bool, buffers: Buffers
 ) -> Clusters:
-    """Arrays with room for so many.  for_build : bottom, top, boxes.  spare : see Buffers.array."""
+    """Arrays with room for so many.  is_strained : whether their origins are not their positions."""
+    array = buffers.array
     n_slots = n_clusters * lanes.size
-    array = partial(memory.array, spare=spare)
-    at = array("positions", np.float64, n_slots * DIMENSIONS)
+    positions = array("positions", np.float64, n_slots * DIMENSIONS)
+    origins = array("origins", np.float64, n_slots * DIMENSIONS) if is_strained else positions
+    wrapping = Wrapping(
+        array("inverse", np.float64, DIMENSIONS, DIMENSIONS),
+        columns.pbc.astype(np.float64),
+        array("lattice", np.float64, DIMENSIONS, DIMENSIONS),
+        columns.origin,
+    )
     return Clusters(
         lanes,
         array("atom", np.int32, n_slots),
         array("filled", np.int32, n_clusters),
-        at,
-        at,
-        Wrapping(
-            columns.inverse.copy(),
-            columns.pbc.astype(np.float64),
-            columns.lattice.copy(),
-            columns.origin,
-        ),
-        array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1),
-        *for_build,
+        positions,
+        origins,
+        wrapping,
+        array("column start", np.int64, int(columns.counts[:2].prod()) + 1),
+        array("bottom", np.float64, n_clusters),
+        array("top", np.float64, n_clusters),
+        array("boxes", np.float64, n_clusters, 6),
     )
 
 
@@ -236,15 +232,16 @@ def fill_column(column, positions, columns, binned, clusters):
     for p in range(first, last, n_lanes):
         n = min(n_lanes, last - p)
         clusters.filled[cluster] = n
-        clusters.bottom[cluster], clusters.top[cluster] = height[order[p]], height[order[p + n - 1]]
+        clusters.bottom[cluster] = height[order[p]]
+        clusters.top[cluster] = height[order[p + n - 1]]
         for k in range(n_lanes):
             clusters.atom[cluster * n_lanes + k] = order[p + min(k, n - 1)]
         start = np.uintp(cluster * DIMENSIONS * n_lanes)
         at = gathered(positions, clusters.atom, cluster * n_lanes, clusters.lanes)
         stored(clusters.positions, start, at)
         stored(clusters.origins, start, at)
-        offsets = offsets_of(start, clusters)
-        for c, x in enumerate((at[0] + offsets[0], at[1] + offsets[1], at[2] + offsets[2])):
+        wrapped = plus(at, offsets_of(start, clusters))
+        for c, x in enumerate(wrapped):
             low = high = lane(x, 0)
             for k in range(1, n_lanes):
                 low = min(low, lane(x, k))

@@ -66,13 +66,13 @@ class PairList(VerletList):
         """See VerletList: what is_in_reach needs."""
         if positions is not self.reach.positions:
             self.reach = self.reach._replace(positions=positions)
-        is_same = cell is self._cell or (self._cell is not None and cell.same_as(self._cell))
+        is_same = self._cell is not None and cell.same_as(self._cell)
         self.reach.limit2[0] = self.limit2 if is_same else NEVER
 
     def update(self, positions: Array, cell: Cell) -> bool:
         """See VerletList."""
-        is_same = cell is self._cell or (self._cell is not None and cell.same_as(self._cell))
-        if is_same and not any_moved(positions, self._reference, self.limit2):
+        self.ready(positions, cell)
+        if not any_moved(positions, self._reference, self.reach.limit2[0]):
             return False
         self._cell = None  # no list until the new one is whole
         raise_not_finite(positions)
@@ -80,7 +80,8 @@ class PairList(VerletList):
         return True
 
     def _built_at(self) -> Array:
-        return self._reference.copy() if self._original is None else self._original.copy()
+        positions = self._reference if self._original is None else self._original
+        return positions.copy()
 
     def _strain(self, strain: Array, before: Cell, cell: Cell) -> None:
         if self._original is None:
@@ -106,12 +107,12 @@ class PairList(VerletList):
         bins = bins_of(cell, grid, bin_start)
         start = np.empty(len(positions) + 1, dtype=np.int64)
         while True:
-            found = Pairs(start, self._second, self._image, bins.translations)
-            n_pairs = find_pairs(local, self.order, bins, reach**2, self._excluded, found)
+            pairs = Pairs(start, self._second, self._image, bins.translations)
+            n_pairs = find_pairs(local, self.order, bins, reach**2, self._excluded, pairs)
             if n_pairs <= len(self._second):
                 break
             self._second, self._image = np.empty((2, int(SPARE * n_pairs)), dtype=np.uint32)
-        self.pairs = Pairs(start, self._second[:n_pairs], self._image[:n_pairs], bins.translations)
+        self.pairs = pairs._replace(second=self._second[:n_pairs], image=self._image[:n_pairs])
 
     def _list_all_pairs(self, positions: Array) -> None:
         """Every pair once, in the user's order: the list without a cutoff, never built again."""
@@ -121,12 +122,8 @@ class PairList(VerletList):
         is_listed = np.triu(np.ones((n, n), dtype=bool), k=1)
         is_listed[np.repeat(self.order, np.diff(self._excluded[0])), self._excluded[1]] = False
         first, second = np.nonzero(is_listed)
-        self.pairs = Pairs(
-            starts(first, n),
-            second.astype(np.uint32),
-            np.empty(0, dtype=np.uint32),
-            np.zeros((0, 3)),
-        )
+        no_image = np.empty(0, dtype=np.uint32)
+        self.pairs = Pairs(starts(first, n), second.astype(np.uint32), no_image, np.zeros((0, 3)))
 
 
 def check_size(system: System, cutoff: float, skin: float) -> None:
@@ -136,30 +133,18 @@ def check_size(system: System, cutoff: float, skin: float) -> None:
     cell = system.cell
     n_pairs = 0.5 * n_atoms**2
     if reach < np.inf:
-        in_reach = (
-            0.5
-            * n_atoms
-            * local_density(system.positions, cell, reach)
-            * 4.0
-            / 3.0
-            * np.pi
-            * reach**3
-        )
+        density = local_density(system.positions, cell, reach)
+        in_reach = 0.5 * n_atoms * density * 4.0 / 3.0 * np.pi * reach**3
         n_pairs = in_reach if cell.is_periodic else min(n_pairs, in_reach)
     n_images = np.prod(2.0 * np.ceil(reach / cell.heights[cell.pbc]) + 1.0)
-    of_an_atom = ("pairs of an atom", n_pairs / max(n_atoms, 1), MOST_OF_AN_ATOM)
-    sizes = (
+    name, length = ("cutoff", cutoff) if skin < cutoff else ("skin", skin)
+    for objects, number, most in (
         ("images of the cell", float(n_images), MOST_IMAGES),
-        of_an_atom,
+        ("pairs of an atom", n_pairs / max(n_atoms, 1), MOST_OF_AN_ATOM),
         ("pairs", n_pairs, MOST_PAIRS),
-    )
-    for name, number, most in sizes:
+    ):
         if number > most:
-            hint = (
-                f"reduce the cutoff ({cutoff:g})"
-                if skin < cutoff
-                else f"reduce the skin ({skin:g})"
-            )
             raise ValueError(
-                f"pair lists hold up to {most:.1e} {name}, this scene needs about {number:.1e}: {hint}"
+                f"pair lists hold up to {most:.1e} {objects}, this scene needs about {number:.1e}: "
+                f"reduce the {name} ({length:g})"
             )

@@ -28,7 +28,8 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
     ------
     ValueError : for an unknown letter or a cutoff that is not positive and finite.
     """
-    if not (isinstance(quantities, str) and quantities and set(quantities) <= set(QUANTITIES)):
+    is_known = isinstance(quantities, str) and set() < set(quantities) <= set(QUANTITIES)
+    if not is_known:
         raise ValueError(
             f"quantities must be letters of {QUANTITIES!r}; quantities = {shown(quantities)}"
         )
@@ -47,16 +48,14 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
     if cell.is_periodic:
         steps += (pairs.translations @ cell.inverse)[pairs.image]
     shifts = np.rint(steps).astype(np.int64) @ cell.reduction
-    both = np.stack([order[first], order[pairs.second]])
+    i = np.concatenate([order[first], order[pairs.second]])
+    j = np.concatenate([order[pairs.second], order[first]])
     shifts = np.concatenate([shifts, -shifts])
-    i, j = np.concatenate([both, both[::-1]], axis=1)
     by_first = np.lexsort((*shifts.T, j, i))
-    i = i[by_first]
-    j = j[by_first]
-    shifts = shifts[by_first]
+    i, j, shifts = i[by_first], j[by_first], shifts[by_first]
     vectors = positions[j] - positions[i] + shifts @ cell.vectors
-    found = {"i": i, "j": j, "d": np.linalg.norm(vectors, axis=1), "D": vectors, "S": shifts}
-    answer = tuple(found[quantity] for quantity in quantities)
+    columns = {"i": i, "j": j, "d": np.linalg.norm(vectors, axis=1), "D": vectors, "S": shifts}
+    answer = tuple(columns[quantity] for quantity in quantities)
     return answer if len(answer) > 1 else answer[0]
 
 
@@ -72,7 +71,8 @@ class ClosestPair(NamedTuple):
 
     def told(self, length: str) -> str:
         """The pair as text.  length : the unit."""
-        return f"atoms {self.first} and {self.second}, {self.distance:.3g}{f' {length}' if length else ''} apart"
+        unit = f" {length}" if length else ""
+        return f"atoms {self.first} and {self.second}, {self.distance:.3g}{unit} apart"
 
 
 def closest_pair(system: System) -> ClosestPair | None:
@@ -85,22 +85,22 @@ def closest_pair(system: System) -> ClosestPair | None:
         return None
     fractional = np.einsum("ij,jk->ik", system.positions[known], cell.inverse)
     fractional = np.where(cell.pbc, fractional - np.floor(fractional), fractional)
-    here = fractional @ cell.lattice
+    wrapped = fractional @ cell.lattice
     best = ClosestPair(0, 0, np.inf)
     if known.size > 1:
         from scipy.spatial import KDTree
 
-        distances, partners = KDTree(here).query(here, k=2)
+        distances, partners = KDTree(wrapped).query(wrapped, k=2)
         i = int(np.argmin(distances[:, 1]))
         j = int(partners[i, 0] if partners[i, 0] != i else partners[i, 1])
         best = ClosestPair(min(i, j), max(i, j), distances[i, 1])
     # an atom and its own image
     own = np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf)
     reach = BEYOND * min(best.distance, own)
-    from_faces = (np.minimum(fractional, 1.0 - fractional) * cell.heights)[:, cell.pbc]
-    near = np.flatnonzero((from_faces <= reach).any(axis=1))
+    from_faces = np.minimum(fractional, 1.0 - fractional) * cell.heights
+    near = np.flatnonzero((from_faces[:, cell.pbc] <= reach).any(axis=1))
     if near.size and reach > 0.0:
-        first, second, d = neighbor_list("ijd", System(here[near], cell=cell), reach)
+        first, second, d = neighbor_list("ijd", System(wrapped[near], cell=cell), reach)
         if d.min(initial=np.inf) < best.distance:
             p = np.argmin(d)
             best = ClosestPair(near[first[p]], near[second[p]], d[p])

@@ -34,9 +34,8 @@ def best_skin(
         return DEFAULT_SKIN * cutoff
     skins = SKINS * cutoff
     crowd = density * (cutoff + skins) ** 3
-    in_use = density * np.mean(
-        [(cutoff + skins * (layer / layers)) ** 3 for layer in range(1, layers + 1)], axis=0
-    )
+    reaches = [cutoff + skins * (layer / layers) for layer in range(1, layers + 1)]
+    in_use = density * np.mean([reach**3 for reach in reaches], axis=0)
     builds = np.minimum(1.0, 2.0 * displacement / skins)  # in each step
     build = BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms
     cost = STEP_COST[0] + STEP_COST[1] * in_use + build * builds
@@ -120,10 +119,10 @@ class VerletList(ABC):
 
     def built(self) -> Built:
         """What build_again needs to make the same list."""
-        built_in = None if self._cell is None or self._cell is self._built_in else self._built_in
-        return Built(
-            self.skin, None if self._cell is None else self._built_at(), built_in, self._region
-        )
+        if self._cell is None:
+            return Built(self.skin, None, None, self._region)
+        built_in = None if self._cell is self._built_in else self._built_in
+        return Built(self.skin, self._built_at(), built_in, self._region)
 
     def build_again(self, built: Built, cell: Cell) -> None:
         """Build a list again; it must have the same skin."""
@@ -149,7 +148,8 @@ class VerletList(ABC):
 def any_moved(positions, reference, limit2):
     """True if an atom is farther than √limit2 from its reference position, or if its position is NaN."""
     for i in range(positions.shape[0]):
-        dx, dy = positions[i, 0] - reference[i, 0], positions[i, 1] - reference[i, 1]
+        dx = positions[i, 0] - reference[i, 0]
+        dy = positions[i, 1] - reference[i, 1]
         dz = positions[i, 2] - reference[i, 2]
         if not dx * dx + dy * dy + dz * dz <= limit2:
             return True

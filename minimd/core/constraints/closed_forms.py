@@ -63,18 +63,24 @@ NOTHING = -1
 
 
 class Atoms(namedtuple("Atoms", "positions vectors inverse_masses lanes")):
-    """positions : (N, 3) [length].  vectors : (N, 3) velocities or accelerations.  inverse_masses : (N,) [1/mass].
+    """positions : (N, 3) [length].
+    vectors : (N, 3) velocities or accelerations.
+    inverse_masses : (N,) [1/mass].
     lanes : Lanes."""
 
 
 class Bonds(namedtuple("Bonds", "first second offsets lengths2 tolerance")):
-    """first, second : (K,) atoms.  offsets : (K, 3) [length], added to r_j − r_i.  lengths2 : (K,) d² [length²].
+    """first, second : (K,) atoms.
+    offsets : (K, 3) [length], added to r_j − r_i.
+    lengths2 : (K,) d² [length²].
     tolerance : of |r² − d²|/d²."""
 
 
 class TriatomicMolecules(namedtuple("TriatomicMolecules", "atoms offsets shapes sides")):
-    """atoms : three of (M,), a, b, c.  offsets : two of (M, 3), of b and c from a [length].  shapes : some of (M,), see
-    each solver.  sides : the constraints with a target and a multiplier, (M,) int or three of them, ab, ac, bc."""
+    """atoms : three of (M,), a, b, c.
+    offsets : two of (M, 3), of b and c from a [length].
+    shapes : some of (M,), see each solver.
+    sides : the constraints with a target and a multiplier, (M,) int or three of them, ab, ac, bc."""
 
 
 # The lanes of a vector belong to a block (k, end, lanes): those of at[k], at[k + 1], … or, if at is (), of k, k + 1, …;
@@ -169,7 +175,8 @@ def n_without_failure(least):
 
 @scalar
 def drift_pairs(block, atoms, bonds, duration):
-    """Drift of bonds: a λ² + 2 b λ + c = 0, a = w² s², b = w p · s, c = p² − d².  duration : [time]."""
+    """Drift of bonds: a λ² + 2 b λ + c = 0, a = w² s², b = w p · s, c = p² − d².
+    duration : [time]."""
     positions, velocities, inverse_masses, _ = atoms
     i, j = bonds.first, bonds.second
     x, y = rows(positions, i, block), rows(positions, j, block)
@@ -252,7 +259,8 @@ def arms(abc, offsets, block):
 
 @scalar
 def inertia(masses, alpha, beta):
-    """κ, Q and W of linear molecules.  masses : inverse, of a, b, c."""
+    """κ, Q and W of linear molecules.
+    masses : inverse, of a, b, c."""
     wa, wb, wc = masses
     kappa = alpha * wa - beta * wc
     q = wb + alpha * alpha * wa + beta * beta * wc
@@ -281,7 +289,8 @@ def moved(abc, duration, velocities):
 
 @scalar
 def drift_linear(block, atoms, molecules, duration):
-    """Drift of molecules with b in the middle and shapes (M,): α, β, d² [length²].  duration : [time]."""
+    """Drift of molecules with b in the middle and shapes (M,): α, β, d² [length²].
+    duration : [time]."""
     abc, offsets, shapes, _ = molecules
     before = corners(atoms.positions, abc, block)
     velocities = corners(atoms.vectors, abc, block)
@@ -337,7 +346,9 @@ def project_linear(block, atoms, molecules, targets, multipliers):
 @scalar
 def impulses(b0, c0, drifted, r_a, r_b, r_c):
     """λ_ab, λ_ac, λ_bc of triangles [dimensionless], and a number that is negative, or none, where they do not exist.
-    b0, c0 : separations a to b and a to c before the drift.  drifted : a₁, b₁, c₁.  r_a, r_b, r_c : see above.
+    b0, c0 : separations a to b and a to c before the drift.
+    drifted : a₁, b₁, c₁.
+    r_a, r_b, r_c : see above.
         All [length]."""
     a1, b1, c1 = drifted
     z = unit(cross(b0, c0))

@@ -36,7 +36,8 @@ class ConstraintSet:
 
     Attributes
     ----------
-    inverse_masses : (N,) [1/mass], zero for fixed atoms.  bonds : ConstraintSolver, or None.
+    inverse_masses : (N,) [1/mass], zero for fixed atoms.
+    bonds : ConstraintSolver, or None.
     n_constraints, n_fixed : int.
     kept : the same constraints, with the lengths that are kept; at most one of each kind.
     """
@@ -95,7 +96,8 @@ class ConstraintSet:
             g_i = tr P_ii − 3 m_i/M,   P = 1 − M⁻¹ Gᵀ (G M⁻¹ Gᵀ)⁻¹ G
 
         P is the projection onto the constraints, G their gradients; the last term counts if leaves_out_center. Then
-        ⟨m_i v_i²⟩ = g_i k_B T. Atoms of different bodies are projected together.  positions : (N, 3).
+        ⟨m_i v_i²⟩ = g_i k_B T. Atoms of different bodies are projected together.
+        positions : (N, 3).
         """
         n_atoms = len(self.inverse_masses)
         left = np.arange(n_atoms)

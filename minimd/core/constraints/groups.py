@@ -36,7 +36,8 @@ class Components(NamedTuple):
     """The components of a graph, and the envelope of their matrices.
     starts : (C + 1,) indices at which the constraints of each component begin.
     atoms, atom_starts : atoms of the components, one after the other, and where each component begins among them.
-    begins : (K + 1,) where row k of the lower envelope begins in memory.  lowest : (K,) its first column.
+    begins : (K + 1,) where row k of the lower envelope begins in memory.
+    lowest : (K,) its first column.
     coupling : c_kl for l = lowest[k] … k, row after row; zero where two constraints share no atom."""
 
     starts: Ints
@@ -49,7 +50,8 @@ class Components(NamedTuple):
 
 class Graph(NamedTuple):
     """Constraints sorted by component and, within one, for a narrow band.
-    order : (K,) number, in the order of the user, of the k-th constraint.  first, second : (K,) its atoms."""
+    order : (K,) number, in the order of the user, of the k-th constraint.
+    first, second : (K,) its atoms."""
 
     order: Ints
     first: Ints
@@ -59,8 +61,8 @@ class Graph(NamedTuple):
 
 class Bodies(NamedTuple):
     """Bodies of atoms that constraints connect.
-    label : (N,) the body of each atom; an atom without constraints is a body.  last : (B,) the last atom of each body,
-        in the order of its pairs, which the numbers of atoms do not change.
+    label : (N,) the body of each atom; an atom without constraints is a body.
+    last : (B,) the last atom of each body, in the order of its pairs, which the numbers of atoms do not change.
     is_free : (B,) whether none of its atoms is held fixed, so that constraints do not change its momentum."""
 
     label: Ints
@@ -82,7 +84,8 @@ def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
 
 
 def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
-    """The graph of (K, 2) pairs of atoms, with (N,) 1/mass, zero for fixed atoms.  ids : (K,) numbers of the pairs."""
+    """The graph of (K, 2) pairs of atoms, with (N,) 1/mass, zero for fixed atoms.
+    ids : (K,) numbers of the pairs."""
     from scipy.sparse import coo_array  # loaded only if there are constraints
     from scipy.sparse.csgraph import connected_components, dijkstra
 
@@ -111,7 +114,8 @@ def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
 
 
 def _enveloped(pairs: Ints, inverse_masses: Floats, starts: Ints, matrix: Any) -> Components:
-    """The envelope of the lower triangle, and the atoms of each component.  pairs : in the order of the matrix."""
+    """The envelope of the lower triangle, and the atoms of each component.
+    pairs : in the order of the matrix."""
     k = np.arange(len(pairs))
     row, column = matrix.coords
     lowest = k.copy()
@@ -139,8 +143,10 @@ class Solving(
     namedtuple("Solving", "solver positions vectors inverse_masses lanes n answers most arguments"),
 ):
     """A solver on the n components of a group, in as many chunks as there are answers.
-    positions, vectors, inverse_masses, lanes : of Atoms.  arguments : of the solver.
-    answers : (chunks,) output, see vectors.  most : (chunks,) the largest so far."""
+    positions, vectors, inverse_masses, lanes : of Atoms.
+    arguments : of the solver.
+    answers : (chunks,) output, see vectors.
+    most : (chunks,) the largest so far."""
 
 
 @filling_kernel
@@ -164,7 +170,9 @@ def _solved(solver, first, last, atoms, arguments):
 
 
 class Networks:
-    """Components of any shape.  every : the ConstraintSolver.  order : (K,) which of its constraints are here.
+    """Components of any shape.
+    every : the ConstraintSolver.
+    order : (K,) which of its constraints are here.
     Other shapes have other solvers: drifter, projector are their markers, known are their arguments after the atoms;
     n_each is the number of constraints of one molecule, if the solver counts molecules."""
 
@@ -315,7 +323,8 @@ class LinearTriatomics(Networks):
 
 
 def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
-    """All constraints, sorted by shape.  solver : as for DistanceConstraints.
+    """All constraints, sorted by shape.
+    solver : as for DistanceConstraints.
     Raises ValueError for a triangle with a side longer than the others together."""
     pairs = every.pairs
     masses = every.inverse_masses

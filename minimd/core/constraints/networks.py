@@ -30,7 +30,9 @@ DEPENDENT = 1e-10  # relative to its diagonal: a smaller pivot is rounding
 
 
 class NetworkScratch(namedtuple("NetworkScratch", "r s x total lower upper")):
-    """Scratch: r, s : (K, 3) separations.  x, total : (K,) multipliers.  lower, upper : factors, in the envelope."""
+    """Scratch: r, s : (K, 3) separations.
+    x, total : (K,) multipliers.
+    lower, upper : factors, in the envelope."""
 
 
 @inlined

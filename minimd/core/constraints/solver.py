@@ -27,7 +27,10 @@ ROUNDINGS = 20.0  # rounding errors of the largest coordinate: no length can be 
 
 
 class Free(ByAddress, namedtuple("Free", "positions velocities atoms duration n_chunks")):
-    """The drift of atoms without constraints.  positions, velocities : (N, 3).  atoms : (F,).  duration : [time]."""
+    """The drift of atoms without constraints.
+    positions, velocities : (N, 3).
+    atoms : (F,).
+    duration : [time]."""
 
 
 @called_kernel
@@ -45,7 +48,8 @@ class ConstraintSolver:
 
     Parameters
     ----------
-    constraints : DistanceConstraints.  positions : (N, 3) [length].
+    constraints : DistanceConstraints.
+    positions : (N, 3) [length].
     inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
     offsets : (K, 3) [length], added to r_j − r_i: lattice translations of bonds across a periodic boundary.
     threads : maximum number of threads; results have the same bits for any number.
@@ -53,7 +57,8 @@ class ConstraintSolver:
 
     Attributes
     ----------
-    n_constraints : number of degrees of freedom removed.  lengths : (K,) [length], in the order of constraints.pairs.
+    n_constraints : number of degrees of freedom removed.
+    lengths : (K,) [length], in the order of constraints.pairs.
     accuracy : error of the lengths with solver="shake" [length]; 0 for the other solvers, whose error is rounding.
 
     Raises

@@ -37,13 +37,15 @@ class Building(
     ByAddress,
     namedtuple(
         "Building",
-        "positions arrays binned layout n_blocks n_chunks goes_along "
+        "positions arrays binned n_blocks n_chunks goes_along "
         "entry_start needed excluded slot_of images",
     ),
 ):
     """What the operations work on.
-    positions : (N, 3) [length].  Outputs: arrays : ClusterArrays; binned : Binned; layout : Layout, but its columns.
-    n_blocks : of forces, as there is room.  n_chunks : of columns.  goes_along : see cut_into_domains.
+    positions : (N, 3) [length].  Outputs: arrays : ClusterArrays but its columns, binned : Binned.
+    n_blocks : of forces, as there is room.
+    n_chunks : of columns.
+    goes_along : see cut_into_domains.
     entry_start : (K + 1,) int, first entry of each domain.
     needed : (K,) int, output, entries that each domain needs, which may be more than there is room for.
     excluded : partners of each atom, see find_pairs; if there are any, slot_of : (N,) int, output, slot of each atom.
@@ -92,14 +94,14 @@ def is_valid(building, _chunk):
 @called_kernel
 def find_columns(building, _chunk):
     """NEEDS_ROOM if the atoms have left the columns."""
-    return GO_ON if columns_fit(building.positions, building.layout.columns) else NEEDS_ROOM
+    return GO_ON if columns_fit(building.positions, building.arrays.columns) else NEEDS_ROOM
 
 
 @called_kernel
 def sort_atoms(building, _chunk):
     """Atoms into the bins of all columns; the first cluster of each, the second lattice direction running faster."""
-    columns = building.layout.columns
-    clusters = building.layout.clusters
+    columns = building.arrays.columns
+    clusters = building.arrays.clusters
     binned = building.binned
     counts = columns.counts
     column_start = clusters.column_start
@@ -120,8 +122,8 @@ def sort_atoms(building, _chunk):
 @called_kernel
 def cut_columns(building, chunk):
     """Columns into clusters: a chunk is some rows of them along the second lattice vector."""
-    columns = building.layout.columns
-    clusters = building.layout.clusters
+    columns = building.arrays.columns
+    clusters = building.arrays.clusters
     n = building.n_chunks
     counts = columns.counts
     first = chunk * counts[0] // n * counts[1]
@@ -133,10 +135,13 @@ def cut_columns(building, chunk):
 
 @called_kernel
 def find_domains(building, _chunk):
-    """Clusters into domains.  NEEDS_ROOM if there is too little: how much is needed is then in layout.domains."""
-    columns, clusters, domains, ghosts, _, shifts, rows = building.layout
-    cut_into_domains(clusters, columns, domains, building.goes_along)
-    fill_shifts(columns, shifts)
+    """Clusters into domains.  NEEDS_ROOM if there is too little: how much is needed is then in domains."""
+    arrays = building.arrays
+    domains = arrays.domains
+    ghosts = arrays.ghosts
+    rows = arrays.rows
+    cut_into_domains(arrays.clusters, arrays.columns, domains, building.goes_along)
+    fill_shifts(arrays.columns, arrays.memory.shifts)
     for layer in range(LAYERS):
         rows.limits2[layer] = rows.limits2_at_build[layer]
     has_room = (
@@ -150,17 +155,17 @@ def find_domains(building, _chunk):
 @called_kernel
 def place_ghosts(building, domain):
     """The ghosts that a domain sees."""
-    fill_ghosts(domain, building.layout)
+    fill_ghosts(domain, building.arrays)
     return GO_ON
 
 
 @filling_kernel
 def list_rows(building, domain):
     """The rows of a domain.  NEEDS_ROOM if there is too little: how much is needed is then in needed."""
-    layout = building.layout
+    arrays = building.arrays
     first = building.entry_start[domain]
     last = building.entry_start[domain + 1]
-    needed = find_rows(domain, layout, (first, last), make_work(layout))
+    needed = find_rows(domain, arrays, (first, last), make_work(arrays))
     building.needed[domain] = needed
     return GO_ON if needed <= last - first else NEEDS_ROOM
 
@@ -168,8 +173,8 @@ def list_rows(building, domain):
 @called_kernel
 def finish_list(building, _chunk):
     """Which ghosts are used. There is a list now."""
-    sort_ghosts(building.layout.domains, building.layout.ghosts)
-    layers = building.layout.rows.layers
+    sort_ghosts(building.arrays.domains, building.arrays.ghosts)
+    layers = building.arrays.rows.layers
     layers[IN_USE] = 1
     layers[BUILDS] += 1
     return GO_ON
@@ -178,29 +183,30 @@ def finish_list(building, _chunk):
 @called_kernel
 def number_slots(building, domain):
     """The slot of each atom of a domain."""
-    clusters = building.layout.clusters
-    domain_start = building.layout.domains.cluster
-    n_lanes = count(clusters.lanes)
-    for slot in range(domain_start[domain] * n_lanes, domain_start[domain + 1] * n_lanes):
-        if slot % n_lanes < clusters.filled[slot // n_lanes]:
-            building.slot_of[clusters.atom[slot]] = slot
+    arrays = building.arrays
+    n_lanes = count(arrays.clusters.lanes)
+    first = arrays.domain_start[domain] * n_lanes
+    last = arrays.domain_start[domain + 1] * n_lanes
+    # backwards: padding comes before the atom that it repeats
+    for slot in range(last - 1, first - 1, -1):
+        building.slot_of[arrays.clusters.atom[slot]] = slot
     return GO_ON
 
 
 @called_kernel
 def exclude_pairs(building, domain):
     """Clear the lane of each excluded partner, at its nearest image, in the row of a domain that has it."""
-    layout = building.layout
+    arrays = building.arrays
     start, values = building.excluded
-    clusters = layout.clusters
+    clusters = arrays.clusters
     lattice, inverse, pbc, safe_distance2 = building.images
     image = (lattice, inverse, pbc, safe_distance2[0])
     n_lanes = count(clusters.lanes)
-    for k in range(layout.domains.cluster[domain], layout.domains.cluster[domain + 1]):
+    for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
         for slot in range(k * n_lanes, k * n_lanes + clusters.filled[k]):
             i = clusters.atom[slot]
             # unsigned: none counts from the end
             for p in range(np.uintp(start[i]), np.uintp(start[i + 1])):
                 partner = np.uintp(values[p])
-                exclude(domain, slot, building.slot_of[partner], layout, image)
+                exclude(domain, slot, building.slot_of[partner], arrays, image)
     return GO_ON

@@ -12,11 +12,9 @@ from minimd.core.compiled.simd.vector import lanes_for
 from minimd.core.compiled.threads import MOST_CHUNKS, ThreadPool
 from minimd.core.neighbors import cluster_build
 from minimd.core.neighbors.cluster_build import Building
-from minimd.core.neighbors.cluster_memory import ClusterArrays, ClusterMemory
 from minimd.core.neighbors.cluster_search import BUILDS, IN_USE, LAYERS
 from minimd.core.neighbors.cluster_store import ClusterStore
-from minimd.core.neighbors.clusters import DIMENSIONS, Clusters, Columns, make_columns, region_of
-from minimd.core.neighbors.domains import Domains, GhostClusters
+from minimd.core.neighbors.clusters import DIMENSIONS, Columns, make_columns, region_of
 from minimd.core.neighbors.verlet_list import VerletList, partners, raise_not_finite
 from minimd.core.structure.cell import Cell, Images
 from minimd.core.structure.vectors import Array, strained
@@ -31,19 +29,16 @@ class ClusterList(VerletList):
     rest. So rows are short at first. What is left out then would add zeros: forces have the same bits either way.
 
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
-    cutoff, skin : see VerletList.  excluded : (P, 2) int, pairs whose nearest image is left out.
-    is_fixed : whether forces are summed as whole numbers.  pool : the threads that build it.
-    n_domains : number of chunks of an operation.  lanes : of its vectors.
+    cutoff, skin : see VerletList.
+    excluded : (P, 2) int, pairs whose nearest image is left out.
+    is_fixed : whether forces are summed as whole numbers.
+    pool : the threads that build it.
+    n_domains : number of chunks of an operation.
+    lanes : of its vectors.
     arrays : what the loop needs; clusters, domains, ghosts and memory are in it.
-    version : how often these were replaced.  building : what operations need."""
+    version : how often these were replaced.
+    building : what operations need."""
 
-    arrays: ClusterArrays
-    clusters: Clusters
-    domains: Domains
-    ghosts: GhostClusters
-    memory: ClusterMemory
-    building: Building
-    n_domains: int
     _columns: Columns
 
     def __init__(
@@ -166,7 +161,6 @@ class ClusterList(VerletList):
             self._positions,
             self.arrays,
             store.binned,
-            store.layout,
             int(store.room[-1]),
             min(int(self._columns.counts[0]), MOST_CHUNKS),
             int(self._goes_along),

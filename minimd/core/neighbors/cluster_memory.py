@@ -26,9 +26,11 @@ class ClusterMemory(
 
 
 class ClusterArrays(
-    ByAddress, namedtuple("ClusterArrays", "clusters domain_start domains ghosts rows memory")
+    ByAddress,
+    namedtuple("ClusterArrays", "clusters domain_start domains ghosts rows memory columns"),
 ):
-    """What the loop over clusters gets from the list.  domain_start : (K + 1,) int, first cluster of each domain."""
+    """A cluster list: what its build fills, and what the loop over clusters gets from it.
+    domain_start : (K + 1,) int, first cluster of each domain."""
 
 
 @scalar

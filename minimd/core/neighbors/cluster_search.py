@@ -56,7 +56,8 @@ class Rows(
     ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 limits2_at_build layers")
 ):
     """Clusters near each atom, in layers: entries[start[s] : stops[l, s]] have an atom within reach l of the one in s.
-    start : (slots,) int.  stops : (LAYERS, slots) int.
+    start : (slots,) int.
+    stops : (LAYERS, slots) int.
     entries : (E,) uint32, the number of a ghost in the window of the domain, and above its 24 bits one for each lane.
     reaches2 : (LAYERS,) squared, from the shortest to the longest [length²].
     limits2 : (LAYERS,) squared distances that an atom may move before another layer is needed, or a new list [length²].
@@ -68,21 +69,22 @@ class Rows(
 
 class SearchMemory(namedtuple("SearchMemory", "ahead candidates entries near")):
     """Memory for the search of one cluster. Ghosts are numbered as in GhostClusters, but for those in entries.
-    ahead : (runs, 2) int, first and last ghost of each run ahead.  candidates, entries : (M,) ghosts, their entries.
+    ahead : (runs, 2) int, first and last ghost of each run ahead.
+    candidates, entries : (M,) ghosts, their entries.
     near : flat int64, for each WORD candidates, each layer and each lane of the cluster a number: bit b is set if
         candidate b stands in that layer of the row of the atom in that lane."""
 
 
 @inlined
-def make_work(layout):
+def make_work(arrays):
     """Enough for any cluster of any domain."""
-    window = layout.domains.window
-    depth_x, depth_y = layout.columns.reach[0], layout.columns.reach[1]
+    window = arrays.domains.window
+    depth_x, depth_y = arrays.columns.reach[0], arrays.columns.reach[1]
     n_runs = (depth_x + 1) * (2 * depth_y + 1)
     n = 0
     for k in range(window.size - 1):
         n = max(n, window[k + 1] - window[k])
-    n_near = (n // WORD + 1) * LAYERS * count(layout.clusters.lanes)
+    n_near = (n // WORD + 1) * LAYERS * count(arrays.clusters.lanes)
     return SearchMemory(
         np.empty((n_runs, 2), dtype=np.int64),
         np.empty(n + BOXES, dtype=np.int32),
@@ -92,11 +94,11 @@ def make_work(layout):
 
 
 @scalar
-def find_rows(domain, layout, room, work):
+def find_rows(domain, arrays, room, work):
     """Write the rows of a domain; return how many entries there are, more if there is no room (first, last)."""
-    columns = layout.columns
-    domains = layout.domains
-    column_start = layout.clusters.column_start
+    columns = arrays.columns
+    domains = arrays.domains
+    column_start = arrays.clusters.column_start
     n_across = columns.counts[1]
     depth = columns.reach[1]
     ahead = work.ahead
@@ -113,21 +115,21 @@ def find_rows(domain, layout, room, work):
                     n_ahead += ahead[n_ahead, 0] < ahead[n_ahead, 1]
             column = x * n_across + y
             for k in range(column_start[column], column_start[column + 1]):
-                ahead[0, 0] = layout.ghosts.home[k] + 1
-                n = _candidates(k, n_ahead, layout, work)
-                n_entries = _prune(k, n, domain, layout, (n_entries, last), work)
+                ahead[0, 0] = arrays.ghosts.home[k] + 1
+                n = _candidates(k, n_ahead, arrays, work)
+                n_entries = _prune(k, n, domain, arrays, (n_entries, last), work)
     if n_entries < last:
-        layout.rows.entries[n_entries] = 0  # see Rows
+        arrays.rows.entries[n_entries] = 0  # see Rows
     return n_entries + 1 - first
 
 
 @scalar
-def _candidates(k, n_ahead, layout, work):
+def _candidates(k, n_ahead, arrays, work):
     """Ghosts ahead of cluster k whose boxes are within reach; how many. The first of each run moves up with k."""
-    ghosts = layout.ghosts
+    ghosts = arrays.ghosts
     ahead = work.ahead
     candidates = work.candidates
-    along = layout.columns.along[2]
+    along = arrays.columns.along[2]
     limit2 = np.float32(ROUNDED_UP)
     boxes = ghosts.boxes
     bottom = ghosts.bottom
@@ -176,31 +178,29 @@ def _gap(boxes, j, stride, low, high):
 
 
 @scalar
-def _prune(k, n, domain, layout, room, work):
+def _prune(k, n, domain, arrays, room, work):
     """Write the rows of the atoms of cluster k: k itself, then those of the n candidates that are within reach.
     room : first and last of the entries that are left.  Returns the end of the entries."""
-    rows = layout.rows
-    ghosts = layout.ghosts
-    n_lanes = count(layout.clusters.lanes)
+    rows = arrays.rows
+    ghosts = arrays.ghosts
+    n_lanes = count(arrays.clusters.lanes)
     n_entries, last = room
     most = n_lanes * (n + 1) + AT_A_TIME
     if n_entries + most >= last:  # no room: an upper bound tells how much is missing
         return n_entries + most + 1
-    _find_near(k, n, domain, layout, work)
+    _find_near(k, n, domain, arrays, work)
     # unsigned: no check for indices that count from the end
     end = np.uintp(n_entries)
     home = ghosts.home[k]
-    own = home - layout.domains.first[domain]
-    is_compact = _is_compact(ghosts.boxes, home)
+    own = home - arrays.domains.first[domain]
     for lane in range(n_lanes):
         slot = k * n_lanes + lane
         rows.start[slot] = end
         later = ghosts.lanes[home] >> (lane + 1) << (lane + 1)
         rows.entries[end] = own | later << LANES_FROM
-        if not is_compact:
-            later &= _own_lanes_near(home, lane, layout)
+        later &= _own_lanes_near(home, lane, arrays)
         end += np.uintp(later != 0)
-        n_listed = n if lane < layout.clusters.filled[k] else 0
+        n_listed = n if lane < arrays.clusters.filled[k] else 0
         for layer in range(LAYERS):
             for first in range(0, n_listed, WORD):
                 near = work.near[(first // WORD * LAYERS + layer) * n_lanes + lane]
@@ -210,28 +210,17 @@ def _prune(k, n, domain, layout, room, work):
 
 
 @scalar
-def _is_compact(boxes, i):
-    """Whether the atoms of a cluster are certainly within reach of each other."""
-    stride = boxes.size // SIDES
-    square = np.float32(0.0)
-    for c in range(DIMENSIONS):
-        side = boxes[i + (c + DIMENSIONS) * stride] - boxes[i + c * stride]
-        square += side * side
-    return square < 1.0
-
-
-@scalar
-def _own_lanes_near(home, lane, layout):
+def _own_lanes_near(home, lane, arrays):
     """The lanes of a cluster, as bits, whose atoms are within reach of the atom in one of them."""
-    coordinates = layout.coordinates
-    lanes = layout.clusters.lanes
+    coordinates = arrays.memory.coordinates
+    lanes = arrays.clusters.lanes
     n_lanes = count(lanes)
     start = home * DIMENSIONS * n_lanes
     x, y, z = loaded(coordinates, np.uintp(start), lanes)
     dx = x - coordinates[start + lane]
     dy = y - coordinates[start + lane + n_lanes]
     dz = z - coordinates[start + lane + 2 * n_lanes]
-    return bits_from_mask(_length2(dx, dy, dz) < layout.rows.reaches2[LAYERS - 1])
+    return bits_from_mask(_length2(dx, dy, dz) < arrays.rows.reaches2[LAYERS - 1])
 
 
 @scalar
@@ -249,16 +238,16 @@ def _append(work, first, near, entries, end):
 
 
 @scalar
-def _find_near(k, n, domain, layout, work):
+def _find_near(k, n, domain, arrays, work):
     """work.near : which of the n candidates stand in which layers of the rows of cluster k; work.entries : of them."""
-    ghosts = layout.ghosts
-    coordinates = layout.coordinates
-    reaches2 = layout.rows.reaches2
-    lanes = layout.clusters.lanes
+    ghosts = arrays.ghosts
+    coordinates = arrays.memory.coordinates
+    reaches2 = arrays.rows.reaches2
+    lanes = arrays.clusters.lanes
     n_lanes = count(lanes)
     block = np.uintp(DIMENSIONS * n_lanes)
-    first_seen = np.uintp(layout.domains.first[domain])
-    window = np.uintp(layout.domains.window[domain])
+    first_seen = np.uintp(arrays.domains.first[domain])
+    window = np.uintp(arrays.domains.window[domain])
     x, y, z = loaded(coordinates, np.uintp(ghosts.home[k]) * block, lanes)
     none = broadcast(0, load(work.near, 0, lanes))
     for first in range(0, n, WORD):
@@ -288,34 +277,35 @@ def _find_near(k, n, domain, layout, work):
 
 
 @scalar
-def exclude(domain, slot, other, layout, image):
-    """Clear the lane of the atom in slot other in the row of a slot, if it is there.  image : see minimum_image."""
-    rows = layout.rows
-    coordinates = layout.coordinates
-    n_lanes = count(layout.clusters.lanes)
+def exclude(domain, slot, other, arrays, image):
+    """Clear the lane of the atom in slot other in the row of a slot, if it is there.
+    image : see minimum_image."""
+    rows = arrays.rows
+    coordinates = arrays.memory.coordinates
+    n_lanes = count(arrays.clusters.lanes)
     cluster = other // n_lanes
     lane = np.uint32(other % n_lanes)
-    own = layout.ghosts.home[slot // n_lanes]
-    home = layout.ghosts.home[cluster]
+    own = arrays.ghosts.home[slot // n_lanes]
+    home = arrays.ghosts.home[cluster]
     at = own * DIMENSIONS * n_lanes + slot % n_lanes
     to = home * DIMENSIONS * n_lanes + lane
     x = coordinates[to] - coordinates[at]
     y = coordinates[to + n_lanes] - coordinates[at + n_lanes]
     z = coordinates[to + 2 * n_lanes] - coordinates[at + 2 * n_lanes]
     a, b, c = minimum_image(x, y, z, *image)
-    ghost = _ghost_of(domain, cluster, HOME + int(9.0 * a + 3.0 * b + c), layout)
+    ghost = _ghost_of(domain, cluster, HOME + int(9.0 * a + 3.0 * b + c), arrays)
     if ghost == home and other < slot:  # rows look ahead
         return
-    entry = _find_entry(rows, slot, ghost - layout.domains.first[domain])
+    entry = _find_entry(rows, slot, ghost - arrays.domains.first[domain])
     if entry >= 0:
         rows.entries[np.uintp(entry)] &= ~np.uint32(np.uint32(1) << (np.uint32(LANES_FROM) + lane))
 
 
 @scalar
-def _ghost_of(domain, cluster, image, layout):
+def _ghost_of(domain, cluster, image, arrays):
     """The ghost of a cluster in the window of a domain; −1 if there is none."""
-    ghosts = layout.ghosts
-    domains = layout.domains
+    ghosts = arrays.ghosts
+    domains = arrays.domains
     first = domains.first[domain]
     home = ghosts.home[cluster]
     last = first + domains.window[domain + 1] - domains.window[domain]

@@ -7,7 +7,7 @@ from minimd.core.neighbors.buffers import HALF_A_PAGE, Buffers, with_room
 from minimd.core.neighbors.cluster_memory import ClusterArrays, ClusterMemory
 from minimd.core.neighbors.cluster_search import AHEAD, GHOST_BITS, LAYERS, Rows
 from minimd.core.neighbors.clusters import DIMENSIONS, Columns, make_clusters
-from minimd.core.neighbors.domains import BLOCKS, IMAGES, Domains, Layout, make_domains, make_ghosts
+from minimd.core.neighbors.domains import BLOCKS, IMAGES, make_domains, make_ghosts
 from minimd.core.neighbors.search import Binned
 from minimd.core.structure.vectors import Array
 
@@ -17,20 +17,19 @@ ENTRIES_GUESSED = 12  # for each slot, at first
 class ClusterStore:
     """All arrays of a cluster list. They have room for more than is needed, and are kept until it is used up.
 
-    domains : Domains of the columns.  arrays : ClusterArrays.  layout : Layout.  binned : Binned.
+    domains : Domains of the columns.
+    arrays : ClusterArrays.
+    binned : Binned.
     room : (4,) int, for clusters, ghosts, ghosts in windows and blocks of forces.
-    entry_start : (K + 1,) int, first entry of each domain.  needed : (K,) int, entries that each of them needs.
+    entry_start : (K + 1,) int, first entry of each domain.
+    needed : (K,) int, entries that each of them needs.
     layers : see Rows."""
-
-    domains: Domains
-    arrays: ClusterArrays
-    layout: Layout
-    binned: Binned
 
     def __init__(
         self, n_atoms: int, lanes: Lanes, is_fixed: bool, reaches2: Array, limits2: Array
     ) -> None:
-        """is_fixed : whether forces are summed as whole numbers.  reaches2, limits2 : of Rows, limits2 at a build."""
+        """is_fixed : whether forces are summed as whole numbers.
+        reaches2, limits2 : of Rows, limits2 at a build."""
         self._n_atoms = n_atoms
         self._lanes = lanes
         self._is_fixed = is_fixed
@@ -122,7 +121,6 @@ class ClusterStore:
             array("is out", np.int64, n_domains * self._is_fixed),
             array("layers", np.int64, n_domains),
         )
-        self.arrays = ClusterArrays(clusters, domains.cluster, domains, ghosts, rows, memory)
-        self.layout = Layout(
-            columns, clusters, domains, ghosts, memory.coordinates, memory.shifts, rows
+        self.arrays = ClusterArrays(
+            clusters, domains.cluster, domains, ghosts, rows, memory, columns
         )

@@ -44,8 +44,10 @@ class Columns(
 
     What changes as the cell is strained, from along on, is in arrays.
     counts : (3,) int, columns along the first two lattice vectors, and bins along the third, for sorting.
-    distance : within which pairs are searched [length].  reach : (2,) int, the same in columns on each side.
-    pbc, lattice, inverse : of the Cell.  along : (3,) distance as a fraction of its heights.
+    distance : within which pairs are searched [length].
+    reach : (2,) int, the same in columns on each side.
+    pbc, lattice, inverse : of the Cell.
+    along : (3,) distance as a fraction of its heights.
     is_crossed : (3,) bool, whether atoms may meet those beyond the faces across a lattice vector.
     origin, extent : (3,) fractional coordinates of that part; 0 and 1 where is_crossed. In periodic directions
         atoms are in the cell that begins at the origin."""
@@ -68,10 +70,13 @@ class Clusters(
     """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n.
 
     Arrays of C elements have room for more.
-    lanes : Lanes, n as a type.  atom : (n C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
+    lanes : Lanes, n as a type.
+    atom : (n C,) int, the user's index.
+    filled : (C,) int, lanes that are not padding.
     positions : flat, a block of 3 n numbers for each cluster: of its atoms when it was made,
         strained since as the cell was [length].
-    origins : the same without the strain, and the same array if there never was one.  wrapping : Wrapping.
+    origins : the same without the strain, and the same array if there never was one.
+    wrapping : Wrapping.
     column_start : (columns + 1,) int, first cluster of each column; the last number is C.
     bottom, top : (C,) lowest and highest fractional coordinate along the third lattice vector.
     boxes : (C, 6) smallest x y z and largest x y z of the atoms of each cluster [length].
@@ -83,7 +88,8 @@ class Wrapping(namedtuple("Wrapping", "inverse periodic lattice origin")):
 
     These are computed, not kept: memory is slower.
     inverse : (3, 3) of the cell in which clusters were made [1/length], and periodic : (3,) 1.0 where it was, else 0.0.
-    lattice : (3, 3) of the cell as it is now [length].  origin : (3,) of Columns."""
+    lattice : (3, 3) of the cell as it is now [length].
+    origin : (3,) of Columns."""
 
 
 @scalar
@@ -130,7 +136,8 @@ def region_of(cell: Cell, positions: Array, reach: float) -> Array:
 
 
 def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: Array) -> Columns:
-    """Columns so wide that the atoms of a cluster fill about a cube of them.  region : see region_of."""
+    """Columns so wide that the atoms of a cluster fill about a cube of them.
+    region : see region_of."""
     origin = region[:3]
     extent = region[3:6]
     filled = region[6] * extent.prod()
@@ -187,7 +194,8 @@ def columns_fit(positions, columns):
 def make_clusters(
     n_clusters: int, columns: Columns, lanes: Lanes, is_strained: bool, buffers: Buffers
 ) -> Clusters:
-    """Arrays with room for so many.  is_strained : whether their origins are not their positions."""
+    """Arrays with room for so many.
+    is_strained : whether their origins are not their positions."""
     array = buffers.array
     n_slots = n_clusters * lanes.size
     positions = array("positions", np.float64, n_slots * DIMENSIONS)

@@ -57,7 +57,8 @@ ATOMS_PER_DOMAIN = 800
 
 class Domains(ByAddress, namedtuple("Domains", "column cluster first window place numbers ghost")):
     """column, cluster : (K + 1,) int, first column of each domain along the first lattice vector, and first cluster.
-    first : (K,) int, the first ghost that it sees.  window : (K + 1,) int, how many all domains before it see together.
+    first : (K,) int, the first ghost that it sees.
+    window : (K + 1,) int, how many all domains before it see together.
     place : (K,) int, the block of forces of its first ghost.
     numbers : (3,) int, LATE: how many of the domains, the first ones, wait until all forces are computed; all of them,
         unless one thread goes from domain to domain.  BLOCKS: how many blocks of forces there are.  GHOSTS: M.
@@ -71,7 +72,8 @@ class GhostClusters(
     ),
 ):
     """M ghosts of C clusters, and W of them in windows. Arrays have room for more.
-    owner : (M,) int, the cluster.  image : (M,) int, code of its image (a, b, c): 9 (a + 1) + 3 (b + 1) + c + 1.
+    owner : (M,) int, the cluster.
+    image : (M,) int, code of its image (a, b, c): 9 (a + 1) + 3 (b + 1) + c + 1.
     bottom, top : (M,) fractional coordinates along the third lattice vector.
     boxes : flat float32, for each of the SIDES a row of at least M + BOXES numbers, in units of Columns.distance:
         any length has room.
@@ -79,16 +81,11 @@ class GhostClusters(
     home : (C,) int, the home of each cluster.
     is_used : (W + M,) bool, window after window, true for ghosts that stand in a row of the domain, and for its homes;
         then for each ghost whether it is used in any of them.
-    of : (U,) int, ghosts used in some window, by cluster, those of cluster k from start[k].  start : (C + 1,) int.
-    parts : (P,) int, the blocks of the forces on them, likewise, from part_start[k].  part_start : (C + 1,) int.
+    of : (U,) int, ghosts used in some window, by cluster, those of cluster k from start[k].
+    start : (C + 1,) int.
+    parts : (P,) int, the blocks of the forces on them, likewise, from part_start[k].
+    part_start : (C + 1,) int.
     bottom, top, boxes, lanes and is_used are needed for a build only."""
-
-
-class Layout(
-    ByAddress, namedtuple("Layout", "columns clusters domains ghosts coordinates shifts rows")
-):
-    """The clusters of a scene, where their ghosts stand, and their Rows.
-    coordinates : flat, a block for each ghost [length].  shifts : (IMAGES, 3) lattice vector of each image [length]."""
 
 
 def make_domains(columns: Columns, n_atoms: int) -> Domains:
@@ -217,10 +214,14 @@ def _seen(run_x, run_y, image_z, clusters, columns):
 
 
 @scalar
-def fill_ghosts(domain, layout):
+def fill_ghosts(domain, arrays):
     """Write the ghosts of the columns of a domain, of the last one also those behind the last column.
     In its window is_used is then true for the domain's own clusters only; find_rows sets it for the others."""
-    columns, clusters, domains, ghosts, coordinates, shifts, _ = layout
+    columns = arrays.columns
+    clusters = arrays.clusters
+    domains = arrays.domains
+    ghosts = arrays.ghosts
+    shifts = arrays.memory.shifts
     stride = ghosts.boxes.size // SIDES
     unit = columns.distance
     depth = columns.reach[1]
@@ -255,7 +256,9 @@ def fill_ghosts(domain, layout):
                         high = (clusters.boxes[k, d + 3] + shift) / unit
                         ghosts.boxes[d * stride + ghost] = low - OUTWARD * abs(low)
                         ghosts.boxes[(d + 3) * stride + ghost] = high + OUTWARD * abs(high)
-                        store(coordinates, (ghost * DIMENSIONS + d) * n_lanes, x + shift)
+                        store(
+                            arrays.memory.coordinates, (ghost * DIMENSIONS + d) * n_lanes, x + shift
+                        )
                     if image == HOME:
                         ghosts.home[k] = ghost
                         ghosts.is_used[first_used + ghost - domains.first[domain]] = True
@@ -264,7 +267,7 @@ def fill_ghosts(domain, layout):
 
 @scalar
 def fill_shifts(columns, shifts):
-    """The lattice vector of each image: Layout.shifts."""
+    """The lattice vector of each image, see ClusterMemory."""
     lattice = columns.lattice
     for image in range(IMAGES):
         a, b, c = image // 9 - 1, image // 3 % 3 - 1, image % 3 - 1

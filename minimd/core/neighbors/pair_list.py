@@ -29,12 +29,15 @@ NEVER = -1.0  # no squared distance is so small
 
 class Pairs(namedtuple("Pairs", "start second image translations")):
     """Pairs (i, j), grouped by their first atom: pairs start[i] to start[i+1] belong to atom i.
-    start : (N+1,) int.  second : (P,) int, the atoms j.  image : (P,) int, row of translations to add to r_j − r_i.
+    start : (N+1,) int.
+    second : (P,) int, the atoms j.
+    image : (P,) int, row of translations to add to r_j − r_i.
     translations : (T, 3) [length]; with no rows, no pair is shifted and image is not read."""
 
 
 class Reach(ByAddress, namedtuple("Reach", "positions reference limit2")):
-    """Whether a list is valid: see any_moved.  limit2 : (1,), NEVER if there is none."""
+    """Whether a list is valid: see any_moved.
+    limit2 : (1,), NEVER if there is none."""
 
 
 @called_kernel
@@ -47,8 +50,10 @@ class PairList(VerletList):
     """All pairs within cutoff + skin, in any cell, all images of them; built in linear time.
     cutoff, skin : see VerletList; an infinite cutoff lists all pairs, in open scenes.
     excluded : (P, 2) int, pairs whose nearest image is left out.
-    pairs : Pairs, counting in the order of the list.  order : (N,) int, user's index of each atom in that order.
-    offsets : (N, 3), lattice vectors to add to positions[order].  n_builds : how often it was built."""
+    pairs : Pairs, counting in the order of the list.
+    order : (N,) int, user's index of each atom in that order.
+    offsets : (N, 3), lattice vectors to add to positions[order].
+    n_builds : how often it was built."""
 
     _second = _image = np.empty(0, dtype=np.uint32)
 
@@ -58,8 +63,7 @@ class PairList(VerletList):
         super().__init__(cutoff, skin)
         self._excluded = partners(excluded, n_atoms)
         self._reference = np.empty((n_atoms, 3))
-        # positions at the last build, if the cell was strained since
-        self._original: Array | None = None
+        self._original = np.empty((n_atoms, 3))  # positions at the last build
         self.reach = Reach(np.zeros((n_atoms, 3)), self._reference, np.full(1, NEVER))
 
     def ready(self, positions: Array, cell: Cell) -> None:
@@ -80,12 +84,9 @@ class PairList(VerletList):
         return True
 
     def _built_at(self) -> Array:
-        positions = self._reference if self._original is None else self._original
-        return positions.copy()
+        return self._original.copy()
 
     def _strain(self, strain: Array, before: Cell, cell: Cell) -> None:
-        if self._original is None:
-            self._original = self._reference.copy()
         strained(self._original, strain, self._reference)
         before.follow(cell, self.offsets)
         before.follow(cell, self.pairs.translations)
@@ -93,7 +94,7 @@ class PairList(VerletList):
 
     def _build(self, positions: Array, cell: Cell) -> None:
         self._reference[:] = positions
-        self._original = None
+        self._original[:] = positions
         self.limit2 = self._limit2(self.skin)
         self.version += 1
         if self.cutoff == np.inf:

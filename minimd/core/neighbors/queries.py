@@ -20,7 +20,9 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
     Parameters
     ----------
     quantities : any of the letters of ASE's neighbor_list, in any order:
-        i, j : (P,) int, the two atoms;  d : (P,) distance [length];  D : (P, 3) r_j − r_i + S · cell [length];
+        i, j : (P,) int, the two atoms;
+    d : (P,) distance [length];
+    D : (P, 3) r_j − r_i + S · cell [length];
         S : (P, 3) int, lattice vectors of system.cell to add to r_j.
     cutoff : [length], > 0 and finite.
 
@@ -70,7 +72,8 @@ class ClosestPair(NamedTuple):
         return self.told("")
 
     def told(self, length: str) -> str:
-        """The pair as text.  length : the unit."""
+        """The pair as text.
+        length : the unit."""
         unit = f" {length}" if length else ""
         return f"atoms {self.first} and {self.second}, {self.distance:.3g}{unit} apart"
 

@@ -10,7 +10,7 @@ import numpy as np
 from minimd.core.compiled.kernels import kernel, scalar
 from minimd.core.structure.bond_graph import Indices
 from minimd.core.structure.cell import Cell, minimum_image
-from minimd.core.structure.vectors import Array
+from minimd.core.structure.vectors import Array, separation
 
 # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
 ATOMS_PER_BIN = 0.25
@@ -20,7 +20,8 @@ WIDER = 1.0 + 1e-9
 
 
 class BinGrid(namedtuple("BinGrid", "counts reach origin extent")):
-    """counts : (3,) int, bins along each lattice vector.  reach : (3,) int, bins to search on each side.
+    """counts : (3,) int, bins along each lattice vector.
+    reach : (3,) int, bins to search on each side.
 
     origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions."""
 
@@ -43,7 +44,8 @@ def make_grid(cell: Cell, positions: Array, reach: float) -> BinGrid:
 class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
     """The arrays of a counting sort of N atoms into B bins.
     order, bins : (N,) int, atoms in the order of their bins, and the bin of each atom.
-    bin_start : (B + 1,) int, first atom of each bin.  place : (B + 1,) int, scratch.
+    bin_start : (B + 1,) int, first atom of each bin.
+    place : (B + 1,) int, scratch.
     cells : (N, 3) numbers of lattice vectors that bring each atom into the cell; (0, 3) where nobody asks for them.
     height : (N,) fractional coordinate along the third lattice vector, in the cell."""
 
@@ -155,8 +157,10 @@ def _steps(most: Indices) -> Indices:
 @kernel
 def find_pairs(positions, order, bins, reach2, partners, pairs):
     """Write all pairs within the reach and return how many there are, which may be more than there is room for.
-    positions : (N, 3), in the order of the bins and inside the cell [length].  order : (N,) the user's index of each.
-    bins : Bins.  reach2 : squared reach [length²].
+    positions : (N, 3), in the order of the bins and inside the cell [length].
+    order : (N,) the user's index of each.
+    bins : Bins.
+    reach2 : squared reach [length²].
     partners : see verlet_list; the nearest image of a pair of partners, numbered as by the user, is left out.
     pairs : output, see Pairs; its atoms count in the order of the bins."""
     n_pairs = 0
@@ -174,7 +178,6 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
         n_ranges = atoms_in_reach(own, bins, ranges)
         for i in range(bin_start[own], bin_start[own + 1]):
             pairs.start[i] = n_pairs
-            x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
             for k in range(n_ranges):
                 first_atom = i + 1 if k == 0 else ranges[k, 0]
                 row = ranges[k, 2]
@@ -182,9 +185,7 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
                 if shifted:
                     tx, ty, tz = translations[row, 0], translations[row, 1], translations[row, 2]
                 for j in range(first_atom, ranges[k, 1]):
-                    dx = positions[j, 0] - x + tx
-                    dy = positions[j, 1] - y + ty
-                    dz = positions[j, 2] - z + tz
+                    dx, dy, dz = separation(positions, i, j, (tx, ty, tz))
                     if not dx * dx + dy * dy + dz * dz < reach2:
                         continue
                     if has_excluded and _is_partner(order[i], order[j], partners):

@@ -28,7 +28,10 @@ def best_skin(
         cost(s) = step(c̄) + build(c) / n,   c = ρ (r_c + s)³,   n = s/2 / d steps between two builds
 
     c̄ is the mean of ρ (r_c + s l/L)³ over the layers l = 1 … L of a list, taken into use one after the other.
-    cutoff : r_c [length].  density : ρ [1/length³].  displacement : d, of the fastest atom in a step.  layers : L.
+    cutoff : r_c [length].
+    density : ρ [1/length³].
+    displacement : d, of the fastest atom in a step.
+    layers : L.
     The costs were measured on the Lennard-Jones liquid with cluster lists; the minimum is flat."""
     if not displacement > 0.0:
         return DEFAULT_SKIN * cutoff
@@ -44,7 +47,8 @@ def best_skin(
 
 class Built(NamedTuple):
     """What determines the order of a list, and so the rounding of its sums.
-    skin : [length].  positions : (N, 3) when it was built [length], a copy; None if there is no list that can be used.
+    skin : [length].
+    positions : (N, 3) when it was built [length], a copy; None if there is no list that can be used.
     cell : Cell in which it was built, if that has been strained since.
     region : (7,) of its columns, see region_of in clusters; None if it has none."""
 
@@ -63,7 +67,10 @@ class VerletList(ABC):
     A list can follow a homogeneous strain F of cell and atoms, r → r F. Pairs that are not listed were farther apart
     than the reach R, so that they are now farther apart than s R, s being the smallest singular value of F. So the list
     holds until an atom has moved, beside the strain, by more than (s R − r_c)/2.
-    cutoff : [length].  skin : [length], ≥ 0.  n_builds : how often it was built.  version : of the memory it lies in.
+    cutoff : [length].
+    skin : [length], ≥ 0.
+    n_builds : how often it was built.
+    version : of the memory it lies in.
     limit2 : square of the distance that an atom may move before the list is outdated [length²]."""
 
     def __init__(self, cutoff: float, skin: float) -> None:

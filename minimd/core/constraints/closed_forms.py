@@ -185,6 +185,7 @@ def drift_pairs(block, atoms, bonds, duration):
     s = plus(minus(y, x), rows(bonds.offsets, (), block))
     p = combined(1.0, s, duration, minus(v, u))
     w = wi + wj
+
     a = w * w * dot(s, s)
     b = w * dot(p, s)
     c = dot(p, p) - numbers(bonds.lengths2, (), block)
@@ -299,11 +300,13 @@ def drift_linear(block, atoms, molecules, duration):
     beta = numbers(shapes[1], (), block)
     length2 = numbers(shapes[2], (), block)
     kappa, q, w = inertia(masses, alpha, beta)
+
     after = moved(before, duration, velocities)
     _, s = arms(before, offsets, block)
     to_b, p = arms(after, offsets, block)
     e = combined(1.0, to_b, -beta, p)
     p = combined(1.0, p, -kappa / q, e)
+
     along = w * dot(p, s)
     square = w * w * dot(s, s)
     gap = dot(p, p) - length2
@@ -354,19 +357,23 @@ def impulses(b0, c0, drifted, r_a, r_b, r_c):
     z = unit(cross(b0, c0))
     x = unit(cross(a1, z))
     y = cross(z, x)
+
     sin_phi = dot(a1, z) / r_a
     cos_phi2 = 1.0 - sin_phi * sin_phi
     cos_phi = sqrt(cos_phi2)
     sin_psi = (dot(b1, z) - dot(c1, z)) / (2.0 * r_c * cos_phi)
     cos_psi2 = 1.0 - sin_psi * sin_psi
     cos_psi = sqrt(cos_psi2)
+
     xb = -r_c * cos_psi
     yb = -r_b * cos_phi - r_c * sin_psi * sin_phi
     yc = -r_b * cos_phi + r_c * sin_psi * sin_phi
+
     xb0, yb0 = dot(b0, x), dot(b0, y)
     xc0, yc0 = dot(c0, x), dot(c0, y)
     xb1, yb1 = dot(b1, x), dot(b1, y)
     xc1, yc1 = dot(c1, x), dot(c1, y)
+
     alpha = xb * (xb0 - xc0) + yb0 * yb + yc0 * yc
     beta = xb * (yc0 - yb0) + xb0 * yb + xc0 * yc
     gamma = xb0 * yb1 - xb1 * yb0 + xc0 * yc1 - xc1 * yc0
@@ -374,10 +381,12 @@ def impulses(b0, c0, drifted, r_a, r_b, r_c):
     rest = square - gamma * gamma
     sine = (alpha * gamma - beta * sqrt(rest)) / square
     cosine = sqrt(max(1.0 - sine * sine, 0.0))
+
     dxb = xb * cosine - yb * sine - xb1
     dyb = xb * sine + yb * cosine - yb1
     dxc = -xb * cosine - yc * sine - xc1
     dyc = -xb * sine + yc * cosine - yc1
+
     xe, ye = xc0 - xb0, yc0 - yb0
     area = xb0 * yc0 - yb0 * xc0
     ab = (dxb * ye - dyb * xe) / area
@@ -423,9 +432,11 @@ def project_triangles(block, atoms, triangles, targets, multipliers):
     ab, ac = arms(corners(atoms.positions, abc, block), offsets, block)
     bc = minus(ac, ab)
     u, v, w = three(atoms.inverse_masses, abc, block)
+
     g = dot(ab, ab)
     h = dot(ac, ac)
     k = dot(ab, ac)
+
     # A and its adjugate
     xx = (u + v) * g
     yy = (u + w) * h
@@ -433,13 +444,16 @@ def project_triangles(block, atoms, triangles, targets, multipliers):
     xy = u * k
     xz = v * (g - k)
     yz = w * (h - k)
+
     minor_xx = yy * zz - yz * yz
     minor_yy = xx * zz - xz * xz
     minor_zz = xx * yy - xy * xy
     minor_xy = xz * yz - xy * zz
     minor_xz = xy * yz - xz * yy
     minor_yz = xy * xz - xx * yz
+
     scale = 1.0 / (xx * minor_xx + xy * minor_xy + xz * minor_xz)
+
     of_ab, of_ac, of_bc = three(targets, sides, block)
     a, b, c = corners(atoms.vectors, abc, block)
     sum_ab = sum_ac = sum_bc = 0.0 * scale
@@ -457,6 +471,7 @@ def project_triangles(block, atoms, triangles, targets, multipliers):
         sum_ac = sum_ac + on_ac
         sum_bc = sum_bc + on_bc
     put_corners(atoms.vectors, abc, block, (a, b, c))
+
     put_numbers(multipliers, sides[0], block, sum_ab)
     put_numbers(multipliers, sides[1], block, sum_ac)
     put_numbers(multipliers, sides[2], block, sum_bc)

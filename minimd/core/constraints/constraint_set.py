@@ -47,6 +47,7 @@ class ConstraintSet:
     ) -> None:
         all_kinds = list(constraints) if isinstance(constraints, list | tuple) else [constraints]
         self.inverse_masses = 1.0 / system.masses
+
         distances = []
         for constraint in all_kinds:
             if isinstance(constraint, FixedAtoms):
@@ -61,6 +62,7 @@ class ConstraintSet:
             raise ValueError(
                 f"constraints must hold all pairs in one DistanceConstraints; {len(distances)} are given"
             )
+
         self._threads = threads
         # the cell for which the images of bonds were found
         self._cell = system.cell
@@ -69,6 +71,7 @@ class ConstraintSet:
         self.kept: tuple[Any, ...] = (FixedAtoms(is_fixed),) if self.n_fixed else ()
         self.bonds = None
         self.n_constraints = 0
+
         for rigid in distances:
             pairs = rigid.pairs
             lengths = rigid.lengths
@@ -105,6 +108,7 @@ class ConstraintSet:
         body = left
         if self.bonds is not None:
             body = bodies_of(self.bonds.pairs, self.inverse_masses).label
+
         while left.size:
             _, first = np.unique(body[left], return_index=True)
             atoms = left[first]
@@ -114,6 +118,7 @@ class ConstraintSet:
                 self.project(velocities, positions)
                 shares[atoms] += velocities[atoms, axis]
             left = np.delete(left, first)
+
         shares[shares < NO_SHARE] = 0.0
         if leaves_out_center(n_atoms, conserves_momentum and not self.n_fixed):
             masses = 1.0 / self.inverse_masses
@@ -140,6 +145,7 @@ class ConstraintSet:
             self._cell = system.cell
         if not off.any():
             return
+
         offsets = self.bonds.offsets.copy()
         pairs = self.bonds.pairs[off]
         lengths = self.bonds.lengths[off]
@@ -193,6 +199,7 @@ class ConstraintSet:
         system.velocities[self.inverse_masses == 0.0] = 0.0
         if self.bonds is None:
             return
+
         off = float(self.bonds.violation(system.positions).max())
         if off > self.bonds.tolerance:
             self.bonds.project_positions(system.positions)

@@ -36,14 +36,14 @@ class Components(NamedTuple):
     """The components of a graph, and the envelope of their matrices.
     starts : (C + 1,) indices at which the constraints of each component begin.
     atoms, atom_starts : atoms of the components, one after the other, and where each component begins among them.
-    begins : (K + 1,) where row k of the lower envelope begins in memory.
-    lowest : (K,) its first column.
+    origins : (K,) in memory, where column 0 of each row would be: c_kl and A_kl have the place origins[k] + l.
+    lowest : (K,) first column of each row of the lower envelope.
     coupling : c_kl for l = lowest[k] … k, row after row; zero where two constraints share no atom."""
 
     starts: Ints
     atoms: Ints
     atom_starts: Ints
-    begins: Ints
+    origins: Ints
     lowest: Ints
     coupling: Floats
 
@@ -97,15 +97,18 @@ def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
     body_masses = np.concatenate([inverse_masses, np.zeros(2 * n_pairs)])
     places = (np.repeat(np.arange(n_pairs), 2), bodies.reshape(-1))
     signs = np.tile([-1.0, 1.0], n_pairs)
+
     incidence = coo_array((signs, places), shape=(n_pairs, len(body_masses))).tocsr()
     coupled = ((incidence * body_masses) @ incidence.T).tocsr()
     label = connected_components(coupled)[1]
+
     by_degree = np.lexsort((np.diff(coupled.indptr), label))
     ends = by_degree[np.flatnonzero(np.diff(label[by_degree], prepend=-1))]
     distances = dijkstra(abs(coupled), unweighted=True, indices=ends, min_only=True)
     order = np.lexsort((distances, -label))[::-1]
     label = label[order]
     starts = np.flatnonzero(np.diff(label, prepend=-1, append=label[-1] + 1))
+
     matrix = coupled[order][:, order].tocoo()
     pairs = pairs[order]
     components = _enveloped(pairs, inverse_masses, starts, matrix)
@@ -120,15 +123,15 @@ def _enveloped(pairs: Ints, inverse_masses: Floats, starts: Ints, matrix: Any) -
     row, column = matrix.coords
     lowest = k.copy()
     np.minimum.at(lowest, row, np.minimum(column, row))
-    begins = np.concatenate([[0], np.cumsum(k - lowest + 1)])
-    coupling = np.zeros(begins[-1])
+    origins = np.cumsum(k - lowest + 1) - k - 1
+    coupling = np.zeros(origins[-1] + len(pairs))
     below = column <= row
-    row, column = row[below], column[below]
-    coupling[begins[row] + column - lowest[row]] = matrix.data[below]
+    coupling[origins[row[below]] + column[below]] = matrix.data[below]
+
     atoms = [np.unique(pairs[start:end]) for start, end in pairwise(starts)]
     moving = [members[inverse_masses[members] > 0.0] for members in atoms]
     atom_starts = np.concatenate([[0], np.cumsum([members.size for members in moving])])
-    return Components(starts, np.concatenate(moving), atom_starts, begins, lowest, coupling)
+    return Components(starts, np.concatenate(moving), atom_starts, origins, lowest, coupling)
 
 
 # relative: a triangle with a side as long as the others together is a line; files have nine digits
@@ -138,13 +141,10 @@ CONSTRAINTS_IN_A_CHUNK = 500
 ALIKE = 1e-12  # relative: masses and squared lengths that differ by less are equal
 
 
-class Solving(
-    ByAddress,
-    namedtuple("Solving", "solver positions vectors inverse_masses lanes n answers most arguments"),
-):
+class Solving(ByAddress, namedtuple("Solving", "solver atoms n answers most arguments")):
     """A solver on the n components of a group, in as many chunks as there are answers.
-    positions, vectors, inverse_masses, lanes : of Atoms.
-    arguments : of the solver.
+    atoms : Atoms.
+    arguments : of the solver after the atoms.
     answers : (chunks,) output, see vectors.
     most : (chunks,) the largest so far."""
 
@@ -154,10 +154,9 @@ def solve_chunk(solving, chunk):
     """The solver on some components.  CANNOT_KEEP if a constraint cannot be kept."""
     n = solving.n
     n_chunks = solving.answers.size
-    atoms = Atoms(solving.positions, solving.vectors, solving.inverse_masses, solving.lanes)
     first = chunk * n // n_chunks
     last = (chunk + 1) * n // n_chunks
-    answer = _solved(solving.solver, first, last, atoms, solving.arguments)
+    answer = _solved(solving.solver, first, last, solving.atoms, solving.arguments)
     solving.answers[chunk] = answer
     solving.most[chunk] = max(answer, solving.most[chunk])
     return GO_ON if answer >= 0 else CANNOT_KEEP
@@ -192,6 +191,7 @@ class Networks:
             every.lengths[graph.order] ** 2,
             every.tolerance,
         )
+
         k = graph.order.size
         n = graph.components.coupling.size
         self.n_constraints = k
@@ -233,17 +233,9 @@ class Networks:
         return self._solve(self.projector, positions, vectors, targets, self.multipliers)
 
     def _solve(self, solver: tuple, positions: Floats, vectors: Floats, *more: Any) -> Operation:
-        solving = Solving(
-            solver,
-            positions,
-            vectors,
-            self.masses,
-            lanes_for(),
-            self.n_components,
-            self.answers,
-            self.most,
-            (*self.known, *more),
-        )
+        atoms = Atoms(positions, vectors, self.masses, lanes_for())
+        arguments = (*self.known, *more)
+        solving = Solving(solver, atoms, self.n_components, self.answers, self.most, arguments)
         calls = self._calls[type(solver), positions.flags.carray, vectors.flags.carray]
         return operation(calls, solve_chunk, solving, len(self.answers))
 
@@ -290,6 +282,7 @@ class Triangles(Networks):
         starts = self.graph.components.starts[:-1]
         base = _equal_sides(self.graph, starts, lengths2, self.masses)
         corners, arms, sides = _corners(self.graph, base, self.bonds.offsets)
+
         half = 0.5 * np.sqrt(lengths2[base])
         heavy = 1.0 / self.masses[corners[0]]
         light = 1.0 / self.masses[corners[1]]
@@ -313,6 +306,7 @@ class LinearTriatomics(Networks):
         lengths2 = self.bonds.lengths2
         starts = self.graph.components.starts[:-1]
         longest = starts + np.argmax(lengths2.reshape(-1, 3), axis=1)
+
         # the middle one is the corner opposite the longest side
         corners, (to_b, to_c), (short, _) = _corners(self.graph, longest, self.bonds.offsets)
         middle, b, c = corners
@@ -336,9 +330,11 @@ def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
     lengths2 = every.lengths[order] ** 2
     if solver == "auto":
         kinds[starts[sizes == 1]] = LoneBonds
+
     starts = starts[sizes == 3]
     is_closed = [np.unique(pairs[order[start : start + 3]]).size == 3 for start in starts]
     starts = starts[np.array(is_closed, dtype=bool)]
+
     sides = starts[:, None] + np.arange(3)
     lengths = np.sqrt(lengths2[sides])
     around = lengths.sum(axis=1)
@@ -348,10 +344,12 @@ def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
             f"the lengths of constraints {order[sides[np.argmax(excess)]].tolist()}, which form a triangle, contradict "
             "each other: one is longer than the sum of the other two"
         )
+
     if solver == "auto":
         moves = (masses[pairs[order[sides]]] > 0.0).all(axis=(1, 2))
         kinds[sides[(_equal_sides(graph, starts, lengths2, masses) >= 0) & moves]] = Triangles
     kinds[sides[excess >= -STRAIGHT * around]] = LinearTriatomics
+
     groups = []
     for kind in dict.fromkeys(kinds):
         ids = order[kinds == kind]
@@ -383,6 +381,7 @@ def _corners(
     other constraints."""
     starts = graph.components.starts[:-1]
     sides = starts[:, None] + np.arange(3)
+
     sums = graph.first[sides] + graph.second[sides]  # of the numbers of both atoms
     b, c = graph.first[base], graph.second[base]
     apex = sums.sum(axis=1) // 2 - b - c

@@ -45,33 +45,27 @@ def find_separations(positions, bonds, start, end, out):
 
 
 @inlined
-def assemble(components, start, end, r, s, lower, upper):
-    """A_kl = c_kl r_k · s_l within the envelope: row k left of the diagonal to lower, column k down to it to upper."""
+def factorize(components, start, end, r, s, lower, upper):
+    """A = L U within the envelope, L with ones on its diagonal:  A_kl = c_kl r_k · s_l.
+    Row k of L is left of the diagonal in lower, column k of U down to it in upper.
+    Returns the row without a pivot, or −1."""
+    origins = components.origins
+    lowest = components.lowest
+    coupling = components.coupling
     for k in range(start, end):
-        at = components.begins[k] - components.lowest[k]
-        for l in range(components.lowest[k], k + 1):
-            c = components.coupling[at + l]
-            lower[at + l] = c * dot(r[k], s[l]) if c != 0.0 else 0.0
-            upper[at + l] = c * dot(r[l], s[k]) if c != 0.0 else 0.0
-
-
-@inlined
-def factorize(components, start, end, lower, upper):
-    """A = L U in place, L with ones on its diagonal. Returns the row without a pivot, or −1."""
-    for k in range(start, end):
-        at_k = components.begins[k] - components.lowest[k]
-        first_k = components.lowest[k]
-        for l in range(first_k, k):
-            at_l = components.begins[l] - components.lowest[l]
-            in_column = upper[at_k + l]
-            in_row = lower[at_k + l]
-            for m in range(max(first_k, components.lowest[l]), l):
+        at_k = origins[k]
+        for l in range(lowest[k], k):
+            at_l = origins[l]
+            c = coupling[at_k + l]
+            in_column = c * dot(r[l], s[k]) if c != 0.0 else 0.0
+            in_row = c * dot(r[k], s[l]) if c != 0.0 else 0.0
+            for m in range(max(lowest[k], lowest[l]), l):
                 in_column -= lower[at_l + m] * upper[at_k + m]
                 in_row -= lower[at_k + m] * upper[at_l + m]
             upper[at_k + l] = in_column
             lower[at_k + l] = in_row / upper[at_l + l]
-        pivot = upper[at_k + k]
-        for m in range(first_k, k):
+        pivot = coupling[at_k + k] * dot(r[k], s[k])
+        for m in range(lowest[k], k):
             pivot -= lower[at_k + m] * upper[at_k + m]
         if not abs(pivot) > 0.0:
             return k
@@ -83,11 +77,11 @@ def factorize(components, start, end, lower, upper):
 def solve(components, start, end, lower, upper, x):
     """x ← A⁻¹ x with the factors of A."""
     for k in range(start, end):
-        at = components.begins[k] - components.lowest[k]
+        at = components.origins[k]
         for m in range(components.lowest[k], k):
             x[k] -= lower[at + m] * x[m]
     for k in range(end - 1, start - 1, -1):
-        at = components.begins[k] - components.lowest[k]
+        at = components.origins[k]
         x[k] /= upper[at + k]
         for m in range(components.lowest[k], k):
             x[m] -= upper[at + m] * x[k]
@@ -110,8 +104,7 @@ def restore_lengths(atoms, components, bonds, start, end, memory):
                 where = k
         if worst <= ROUNDING:
             return iteration
-        assemble(components, start, end, r, s, lower, upper)
-        singular = factorize(components, start, end, lower, upper)
+        singular = factorize(components, start, end, r, s, lower, upper)
         if singular >= 0:
             return NOTHING - singular
         solve(components, start, end, lower, upper, x)
@@ -189,8 +182,7 @@ def project_components(first, last, atoms, components, bonds, memory, targets, t
         start = components.starts[c]
         end = components.starts[c + 1]
         find_separations(atoms.positions, bonds, start, end, r)
-        assemble(components, start, end, r, r, lower, upper)
-        singular = factorize(components, start, end, lower, upper)
+        singular = factorize(components, start, end, r, r, lower, upper)
         if singular >= 0:
             return NOTHING - singular
         for correction in range(2):
@@ -209,22 +201,17 @@ def project_components(first, last, atoms, components, bonds, memory, targets, t
 @kernel
 def dependent_constraint(positions, components, bonds, memory):
     """A constraint whose pivot vanishes relative to its diagonal: others imply or contradict it; else −1."""
-    r = memory.r
-    total = memory.total
-    lower = memory.lower
-    upper = memory.upper
+    r, _, _, _, lower, upper = memory
     for c in range(components.starts.size - 1):
         start = components.starts[c]
         end = components.starts[c + 1]
         find_separations(positions, bonds, start, end, r)
-        assemble(components, start, end, r, r, lower, upper)
-        for k in range(start, end):
-            total[k] = upper[components.begins[k + 1] - 1]
-        singular = factorize(components, start, end, lower, upper)
+        singular = factorize(components, start, end, r, r, lower, upper)
         if singular >= 0:
             return singular
         for k in range(start, end):
-            if not upper[components.begins[k + 1] - 1] > DEPENDENT * total[k]:
+            at = components.origins[k] + k
+            if not upper[at] > DEPENDENT * (components.coupling[at] * dot(r[k], r[k])):
                 return k
     return NOTHING
 

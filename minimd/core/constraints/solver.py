@@ -80,6 +80,7 @@ class ConstraintSolver:
         self._calls = DirectCalls()
         self.offsets = np.zeros((len(self.pairs), 3)) if offsets is None else offsets
         check_atoms(self.pairs, len(positions))
+
         is_stuck = (inverse_masses[self.pairs] == 0.0).all(axis=1)
         if is_stuck.any():
             k = np.argmax(is_stuck)
@@ -87,6 +88,7 @@ class ConstraintSolver:
             raise ValueError(
                 f"constraint {k} (atoms {i}-{j}) connects two atoms that are held fixed; leave it out"
             )
+
         lengths = constraints.lengths
         if lengths is None:
             lengths = np.linalg.norm(self.bonds(positions), axis=1)
@@ -96,12 +98,14 @@ class ConstraintSolver:
             raise ValueError(
                 f"constraint {k} has length 0: atoms {i} and {j} are at the same place; give lengths"
             )
+
         self.lengths = lengths
         self.threads = max(1, min(threads, len(self.pairs) // CONSTRAINTS_IN_A_CHUNK))
         rounding = ROUNDINGS * EPS * float(np.abs(positions).max()) / float(lengths.min())
         self.tolerance = max(constraints.tolerance, rounding) if tolerance is None else tolerance
         is_swept = constraints.solver == "shake"
         self.accuracy = self.tolerance * float(lengths.max()) if is_swept else 0.0
+
         self.groups = groups_of(self, positions, constraints.solver)
         self.free_atoms = np.setdiff1d(np.arange(len(positions)), self.pairs)
         self.n_constraints = sum(group.n_constraints for group in self.groups)
@@ -173,7 +177,7 @@ class ConstraintSolver:
         self, positions: Floats, velocities: Floats, accelerations: Floats
     ) -> list[tuple[Ints, Floats]]:
         """Constraints of each group, and their λ [energy/length²]: the force on j is λ r_ij. Projects accelerations."""
-        turning = velocities[self.pairs[:, 1]] - velocities[self.pairs[:, 0]]
+        turning = self._differences(velocities)
         targets = -np.einsum("ij,ij->i", turning, turning)
         multipliers = []
         for group in self.groups:
@@ -194,7 +198,10 @@ class ConstraintSolver:
 
     def bonds(self, positions: Floats) -> Floats:
         """r_ij, (K, 3) [length]."""
-        return positions[self.pairs[:, 1]] - positions[self.pairs[:, 0]] + self.offsets
+        return self._differences(positions) + self.offsets
+
+    def _differences(self, vectors: Floats) -> Floats:
+        return vectors[self.pairs[:, 1]] - vectors[self.pairs[:, 0]]
 
     def violation(self, positions: Floats) -> Floats:
         """|r² − d²|/d², (K,)."""
@@ -203,7 +210,7 @@ class ConstraintSolver:
 
     def velocity_violation(self, positions: Floats, velocities: Floats) -> Floats:
         """|r · (v_j − v_i)|/(d v), (K,), v the speed of the faster end; zero where nothing moves."""
-        turning = velocities[self.pairs[:, 1]] - velocities[self.pairs[:, 0]]
+        turning = self._differences(velocities)
         speeds = np.linalg.norm(velocities, axis=1)[self.pairs].max(axis=1)
         along = np.abs(np.einsum("ij,ij->i", self.bonds(positions), turning))
         return along / (self.lengths * np.where(speeds > 0.0, speeds, 1.0))

@@ -65,6 +65,7 @@ def place_atoms(building, domain):
     n_layers = 1
     if arrays.rows.layers[IN_USE] == 0:  # there is no list
         return GO_ON
+
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
         at = gathered(building.positions, clusters.atom, k * n_lanes, lanes)
         start = np.uintp(k) * np.uintp(DIMENSIONS * n_lanes)
@@ -106,12 +107,15 @@ def sort_atoms(building, _chunk):
     counts = columns.counts
     column_start = clusters.column_start
     n_lanes = count(clusters.lanes)
+
     # the cell of the clusters is the one in which they are made
     for a in range(DIMENSIONS):
         for b in range(DIMENSIONS):
             clusters.wrapping.inverse[a, b] = columns.inverse[a, b]
             clusters.wrapping.lattice[a, b] = columns.lattice[a, b]
+
     counting_sort(building.positions, columns.inverse, columns.pbc, columns, binned)
+
     column_start[0] = 0
     for column in range(counts[0] * counts[1]):
         n = binned.bin_start[(column + 1) * counts[2]] - binned.bin_start[column * counts[2]]
@@ -144,6 +148,7 @@ def find_domains(building, _chunk):
     fill_shifts(arrays.columns, arrays.memory.shifts)
     for layer in range(LAYERS):
         rows.limits2[layer] = rows.limits2_at_build[layer]
+
     has_room = (
         domains.numbers[GHOSTS] <= ghosts.owner.size
         and domains.window[domains.window.size - 1] <= ghosts.parts.size

@@ -59,12 +59,14 @@ class ClusterList(VerletList):
         self._excluded = partners(excluded, n_atoms) if self._has_excluded else NO_PARTNERS
         self._slot_of = np.zeros(n_atoms * self._has_excluded, dtype=np.int64)
         self._goes_along = pool.n_threads == 1 and not is_fixed
+
         # by which the layers reach beyond the cutoff
         self._widths = self.skin * np.arange(1, LAYERS + 1) / LAYERS
         reaches2 = (cutoff + self._widths) ** 2
         limits2 = (0.5 * self._widths) ** 2
         self._store = ClusterStore(n_atoms, self.lanes, is_fixed, reaches2, limits2)
         self._layers = self._store.layers
+
         self._n_counted = 0  # builds
         self._columns_of: tuple[Cell, Array] | None = None
         self._images = Images.of(Cell.of(None))
@@ -86,6 +88,7 @@ class ClusterList(VerletList):
         ]
         if self._has_excluded:
             build += [(cluster_build.number_slots, n, None), (cluster_build.exclude_pairs, n, None)]
+
         after = 1 + len(build)
         of_list = partial(operation, self._calls, data=self.building, is_kept=True)
         refuse = lambda _answer: raise_not_finite(self._positions)  # noqa: E731
@@ -157,6 +160,7 @@ class ClusterList(VerletList):
         self.ghosts = self.arrays.ghosts
         self.memory = self.arrays.memory
         self.n_domains = len(self.domains.first)
+
         self.building = Building(
             self._positions,
             self.arrays,

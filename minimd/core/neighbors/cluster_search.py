@@ -84,6 +84,7 @@ def make_work(arrays):
     n = 0
     for k in range(window.size - 1):
         n = max(n, window[k + 1] - window[k])
+
     n_near = (n // WORD + 1) * LAYERS * count(arrays.clusters.lanes)
     return SearchMemory(
         np.empty((n_runs, 2), dtype=np.int64),
@@ -104,6 +105,7 @@ def find_rows(domain, arrays, room, work):
     ahead = work.ahead
     first, last = room
     n_entries = first
+
     for x in range(domains.column[domain], domains.column[domain + 1]):
         for y in range(n_across):
             n_ahead = 0
@@ -134,10 +136,12 @@ def _candidates(k, n_ahead, arrays, work):
     boxes = ghosts.boxes
     bottom = ghosts.bottom
     top = ghosts.top
+
     i = ghosts.home[k]
     low = bottom[i] - along
     high = top[i] + along
     n = 0
+
     stride = boxes.size // SIDES
     like = load(boxes, 0, BOXES)
     x_low = broadcast(boxes[i], like)
@@ -146,6 +150,7 @@ def _candidates(k, n_ahead, arrays, work):
     x_high = broadcast(boxes[i + 3 * stride], like)
     y_high = broadcast(boxes[i + 4 * stride], like)
     z_high = broadcast(boxes[i + 5 * stride], like)
+
     for run in range(n_ahead):
         j = ahead[run, 0]
         last = ahead[run, 1]
@@ -189,10 +194,12 @@ def _prune(k, n, domain, arrays, room, work):
     if n_entries + most >= last:  # no room: an upper bound tells how much is missing
         return n_entries + most + 1
     _find_near(k, n, domain, arrays, work)
+
     # unsigned: no check for indices that count from the end
     end = np.uintp(n_entries)
     home = ghosts.home[k]
     own = home - arrays.domains.first[domain]
+
     for lane in range(n_lanes):
         slot = k * n_lanes + lane
         rows.start[slot] = end
@@ -250,6 +257,7 @@ def _find_near(k, n, domain, arrays, work):
     window = np.uintp(arrays.domains.window[domain])
     x, y, z = loaded(coordinates, np.uintp(ghosts.home[k]) * block, lanes)
     none = broadcast(0, load(work.near, 0, lanes))
+
     for first in range(0, n, WORD):
         bit = broadcast(1, none)
         inner = none
@@ -271,6 +279,7 @@ def _find_near(k, n, domain, arrays, work):
             seen = ghost - first_seen
             ghosts.is_used[window + seen] |= bits_from_mask(within) != 0
             work.entries[p] = seen | np.uintp(ghosts.lanes[ghost]) << np.uintp(LANES_FROM)
+
         place = first // WORD * LAYERS * n_lanes
         store(work.near, place, inner)
         store(work.near, place + n_lanes, both - inner)  # each layer holds those before it
@@ -285,6 +294,7 @@ def exclude(domain, slot, other, arrays, image):
     n_lanes = count(arrays.clusters.lanes)
     cluster = other // n_lanes
     lane = np.uint32(other % n_lanes)
+
     own = arrays.ghosts.home[slot // n_lanes]
     home = arrays.ghosts.home[cluster]
     at = own * DIMENSIONS * n_lanes + slot % n_lanes
@@ -292,6 +302,7 @@ def exclude(domain, slot, other, arrays, image):
     x = coordinates[to] - coordinates[at]
     y = coordinates[to + n_lanes] - coordinates[at + n_lanes]
     z = coordinates[to + 2 * n_lanes] - coordinates[at + 2 * n_lanes]
+
     a, b, c = minimum_image(x, y, z, *image)
     ghost = _ghost_of(domain, cluster, HOME + int(9.0 * a + 3.0 * b + c), arrays)
     if ghost == home and other < slot:  # rows look ahead
@@ -307,10 +318,7 @@ def _ghost_of(domain, cluster, image, arrays):
     ghosts = arrays.ghosts
     domains = arrays.domains
     first = domains.first[domain]
-    home = ghosts.home[cluster]
     last = first + domains.window[domain + 1] - domains.window[domain]
-    if image == HOME and first <= home < last:
-        return home
     for p in range(np.uintp(ghosts.start[cluster]), np.uintp(ghosts.start[cluster + 1])):
         ghost = ghosts.of[p]
         if first <= ghost < last and ghosts.image[ghost] == image:

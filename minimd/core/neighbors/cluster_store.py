@@ -62,6 +62,7 @@ class ClusterStore:
             self.needed = np.full(n_domains, guess, dtype=np.int64)
             if len(self.entry_start) != n_domains + 1:
                 self.entry_start = np.zeros(n_domains + 1, dtype=np.int64)
+
         domains = self.domains
         widest = int(np.diff(domains.window).max())
         if widest > GHOST_BITS:
@@ -69,8 +70,10 @@ class ClusterStore:
                 f"this scene is too large for a cluster list: it needs {widest} clusters of atoms and images in one "
                 f"part of the cell, and {GHOST_BITS} fit; simulate fewer atoms"
             )
+
         needed = [n_clusters, domains.ghost[-1], domains.window[-1], domains.numbers[BLOCKS]]
         self.room = with_room(np.array(needed), self.room)
+
         entries = with_room(self.needed, np.diff(self.entry_start))
         start = np.concatenate([[0], np.cumsum(entries)])
         most = np.iinfo(np.int32).max
@@ -91,8 +94,10 @@ class ClusterStore:
         n_clusters, n_ghosts, n_in_windows, n_blocks = self.room.tolist()
         n_slots = n_clusters * self._lanes.size
         n_block = DIMENSIONS * self._lanes.size
+
         clusters = make_clusters(n_clusters, columns, self._lanes, is_strained, self._buffers)
         ghosts = make_ghosts(n_clusters, n_ghosts, n_in_windows, self._buffers)
+
         # atoms are sorted where entries are written afterwards
         n_bins = int(columns.counts.prod()) + 1
         words = [2 * n_atoms, n_atoms, n_atoms, n_bins, n_bins]
@@ -102,6 +107,7 @@ class ClusterStore:
         height, order, bins, bin_start, place, _ = pieces
         no_cells = np.zeros((0, 3))
         self.binned = Binned(order, bins, bin_start, place, no_cells, height.view(np.float64))
+
         rows = Rows(
             array("row start", np.int32, n_slots),
             array("row stops", np.int32, LAYERS, n_slots),
@@ -111,6 +117,7 @@ class ClusterStore:
             self._limits2,
             self.layers,
         )
+
         force_type = np.int64 if self._is_fixed else np.float64
         memory = ClusterMemory(
             array("coordinates", np.float64, n_ghosts * n_block),
@@ -121,6 +128,7 @@ class ClusterStore:
             array("is out", np.int64, n_domains * self._is_fixed),
             array("layers", np.int64, n_domains),
         )
+
         self.arrays = ClusterArrays(
             clusters, domains.cluster, domains, ghosts, rows, memory, columns
         )

@@ -21,7 +21,7 @@ from minimd.core.compiled.kernels import kernel, scalar
 from minimd.core.compiled.simd import lane
 from minimd.core.compiled.simd.vector import Lanes, count, gathered, loaded, stored
 from minimd.core.neighbors.buffers import Buffers
-from minimd.core.neighbors.search import ATOMS_PER_BIN, WIDER, into_cell
+from minimd.core.neighbors.search import ATOMS_PER_BIN, WIDER, into_cell, transformed
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.system import local_density
 from minimd.core.structure.vectors import Array, plus
@@ -96,18 +96,13 @@ class Wrapping(namedtuple("Wrapping", "inverse periodic lattice origin")):
 def offsets_of(start, clusters):
     """Lattice vectors that bring the atoms of the block at start into the cell: vectors x, y, z [length]."""
     inverse, periodic, lattice, origin = clusters.wrapping
-    x, y, z = loaded(clusters.origins, start, clusters.lanes)
-    along_a = x * inverse[0, 0] + y * inverse[1, 0] + z * inverse[2, 0]
-    along_b = x * inverse[0, 1] + y * inverse[1, 1] + z * inverse[2, 1]
-    along_c = x * inverse[0, 2] + y * inverse[1, 2] + z * inverse[2, 2]
-    a = -np.floor(along_a - origin[0]) * periodic[0]
-    b = -np.floor(along_b - origin[1]) * periodic[1]
-    c = -np.floor(along_c - origin[2]) * periodic[2]
-    return (
-        a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0],
-        a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1],
-        a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2],
+    a, b, c = transformed(loaded(clusters.origins, start, clusters.lanes), inverse)
+    cells = (
+        -np.floor(a - origin[0]) * periodic[0],
+        -np.floor(b - origin[1]) * periodic[1],
+        -np.floor(c - origin[2]) * periodic[2],
     )
+    return transformed(cells, lattice)
 
 
 def region_of(cell: Cell, positions: Array, reach: float) -> Array:
@@ -131,6 +126,7 @@ def region_of(cell: Cell, positions: Array, reach: float) -> Array:
         if not cell.pbc[k] or width + 2.0 * margin[k] <= 1.0:
             origin[k] = first - 0.5 * margin[k]
             extent[k] = width + margin[k]
+
     filled = local_density(positions, cell, reach) * abs(np.linalg.det(cell.lattice))
     return np.array([*origin, *extent, filled])
 
@@ -144,14 +140,17 @@ def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: A
     is_crossed = cell.pbc & (extent == 1.0)
     widths = cell.heights * extent
     n_lanes = lanes.size
+
     cube = (n_lanes * widths.prod() / filled) ** (1.0 / 3.0)
     # a flat scene has few; many that are empty would cost time
     most = max(1.0, min(filled, n_atoms) / n_lanes)
     across = np.clip(widths[:2] / cube, 1.0, most)
     across = np.maximum(1.0, np.rint(across * min(1.0, (most / across.prod()) ** 0.5)))
     bins = max(1.0, min(filled, n_atoms / ATOMS_PER_BIN) / across.prod())
+
     needed = np.ceil(WIDER * reach * across / widths[:2])
     needed = np.minimum(needed, np.where(is_crossed[:2], across, across - 1.0))
+
     counts = np.array([*across, bins]).astype(np.int64)
     return Columns(
         counts,
@@ -200,6 +199,7 @@ def make_clusters(
     n_slots = n_clusters * lanes.size
     positions = array("positions", np.float64, n_slots * DIMENSIONS)
     origins = array("origins", np.float64, n_slots * DIMENSIONS) if is_strained else positions
+
     wrapping = Wrapping(
         array("inverse", np.float64, DIMENSIONS, DIMENSIONS),
         columns.pbc.astype(np.float64),
@@ -236,6 +236,7 @@ def fill_column(column, positions, columns, binned, clusters):
             order[q] = order[q - 1]
             q -= 1
         order[q] = i
+
     cluster = clusters.column_start[column]
     for p in range(first, last, n_lanes):
         n = min(n_lanes, last - p)

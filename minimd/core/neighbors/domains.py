@@ -39,6 +39,7 @@ from minimd.core.compiled.simd.vector import count, loaded
 from minimd.core.compiled.threads import MOST_CHUNKS
 from minimd.core.neighbors.buffers import Buffers
 from minimd.core.neighbors.clusters import DIMENSIONS, Columns, offsets_of
+from minimd.core.neighbors.search import transformed
 from minimd.core.structure.vectors import plus
 
 SIDES = 6  # of a box: smallest x, y, z, and largest
@@ -90,10 +91,11 @@ class GhostClusters(
 
 def make_domains(columns: Columns, n_atoms: int) -> Domains:
     """As many domains, for any number of threads, as have enough atoms and are as wide as their rows look ahead."""
-    (nx, ny, _), (ahead_x, ahead_y) = columns.counts.tolist(), columns.reach.tolist()
-    across = nx // max(1, ahead_x)
+    n_x, n_y, _ = columns.counts.tolist()
+    ahead_x, ahead_y = columns.reach.tolist()
+    across = n_x // max(1, ahead_x)
     n = max(1, min(n_atoms // ATOMS_PER_DOMAIN, across, MOST_CHUNKS))
-    n_runs = (nx + ahead_x) * (ny + 2 * ahead_y)
+    n_runs = (n_x + ahead_x) * (n_y + 2 * ahead_y)
     sizes = n + 1, n + 1, n, n + 1, n, 3, n_runs + 1
     return Domains(*(np.zeros(size, dtype=np.int64) for size in sizes))
 
@@ -129,6 +131,7 @@ def cut_into_domains(clusters, columns, domains, goes_along):
     n_across = counts[1]
     n_domains = domains.first.size
     n_clusters = column_start[counts[0] * n_across]
+
     x = 0
     for d in range(1, n_domains):
         # to the border nearest to d equal shares
@@ -141,6 +144,7 @@ def cut_into_domains(clusters, columns, domains, goes_along):
         domains.cluster[d] = column_start[x * n_across]
     domains.column[n_domains] = counts[0]
     domains.cluster[n_domains] = n_clusters
+
     run = 0
     for run_x in range(counts[0] + reach[0]):
         for run_y in range(-reach[1], counts[1] + reach[1]):
@@ -150,6 +154,7 @@ def cut_into_domains(clusters, columns, domains, goes_along):
                 for image_z in range(-1, 2):
                     first, last, _ = _seen(run_x, run_y, image_z, clusters, columns)
                     domains.ghost[run] += last - first
+
     for d in range(n_domains):
         domains.first[d] = domains.ghost[first_run(domains.column[d], columns)]
         last = domains.ghost[first_run(domains.column[d + 1] + reach[0], columns)]
@@ -164,6 +169,7 @@ def _place_windows(columns, domains, goes_along):
     n = domains.first.size
     column = domains.column
     reach = columns.reach[0]
+
     n_late = 0
     n_open = 1
     widest = 0
@@ -171,10 +177,12 @@ def _place_windows(columns, domains, goes_along):
     for d in range(n):
         n_late += column[d] < reach  # the last domains see it
         widest = max(widest, domains.window[d + 1] - domains.window[d])
+
     for d in range(n + 1):
         while behind < n - 1 and column[behind + 1] + reach <= column[d]:
             behind += 1
         n_open = max(n_open, min(d, n - 1) + 1 - behind)
+
     is_less = goes_along > 0 and (n_late + n_open) * widest < domains.window[n]
     for d in range(n):
         place = d if d < n_late else n_late + (d - n_late) % n_open
@@ -230,9 +238,11 @@ def fill_ghosts(domain, arrays):
     first_used = domains.window[domain]
     for place in range(first_used, domains.window[domain + 1]):
         ghosts.is_used[place] = False
+
     last_x = domains.column[domain + 1]
     if domain == domains.first.size - 1:
         last_x += columns.reach[0]
+
     run = first_run(domains.column[domain], columns)
     for run_x in range(domains.column[domain], last_x):
         for run_y in range(-depth, columns.counts[1] + depth):
@@ -268,11 +278,10 @@ def fill_ghosts(domain, arrays):
 @scalar
 def fill_shifts(columns, shifts):
     """The lattice vector of each image, see ClusterMemory."""
-    lattice = columns.lattice
     for image in range(IMAGES):
-        a, b, c = image // 9 - 1, image // 3 % 3 - 1, image % 3 - 1
-        for d in range(DIMENSIONS):
-            shifts[image, d] = a * lattice[0, d] + b * lattice[1, d] + c * lattice[2, d]
+        cells = image // 9 - 1, image // 3 % 3 - 1, image % 3 - 1
+        for d, x in enumerate(transformed(cells, columns.lattice)):
+            shifts[image, d] = x
 
 
 @scalar
@@ -286,11 +295,13 @@ def sort_ghosts(domains, ghosts):
     n_ghosts = domains.numbers[GHOSTS]
     n_domains = domains.first.size
     somewhere = window[n_domains]  # behind the windows: whether a ghost is used in any of them
+
     for m in range(n_ghosts):
         is_used[somewhere + m] = False
     for k in range(start.size):
         start[k] = 0
         part_start[k] = 0
+
     for d in range(n_domains):
         for place in range(window[d], window[d + 1]):
             if is_used[place]:
@@ -298,9 +309,11 @@ def sort_ghosts(domains, ghosts):
                 start[owner[m]] += not is_used[somewhere + m]
                 part_start[owner[m]] += 1
                 is_used[somewhere + m] = True
+
     for k in range(1, start.size):
         start[k] += start[k - 1]
         part_start[k] += part_start[k - 1]
+
     # what starts as the end of each cluster ends as its start
     for m in range(n_ghosts - 1, -1, -1):
         if is_used[somewhere + m]:

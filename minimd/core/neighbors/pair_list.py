@@ -99,6 +99,7 @@ class PairList(VerletList):
         self.version += 1
         if self.cutoff == np.inf:
             return self._list_all_pairs(positions)
+
         reach = self.cutoff + self.skin
         grid = make_grid(cell, positions, reach)
         self.order, self.offsets, bin_start = sort_into_bins(
@@ -106,6 +107,7 @@ class PairList(VerletList):
         )
         local = positions[self.order] + self.offsets
         bins = bins_of(cell, grid, bin_start)
+
         start = np.empty(len(positions) + 1, dtype=np.int64)
         while True:
             pairs = Pairs(start, self._second, self._image, bins.translations)
@@ -113,6 +115,7 @@ class PairList(VerletList):
             if n_pairs <= len(self._second):
                 break
             self._second, self._image = np.empty((2, int(SPARE * n_pairs)), dtype=np.uint32)
+
         self.pairs = pairs._replace(second=self._second[:n_pairs], image=self._image[:n_pairs])
 
     def _list_all_pairs(self, positions: Array) -> None:
@@ -137,6 +140,7 @@ def check_size(system: System, cutoff: float, skin: float) -> None:
         density = local_density(system.positions, cell, reach)
         in_reach = 0.5 * n_atoms * density * 4.0 / 3.0 * np.pi * reach**3
         n_pairs = in_reach if cell.is_periodic else min(n_pairs, in_reach)
+
     n_images = np.prod(2.0 * np.ceil(reach / cell.heights[cell.pbc]) + 1.0)
     name, length = ("cutoff", cutoff) if skin < cutoff else ("skin", skin)
     for objects, number, most in (

@@ -38,6 +38,7 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
     checked_kind("system", system, System, "a minimd System")
     cutoff = checked_number("cutoff", cutoff, "positive and finite")
     check_size(system, cutoff, 0.0)
+
     cell = system.cell
     positions = system.positions
     pair_list = PairList(len(system), cutoff, 0.0, np.zeros((0, 2), dtype=np.int64))
@@ -45,16 +46,19 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
     pairs = pair_list.pairs
     order = pair_list.order
     first = np.repeat(np.arange(len(system)), np.diff(pairs.start))
+
     cells = pair_list.offsets @ cell.inverse
     steps = cells[pairs.second] - cells[first]
     if cell.is_periodic:
         steps += (pairs.translations @ cell.inverse)[pairs.image]
     shifts = np.rint(steps).astype(np.int64) @ cell.reduction
+
     i = np.concatenate([order[first], order[pairs.second]])
     j = np.concatenate([order[pairs.second], order[first]])
     shifts = np.concatenate([shifts, -shifts])
     by_first = np.lexsort((*shifts.T, j, i))
     i, j, shifts = i[by_first], j[by_first], shifts[by_first]
+
     vectors = positions[j] - positions[i] + shifts @ cell.vectors
     columns = {"i": i, "j": j, "d": np.linalg.norm(vectors, axis=1), "D": vectors, "S": shifts}
     answer = tuple(columns[quantity] for quantity in quantities)
@@ -86,9 +90,11 @@ def closest_pair(system: System) -> ClosestPair | None:
     cell = system.cell
     if known.size == 0 or (known.size == 1 and not cell.is_periodic):
         return None
+
     fractional = np.einsum("ij,jk->ik", system.positions[known], cell.inverse)
     fractional = np.where(cell.pbc, fractional - np.floor(fractional), fractional)
     wrapped = fractional @ cell.lattice
+
     best = ClosestPair(0, 0, np.inf)
     if known.size > 1:
         from scipy.spatial import KDTree
@@ -97,6 +103,7 @@ def closest_pair(system: System) -> ClosestPair | None:
         i = int(np.argmin(distances[:, 1]))
         j = int(partners[i, 0] if partners[i, 0] != i else partners[i, 1])
         best = ClosestPair(min(i, j), max(i, j), distances[i, 1])
+
     # an atom and its own image
     own = np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf)
     reach = BEYOND * min(best.distance, own)

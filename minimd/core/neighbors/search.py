@@ -7,7 +7,7 @@ from collections import namedtuple
 
 import numpy as np
 
-from minimd.core.compiled.kernels import kernel, scalar
+from minimd.core.compiled.kernels import inlined, kernel, scalar
 from minimd.core.structure.bond_graph import Indices
 from minimd.core.structure.cell import Cell, minimum_image
 from minimd.core.structure.vectors import Array, separation
@@ -32,10 +32,12 @@ def make_grid(cell: Cell, positions: Array, reach: float) -> BinGrid:
     origin = np.where(cell.pbc, 0.0, fractional.min(axis=0))
     occupied = np.maximum(fractional.max(axis=0) - origin, np.finfo(float).tiny)
     extent = np.where(cell.pbc, 1.0, occupied)
+
     widths = cell.heights * extent
     counts = np.maximum(1.0, np.floor(2.0 * widths / (reach * WIDER)))
     while counts.prod() > max(64.0, len(positions) / ATOMS_PER_BIN) and counts.max() > 1.0:
         counts = np.where(counts == counts.max(), np.ceil(0.5 * counts), counts)
+
     needed = np.ceil(reach * counts / np.maximum(widths, FLATTEST * reach * counts))
     needed = np.where(cell.pbc, needed, np.minimum(needed, counts - 1.0))
     return BinGrid(counts.astype(np.int64), needed.astype(np.int64), origin, extent)
@@ -48,6 +50,17 @@ class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
     place : (B + 1,) int, scratch.
     cells : (N, 3) numbers of lattice vectors that bring each atom into the cell; (0, 3) where nobody asks for them.
     height : (N,) fractional coordinate along the third lattice vector, in the cell."""
+
+
+@inlined
+def transformed(vector, matrix):
+    """vector · matrix, (3,) and (3, 3)."""
+    x, y, z = vector[0], vector[1], vector[2]
+    return (
+        x * matrix[0, 0] + y * matrix[1, 0] + z * matrix[2, 0],
+        x * matrix[0, 1] + y * matrix[1, 1] + z * matrix[2, 1],
+        x * matrix[0, 2] + y * matrix[1, 2] + z * matrix[2, 2],
+    )
 
 
 @scalar
@@ -68,11 +81,13 @@ def counting_sort(positions, inverse, pbc, grid, binned):
     origin = grid.origin
     extent = grid.extent
     per_bin = counts[0] / extent[0], counts[1] / extent[1], counts[2] / extent[2]
+
     bins = binned.bins
     bin_start = binned.bin_start
     place = binned.place
     for b in range(bin_start.size):
         bin_start[b] = 0
+
     for i in range(positions.shape[0]):
         index = 0
         s = 0.0
@@ -85,6 +100,7 @@ def counting_sort(positions, inverse, pbc, grid, binned):
         bins[i] = index
         binned.height[i] = s
         bin_start[index + 1] += 1
+
     for b in range(bin_start.size - 1):
         place[b] = bin_start[b]
         bin_start[b + 1] += bin_start[b]
@@ -102,30 +118,25 @@ def sort_into_bins(positions, lattice, inverse, pbc, grid):
     bins = np.empty(n_atoms, dtype=np.int64)
     bin_start = np.empty(n_bins + 1, dtype=np.int64)
     place = np.empty(n_bins + 1, dtype=np.int64)
+
     cells = np.empty((n_atoms, 3))
     binned = Binned(order, bins, bin_start, place, cells, np.empty(n_atoms))
     counting_sort(positions, inverse, pbc, grid, binned)
     offsets = np.empty((n_atoms, 3))
     for k in range(n_atoms):
-        i = order[k]
-        a, b, c = cells[i, 0], cells[i, 1], cells[i, 2]
-        for d in range(3):
-            offsets[k, d] = a * lattice[0, d] + b * lattice[1, d] + c * lattice[2, d]
+        for d, x in enumerate(transformed(cells[order[k]], lattice)):
+            offsets[k, d] = x
     return order, offsets, bin_start
 
 
-class Bins(
-    namedtuple(
-        "Bins", "bin_start counts forward crossed translations pbc lattice inverse safe_distance2"
-    )
-):
+class Bins(namedtuple("Bins", "bin_start counts forward crossed translations image")):
     """Where the search looks for the neighbors of the atoms of a bin, and through which images.
-    bin_start, counts : see Binned, Grid.
+    bin_start, counts : see Binned, BinGrid.
     forward : (K, 3) int, offsets of one half of the bins within reach, (0, 0, 0) left out: every pair is met once.
     crossed : (3,) int, how many cells a search can cross in each direction.
     translations : (T, 3) of all images [length]; no rows if nothing is periodic.
         Image (a, b, c) has row ((a + n_x)(2 n_y + 1) + b + n_y)(2 n_z + 1) + c + n_z, with n = crossed.
-    pbc, lattice, inverse, safe_distance2 : of the Cell."""
+    image : lattice, inverse, pbc and safe_distance2 of the Cell, see minimum_image."""
 
 
 def bins_of(cell: Cell, grid: BinGrid, bin_start: Indices) -> Bins:
@@ -135,17 +146,8 @@ def bins_of(cell: Cell, grid: BinGrid, bin_start: Indices) -> Bins:
     crossed = np.where(cell.pbc, -(-grid.reach // grid.counts), 0)
     periodic = np.where(cell.pbc[:, None], cell.lattice, 0.0)
     translations = _steps(crossed) @ periodic if cell.is_periodic else np.zeros((0, 3))
-    return Bins(
-        bin_start,
-        grid.counts,
-        forward,
-        crossed,
-        translations,
-        cell.pbc,
-        cell.lattice,
-        cell.inverse,
-        cell.safe_distance2,
-    )
+    image = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
+    return Bins(bin_start, grid.counts, forward, crossed, translations, image)
 
 
 def _steps(most: Indices) -> Indices:
@@ -170,8 +172,8 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
     translations = bins.translations
     shifted = translations.shape[0] > 0
     has_excluded = partners[1].size > 0
-    image = (bins.lattice, bins.inverse, bins.pbc, bins.safe_distance2)
     ranges = np.empty((bins.forward.shape[0] + 1, 3), dtype=np.int64)
+
     for own in range(bin_start.size - 1):
         if bin_start[own] == bin_start[own + 1]:
             continue
@@ -189,7 +191,7 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
                     if not dx * dx + dy * dy + dz * dz < reach2:
                         continue
                     if has_excluded and _is_partner(order[i], order[j], partners):
-                        a, b, c = minimum_image(dx - tx, dy - ty, dz - tz, *image)
+                        a, b, c = minimum_image(dx - tx, dy - ty, dz - tz, *bins.image)
                         if _row_of(int(a), int(b), int(c), crossed) == row:
                             continue
                     if n_pairs < room:
@@ -214,25 +216,23 @@ def atoms_in_reach(own, bins, ranges):
     The first row is the bin itself and what follows it without a gap. Neighboring bins of one image are one range."""
     bin_start = bins.bin_start
     forward = bins.forward
-    pbc = bins.pbc
+    crossed = bins.crossed
     counts = bins.counts
     n_x, n_y, n_z = counts[0], counts[1], counts[2]
     bin_x, bin_y, bin_z = own // (n_y * n_z), own // n_z % n_y, own % n_z
     ranges[0, 0] = bin_start[own]
     ranges[0, 1] = bin_start[own + 1]
-    ranges[0, 2] = _row_of(0, 0, 0, bins.crossed)
+    ranges[0, 2] = _row_of(0, 0, 0, crossed)
+
     n = 0
     for k in range(forward.shape[0]):
         to_x, to_y, to_z = bin_x + forward[k, 0], bin_y + forward[k, 1], bin_z + forward[k, 2]
         cell_x, cell_y, cell_z = to_x // n_x, to_y // n_y, to_z // n_z
-        if (
-            (cell_x != 0 and not pbc[0])
-            or (cell_y != 0 and not pbc[1])
-            or (cell_z != 0 and not pbc[2])
-        ):
+        # none is crossed in a direction that is not periodic
+        if abs(cell_x) > crossed[0] or abs(cell_y) > crossed[1] or abs(cell_z) > crossed[2]:
             continue
         neighbor = ((to_x % n_x) * n_y + to_y % n_y) * n_z + to_z % n_z
-        row = _row_of(cell_x, cell_y, cell_z, bins.crossed)
+        row = _row_of(cell_x, cell_y, cell_z, crossed)
         if bin_start[neighbor] != ranges[n, 1] or row != ranges[n, 2]:
             n += 1
             ranges[n, 0] = bin_start[neighbor]

@@ -35,10 +35,12 @@ def best_skin(
     The costs were measured on the Lennard-Jones liquid with cluster lists; the minimum is flat."""
     if not displacement > 0.0:
         return DEFAULT_SKIN * cutoff
+
     skins = SKINS * cutoff
     crowd = density * (cutoff + skins) ** 3
     reaches = [cutoff + skins * (layer / layers) for layer in range(1, layers + 1)]
     in_use = density * np.mean([reach**3 for reach in reaches], axis=0)
+
     builds = np.minimum(1.0, 2.0 * displacement / skins)  # in each step
     build = BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms
     cost = STEP_COST[0] + STEP_COST[1] * in_use + build * builds

@@ -376,7 +376,7 @@ def _alike(a: Floats, b: Floats) -> NDArray[np.bool_]:
 
 def _corners(
     graph: Graph, base: Ints, offsets: Floats
-) -> tuple[tuple[Ints, ...], list[Floats], list[Ints]]:
+) -> tuple[tuple[Ints, ...], tuple[Floats, ...], tuple[Ints, ...]]:
     """Of each triangle: atoms apex, b, c with b-c the base; offsets of b and c from the apex, (T, 3) each; the two
     other constraints."""
     starts = graph.components.starts[:-1]
@@ -392,4 +392,4 @@ def _corners(
         sign = np.where(graph.first[arm] == apex, 1.0, -1.0)
         arms.append(arm)
         shifts.append(sign[:, None] * offsets[arm])
-    return (apex, b, c), shifts, arms
+    return (apex, b, c), tuple(shifts), tuple(arms)

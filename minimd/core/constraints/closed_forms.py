@@ -83,12 +83,10 @@ class TriatomicMolecules(namedtuple("TriatomicMolecules", "atoms offsets shapes 
     sides : the constraints with a target and a multiplier, (M,) int or three of them, ab, ac, bc."""
 
 
-# The lanes of a vector belong to a block (k, end, lanes): those of at[k], at[k + 1], … or, if at is (), of k, k + 1, …;
-# lanes from the end on repeat the last one before.
-
-
 @by_type
 def _place(at, block, n):
+    """The place of lane n of a block (k, end, lanes): at[k + n] or, if at is (), k + n.
+    Lanes from the end on repeat the last one before."""
     if isinstance(at, types.Array):
         return lambda at, block, n: np.uintp(at[min(block[0] + n, block[1] - 1)])
     return lambda at, block, n: np.uintp(min(block[0] + n, block[1] - 1))
@@ -96,7 +94,10 @@ def _place(at, block, n):
 
 @scalar
 def numbers(values, at, block):
-    """A vector of values (N,): lane n has that of the n-th item of a block."""
+    """A vector: lane n has the value of the n-th item of a block.
+
+    values : (N,).
+    at, block : see _place."""
     x = zeros(block[2])
     for n in range(count(block[2])):
         x = with_lane(x, n, values[_place(at, block, n)])
@@ -105,7 +106,10 @@ def numbers(values, at, block):
 
 @scalar
 def rows(values, at, block):
-    """Vectors x, y, z of values (N, 3): lane n has those of the n-th item of a block."""
+    """Vectors x, y, z: lane n has those of the n-th item of a block.
+
+    values : (N, 3).
+    at, block : see _place."""
     x = y = z = zeros(block[2])
     for n in range(count(block[2])):
         i = _place(at, block, n)
@@ -135,7 +139,14 @@ def put_rows(values, at, block, xyz):
 
 @inlined
 def add_opposite(vectors, inverse_masses, bonds, k, scale, s):
-    """Of bond k from i to j: vectors of j += scale s/m_j, of i −= scale s/m_i."""
+    """Opposite impulses on the two atoms of a bond k, from i to j:
+
+        x_j += scale s/m_j,  x_i −= scale s/m_i
+
+    vectors : (N, 3), changed: positions or velocities.
+    inverse_masses : (N,) [1/mass].
+    bonds : Bonds.
+    s : (3,), along the bond."""
     i, j = bonds.first[k], bonds.second[k]
     on_i = scale * inverse_masses[i]
     on_j = scale * inverse_masses[j]
@@ -146,7 +157,11 @@ def add_opposite(vectors, inverse_masses, bonds, k, scale, s):
 
 @kernel
 def drift_some(positions, velocities, atoms, duration):
-    """positions += duration · velocities, of some atoms. (N, 3), (N, 3), (F,), [time]."""
+    """positions += duration · velocities, of some atoms.
+
+    positions, velocities : (N, 3).
+    atoms : (F,) their numbers.
+    duration : [time]."""
     for i in atoms:
         for x in range(3):
             positions[i, x] += duration * velocities[i, x]
@@ -175,7 +190,12 @@ def n_without_failure(least):
 
 @scalar
 def drift_pairs(block, atoms, bonds, duration):
-    """Drift of bonds: a λ² + 2 b λ + c = 0, a = w² s², b = w p · s, c = p² − d².
+    """Drift of bonds that share no atom.
+
+        a λ² + 2 b λ + c = 0,  a = w² s²,  b = w p · s,  c = p² − d²
+
+    atoms : Atoms, changed.
+    bonds : Bonds.
     duration : [time]."""
     positions, velocities, inverse_masses, _ = atoms
     i, j = bonds.first, bonds.second
@@ -206,8 +226,11 @@ def drift_pairs(block, atoms, bonds, duration):
 def project_pairs(block, atoms, bonds, targets, multipliers):
     """Vectors of bonds, given a component along each bond: r · (x_j − x_i) = target.
 
-    Velocities with targets 0 keep the lengths; accelerations with −v². multipliers : (K,), x_j gains multiplier r/m_j.
-    """
+    Velocities with targets 0 keep the lengths; accelerations with −v².
+    atoms : Atoms; its vectors are changed.
+    bonds : Bonds.
+    targets : (K,) [length · that of vectors].
+    multipliers : (K,), output: x_j gains multiplier r/m_j."""
     positions, vectors, inverse_masses, _ = atoms
     i, j = bonds.first, bonds.second
     x, y = rows(positions, i, block), rows(positions, j, block)
@@ -270,7 +293,11 @@ def inertia(masses, alpha, beta):
 
 @scalar
 def pushed(vectors, masses, alpha, beta, mu, along):
-    """vectors of a, b, c + M⁻¹ times (−α μ − λ s, μ, −β μ + λ s), with along = λ s."""
+    """Vectors of a, b, c + M⁻¹ times (−α μ − λ s, μ, −β μ + λ s).
+
+    masses : inverse, of a, b, c.
+    mu : μ.
+    along : λ s."""
     a, b, c = vectors
     wa, wb, wc = masses
     on_a = combined(alpha, mu, 1.0, along)
@@ -290,7 +317,10 @@ def moved(abc, duration, velocities):
 
 @scalar
 def drift_linear(block, atoms, molecules, duration):
-    """Drift of molecules with b in the middle and shapes (M,): α, β, d² [length²].
+    """Drift of linear molecules, b in the middle.
+
+    atoms : Atoms, changed.
+    molecules : TriatomicMolecules; shapes : α, β, d² [length²].
     duration : [time]."""
     abc, offsets, shapes, _ = molecules
     before = corners(atoms.positions, abc, block)
@@ -326,8 +356,8 @@ def drift_linear(block, atoms, molecules, duration):
 
 @scalar
 def project_linear(block, atoms, molecules, targets, multipliers):
-    """Vectors x of molecules: x_b = α x_a + β x_c, and r · (x_c − x_a) = target.  Arguments as drift_linear,
-    project_pairs."""
+    """Vectors x of molecules: x_b = α x_a + β x_c, and r · (x_c − x_a) = target.
+    Arguments as drift_linear, project_pairs."""
     abc, offsets, shapes, side = molecules
     vectors = corners(atoms.vectors, abc, block)
     a, b, c = vectors
@@ -398,7 +428,11 @@ def impulses(b0, c0, drifted, r_a, r_b, r_c):
 
 @scalar
 def drift_triangles(block, atoms, triangles, duration):
-    """Drift of triangles with shapes (T,): r_a, r_b, r_c [length] and the share of b, and of c, in the mass."""
+    """Drift of triangles by SETTLE.
+
+    atoms : Atoms, changed.
+    triangles : TriatomicMolecules; shapes : r_a, r_b, r_c [length], and the share of b, and of c, in the mass.
+    duration : [time]."""
     abc, offsets, shapes, _ = triangles
     push = 1.0 / duration
     before = corners(atoms.positions, abc, block)
@@ -426,8 +460,11 @@ def drift_triangles(block, atoms, triangles, duration):
 @scalar
 def project_triangles(block, atoms, triangles, targets, multipliers):
     """Vectors of triangles, given a component along each side: r · (x_j − x_i) = target.
-    A λ = targets − r · x, with A_kl = ±(r_k · r_l)/m of the shared atom, by the inverse of A; projected twice,
-    to remove the rounding of the first projection."""
+
+        A λ = targets − r · x,  A_kl = ±(r_k · r_l)/m of the shared atom
+
+    by the inverse of A; projected twice, to remove the rounding of the first projection.
+    Arguments as project_pairs."""
     abc, offsets, _, sides = triangles
     ab, ac = arms(corners(atoms.positions, abc, block), offsets, block)
     bc = minus(ac, ab)

@@ -71,7 +71,10 @@ class Bodies(NamedTuple):
 
 
 def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
-    """The bodies formed by (K, 2) pairs of atoms, with (N,) 1/mass, zero for atoms that are held fixed."""
+    """The bodies formed by pairs of atoms.
+
+    pairs : (K, 2).
+    inverse_masses : (N,) [1/mass], zero for atoms that are held fixed."""
     n = len(inverse_masses)
     label = connected(pairs, n)
     n_bodies = 1 + label.max()
@@ -84,8 +87,11 @@ def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
 
 
 def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
-    """The graph of (K, 2) pairs of atoms, with (N,) 1/mass, zero for fixed atoms.
-    ids : (K,) numbers of the pairs."""
+    """The graph of pairs of atoms.
+
+    pairs : (K, 2).
+    inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
+    ids : (K,) numbers of the pairs, in the order of the user."""
     from scipy.sparse import coo_array  # loaded only if there are constraints
     from scipy.sparse.csgraph import connected_components, dijkstra
 
@@ -377,11 +383,12 @@ def _alike(a: Floats, b: Floats) -> NDArray[np.bool_]:
 def _corners(
     graph: Graph, base: Ints, offsets: Floats
 ) -> tuple[tuple[Ints, ...], tuple[Floats, ...], tuple[Ints, ...]]:
-    """Of each triangle: atoms apex, b, c with b-c the base; offsets of b and c from the apex, (T, 3) each; the two
-    other constraints."""
+    """Of each triangle: atoms apex, b, c; offsets of b and c from the apex; constraints apex-b and apex-c.
+
+    base : (T,) the constraint b-c of each.
+    offsets : (K, 3) [length]."""
     starts = graph.components.starts[:-1]
     sides = starts[:, None] + np.arange(3)
-
     sums = graph.first[sides] + graph.second[sides]  # of the numbers of both atoms
     b, c = graph.first[base], graph.second[base]
     apex = sums.sum(axis=1) // 2 - b - c

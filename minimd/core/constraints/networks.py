@@ -46,8 +46,15 @@ def find_separations(positions, bonds, start, end, out):
 
 @inlined
 def factorize(components, start, end, r, s, lower, upper):
-    """A = L U within the envelope, L with ones on its diagonal:  A_kl = c_kl r_k · s_l.
-    Row k of L is left of the diagonal in lower, column k of U down to it in upper.
+    """A = L U within the envelope, L with ones on its diagonal.
+
+        A_kl = c_kl r_k · s_l
+
+    components : Components.
+    start, end : constraints start to end − 1 are those of the component.
+    r, s : (K, 3) separations now, and those along which forces act.
+    lower : output, row k of L left of the diagonal.
+    upper : output, column k of U down to the diagonal.
     Returns the row without a pivot, or −1."""
     origins = components.origins
     lowest = components.lowest
@@ -75,7 +82,10 @@ def factorize(components, start, end, r, s, lower, upper):
 
 @inlined
 def solve(components, start, end, lower, upper, x):
-    """x ← A⁻¹ x with the factors of A."""
+    """x ← A⁻¹ x.
+
+    lower, upper : the factors of A, see factorize.
+    x : (K,), changed."""
     for k in range(start, end):
         at = components.origins[k]
         for m in range(components.lowest[k], k):
@@ -89,8 +99,11 @@ def solve(components, start, end, lower, upper, x):
 
 @inlined
 def restore_lengths(atoms, components, bonds, start, end, memory):
-    """λ of a component, constraints start to end − 1, by Newton's method, from positions that have drifted: they are
-    added to memory.total. Returns the iterations."""
+    """λ of a component by Newton's method, from positions that have drifted.
+
+    start, end : constraints start to end − 1 are those of the component.
+    memory : NetworkScratch; λ is added to its total.
+    Returns the iterations, or −1 − the constraint that could not be kept."""
     r, s, x, total, lower, upper = memory
     for iteration in range(MAX_ITERATIONS):
         find_separations(atoms.positions, bonds, start, end, r)
@@ -145,7 +158,14 @@ def drift_with(restore):
 
     @inlined
     def drift_components(first, last, atoms, components, bonds, memory, duration):
-        """Drift of components first to last − 1.  Atoms, Components, Bonds, Memory, [time]."""
+        """Drift of components first to last − 1.
+
+        atoms : Atoms, changed.
+        components : Components.
+        bonds : Bonds.
+        memory : NetworkScratch.
+        duration : [time].
+        Returns the largest number of iterations, or −1 − the constraint that could not be kept."""
         s = memory.s
         total = memory.total
         most = 0
@@ -175,7 +195,10 @@ def drift_with(restore):
 @inlined
 def project_components(first, last, atoms, components, bonds, memory, targets, total):
     """As project_pairs, for components of any shape; projected twice, to remove the rounding of the first projection.
-    total : (K,), the multipliers.  Returns 1, or −1 − the constraint that depends on others."""
+
+    targets : (K,).
+    total : (K,), output, the multipliers.
+    Returns 1, or −1 − the constraint that depends on others."""
     vectors = atoms.vectors
     r, _, x, _, lower, upper = memory
     for c in range(first, last):
@@ -200,7 +223,12 @@ def project_components(first, last, atoms, components, bonds, memory, targets, t
 
 @kernel
 def dependent_constraint(positions, components, bonds, memory):
-    """A constraint whose pivot vanishes relative to its diagonal: others imply or contradict it; else −1."""
+    """A constraint that others imply or contradict: its pivot vanishes relative to its diagonal; −1 if there is none.
+
+    positions : (N, 3) [length].
+    components : Components.
+    bonds : Bonds.
+    memory : NetworkScratch."""
     r, _, _, _, lower, upper = memory
     for c in range(components.starts.size - 1):
         start = components.starts[c]
@@ -243,8 +271,8 @@ def sweep_component(atoms, bonds, start, end):
 
 @inlined
 def sweep_velocities(first, last, atoms, components, bonds, _memory, _targets, _multipliers):
-    """Velocities of components first to last − 1, by sweeps, if all targets are zero.  The tolerance is that of
-    |r · v|/(|r| |v|), v the relative velocity of a bond."""
+    """Velocities of components first to last − 1, by sweeps, if all targets are zero.
+    The tolerance is that of |r · v|/(|r| |v|), v the relative velocity of a bond."""
     most = 0
     for c in range(first, last):
         sweeps = sweep_component(atoms, bonds, components.starts[c], components.starts[c + 1])

@@ -35,8 +35,11 @@ class ClusterArrays(
 
 @scalar
 def place(k, arrays, at):
-    """Positions of the atoms of cluster k, vectors x, y, z [length], to all its ghosts.
-    Indices are unsigned: none counts from the end."""
+    """Positions of the atoms of cluster k to all its ghosts.
+    Indices are unsigned: none counts from the end.
+
+    arrays : ClusterArrays.
+    at : vectors x, y, z [length]."""
     ghosts = arrays.ghosts
     memory = arrays.memory
     shifts = memory.shifts

@@ -96,7 +96,11 @@ def make_work(arrays):
 
 @scalar
 def find_rows(domain, arrays, room, work):
-    """Write the rows of a domain; return how many entries there are, more if there is no room (first, last)."""
+    """Write the rows of a domain; return how many entries there are, more if there is no room.
+
+    arrays : ClusterArrays; its rows are output.
+    room : first and last of the entries that may be written.
+    work : SearchMemory."""
     columns = arrays.columns
     domains = arrays.domains
     column_start = arrays.clusters.column_start
@@ -127,7 +131,9 @@ def find_rows(domain, arrays, room, work):
 
 @scalar
 def _candidates(k, n_ahead, arrays, work):
-    """Ghosts ahead of cluster k whose boxes are within reach; how many. The first of each run moves up with k."""
+    """How many ghosts ahead of cluster k have boxes within reach: they are written to work.candidates.
+
+    n_ahead : number of runs in work.ahead; the first ghost of each moves up with k."""
     ghosts = arrays.ghosts
     ahead = work.ahead
     candidates = work.candidates
@@ -232,7 +238,10 @@ def _own_lanes_near(home, lane, arrays):
 
 @scalar
 def _append(work, first, near, entries, end):
-    """Append those of WORD candidates, from the first on, whose bits in near are set; the end of the entries."""
+    """Append those of WORD candidates whose bits in near are set; the end of the entries.
+
+    first : the first of these candidates.
+    entries, end : where they are written."""
     bits = np.uint64(near)
     while True:
         # without a branch: what is one too many is overwritten by the next
@@ -287,7 +296,10 @@ def _find_near(k, n, domain, arrays, work):
 
 @scalar
 def exclude(domain, slot, other, arrays, image):
-    """Clear the lane of the atom in slot other in the row of a slot, if it is there.
+    """Clear the lane of an atom, at its nearest image, in the row of another, if it is there.
+
+    slot : whose row.
+    other : the slot of the other atom.
     image : see minimum_image."""
     rows = arrays.rows
     coordinates = arrays.memory.coordinates

@@ -94,7 +94,10 @@ class Wrapping(namedtuple("Wrapping", "inverse periodic lattice origin")):
 
 @scalar
 def offsets_of(start, clusters):
-    """Lattice vectors that bring the atoms of the block at start into the cell: vectors x, y, z [length]."""
+    """Lattice vectors that bring the atoms of a block into the cell: vectors x, y, z [length].
+
+    start : where the block begins in positions and origins.
+    clusters : Clusters."""
     inverse, periodic, lattice, origin = clusters.wrapping
     a, b, c = transformed(loaded(clusters.origins, start, clusters.lanes), inverse)
     cells = (
@@ -222,7 +225,12 @@ def make_clusters(
 
 @scalar
 def fill_column(column, positions, columns, binned, clusters):
-    """Sort the atoms of a column by height (they nearly are, being in bins), and cut them into clusters."""
+    """Sort the atoms of a column by height (they nearly are, being in bins), and cut them into clusters.
+
+    positions : (N, 3) [length].
+    columns : Columns.
+    binned : Binned; the order within the column is changed.
+    clusters : Clusters, output."""
     counts = columns.counts
     order = binned.order
     height = binned.height

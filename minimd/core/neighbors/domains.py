@@ -124,6 +124,10 @@ def make_ghosts(
 @scalar
 def cut_into_domains(clusters, columns, domains, goes_along):
     """Fill Domains: which columns and clusters each has, and which ghosts it sees.
+
+    clusters : Clusters.
+    columns : Columns.
+    domains : Domains, output.
     goes_along : whether one thread goes from domain to domain: forces then take the place of those no longer needed."""
     counts = columns.counts
     reach = columns.reach
@@ -199,7 +203,10 @@ def first_run(x, columns):
 
 @scalar
 def _seen(run_x, run_y, image_z, clusters, columns):
-    """Clusters first to last of a column, in the cell or beyond its faces, whose image it can see; the image's code."""
+    """Clusters first to last of a column, in the cell or beyond its faces, whose image it can see; the image's code.
+
+    run_x, run_y : the column, below zero or above its number beyond the faces.
+    image_z : −1, 0 or 1, along the third lattice vector."""
     counts = columns.counts
     is_crossed = columns.is_crossed
     image_x, image_y = run_x // counts[0], run_y // counts[1]
@@ -277,7 +284,10 @@ def fill_ghosts(domain, arrays):
 
 @scalar
 def fill_shifts(columns, shifts):
-    """The lattice vector of each image, see ClusterMemory."""
+    """The lattice vector of each image.
+
+    columns : Columns.
+    shifts : (IMAGES, 3) output [length]."""
     for image in range(IMAGES):
         cells = image // 9 - 1, image // 3 % 3 - 1, image % 3 - 1
         for d, x in enumerate(transformed(cells, columns.lattice)):
@@ -286,7 +296,10 @@ def fill_shifts(columns, shifts):
 
 @scalar
 def sort_ghosts(domains, ghosts):
-    """Fill ghosts.of, start, parts, part_start: what is used, by cluster, by window, in the order of their numbers."""
+    """What is used, by cluster, by window, in the order of their numbers.
+
+    domains : Domains.
+    ghosts : GhostClusters; of, start, parts, part_start and the last part of is_used are output."""
     owner = ghosts.owner
     start = ghosts.start
     part_start = ghosts.part_start

@@ -65,8 +65,11 @@ def transformed(vector, matrix):
 
 @scalar
 def into_cell(positions, i, inverse, pbc, origin, d):
-    """Fractional coordinate of atom i along lattice vector d, wrapped into the cell that begins at origin (3,) where
-    pbc[d]; and how many lattice vectors that has added."""
+    """Fractional coordinate of atom i along lattice vector d, and how many lattice vectors wrapping has added.
+
+    positions : (N, 3) [length].
+    inverse, pbc : of the Cell; where pbc[d], the coordinate is wrapped.
+    origin : (3,) where the cell begins."""
     x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
     s = x * inverse[0, d] + y * inverse[1, d] + z * inverse[2, d]
     cells = -np.floor(s - origin[d]) if pbc[d] else 0.0
@@ -75,8 +78,12 @@ def into_cell(positions, i, inverse, pbc, origin, d):
 
 @scalar
 def counting_sort(positions, inverse, pbc, grid, binned):
-    """Fill Binned: atoms into the bins of a grid (counts, origin, extent), the last direction running fastest. Atoms
-    outside what is covered are in the outermost bins."""
+    """Atoms into the bins of a grid, the last direction running fastest. Atoms outside it are in the outermost bins.
+
+    positions : (N, 3) [length].
+    inverse, pbc : of the Cell.
+    grid : counts, origin and extent, see BinGrid.
+    binned : Binned, output."""
     counts = grid.counts
     origin = grid.origin
     extent = grid.extent
@@ -111,7 +118,12 @@ def counting_sort(positions, inverse, pbc, grid, binned):
 
 @kernel
 def sort_into_bins(positions, lattice, inverse, pbc, grid):
-    """order and bin_start, see Binned, and offsets: (N, 3), offsets[k] [length] brings atom order[k] into the cell."""
+    """order and bin_start, see Binned, and offsets.
+
+    positions : (N, 3) [length].
+    lattice, inverse, pbc : of the Cell.
+    grid : BinGrid.
+    offsets : (N, 3) [length]; offsets[k] brings atom order[k] into the cell."""
     n_atoms = positions.shape[0]
     n_bins = grid.counts[0] * grid.counts[1] * grid.counts[2]
     order = np.empty(n_atoms, dtype=np.int64)

@@ -155,7 +155,10 @@ class VerletList(ABC):
 
 @kernel
 def any_moved(positions, reference, limit2):
-    """True if an atom is farther than √limit2 from its reference position, or if its position is NaN."""
+    """True if an atom is farther than √limit2 from its reference position, or if its position is NaN.
+
+    positions, reference : (N, 3) [length].
+    limit2 : [length²]."""
     for i in range(positions.shape[0]):
         dx = positions[i, 0] - reference[i, 0]
         dy = positions[i, 1] - reference[i, 1]

@@ -98,12 +98,12 @@ class ClusterStore:
         clusters = make_clusters(n_clusters, columns, self._lanes, is_strained, self._buffers)
         ghosts = make_ghosts(n_clusters, n_ghosts, n_in_windows, self._buffers)
 
-        # atoms are sorted where entries are written afterwards
+        # atoms are sorted where entries are written afterwards; sizes in words of four bytes
         n_bins = int(columns.counts.prod()) + 1
-        words = [2 * n_atoms, n_atoms, n_atoms, n_bins, n_bins]
+        sizes = [2 * n_atoms, n_atoms, n_atoms, n_bins, n_bins]
         n_entries = int(self.entry_start[-1]) + AHEAD
-        entries = array("entries", np.uint32, max(n_entries, sum(words)))
-        pieces = np.split(entries.view(np.int32), np.cumsum(words))
+        entries = array("entries", np.uint32, max(n_entries, sum(sizes)))
+        pieces = np.split(entries.view(np.int32), np.cumsum(sizes))
         height, order, bins, bin_start, place, _ = pieces
         no_cells = np.zeros((0, 3))
         self.binned = Binned(order, bins, bin_start, place, no_cells, height.view(np.float64))

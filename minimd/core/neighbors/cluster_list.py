@@ -15,7 +15,7 @@ from minimd.core.neighbors.cluster_build import Building
 from minimd.core.neighbors.cluster_search import BUILDS, IN_USE, LAYERS
 from minimd.core.neighbors.cluster_store import ClusterStore
 from minimd.core.neighbors.clusters import DIMENSIONS, Columns, make_columns, region_of
-from minimd.core.neighbors.verlet_list import VerletList, is_same, partners, raise_not_finite
+from minimd.core.neighbors.verlet_list import VerletList, partners, raise_not_finite
 from minimd.core.structure.cell import Cell, Images
 from minimd.core.structure.vectors import Array, strained
 
@@ -102,7 +102,12 @@ class ClusterList(VerletList):
     def ready(self, positions: Array, cell: Cell) -> None:
         """See VerletList: memory; without a list of this cell, the operations build one."""
         cell_of_columns = None if self._columns_of is None else self._columns_of[0]
-        if not (is_same(cell, self._cell) and is_same(cell, cell_of_columns)):
+        # mostly the same object
+        is_same = [
+            other is cell or (other is not None and cell.same_as(other))
+            for other in (self._cell, cell_of_columns)
+        ]
+        if not all(is_same):
             self._begin(positions, cell)
         elif positions is not self._positions:
             self._positions = positions

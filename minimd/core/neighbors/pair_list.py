@@ -13,7 +13,6 @@ from minimd.core.neighbors.search import bins_of, find_pairs, make_grid, sort_in
 from minimd.core.neighbors.verlet_list import (
     VerletList,
     any_moved,
-    is_same,
     partners,
     raise_not_finite,
     starts,
@@ -71,7 +70,8 @@ class PairList(VerletList):
         """See VerletList: what is_in_reach needs."""
         if positions is not self.reach.positions:
             self.reach = self.reach._replace(positions=positions)
-        self.reach.limit2[0] = self.limit2 if is_same(cell, self._cell) else NEVER
+        is_same = cell is self._cell or (self._cell is not None and cell.same_as(self._cell))
+        self.reach.limit2[0] = self.limit2 if is_same else NEVER
 
     def update(self, positions: Array, cell: Cell) -> bool:
         """See VerletList."""

@@ -153,11 +153,6 @@ class VerletList(ABC):
         """After operations: take note of what they have done to the list."""
 
 
-def is_same(cell: Cell, other: Cell | None) -> bool:
-    """Whether there is another cell and it equals this one; mostly it is the same object."""
-    return other is cell or (other is not None and cell.same_as(other))
-
-
 @kernel
 def any_moved(positions, reference, limit2):
     """True if an atom is farther than √limit2 from its reference position, or if its position is NaN.

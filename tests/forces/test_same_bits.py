@@ -79,15 +79,21 @@ def assert_same_bits(one, other):
 def test_scarce_memory_and_single_steps_change_no_bit(name, monkeypatch):
     """After the first list the memory becomes so scarce that Python must make room in the midst of a step."""
     method, options = ON_THE_ROAD[name]
-    ends, enlarged, make_room = [], [], ClusterList._make_room
-    monkeypatch.setattr(ClusterList, "_make_room", lambda self, *of: enlarged.append(self.n_builds) or make_room(self))
+    ends, enlarged, fit = [], [], ClusterList._fit
+
+    def counted(self, *answers, **how):
+        enlarged.extend(self.n_builds for _ in answers)
+        fit(self, *answers, **how)
+
+    monkeypatch.setattr(ClusterList, "_fit", counted)
     for kind in ("block", "scarce", "single"):
         with atoms_per_domain(50 if "threads" in options else 800):
             simulation = mixture(method, **options)
             simulation.run(1, progress=False)
             if kind == "scarce":
                 found = clusters_of(simulation).list
-                found._entry_start[-1] = found._needed[-1] + found._entry_start[-2]
+                entry_start = found._store.entry_start
+                entry_start[-1] = found._store.needed[-1] + entry_start[-2]
             if kind == "single":
                 simulation.guard.make_steps(1)
                 for _ in range(98):

@@ -11,6 +11,7 @@ import minimd as md
 from minimd.core.compiled.simd.vector import lanes_for
 from minimd.core.compiled.threads import MOST_CHUNKS, thread_pool
 from minimd.core.neighbors.cluster_list import ClusterList
+from minimd.core.neighbors.cluster_store import ClusterStore
 from minimd.core.neighbors.clusters import columns_fit, make_columns, region_of
 from minimd.core.neighbors.domains import BLOCKS
 from minimd.core.potentials.term import PER_ATOM, TOTALS
@@ -57,9 +58,9 @@ def test_a_build_that_failed_leaves_no_list_behind(monkeypatch):
     clusters, pairs = cs.both_lists(system, cs.ONE_SPECIES)
     cs.agree(clusters, pairs, system)
     system.positions[:] += np.random.default_rng(1).uniform(-cs.SKIN, cs.SKIN, system.positions.shape)
-    clusters.list._entry_start[-1] = 0  # no room for entries
+    clusters.list._store.entry_start[-1] = 0  # no room for entries
     with monkeypatch.context() as broken:
-        broken.setattr(ClusterList, "_arrange", lambda *of: (_ for _ in ()).throw(MemoryError))
+        broken.setattr(ClusterStore, "fit", lambda *of: (_ for _ in ()).throw(MemoryError))
         with pytest.raises(MemoryError):
             cs.summed(clusters, system)
     cs.agree(clusters, pairs, system)

@@ -63,26 +63,30 @@ NOTHING = -1
 
 
 class Atoms(namedtuple("Atoms", "positions vectors inverse_masses lanes")):
-    """positions : (N, 3) [length].  vectors : (N, 3) velocities or accelerations.  inverse_masses : (N,) [1/mass].
+    """positions : (N, 3) [length].
+    vectors : (N, 3) velocities or accelerations.
+    inverse_masses : (N,) [1/mass].
     lanes : Lanes."""
 
 
 class Bonds(namedtuple("Bonds", "first second offsets lengths2 tolerance")):
-    """first, second : (K,) atoms.  offsets : (K, 3) [length], added to r_j − r_i.  lengths2 : (K,) d² [length²].
+    """first, second : (K,) atoms.
+    offsets : (K, 3) [length], added to r_j − r_i.
+    lengths2 : (K,) d² [length²].
     tolerance : of |r² − d²|/d²."""
 
 
 class TriatomicMolecules(namedtuple("TriatomicMolecules", "atoms offsets shapes sides")):
-    """atoms : three of (M,), a, b, c.  offsets : two of (M, 3), of b and c from a [length].  shapes : some of (M,), see
-    each solver.  sides : the constraints with a target and a multiplier, (M,) int or three of them, ab, ac, bc."""
-
-
-# The lanes of a vector belong to a block (k, end, lanes): those of at[k], at[k + 1], … or, if at is (), of k, k + 1, …;
-# lanes from the end on repeat the last one before.
+    """atoms : three of (M,), a, b, c.
+    offsets : two of (M, 3), of b and c from a [length].
+    shapes : some of (M,), see each solver.
+    sides : the constraints with a target and a multiplier, (M,) int or three of them, ab, ac, bc."""
 
 
 @by_type
 def _place(at, block, n):
+    """The place of lane n of a block (k, end, lanes): at[k + n] or, if at is (), k + n.
+    Lanes from the end on repeat the last one before."""
     if isinstance(at, types.Array):
         return lambda at, block, n: np.uintp(at[min(block[0] + n, block[1] - 1)])
     return lambda at, block, n: np.uintp(min(block[0] + n, block[1] - 1))
@@ -90,7 +94,10 @@ def _place(at, block, n):
 
 @scalar
 def numbers(values, at, block):
-    """A vector of values (N,): lane n has that of the n-th item of a block."""
+    """A vector: lane n has the value of the n-th item of a block.
+
+    values : (N,).
+    at, block : see _place."""
     x = zeros(block[2])
     for n in range(count(block[2])):
         x = with_lane(x, n, values[_place(at, block, n)])
@@ -99,7 +106,10 @@ def numbers(values, at, block):
 
 @scalar
 def rows(values, at, block):
-    """Vectors x, y, z of values (N, 3): lane n has those of the n-th item of a block."""
+    """Vectors x, y, z: lane n has those of the n-th item of a block.
+
+    values : (N, 3).
+    at, block : see _place."""
     x = y = z = zeros(block[2])
     for n in range(count(block[2])):
         i = _place(at, block, n)
@@ -122,31 +132,36 @@ def put_rows(values, at, block, xyz):
     x, y, z = xyz
     for n in range(count(block[2])):
         i = _place(at, block, n)
-        values[i, 0], values[i, 1], values[i, 2] = lane(x, n), lane(y, n), lane(z, n)
+        values[i, 0] = lane(x, n)
+        values[i, 1] = lane(y, n)
+        values[i, 2] = lane(z, n)
 
 
 @inlined
-def between(vectors, i, j):
-    """x_j − x_i."""
-    return (
-        vectors[j, 0] - vectors[i, 0],
-        vectors[j, 1] - vectors[i, 1],
-        vectors[j, 2] - vectors[i, 2],
-    )
+def add_opposite(vectors, inverse_masses, bonds, k, scale, s):
+    """Opposite impulses on the two atoms of a bond k, from i to j:
 
+        x_j += scale s/m_j,  x_i −= scale s/m_i
 
-@inlined
-def add_opposite(vectors, inverse_masses, i, j, scale, s):
-    """vectors of j += scale s/m_j, of i −= scale s/m_i."""
-    wi, wj = scale * inverse_masses[i], scale * inverse_masses[j]
+    vectors : (N, 3), changed: positions or velocities.
+    inverse_masses : (N,) [1/mass].
+    bonds : Bonds.
+    s : (3,), along the bond."""
+    i, j = bonds.first[k], bonds.second[k]
+    on_i = scale * inverse_masses[i]
+    on_j = scale * inverse_masses[j]
     for x in range(3):
-        vectors[i, x] -= wi * s[x]
-        vectors[j, x] += wj * s[x]
+        vectors[i, x] -= on_i * s[x]
+        vectors[j, x] += on_j * s[x]
 
 
 @kernel
 def drift_some(positions, velocities, atoms, duration):
-    """positions += duration · velocities, of some atoms. (N, 3), (N, 3), (F,), [time]."""
+    """positions += duration · velocities, of some atoms.
+
+    positions, velocities : (N, 3).
+    atoms : (F,) their numbers.
+    duration : [time]."""
     for i in atoms:
         for x in range(3):
             positions[i, x] += duration * velocities[i, x]
@@ -175,17 +190,25 @@ def n_without_failure(least):
 
 @scalar
 def drift_pairs(block, atoms, bonds, duration):
-    """Drift of bonds: a λ² + 2 b λ + c = 0, a = w² s², b = w p · s, c = p² − d².  duration : [time]."""
+    """Drift of bonds that share no atom.
+
+        a λ² + 2 b λ + c = 0,  a = w² s²,  b = w p · s,  c = p² − d²
+
+    atoms : Atoms, changed.
+    bonds : Bonds.
+    duration : [time]."""
     positions, velocities, inverse_masses, _ = atoms
     i, j = bonds.first, bonds.second
     x, y = rows(positions, i, block), rows(positions, j, block)
-    u = rows(velocities, i, block)
-    v = rows(velocities, j, block)
+    u, v = rows(velocities, i, block), rows(velocities, j, block)
     wi, wj = numbers(inverse_masses, i, block), numbers(inverse_masses, j, block)
     s = plus(minus(y, x), rows(bonds.offsets, (), block))
     p = combined(1.0, s, duration, minus(v, u))
     w = wi + wj
-    a, b, c = w * w * dot(s, s), w * dot(p, s), dot(p, p) - numbers(bonds.lengths2, (), block)
+
+    a = w * w * dot(s, s)
+    b = w * dot(p, s)
+    c = dot(p, p) - numbers(bonds.lengths2, (), block)
     discriminant = b * b - a * c
     n_kept = n_without_failure(select(b > 0.0, discriminant, -1.0))
     if n_kept >= count(block[2]):
@@ -203,16 +226,17 @@ def drift_pairs(block, atoms, bonds, duration):
 def project_pairs(block, atoms, bonds, targets, multipliers):
     """Vectors of bonds, given a component along each bond: r · (x_j − x_i) = target.
 
-    Velocities with targets 0 keep the lengths; accelerations with −v². multipliers : (K,), x_j gains multiplier r/m_j.
-    """
+    Velocities with targets 0 keep the lengths; accelerations with −v².
+    atoms : Atoms; its vectors are changed.
+    bonds : Bonds.
+    targets : (K,) [length · that of vectors].
+    multipliers : (K,), output: x_j gains multiplier r/m_j."""
     positions, vectors, inverse_masses, _ = atoms
     i, j = bonds.first, bonds.second
-    r = plus(
-        minus(rows(positions, j, block), rows(positions, i, block)), rows(bonds.offsets, (), block)
-    )
-    u = rows(vectors, i, block)
-    v = rows(vectors, j, block)
+    x, y = rows(positions, i, block), rows(positions, j, block)
+    u, v = rows(vectors, i, block), rows(vectors, j, block)
     wi, wj = numbers(inverse_masses, i, block), numbers(inverse_masses, j, block)
+    r = plus(minus(y, x), rows(bonds.offsets, (), block))
     scale = (numbers(targets, (), block) - dot(r, minus(v, u))) / ((wi + wj) * dot(r, r))
     put_numbers(multipliers, (), block, scale)
     put_rows(vectors, i, block, combined(1.0, u, -scale * wi, r))
@@ -249,27 +273,18 @@ def three(values, at, block):
 
 
 @scalar
-def first_three(shapes, block):
-    """The first three shapes of each molecule of a block."""
-    return (
-        numbers(shapes[0], (), block),
-        numbers(shapes[1], (), block),
-        numbers(shapes[2], (), block),
-    )
-
-
-@scalar
-def arms(here, offsets, block):
+def arms(abc, offsets, block):
     """r_b − r_a and r_c − r_a of molecules, from the positions of their atoms."""
-    a, b, c = here
-    return plus(minus(b, a), rows(offsets[0], (), block)), plus(
-        minus(c, a), rows(offsets[1], (), block)
-    )
+    a, b, c = abc
+    to_b = plus(minus(b, a), rows(offsets[0], (), block))
+    to_c = plus(minus(c, a), rows(offsets[1], (), block))
+    return to_b, to_c
 
 
 @scalar
 def inertia(masses, alpha, beta):
-    """κ, Q and W of linear molecules.  masses : inverse, of a, b, c."""
+    """κ, Q and W of linear molecules.
+    masses : inverse, of a, b, c."""
     wa, wb, wc = masses
     kappa = alpha * wa - beta * wc
     q = wb + alpha * alpha * wa + beta * beta * wc
@@ -278,40 +293,50 @@ def inertia(masses, alpha, beta):
 
 @scalar
 def pushed(vectors, masses, alpha, beta, mu, along):
-    """vectors of a, b, c + M⁻¹ times (−α μ − λ s, μ, −β μ + λ s), with along = λ s."""
+    """Vectors of a, b, c + M⁻¹ times (−α μ − λ s, μ, −β μ + λ s).
+
+    masses : inverse, of a, b, c.
+    mu : μ.
+    along : λ s."""
     a, b, c = vectors
     wa, wb, wc = masses
-    on_a, on_c = combined(alpha, mu, 1.0, along), combined(beta, mu, -1.0, along)
+    on_a = combined(alpha, mu, 1.0, along)
+    on_c = combined(beta, mu, -1.0, along)
     return combined(1.0, a, -wa, on_a), combined(1.0, b, wb, mu), combined(1.0, c, -wc, on_c)
 
 
 @scalar
-def moved(here, duration, velocities):
+def moved(abc, duration, velocities):
     """Positions of a, b, c after a drift."""
-    a, b, c = here
-    u, v, w = velocities
     return (
-        combined(1.0, a, duration, u),
-        combined(1.0, b, duration, v),
-        combined(1.0, c, duration, w),
+        combined(1.0, abc[0], duration, velocities[0]),
+        combined(1.0, abc[1], duration, velocities[1]),
+        combined(1.0, abc[2], duration, velocities[2]),
     )
 
 
 @scalar
 def drift_linear(block, atoms, molecules, duration):
-    """Drift of molecules with b in the middle and shapes (M,): α, β, d² [length²].  duration : [time]."""
-    positions, velocities, inverse_masses, _ = atoms
+    """Drift of linear molecules, b in the middle.
+
+    atoms : Atoms, changed.
+    molecules : TriatomicMolecules; shapes : α, β, d² [length²].
+    duration : [time]."""
     abc, offsets, shapes, _ = molecules
-    here = corners(positions, abc, block)
-    moving = corners(velocities, abc, block)
-    masses = three(inverse_masses, abc, block)
-    alpha, beta, length2 = first_three(shapes, block)
+    before = corners(atoms.positions, abc, block)
+    velocities = corners(atoms.vectors, abc, block)
+    masses = three(atoms.inverse_masses, abc, block)
+    alpha = numbers(shapes[0], (), block)
+    beta = numbers(shapes[1], (), block)
+    length2 = numbers(shapes[2], (), block)
     kappa, q, w = inertia(masses, alpha, beta)
-    there = moved(here, duration, moving)
-    _, s = arms(here, offsets, block)
-    to_b, p = arms(there, offsets, block)
+
+    after = moved(before, duration, velocities)
+    _, s = arms(before, offsets, block)
+    to_b, p = arms(after, offsets, block)
     e = combined(1.0, to_b, -beta, p)
     p = combined(1.0, p, -kappa / q, e)
+
     along = w * dot(p, s)
     square = w * w * dot(s, s)
     gap = dot(p, p) - length2
@@ -320,60 +345,65 @@ def drift_linear(block, atoms, molecules, duration):
     if n_kept >= count(block[2]):
         scale = -gap / (along + sqrt(discriminant))
         mu = combined(-1.0 / q, e, -scale * kappa / q, s)
-        there = pushed(there, masses, alpha, beta, mu, times(scale, s))
+        after = pushed(after, masses, alpha, beta, mu, times(scale, s))
+        put_corners(atoms.positions, abc, block, after)
         mu = times(1.0 / duration, mu)
         push = times(scale / duration, s)
-        put_corners(positions, abc, block, there)
-        put_corners(velocities, abc, block, pushed(moving, masses, alpha, beta, mu, push))
+        velocities = pushed(velocities, masses, alpha, beta, mu, push)
+        put_corners(atoms.vectors, abc, block, velocities)
     return n_kept
 
 
 @scalar
 def project_linear(block, atoms, molecules, targets, multipliers):
-    """Vectors x of molecules: x_b = α x_a + β x_c, and r · (x_c − x_a) = target.  Arguments as drift_linear,
-    project_pairs."""
-    positions, vectors, inverse_masses, _ = atoms
+    """Vectors x of molecules: x_b = α x_a + β x_c, and r · (x_c − x_a) = target.
+    Arguments as drift_linear, project_pairs."""
     abc, offsets, shapes, side = molecules
-    a, b, c = corners(vectors, abc, block)
-    masses = three(inverse_masses, abc, block)
+    vectors = corners(atoms.vectors, abc, block)
+    a, b, c = vectors
+    masses = three(atoms.inverse_masses, abc, block)
     alpha = numbers(shapes[0], (), block)
     beta = numbers(shapes[1], (), block)
     kappa, q, w = inertia(masses, alpha, beta)
-    _, r = arms(corners(positions, abc, block), offsets, block)
+    _, r = arms(corners(atoms.positions, abc, block), offsets, block)
     e = minus(b, combined(alpha, a, beta, c))
     along = dot(r, combined(1.0, minus(c, a), -kappa / q, e))
     scale = (numbers(targets, side, block) - along) / (w * dot(r, r))
     put_numbers(multipliers, side, block, scale)
     mu = combined(-1.0 / q, e, -scale * kappa / q, r)
-    put_corners(vectors, abc, block, pushed((a, b, c), masses, alpha, beta, mu, times(scale, r)))
+    vectors = pushed(vectors, masses, alpha, beta, mu, times(scale, r))
+    put_corners(atoms.vectors, abc, block, vectors)
     return count(block[2])
 
 
 @scalar
 def impulses(b0, c0, drifted, r_a, r_b, r_c):
     """λ_ab, λ_ac, λ_bc of triangles [dimensionless], and a number that is negative, or none, where they do not exist.
-    b0, c0 : separations a to b and a to c before the drift.  drifted : a₁, b₁, c₁.  r_a, r_b, r_c : see above.
+    b0, c0 : separations a to b and a to c before the drift.
+    drifted : a₁, b₁, c₁.
+    r_a, r_b, r_c : see above.
         All [length]."""
     a1, b1, c1 = drifted
     z = unit(cross(b0, c0))
     x = unit(cross(a1, z))
     y = cross(z, x)
+
     sin_phi = dot(a1, z) / r_a
     cos_phi2 = 1.0 - sin_phi * sin_phi
     cos_phi = sqrt(cos_phi2)
     sin_psi = (dot(b1, z) - dot(c1, z)) / (2.0 * r_c * cos_phi)
     cos_psi2 = 1.0 - sin_psi * sin_psi
     cos_psi = sqrt(cos_psi2)
+
     xb = -r_c * cos_psi
-    yb, yc = -r_b * cos_phi - r_c * sin_psi * sin_phi, -r_b * cos_phi + r_c * sin_psi * sin_phi
-    xb0 = dot(b0, x)
-    yb0 = dot(b0, y)
-    xc0 = dot(c0, x)
-    yc0 = dot(c0, y)
-    xb1 = dot(b1, x)
-    yb1 = dot(b1, y)
-    xc1 = dot(c1, x)
-    yc1 = dot(c1, y)
+    yb = -r_b * cos_phi - r_c * sin_psi * sin_phi
+    yc = -r_b * cos_phi + r_c * sin_psi * sin_phi
+
+    xb0, yb0 = dot(b0, x), dot(b0, y)
+    xc0, yc0 = dot(c0, x), dot(c0, y)
+    xb1, yb1 = dot(b1, x), dot(b1, y)
+    xc1, yc1 = dot(c1, x), dot(c1, y)
+
     alpha = xb * (xb0 - xc0) + yb0 * yb + yc0 * yc
     beta = xb * (yc0 - yb0) + xb0 * yb + xc0 * yc
     gamma = xb0 * yb1 - xb1 * yb0 + xc0 * yc1 - xc1 * yc0
@@ -381,29 +411,39 @@ def impulses(b0, c0, drifted, r_a, r_b, r_c):
     rest = square - gamma * gamma
     sine = (alpha * gamma - beta * sqrt(rest)) / square
     cosine = sqrt(max(1.0 - sine * sine, 0.0))
-    dxb, dyb = xb * cosine - yb * sine - xb1, xb * sine + yb * cosine - yb1
-    dxc, dyc = -xb * cosine - yc * sine - xc1, -xb * sine + yc * cosine - yc1
-    xe = xc0 - xb0
-    ye = yc0 - yb0
+
+    dxb = xb * cosine - yb * sine - xb1
+    dyb = xb * sine + yb * cosine - yb1
+    dxc = -xb * cosine - yc * sine - xc1
+    dyc = -xb * sine + yc * cosine - yc1
+
+    xe, ye = xc0 - xb0, yc0 - yb0
     area = xb0 * yc0 - yb0 * xc0
-    ab, ac = (dxb * ye - dyb * xe) / area, (dxc * ye - dyc * xe) / area
+    ab = (dxb * ye - dyb * xe) / area
+    ac = (dxc * ye - dyc * xe) / area
+    bc = 0.5 * (dxb * yb0 - dyb * xb0 - dxc * yc0 + dyc * xc0) / area
     exist = select(cos_phi2 > 0.0, select(cos_psi2 > 0.0, rest, -1.0), -1.0)
-    return ab, ac, 0.5 * (dxb * yb0 - dyb * xb0 - dxc * yc0 + dyc * xc0) / area, exist
+    return ab, ac, bc, exist
 
 
 @scalar
 def drift_triangles(block, atoms, triangles, duration):
-    """Drift of triangles with shapes (T,): r_a, r_b, r_c [length] and the share of b, and of c, in the mass."""
-    positions, velocities, _, _ = atoms
+    """Drift of triangles by SETTLE.
+
+    atoms : Atoms, changed.
+    triangles : TriatomicMolecules; shapes : r_a, r_b, r_c [length], and the share of b, and of c, in the mass.
+    duration : [time]."""
     abc, offsets, shapes, _ = triangles
     push = 1.0 / duration
-    here = corners(positions, abc, block)
-    u, v, w = corners(velocities, abc, block)
-    b0, c0 = arms(here, offsets, block)
+    before = corners(atoms.positions, abc, block)
+    u, v, w = corners(atoms.vectors, abc, block)
+    r_a = numbers(shapes[0], (), block)
+    r_b = numbers(shapes[1], (), block)
+    r_c = numbers(shapes[2], (), block)
+    share = numbers(shapes[3], (), block)
+    b0, c0 = arms(before, offsets, block)
     p = combined(1.0, b0, duration, minus(v, u))
     q = combined(1.0, c0, duration, minus(w, u))
-    r_a, r_b, r_c = first_three(shapes, block)
-    share = numbers(shapes[3], (), block)
     a1 = combined(-share, p, -share, q)
     ab, ac, bc, exist = impulses(b0, c0, (a1, plus(a1, p), plus(a1, q)), r_a, r_b, r_c)
     n_kept = n_without_failure(exist)
@@ -412,45 +452,63 @@ def drift_triangles(block, atoms, triangles, duration):
         u = combined(1.0, u, -share / (1.0 - 2.0 * share) * push, combined(ab, b0, ac, c0))
         v = combined(1.0, v, push, combined(ab, b0, -1.0, on_bc))
         w = combined(1.0, w, push, combined(ac, c0, 1.0, on_bc))
-        put_corners(velocities, abc, block, (u, v, w))
-        put_corners(positions, abc, block, moved(here, duration, (u, v, w)))
+        put_corners(atoms.vectors, abc, block, (u, v, w))
+        put_corners(atoms.positions, abc, block, moved(before, duration, (u, v, w)))
     return n_kept
 
 
 @scalar
 def project_triangles(block, atoms, triangles, targets, multipliers):
     """Vectors of triangles, given a component along each side: r · (x_j − x_i) = target.
-    A λ = targets − r · x, with A_kl = ±(r_k · r_l)/m of the shared atom, by the inverse of A; projected twice,
-    to remove the rounding of the first projection."""
-    positions, vectors, inverse_masses, _ = atoms
+
+        A λ = targets − r · x,  A_kl = ±(r_k · r_l)/m of the shared atom
+
+    by the inverse of A; projected twice, to remove the rounding of the first projection.
+    Arguments as project_pairs."""
     abc, offsets, _, sides = triangles
-    ab, ac = arms(corners(positions, abc, block), offsets, block)
+    ab, ac = arms(corners(atoms.positions, abc, block), offsets, block)
     bc = minus(ac, ab)
-    u, v, w = three(inverse_masses, abc, block)
+    u, v, w = three(atoms.inverse_masses, abc, block)
+
     g = dot(ab, ab)
     h = dot(ac, ac)
     k = dot(ab, ac)
-    xx, yy, zz = (u + v) * g, (u + w) * h, (v + w) * (g + h - k - k)
-    xy, xz, yz = u * k, v * (g - k), w * (h - k)
-    minor_x, minor_y, minor_z = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    scale = 1.0 / (xx * minor_x + xy * minor_y + xz * minor_z)
+
+    # A and its adjugate
+    xx = (u + v) * g
+    yy = (u + w) * h
+    zz = (v + w) * (g + h - k - k)
+    xy = u * k
+    xz = v * (g - k)
+    yz = w * (h - k)
+
+    minor_xx = yy * zz - yz * yz
+    minor_yy = xx * zz - xz * xz
+    minor_zz = xx * yy - xy * xy
+    minor_xy = xz * yz - xy * zz
+    minor_xz = xy * yz - xz * yy
+    minor_yz = xy * xz - xx * yz
+
+    scale = 1.0 / (xx * minor_xx + xy * minor_xy + xz * minor_xz)
+
     of_ab, of_ac, of_bc = three(targets, sides, block)
-    a, b, c = corners(vectors, abc, block)
+    a, b, c = corners(atoms.vectors, abc, block)
     sum_ab = sum_ac = sum_bc = 0.0 * scale
     for _ in range(2):
         x = of_ab - dot(ab, minus(b, a))
         y = of_ac - dot(ac, minus(c, a))
         z = of_bc - dot(bc, minus(c, b))
-        on_ab = scale * (minor_x * x + minor_y * y + minor_z * z)
-        on_ac = scale * (minor_y * x + (xx * zz - xz * xz) * y + (xy * xz - xx * yz) * z)
-        on_bc = scale * (minor_z * x + (xy * xz - xx * yz) * y + (xx * yy - xy * xy) * z)
+        on_ab = scale * (minor_xx * x + minor_xy * y + minor_xz * z)
+        on_ac = scale * (minor_xy * x + minor_yy * y + minor_yz * z)
+        on_bc = scale * (minor_xz * x + minor_yz * y + minor_zz * z)
         a = combined(1.0, a, -u, combined(on_ab, ab, on_ac, ac))
         b = combined(1.0, b, v, combined(on_ab, ab, -on_bc, bc))
         c = combined(1.0, c, w, combined(on_ac, ac, on_bc, bc))
         sum_ab = sum_ab + on_ab
         sum_ac = sum_ac + on_ac
         sum_bc = sum_bc + on_bc
-    put_corners(vectors, abc, block, (a, b, c))
+    put_corners(atoms.vectors, abc, block, (a, b, c))
+
     put_numbers(multipliers, sides[0], block, sum_ab)
     put_numbers(multipliers, sides[1], block, sum_ac)
     put_numbers(multipliers, sides[2], block, sum_bc)

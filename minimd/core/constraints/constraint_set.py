@@ -28,7 +28,7 @@ WHOLE = 1e-6
 # degrees of freedom of an atom: fewer are rounding, of an atom that constraints hold in its place
 NO_SHARE = 1e-9
 # relative violation above which one is warned of a projection: files of single precision have more
-TOLD = 1e-8
+WORTH_A_WARNING = 1e-8
 
 
 class ConstraintSet:
@@ -36,7 +36,8 @@ class ConstraintSet:
 
     Attributes
     ----------
-    inverse_masses : (N,) [1/mass], zero for fixed atoms.  bonds : ConstraintSolver, or None.
+    inverse_masses : (N,) [1/mass], zero for fixed atoms.
+    bonds : ConstraintSolver, or None.
     n_constraints, n_fixed : int.
     kept : the same constraints, with the lengths that are kept; at most one of each kind.
     """
@@ -44,59 +45,53 @@ class ConstraintSet:
     def __init__(
         self, system: System, constraints: Constraint | Sequence[Constraint], threads: int = 1
     ) -> None:
-        given = list(constraints) if isinstance(constraints, list | tuple) else [constraints]
+        all_kinds = list(constraints) if isinstance(constraints, list | tuple) else [constraints]
         self.inverse_masses = 1.0 / system.masses
-        for constraint in given:
+
+        distances = []
+        for constraint in all_kinds:
             if isinstance(constraint, FixedAtoms):
                 constraint.check_size(len(system))
                 self.inverse_masses[constraint.atoms] = 0.0
             else:
-                checked_kind(
-                    "constraints",
-                    constraint,
-                    DistanceConstraints,
-                    "DistanceConstraints or FixedAtoms",
+                kinds = "DistanceConstraints or FixedAtoms"
+                distances.append(
+                    checked_kind("constraints", constraint, DistanceConstraints, kinds)
                 )
-        distances = [
-            constraint for constraint in given if isinstance(constraint, DistanceConstraints)
-        ]
         if len(distances) > 1:
             raise ValueError(
                 f"constraints must hold all pairs in one DistanceConstraints; {len(distances)} are given"
             )
-        # the cell for which the images of bonds were found
+
         self._threads = threads
+        # the cell for which the images of bonds were found
         self._cell = system.cell
-        self.n_fixed = int((self.inverse_masses == 0.0).sum())
-        self.kept: tuple[Any, ...] = (
-            (FixedAtoms(self.inverse_masses == 0.0),) if self.n_fixed else ()
-        )
+        is_fixed = self.inverse_masses == 0.0
+        self.n_fixed = int(is_fixed.sum())
+        self.kept: tuple[Any, ...] = (FixedAtoms(is_fixed),) if self.n_fixed else ()
         self.bonds = None
         self.n_constraints = 0
-        for one in distances:
-            check_atoms(one.pairs, len(system))
-            place = (system.positions, system.cell, one.pairs)
-            lengths = one.lengths
-            images = (
-                nearest_images(*place) if lengths is None else images_of_length(*place, lengths)
-            )
-            self.bonds = ConstraintSolver(
-                one, system.positions, self.inverse_masses, images, threads
-            )
-            check_resolution(system, float(self.bonds.lengths.min()), "the shortest rigid length")
-            self.n_constraints = self.bonds.n_constraints
-            self.kept += (
-                DistanceConstraints(
-                    self.bonds.pairs, self.bonds.lengths, one.tolerance, one.solver
-                ),
-            )
+
+        for rigid in distances:
+            pairs = rigid.pairs
+            lengths = rigid.lengths
+            check_atoms(pairs, len(system))
+            if lengths is None:
+                images = nearest_images(system.positions, system.cell, pairs)
+            else:
+                images = images_of_length(system.positions, system.cell, pairs, lengths)
+            bonds = ConstraintSolver(rigid, system.positions, self.inverse_masses, images, threads)
+            check_resolution(system, float(bonds.lengths.min()), "the shortest rigid length")
+            self.bonds = bonds
+            self.n_constraints = bonds.n_constraints
+            kept = DistanceConstraints(bonds.pairs, bonds.lengths, rigid.tolerance, rigid.solver)
+            self.kept += (kept,)
 
     def degrees_of_freedom(self, conserves_momentum: bool) -> int:
         """Degrees of freedom of the atoms that move, see observables. Raises ValueError if none is left."""
         n_atoms = len(self.inverse_masses) - self.n_fixed
-        return degrees_of_freedom(
-            n_atoms, self.n_constraints, conserves_momentum and not self.n_fixed
-        )
+        is_free = conserves_momentum and not self.n_fixed
+        return degrees_of_freedom(n_atoms, self.n_constraints, is_free)
 
     def shares(self, positions: Array, conserves_momentum: bool) -> Array:
         """Degrees of freedom of each atom, (N,); their sum is degrees_of_freedom.
@@ -104,16 +99,18 @@ class ConstraintSet:
             g_i = tr P_ii − 3 m_i/M,   P = 1 − M⁻¹ Gᵀ (G M⁻¹ Gᵀ)⁻¹ G
 
         P is the projection onto the constraints, G their gradients; the last term counts if leaves_out_center. Then
-        ⟨m_i v_i²⟩ = g_i k_B T. Atoms of different bodies are projected together.  positions : (N, 3).
+        ⟨m_i v_i²⟩ = g_i k_B T. Atoms of different bodies are projected together.
+        positions : (N, 3).
         """
         n_atoms = len(self.inverse_masses)
         left = np.arange(n_atoms)
         shares = np.zeros(n_atoms)
-        body = (
-            left if self.bonds is None else bodies_of(self.bonds.pairs, self.inverse_masses).label
-        )
+        body = left
+        if self.bonds is not None:
+            body = bodies_of(self.bonds.pairs, self.inverse_masses).label
+
         while left.size:
-            first = np.unique(body[left], return_index=True)[1]
+            _, first = np.unique(body[left], return_index=True)
             atoms = left[first]
             for axis in range(3):
                 velocities = np.zeros((n_atoms, 3))
@@ -121,6 +118,7 @@ class ConstraintSet:
                 self.project(velocities, positions)
                 shares[atoms] += velocities[atoms, axis]
             left = np.delete(left, first)
+
         shares[shares < NO_SHARE] = 0.0
         if leaves_out_center(n_atoms, conserves_momentum and not self.n_fixed):
             masses = 1.0 / self.inverse_masses
@@ -132,9 +130,10 @@ class ConstraintSet:
         moving = np.where(self.inverse_masses[:, None] > 0.0, velocities, 0.0)
         drift = center(moving, system.masses, conserves_momentum and not self.n_fixed)
         thermal = thermal_energy(kinetic_energy(moving, system.masses), drift, system.masses)
-        return thermal and temperature(
-            thermal, self.degrees_of_freedom(conserves_momentum), system.units.k_B
-        )
+        if not thermal:
+            return thermal
+        n_dof = self.degrees_of_freedom(conserves_momentum)
+        return temperature(thermal, n_dof, system.units.k_B)
 
     def fit(self, system: System) -> None:
         """Choose images of bonds with the right lengths, after atoms moved by lattice vectors or the cell changed."""
@@ -146,10 +145,11 @@ class ConstraintSet:
             self._cell = system.cell
         if not off.any():
             return
+
         offsets = self.bonds.offsets.copy()
-        offsets[off] = images_of_length(
-            system.positions, system.cell, self.bonds.pairs[off], self.bonds.lengths[off]
-        )
+        pairs = self.bonds.pairs[off]
+        lengths = self.bonds.lengths[off]
+        offsets[off] = images_of_length(system.positions, system.cell, pairs, lengths)
         if not np.array_equal(offsets, self.bonds.offsets):
             iterations = self.bonds.iterations
             self.bonds = ConstraintSolver(
@@ -172,8 +172,14 @@ class ConstraintSet:
             raise ValueError(
                 f"images of rigid bonds must be lattice vectors, and lengths be kept to {WHOLE:g}"
             )
-        place = system.positions, self.inverse_masses, offsets
-        self.bonds = ConstraintSolver(self.kept[-1], *place, self._threads, tolerance)
+        self.bonds = ConstraintSolver(
+            self.kept[-1],
+            system.positions,
+            self.inverse_masses,
+            offsets,
+            self._threads,
+            tolerance,
+        )
         self._cell = system.cell
 
     def with_equal_masses(self, system: System) -> "ConstraintSet":
@@ -193,12 +199,15 @@ class ConstraintSet:
         system.velocities[self.inverse_masses == 0.0] = 0.0
         if self.bonds is None:
             return
+
         off = float(self.bonds.violation(system.positions).max())
         if off > self.bonds.tolerance:
             self.bonds.project_positions(system.positions)
         turned = float(self.bonds.velocity_violation(system.positions, system.velocities).max())
         if turned > self.bonds.tolerance:
             self.bonds.project_velocities(system.velocities, system.positions)
-        if max(off, turned) > TOLD:
-            by = f"relative errors were {0.5 * off:.1e} in the lengths and {turned:.1e} in the velocities along bonds"
-            warn(f"the initial state was projected onto the constraints: {by}")
+        if max(off, turned) > WORTH_A_WARNING:
+            warn(
+                "the initial state was projected onto the constraints: relative errors were "
+                f"{0.5 * off:.1e} in the lengths and {turned:.1e} in the velocities along bonds"
+            )

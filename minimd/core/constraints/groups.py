@@ -36,20 +36,22 @@ class Components(NamedTuple):
     """The components of a graph, and the envelope of their matrices.
     starts : (C + 1,) indices at which the constraints of each component begin.
     atoms, atom_starts : atoms of the components, one after the other, and where each component begins among them.
-    begins : (K + 1,) where row k of the lower envelope begins in memory.  lowest : (K,) its first column.
+    origins : (K,) in memory, where column 0 of each row would be: c_kl and A_kl have the place origins[k] + l.
+    lowest : (K,) first column of each row of the lower envelope.
     coupling : c_kl for l = lowest[k] … k, row after row; zero where two constraints share no atom."""
 
     starts: Ints
     atoms: Ints
     atom_starts: Ints
-    begins: Ints
+    origins: Ints
     lowest: Ints
     coupling: Floats
 
 
 class Graph(NamedTuple):
     """Constraints sorted by component and, within one, for a narrow band.
-    order : (K,) number, in the order of the user, of the k-th constraint.  first, second : (K,) its atoms."""
+    order : (K,) number, in the order of the user, of the k-th constraint.
+    first, second : (K,) its atoms."""
 
     order: Ints
     first: Ints
@@ -59,8 +61,8 @@ class Graph(NamedTuple):
 
 class Bodies(NamedTuple):
     """Bodies of atoms that constraints connect.
-    label : (N,) the body of each atom; an atom without constraints is a body.  last : (B,) the last atom of each body,
-        in the order of its pairs, which the numbers of atoms do not change.
+    label : (N,) the body of each atom; an atom without constraints is a body.
+    last : (B,) the last atom of each body, in the order of its pairs, which the numbers of atoms do not change.
     is_free : (B,) whether none of its atoms is held fixed, so that constraints do not change its momentum."""
 
     label: Ints
@@ -69,7 +71,10 @@ class Bodies(NamedTuple):
 
 
 def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
-    """The bodies formed by (K, 2) pairs of atoms, with (N,) 1/mass, zero for atoms that are held fixed."""
+    """The bodies formed by pairs of atoms.
+
+    pairs : (K, 2).
+    inverse_masses : (N,) [1/mass], zero for atoms that are held fixed."""
     n = len(inverse_masses)
     label = connected(pairs, n)
     n_bodies = 1 + label.max()
@@ -82,51 +87,57 @@ def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
 
 
 def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
-    """The graph of (K, 2) pairs of atoms, with (N,) 1/mass, zero for fixed atoms.  ids : (K,) numbers of the pairs."""
+    """The graph of pairs of atoms.
+
+    pairs : (K, 2).
+    inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
+    ids : (K,) numbers of the pairs, in the order of the user."""
     from scipy.sparse import coo_array  # loaded only if there are constraints
     from scipy.sparse.csgraph import connected_components, dijkstra
 
-    n = len(inverse_masses)
-    apart = n + np.arange(pairs.size).reshape(-1, 2)  # a fixed atom does not couple its constraints
+    n_atoms = len(inverse_masses)
+    n_pairs = len(pairs)
+    # a fixed atom does not couple its constraints: in each of them it is a body of its own
+    apart = n_atoms + np.arange(2 * n_pairs).reshape(-1, 2)
     bodies = np.where(inverse_masses[pairs] > 0.0, pairs, apart)
-    k = np.repeat(np.arange(len(pairs)), 2)
-    sides = bodies.reshape(-1)
-    incidence = coo_array(
-        (np.tile([-1.0, 1.0], len(pairs)), (k, sides)), shape=(len(pairs), n + pairs.size)
-    ).tocsr()
-    coupled = (
-        (incidence * np.concatenate([inverse_masses, np.zeros(pairs.size)])) @ incidence.T
-    ).tocsr()
+    body_masses = np.concatenate([inverse_masses, np.zeros(2 * n_pairs)])
+    places = (np.repeat(np.arange(n_pairs), 2), bodies.reshape(-1))
+    signs = np.tile([-1.0, 1.0], n_pairs)
+
+    incidence = coo_array((signs, places), shape=(n_pairs, len(body_masses))).tocsr()
+    coupled = ((incidence * body_masses) @ incidence.T).tocsr()
     label = connected_components(coupled)[1]
+
     by_degree = np.lexsort((np.diff(coupled.indptr), label))
     ends = by_degree[np.flatnonzero(np.diff(label[by_degree], prepend=-1))]
-    order = np.lexsort(
-        (dijkstra(abs(coupled), unweighted=True, indices=ends, min_only=True), -label)
-    )[::-1]
+    distances = dijkstra(abs(coupled), unweighted=True, indices=ends, min_only=True)
+    order = np.lexsort((distances, -label))[::-1]
     label = label[order]
     starts = np.flatnonzero(np.diff(label, prepend=-1, append=label[-1] + 1))
+
     matrix = coupled[order][:, order].tocoo()
-    first = np.ascontiguousarray(pairs[order, 0])
-    second = np.ascontiguousarray(pairs[order, 1])
-    return Graph(
-        ids[order], first, second, _enveloped(pairs[order], inverse_masses, starts, matrix)
-    )
+    pairs = pairs[order]
+    components = _enveloped(pairs, inverse_masses, starts, matrix)
+    first, second = np.ascontiguousarray(pairs.T)
+    return Graph(ids[order], first, second, components)
 
 
 def _enveloped(pairs: Ints, inverse_masses: Floats, starts: Ints, matrix: Any) -> Components:
-    """The envelope of the lower triangle, and the atoms of each component.  pairs : in the order of the matrix."""
+    """The envelope of the lower triangle, and the atoms of each component.
+    pairs : in the order of the matrix."""
     k = np.arange(len(pairs))
     row, column = matrix.coords
     lowest = k.copy()
     np.minimum.at(lowest, row, np.minimum(column, row))
-    begins = np.concatenate([[0], np.cumsum(k - lowest + 1)])
-    coupling = np.zeros(begins[-1])
+    origins = np.cumsum(k - lowest + 1) - k - 1
+    coupling = np.zeros(origins[-1] + len(pairs))
     below = column <= row
-    coupling[begins[row[below]] + column[below] - lowest[row[below]]] = matrix.data[below]
-    moving = [np.unique(pairs[a:b][inverse_masses[pairs[a:b]] > 0.0]) for a, b in pairwise(starts)]
-    atom_starts = np.concatenate([[0], np.cumsum([atoms.size for atoms in moving])])
-    atoms = np.concatenate(moving) if moving else np.empty(0, dtype=np.int64)
-    return Components(starts, atoms, atom_starts, begins, lowest, coupling)
+    coupling[origins[row[below]] + column[below]] = matrix.data[below]
+
+    atoms = [np.unique(pairs[start:end]) for start, end in pairwise(starts)]
+    moving = [members[inverse_masses[members] > 0.0] for members in atoms]
+    atom_starts = np.concatenate([[0], np.cumsum([members.size for members in moving])])
+    return Components(starts, np.concatenate(moving), atom_starts, origins, lowest, coupling)
 
 
 # relative: a triangle with a side as long as the others together is a line; files have nine digits
@@ -136,13 +147,12 @@ CONSTRAINTS_IN_A_CHUNK = 500
 ALIKE = 1e-12  # relative: masses and squared lengths that differ by less are equal
 
 
-class Solving(
-    ByAddress,
-    namedtuple("Solving", "solver positions vectors inverse_masses lanes n answers most arguments"),
-):
+class Solving(ByAddress, namedtuple("Solving", "solver atoms n answers most arguments")):
     """A solver on the n components of a group, in as many chunks as there are answers.
-    positions, vectors, inverse_masses, lanes : of Atoms.  arguments : of the solver.
-    answers : (chunks,) output, see vectors.  most : (chunks,) the largest so far."""
+    atoms : Atoms.
+    arguments : of the solver after the atoms.
+    answers : (chunks,) output, see vectors.
+    most : (chunks,) the largest so far."""
 
 
 @filling_kernel
@@ -150,11 +160,11 @@ def solve_chunk(solving, chunk):
     """The solver on some components.  CANNOT_KEEP if a constraint cannot be kept."""
     n = solving.n
     n_chunks = solving.answers.size
-    atoms = Atoms(solving.positions, solving.vectors, solving.inverse_masses, solving.lanes)
     first = chunk * n // n_chunks
     last = (chunk + 1) * n // n_chunks
-    answer = _solved(solving.solver, first, last, atoms, solving.arguments)
-    solving.answers[chunk], solving.most[chunk] = answer, max(answer, solving.most[chunk])
+    answer = _solved(solving.solver, first, last, solving.atoms, solving.arguments)
+    solving.answers[chunk] = answer
+    solving.most[chunk] = max(answer, solving.most[chunk])
     return GO_ON if answer >= 0 else CANNOT_KEEP
 
 
@@ -165,7 +175,9 @@ def _solved(solver, first, last, atoms, arguments):
 
 
 class Networks:
-    """Components of any shape.  every : the ConstraintSolver.  order : (K,) which of its constraints are here.
+    """Components of any shape.
+    every : the ConstraintSolver.
+    order : (K,) which of its constraints are here.
     Other shapes have other solvers: drifter, projector are their markers, known are their arguments after the atoms;
     n_each is the number of constraints of one molecule, if the solver counts molecules."""
 
@@ -178,12 +190,16 @@ class Networks:
         self.order = graph.order
         self.graph = graph
         self.masses = every.inverse_masses
+        self.bonds = Bonds(
+            graph.first,
+            graph.second,
+            np.ascontiguousarray(every.offsets[graph.order]),
+            every.lengths[graph.order] ** 2,
+            every.tolerance,
+        )
+
         k = graph.order.size
         n = graph.components.coupling.size
-        offsets = np.ascontiguousarray(every.offsets[graph.order])
-        self.bonds = Bonds(
-            graph.first, graph.second, offsets, every.lengths[graph.order] ** 2, every.tolerance
-        )
         self.n_constraints = k
         self.n_components = graph.components.starts.size - 1
         n_chunks = max(1, min(self.n_components, k // CONSTRAINTS_IN_A_CHUNK, MOST_CHUNKS))
@@ -197,49 +213,42 @@ class Networks:
 
     def _known(self, positions: Floats) -> tuple:
         """The arguments of solvers.  Raises ValueError if a constraint depends on the others."""
-        k = dependent_constraint(positions, self.graph.components, self.bonds, self.memory)
+        graph = self.graph
+        k = dependent_constraint(positions, graph.components, self.bonds, self.memory)
         if k >= 0:
-            which = (
-                f"constraint {self.order[k]} (atoms {self.graph.first[k]}-{self.graph.second[k]})"
-            )
             raise ValueError(
-                f"{which} follows from the other constraints or contradicts them; leave it out"
+                f"constraint {self.order[k]} (atoms {graph.first[k]}-{graph.second[k]}) follows from the other "
+                "constraints or contradicts them; leave it out"
             )
-        return self.graph.components, self.bonds, self.memory
+        return graph.components, self.bonds, self.memory
 
     def offsets(self) -> list[Floats]:
         """All arrays (…, 3) of lattice translations that its solvers read."""
-        of_molecules = (
-            array
-            for one in self.known
-            if isinstance(one, TriatomicMolecules)
-            for array in one.offsets
-        )
-        return [self.bonds.offsets, *of_molecules]
+        offsets = [self.bonds.offsets]
+        for argument in self.known:
+            if isinstance(argument, TriatomicMolecules):
+                offsets += argument.offsets
+        return offsets
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> Operation:
         """Drift of the atoms of the group."""
-        return self._solve(self.drifter, positions, velocities, (*self.known, float(duration)))
+        return self._solve(self.drifter, positions, velocities, float(duration))
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
         """r_ij · x_ij = targets for the vectors x."""
-        return self._solve(
-            self.projector, positions, vectors, (*self.known, targets, self.multipliers)
-        )
+        return self._solve(self.projector, positions, vectors, targets, self.multipliers)
 
-    def _solve(
-        self, solver: tuple, positions: Floats, vectors: Floats, arguments: tuple[Any, ...]
-    ) -> Operation:
-        atoms = (positions, vectors, self.masses, lanes_for())
-        room = (self.n_components, self.answers, self.most)
+    def _solve(self, solver: tuple, positions: Floats, vectors: Floats, *more: Any) -> Operation:
+        atoms = Atoms(positions, vectors, self.masses, lanes_for())
+        arguments = (*self.known, *more)
+        solving = Solving(solver, atoms, self.n_components, self.answers, self.most, arguments)
         calls = self._calls[type(solver), positions.flags.carray, vectors.flags.carray]
-        return operation(
-            calls, solve_chunk, Solving(solver, *atoms, *room, arguments), len(self.answers)
-        )
+        return operation(calls, solve_chunk, solving, len(self.answers))
 
     def failed(self, of_drift: bool) -> int:
         """After CANNOT_KEEP: the constraint, within the group, that cannot be kept; of a molecule its first one."""
-        return (-1 - int(self.answers[self.answers < 0][0])) * (self.n_each if of_drift else 1)
+        answer = int(self.answers[self.answers < 0][0])
+        return (-1 - answer) * (self.n_each if of_drift else 1)
 
 
 class LoneBonds(Networks):
@@ -262,7 +271,7 @@ class Sweeps(Networks):
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
         """See Networks."""
         solver = networks.ProjectComponents() if targets.any() else networks.SweepVelocities()
-        return self._solve(solver, positions, vectors, (*self.known, targets, self.multipliers))
+        return self._solve(solver, positions, vectors, targets, self.multipliers)
 
 
 class Triangles(Networks):
@@ -276,8 +285,10 @@ class Triangles(Networks):
     def _known(self, positions: Floats) -> tuple:
         super()._known(positions)
         lengths2 = self.bonds.lengths2
-        base = _equal_sides(self.graph, self.graph.components.starts[:-1], lengths2, self.masses)
+        starts = self.graph.components.starts[:-1]
+        base = _equal_sides(self.graph, starts, lengths2, self.masses)
         corners, arms, sides = _corners(self.graph, base, self.bonds.offsets)
+
         half = 0.5 * np.sqrt(lengths2[base])
         heavy = 1.0 / self.masses[corners[0]]
         light = 1.0 / self.masses[corners[1]]
@@ -299,47 +310,57 @@ class LinearTriatomics(Networks):
     def _known(self, positions: Floats) -> tuple:
         self.n_constraints = 4 * self.n_components
         lengths2 = self.bonds.lengths2
-        sides = self.graph.components.starts[:-1, None] + np.arange(3)
-        # the longest side of each
-        ends = sides[np.arange(len(sides)), np.argmax(lengths2[sides], axis=1)]
+        starts = self.graph.components.starts[:-1]
+        longest = starts + np.argmax(lengths2.reshape(-1, 3), axis=1)
+
         # the middle one is the corner opposite the longest side
-        (middle, b, c), arms, (short, _) = _corners(self.graph, ends, self.bonds.offsets)
-        beta = np.sqrt(lengths2[short] / lengths2[ends])
-        shapes = (1.0 - beta, beta, lengths2[ends])
-        offsets = (-arms[0], arms[1] - arms[0])
-        return (TriatomicMolecules((b, middle, c), offsets, shapes, ends),)
+        corners, (to_b, to_c), (short, _) = _corners(self.graph, longest, self.bonds.offsets)
+        middle, b, c = corners
+        beta = np.sqrt(lengths2[short] / lengths2[longest])
+        shapes = (1.0 - beta, beta, lengths2[longest])
+        offsets = (-to_b, to_c - to_b)
+        return (TriatomicMolecules((b, middle, c), offsets, shapes, longest),)
 
 
 def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
-    """All constraints, sorted by shape.  solver : as for DistanceConstraints.
+    """All constraints, sorted by shape.
+    solver : as for DistanceConstraints.
     Raises ValueError for a triangle with a side longer than the others together."""
-    graph = graph_of(every.pairs, every.inverse_masses, np.arange(len(every.pairs)))
+    pairs = every.pairs
     masses = every.inverse_masses
-    kinds = np.full(graph.order.size, Sweeps if solver == "shake" else Networks, dtype=object)
+    graph = graph_of(pairs, masses, np.arange(len(pairs)))
+    order = graph.order
+    kinds = np.full(order.size, Sweeps if solver == "shake" else Networks, dtype=object)
     starts = graph.components.starts[:-1]
     sizes = np.diff(graph.components.starts)
-    lengths2 = every.lengths[graph.order] ** 2
+    lengths2 = every.lengths[order] ** 2
     if solver == "auto":
         kinds[starts[sizes == 1]] = LoneBonds
+
     starts = starts[sizes == 3]
-    closed = [np.unique(every.pairs[graph.order[start : start + 3]]).size == 3 for start in starts]
-    starts = starts[np.array(closed, dtype=bool)]
+    is_closed = [np.unique(pairs[order[start : start + 3]]).size == 3 for start in starts]
+    starts = starts[np.array(is_closed, dtype=bool)]
+
     sides = starts[:, None] + np.arange(3)
     lengths = np.sqrt(lengths2[sides])
-    excess = 2.0 * lengths.max(axis=1, initial=0.0) - lengths.sum(axis=1)
-    if (excess > STRAIGHT * lengths.sum(axis=1)).any():
-        which = graph.order[sides[np.argmax(excess)]].tolist()
-        why = "which form a triangle, contradict each other: one is longer than the sum of the other two"
-        raise ValueError(f"the lengths of constraints {which}, {why}")
-    moves = ((masses[graph.first[sides]] > 0.0) & (masses[graph.second[sides]] > 0.0)).all(axis=1)
-    kinds[
-        sides[(_equal_sides(graph, starts, lengths2, masses) >= 0) & moves & (solver == "auto")]
-    ] = Triangles
-    kinds[sides[excess >= -STRAIGHT * lengths.sum(axis=1)]] = LinearTriatomics
-    members = [(kind, graph.order[kinds == kind]) for kind in dict.fromkeys(kinds)]
-    return [
-        kind(every, graph_of(every.pairs[ids], masses, ids), positions) for kind, ids in members
-    ]
+    around = lengths.sum(axis=1)
+    excess = 2.0 * lengths.max(axis=1, initial=0.0) - around
+    if (excess > STRAIGHT * around).any():
+        raise ValueError(
+            f"the lengths of constraints {order[sides[np.argmax(excess)]].tolist()}, which form a triangle, contradict "
+            "each other: one is longer than the sum of the other two"
+        )
+
+    if solver == "auto":
+        moves = (masses[pairs[order[sides]]] > 0.0).all(axis=(1, 2))
+        kinds[sides[(_equal_sides(graph, starts, lengths2, masses) >= 0) & moves]] = Triangles
+    kinds[sides[excess >= -STRAIGHT * around]] = LinearTriatomics
+
+    groups = []
+    for kind in dict.fromkeys(kinds):
+        ids = order[kinds == kind]
+        groups.append(kind(every, graph_of(pairs[ids], masses, ids), positions))
+    return groups
 
 
 def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats) -> Ints:
@@ -347,29 +368,35 @@ def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: F
     answer = np.full(len(starts), -1)
     for k in range(3):
         base = starts + k
-        others = lengths2[starts[:, None] + np.delete(np.arange(3), k)]
+        side, other = np.delete(np.arange(3), k)
+        is_isosceles = _alike(lengths2[starts + side], lengths2[starts + other])
         masses = inverse_masses[graph.first[base]], inverse_masses[graph.second[base]]
-        same = np.isclose(others[:, 0], others[:, 1], rtol=ALIKE, atol=0.0) & np.isclose(
-            *masses, rtol=ALIKE, atol=0.0
-        )
-        answer[same] = base[same]
+        is_base = is_isosceles & _alike(*masses)
+        answer[is_base] = base[is_base]
     return answer
+
+
+def _alike(a: Floats, b: Floats) -> NDArray[np.bool_]:
+    return np.isclose(a, b, rtol=ALIKE, atol=0.0)
 
 
 def _corners(
     graph: Graph, base: Ints, offsets: Floats
 ) -> tuple[tuple[Ints, ...], tuple[Floats, ...], tuple[Ints, ...]]:
-    """Of each triangle: atoms apex, b, c with b-c the base; offsets of b and c from the apex, (T, 3) each; the two
-    other constraints."""
+    """Of each triangle: atoms apex, b, c; offsets of b and c from the apex; constraints apex-b and apex-c.
+
+    base : (T,) the constraint b-c of each.
+    offsets : (K, 3) [length]."""
     starts = graph.components.starts[:-1]
     sides = starts[:, None] + np.arange(3)
-    first = graph.first[sides]
-    second = graph.second[sides]
+    sums = graph.first[sides] + graph.second[sides]  # of the numbers of both atoms
     b, c = graph.first[base], graph.second[base]
-    apex = (first.sum(axis=1) + second.sum(axis=1)) // 2 - b - c
-    is_of = [(first == atom[:, None]) | (second == atom[:, None]) for atom in (apex, b, c)]
-    arms = tuple(np.argmax(is_of[0] & is_of_end, axis=1) + starts for is_of_end in is_of[1:])
-    shifts = tuple(
-        np.where((graph.first[arm] == apex)[:, None], 1.0, -1.0) * offsets[arm] for arm in arms
-    )
-    return (apex, b, c), shifts, arms
+    apex = sums.sum(axis=1) // 2 - b - c
+    arms = []
+    shifts = []
+    for end in (b, c):
+        arm = starts + np.argmax(sums == (apex + end)[:, None], axis=1)
+        sign = np.where(graph.first[arm] == apex, 1.0, -1.0)
+        arms.append(arm)
+        shifts.append(sign[:, None] * offsets[arm])
+    return (apex, b, c), tuple(shifts), tuple(arms)

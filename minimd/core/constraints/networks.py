@@ -18,8 +18,8 @@ from math import sqrt
 
 from minimd.core.compiled.kernels import inlined, kernel, type_of
 from minimd.core.compiled.machine import EPS
-from minimd.core.constraints.closed_forms import NOTHING, add_opposite, between, drift_some
-from minimd.core.structure.vectors import dot, separation
+from minimd.core.constraints.closed_forms import NOTHING, add_opposite, drift_some
+from minimd.core.structure.vectors import dot, minus, separation
 
 MAX_ITERATIONS = 50
 MAX_SWEEPS = 10_000
@@ -30,7 +30,9 @@ DEPENDENT = 1e-10  # relative to its diagonal: a smaller pivot is rounding
 
 
 class NetworkScratch(namedtuple("NetworkScratch", "r s x total lower upper")):
-    """Scratch: r, s : (K, 3) separations.  x, total : (K,) multipliers.  lower, upper : factors, in the envelope."""
+    """Scratch: r, s : (K, 3) separations.
+    x, total : (K,) multipliers.
+    lower, upper : factors, in the envelope."""
 
 
 @inlined
@@ -43,32 +45,34 @@ def find_separations(positions, bonds, start, end, out):
 
 
 @inlined
-def assemble(components, start, end, r, s, lower, upper):
-    """A_kl = c_kl r_k · s_l within the envelope: row k left of the diagonal to lower, column k down to it to upper."""
-    for k in range(start, end):
-        at = components.begins[k] - components.lowest[k]
-        for l in range(components.lowest[k], k + 1):
-            c = components.coupling[at + l]
-            lower[at + l] = c * dot(r[k], s[l]) if c != 0.0 else 0.0
-            upper[at + l] = c * dot(r[l], s[k]) if c != 0.0 else 0.0
+def factorize(components, start, end, r, s, lower, upper):
+    """A = L U within the envelope, L with ones on its diagonal.
 
+        A_kl = c_kl r_k · s_l
 
-@inlined
-def factorize(components, start, end, lower, upper):
-    """A = L U in place, L with ones on its diagonal. Returns the row without a pivot, or −1."""
+    components : Components.
+    start, end : constraints start to end − 1 are those of the component.
+    r, s : (K, 3) separations now, and those along which forces act.
+    lower : output, row k of L left of the diagonal.
+    upper : output, column k of U down to the diagonal.
+    Returns the row without a pivot, or −1."""
+    origins = components.origins
+    lowest = components.lowest
+    coupling = components.coupling
     for k in range(start, end):
-        at_k = components.begins[k] - components.lowest[k]
-        first_k = components.lowest[k]
-        for l in range(first_k, k):
-            at_l = components.begins[l] - components.lowest[l]
-            in_column = upper[at_k + l]
-            in_row = lower[at_k + l]
-            for m in range(max(first_k, components.lowest[l]), l):
+        at_k = origins[k]
+        for l in range(lowest[k], k):
+            at_l = origins[l]
+            c = coupling[at_k + l]
+            in_column = c * dot(r[l], s[k]) if c != 0.0 else 0.0
+            in_row = c * dot(r[k], s[l]) if c != 0.0 else 0.0
+            for m in range(max(lowest[k], lowest[l]), l):
                 in_column -= lower[at_l + m] * upper[at_k + m]
                 in_row -= lower[at_k + m] * upper[at_l + m]
-            upper[at_k + l], lower[at_k + l] = in_column, in_row / upper[at_l + l]
-        pivot = upper[at_k + k]
-        for m in range(first_k, k):
+            upper[at_k + l] = in_column
+            lower[at_k + l] = in_row / upper[at_l + l]
+        pivot = coupling[at_k + k] * dot(r[k], s[k])
+        for m in range(lowest[k], k):
             pivot -= lower[at_k + m] * upper[at_k + m]
         if not abs(pivot) > 0.0:
             return k
@@ -78,26 +82,29 @@ def factorize(components, start, end, lower, upper):
 
 @inlined
 def solve(components, start, end, lower, upper, x):
-    """x ← A⁻¹ x with the factors of A."""
+    """x ← A⁻¹ x.
+
+    lower, upper : the factors of A, see factorize.
+    x : (K,), changed."""
     for k in range(start, end):
-        at = components.begins[k] - components.lowest[k]
+        at = components.origins[k]
         for m in range(components.lowest[k], k):
             x[k] -= lower[at + m] * x[m]
     for k in range(end - 1, start - 1, -1):
-        at = components.begins[k] - components.lowest[k]
+        at = components.origins[k]
         x[k] /= upper[at + k]
         for m in range(components.lowest[k], k):
             x[m] -= upper[at + m] * x[k]
 
 
 @inlined
-def restore_lengths(atoms, components, bonds, c, memory):
-    """λ of component c by Newton's method, from positions that have drifted: memory.total. Returns the iterations."""
-    start = components.starts[c]
-    end = components.starts[c + 1]
+def restore_lengths(atoms, components, bonds, start, end, memory):
+    """λ of a component by Newton's method, from positions that have drifted.
+
+    start, end : constraints start to end − 1 are those of the component.
+    memory : NetworkScratch; λ is added to its total.
+    Returns the iterations, or −1 − the constraint that could not be kept."""
     r, s, x, total, lower, upper = memory
-    for k in range(start, end):
-        total[k] = 0.0
     for iteration in range(MAX_ITERATIONS):
         find_separations(atoms.positions, bonds, start, end, r)
         worst = 0.0
@@ -110,27 +117,55 @@ def restore_lengths(atoms, components, bonds, c, memory):
                 where = k
         if worst <= ROUNDING:
             return iteration
-        assemble(components, start, end, r, s, lower, upper)
-        singular = factorize(components, start, end, lower, upper)
+        singular = factorize(components, start, end, r, s, lower, upper)
         if singular >= 0:
             return NOTHING - singular
         solve(components, start, end, lower, upper, x)
         for k in range(start, end):
             total[k] += x[k]
-            add_opposite(
-                atoms.positions, atoms.inverse_masses, bonds.first[k], bonds.second[k], x[k], s[k]
-            )
+            add_opposite(atoms.positions, atoms.inverse_masses, bonds, k, x[k], s[k])
         if worst < LAST:
             return iteration + 1
     return NOTHING - where
 
 
-def drift_with(restore_lengths):
+@inlined
+def sweep_lengths(atoms, _components, bonds, start, end, memory):
+    """As restore_lengths, by sweeps. Returns the number of sweeps."""
+    positions = atoms.positions
+    inverse_masses = atoms.inverse_masses
+    s = memory.s
+    where = start
+    for sweep in range(1, MAX_SWEEPS + 1):
+        worst = 0.0
+        for k in range(start, end):
+            i, j = bonds.first[k], bonds.second[k]
+            r = separation(positions, i, j, bonds.offsets[k])
+            gap = bonds.lengths2[k] - dot(r, r)
+            if not abs(gap) <= worst * bonds.lengths2[k]:
+                worst = abs(gap) / bonds.lengths2[k]
+                where = k
+            scale = gap / (2.0 * (inverse_masses[i] + inverse_masses[j]) * dot(r, s[k]))
+            memory.total[k] += scale
+            add_opposite(positions, inverse_masses, bonds, k, scale, s[k])
+        if worst <= bonds.tolerance:
+            return sweep
+    return NOTHING - where
+
+
+def drift_with(restore):
     """The drift of components of any shape, with a solver that restores their lengths, such as restore_lengths."""
 
     @inlined
     def drift_components(first, last, atoms, components, bonds, memory, duration):
-        """Drift of components first to last − 1.  Atoms, Components, Bonds, Memory, [time]."""
+        """Drift of components first to last − 1.
+
+        atoms : Atoms, changed.
+        components : Components.
+        bonds : Bonds.
+        memory : NetworkScratch.
+        duration : [time].
+        Returns the largest number of iterations, or −1 − the constraint that could not be kept."""
         s = memory.s
         total = memory.total
         most = 0
@@ -138,16 +173,19 @@ def drift_with(restore_lengths):
             start = components.starts[c]
             end = components.starts[c + 1]
             find_separations(atoms.positions, bonds, start, end, s)
-            atoms_of_it = components.atoms[
-                components.atom_starts[c] : components.atom_starts[c + 1]
-            ]
-            drift_some(atoms.positions, atoms.vectors, atoms_of_it, duration)
-            n_iterations = restore_lengths(atoms, components, bonds, c, memory)
+            first_atom = components.atom_starts[c]
+            last_atom = components.atom_starts[c + 1]
+            members = components.atoms[first_atom:last_atom]
+            drift_some(atoms.positions, atoms.vectors, members, duration)
+            for k in range(start, end):
+                total[k] = 0.0
+            n_iterations = restore(atoms, components, bonds, start, end, memory)
             if n_iterations < 0:
                 return n_iterations
             for k in range(start, end):
-                i, j = bonds.first[k], bonds.second[k]
-                add_opposite(atoms.vectors, atoms.inverse_masses, i, j, total[k] / duration, s[k])
+                add_opposite(
+                    atoms.vectors, atoms.inverse_masses, bonds, k, total[k] / duration, s[k]
+                )
             most = max(most, n_iterations)
         return most
 
@@ -157,16 +195,17 @@ def drift_with(restore_lengths):
 @inlined
 def project_components(first, last, atoms, components, bonds, memory, targets, total):
     """As project_pairs, for components of any shape; projected twice, to remove the rounding of the first projection.
-    total : (K,), the multipliers.  Returns 1, or −1 − the constraint that depends on others."""
+
+    targets : (K,).
+    total : (K,), output, the multipliers.
+    Returns 1, or −1 − the constraint that depends on others."""
     vectors = atoms.vectors
-    inverse_masses = atoms.inverse_masses
     r, _, x, _, lower, upper = memory
     for c in range(first, last):
         start = components.starts[c]
         end = components.starts[c + 1]
         find_separations(atoms.positions, bonds, start, end, r)
-        assemble(components, start, end, r, r, lower, upper)
-        singular = factorize(components, start, end, lower, upper)
+        singular = factorize(components, start, end, r, r, lower, upper)
         if singular >= 0:
             return NOTHING - singular
         for correction in range(2):
@@ -178,93 +217,67 @@ def project_components(first, last, atoms, components, bonds, memory, targets, t
             solve(components, start, end, lower, upper, x)
             for k in range(start, end):
                 total[k] = x[k] + (total[k] if correction else 0.0)
-                add_opposite(vectors, inverse_masses, bonds.first[k], bonds.second[k], x[k], r[k])
+                add_opposite(vectors, atoms.inverse_masses, bonds, k, x[k], r[k])
     return 1
 
 
 @kernel
 def dependent_constraint(positions, components, bonds, memory):
-    """A constraint whose pivot vanishes relative to its diagonal: others imply or contradict it; else −1."""
-    r = memory.r
-    total = memory.total
-    lower = memory.lower
-    upper = memory.upper
+    """A constraint that others imply or contradict: its pivot vanishes relative to its diagonal; −1 if there is none.
+
+    positions : (N, 3) [length].
+    components : Components.
+    bonds : Bonds.
+    memory : NetworkScratch."""
+    r, _, _, _, lower, upper = memory
     for c in range(components.starts.size - 1):
         start = components.starts[c]
         end = components.starts[c + 1]
         find_separations(positions, bonds, start, end, r)
-        assemble(components, start, end, r, r, lower, upper)
-        for k in range(start, end):
-            total[k] = upper[components.begins[k + 1] - 1]
-        singular = factorize(components, start, end, lower, upper)
+        singular = factorize(components, start, end, r, r, lower, upper)
         if singular >= 0:
             return singular
         for k in range(start, end):
-            if not upper[components.begins[k + 1] - 1] > DEPENDENT * total[k]:
+            at = components.origins[k] + k
+            if not upper[at] > DEPENDENT * (components.coupling[at] * dot(r[k], r[k])):
                 return k
     return NOTHING
 
 
 @inlined
-def sweep_lengths(atoms, components, bonds, c, memory):
-    """λ of component c by sweeps, from positions that have drifted: memory.total. Returns the number of sweeps."""
-    start = components.starts[c]
-    end = components.starts[c + 1]
-    s = memory.s
-    total = memory.total
-    for k in range(start, end):
-        total[k] = 0.0
-    sweeps = 0
-    worst = 2.0 * bonds.tolerance
+def sweep_component(atoms, bonds, start, end):
+    """Velocities of a component, constraints start to end − 1. Returns the number of sweeps."""
+    velocities = atoms.vectors
+    inverse_masses = atoms.inverse_masses
     where = start
-    while not worst <= bonds.tolerance:
-        if sweeps == MAX_SWEEPS:
-            return NOTHING - where
-        sweeps = sweeps + 1
+    for sweep in range(1, MAX_SWEEPS + 1):
         worst = 0.0
         for k in range(start, end):
             i, j = bonds.first[k], bonds.second[k]
             r = separation(atoms.positions, i, j, bonds.offsets[k])
-            gap = bonds.lengths2[k] - dot(r, r)
-            if not abs(gap) <= worst * bonds.lengths2[k]:
-                worst = abs(gap) / bonds.lengths2[k]
+            v = minus(velocities[j], velocities[i])
+            along = dot(r, v)
+            r2 = dot(r, r)
+            v2 = dot(v, v)
+            if along != 0.0 and not abs(along) <= worst * sqrt(r2 * v2):
+                worst = abs(along) / sqrt(r2 * v2)
                 where = k
-            scale = gap / (2.0 * (atoms.inverse_masses[i] + atoms.inverse_masses[j]) * dot(r, s[k]))
-            total[k] += scale
-            add_opposite(atoms.positions, atoms.inverse_masses, i, j, scale, s[k])
-    return sweeps
+            scale = -along / ((inverse_masses[i] + inverse_masses[j]) * r2)
+            add_opposite(velocities, inverse_masses, bonds, k, scale, r)
+        if worst <= bonds.tolerance:
+            return sweep
+    return NOTHING - where
 
 
 @inlined
 def sweep_velocities(first, last, atoms, components, bonds, _memory, _targets, _multipliers):
-    """Velocities of components first to last − 1, by sweeps, if all targets are zero.  The tolerance is that of
-    |r · v|/(|r| |v|), v the relative velocity of a bond."""
-    velocities = atoms.vectors
-    inverse_masses = atoms.inverse_masses
+    """Velocities of components first to last − 1, by sweeps, if all targets are zero.
+    The tolerance is that of |r · v|/(|r| |v|), v the relative velocity of a bond."""
     most = 0
     for c in range(first, last):
-        start = components.starts[c]
-        end = components.starts[c + 1]
-        sweeps = 0
-        worst = 2.0 * bonds.tolerance
-        where = start
-        while not worst <= bonds.tolerance:
-            if sweeps == MAX_SWEEPS:
-                return NOTHING - where
-            sweeps = sweeps + 1
-            worst = 0.0
-            for k in range(start, end):
-                i, j = bonds.first[k], bonds.second[k]
-                r = separation(atoms.positions, i, j, bonds.offsets[k])
-                v = between(velocities, i, j)
-                along = dot(r, v)
-                r2 = dot(r, r)
-                v2 = dot(v, v)
-                if along != 0.0 and not abs(along) <= worst * sqrt(r2 * v2):
-                    worst = abs(along) / sqrt(r2 * v2)
-                    where = k
-                scale = -along / ((inverse_masses[i] + inverse_masses[j]) * r2)
-                add_opposite(velocities, inverse_masses, i, j, scale, r)
+        sweeps = sweep_component(atoms, bonds, components.starts[c], components.starts[c + 1])
+        if sweeps < 0:
+            return sweeps
         most = max(most, sweeps)
     return most
 

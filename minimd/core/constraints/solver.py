@@ -27,7 +27,10 @@ ROUNDINGS = 20.0  # rounding errors of the largest coordinate: no length can be 
 
 
 class Free(ByAddress, namedtuple("Free", "positions velocities atoms duration n_chunks")):
-    """The drift of atoms without constraints.  positions, velocities : (N, 3).  atoms : (F,).  duration : [time]."""
+    """The drift of atoms without constraints.
+    positions, velocities : (N, 3).
+    atoms : (F,).
+    duration : [time]."""
 
 
 @called_kernel
@@ -45,7 +48,8 @@ class ConstraintSolver:
 
     Parameters
     ----------
-    constraints : DistanceConstraints.  positions : (N, 3) [length].
+    constraints : DistanceConstraints.
+    positions : (N, 3) [length].
     inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
     offsets : (K, 3) [length], added to r_j − r_i: lattice translations of bonds across a periodic boundary.
     threads : maximum number of threads; results have the same bits for any number.
@@ -53,7 +57,8 @@ class ConstraintSolver:
 
     Attributes
     ----------
-    n_constraints : number of degrees of freedom removed.  lengths : (K,) [length], in the order of constraints.pairs.
+    n_constraints : number of degrees of freedom removed.
+    lengths : (K,) [length], in the order of constraints.pairs.
     accuracy : error of the lengths with solver="shake" [length]; 0 for the other solvers, whose error is rounding.
 
     Raises
@@ -70,36 +75,37 @@ class ConstraintSolver:
         threads: int = 1,
         tolerance: float | None = None,
     ) -> None:
-        self.pairs, self.inverse_masses, self._calls = (
-            constraints.pairs,
-            inverse_masses,
-            DirectCalls(),
-        )
+        self.pairs = constraints.pairs
+        self.inverse_masses = inverse_masses
+        self._calls = DirectCalls()
         self.offsets = np.zeros((len(self.pairs), 3)) if offsets is None else offsets
         check_atoms(self.pairs, len(positions))
-        stuck = np.flatnonzero((inverse_masses[self.pairs] == 0.0).all(axis=1))
-        if stuck.size:
-            i, j = self.pairs[k := int(stuck[0])]
+
+        is_stuck = (inverse_masses[self.pairs] == 0.0).all(axis=1)
+        if is_stuck.any():
+            k = np.argmax(is_stuck)
+            i, j = self.pairs[k]
             raise ValueError(
                 f"constraint {k} (atoms {i}-{j}) connects two atoms that are held fixed; leave it out"
             )
-        lengths = (
-            np.linalg.norm(self.bonds(positions), axis=1)
-            if constraints.lengths is None
-            else constraints.lengths
-        )
+
+        lengths = constraints.lengths
+        if lengths is None:
+            lengths = np.linalg.norm(self.bonds(positions), axis=1)
         if not (lengths > 0.0).all():
-            i, j = self.pairs[k := int(np.argmin(lengths > 0.0))]
+            k = np.argmin(lengths > 0.0)
+            i, j = self.pairs[k]
             raise ValueError(
                 f"constraint {k} has length 0: atoms {i} and {j} are at the same place; give lengths"
             )
+
         self.lengths = lengths
         self.threads = max(1, min(threads, len(self.pairs) // CONSTRAINTS_IN_A_CHUNK))
         rounding = ROUNDINGS * EPS * float(np.abs(positions).max()) / float(lengths.min())
         self.tolerance = max(constraints.tolerance, rounding) if tolerance is None else tolerance
-        self.accuracy = (
-            self.tolerance * float(lengths.max()) if constraints.solver == "shake" else 0.0
-        )
+        is_swept = constraints.solver == "shake"
+        self.accuracy = self.tolerance * float(lengths.max()) if is_swept else 0.0
+
         self.groups = groups_of(self, positions, constraints.solver)
         self.free_atoms = np.setdiff1d(np.arange(len(positions)), self.pairs)
         self.n_constraints = sum(group.n_constraints for group in self.groups)
@@ -114,11 +120,10 @@ class ConstraintSolver:
 
     def follow(self, before: Cell, cell: Cell) -> None:
         """Change offsets, in place, to the same multiples of the vectors of another cell."""
-        for offsets in (
-            self.offsets,
-            *(array for group in self.groups for array in group.offsets()),
-        ):
-            before.follow(cell, offsets)
+        before.follow(cell, self.offsets)
+        for group in self.groups:
+            for offsets in group.offsets():
+                before.follow(cell, offsets)
 
     @property
     def iterations(self) -> int:
@@ -138,9 +143,8 @@ class ConstraintSolver:
             free = Free(positions, velocities, self.free_atoms, float(duration), n_chunks)
             yield operation(self._calls, drift_free, free, n_chunks)
         for group in self.groups:
-            yield self._kept(
-                group.drift(positions, velocities, duration), group, positions, velocities, duration
-            )
+            drift = group.drift(positions, velocities, duration)
+            yield self._kept(drift, group, positions, velocities, duration)
 
     def projections(self, positions: Floats, velocities: Floats) -> Iterator[Operation]:
         """Project velocities in place so that r_ij · v_ij = 0 for all constraints.  Both arrays are (N, 3)."""
@@ -173,31 +177,31 @@ class ConstraintSolver:
         self, positions: Floats, velocities: Floats, accelerations: Floats
     ) -> list[tuple[Ints, Floats]]:
         """Constraints of each group, and their λ [energy/length²]: the force on j is λ r_ij. Projects accelerations."""
-        found = []
+        turning = self._differences(velocities)
+        targets = -np.einsum("ij,ij->i", turning, turning)
+        multipliers = []
         for group in self.groups:
-            turning = (
-                velocities[self.pairs[group.order, 1]] - velocities[self.pairs[group.order, 0]]
-            )
-            project = group.project(
-                positions, accelerations, -np.einsum("ij,ij->i", turning, turning)
-            )
+            project = group.project(positions, accelerations, targets[group.order])
             self._run([self._kept(project, group, positions, accelerations, 0.0)])
-            found.append((group.order, group.multipliers.copy()))
-        return found
+            multipliers.append((group.order, group.multipliers.copy()))
+        return multipliers
 
     def virial(self, positions: Floats, velocities: Floats, forces: Floats) -> Floats:
         """W = Σ λ r_ij ⊗ r_ij of the constraint forces, (3, 3) [energy]. forces : (N, 3), all others."""
-        shares = []
-        for order, multipliers in self.multipliers(
-            positions, velocities, forces * self.inverse_masses[:, None]
-        ):
-            bonds = self.bonds(positions)[order]
-            shares.append(np.einsum("k,ki,kj->kij", multipliers, bonds, bonds))
-        return sum_in_any_order(np.concatenate(shares))
+        accelerations = forces * self.inverse_masses[:, None]
+        bonds = self.bonds(positions)
+        shares = np.empty((len(bonds), 3, 3))
+        for order, multipliers in self.multipliers(positions, velocities, accelerations):
+            r = bonds[order]
+            shares[order] = np.einsum("k,ki,kj->kij", multipliers, r, r)
+        return sum_in_any_order(shares)
 
     def bonds(self, positions: Floats) -> Floats:
         """r_ij, (K, 3) [length]."""
-        return positions[self.pairs[:, 1]] - positions[self.pairs[:, 0]] + self.offsets
+        return self._differences(positions) + self.offsets
+
+    def _differences(self, vectors: Floats) -> Floats:
+        return vectors[self.pairs[:, 1]] - vectors[self.pairs[:, 0]]
 
     def violation(self, positions: Floats) -> Floats:
         """|r² − d²|/d², (K,)."""
@@ -206,33 +210,34 @@ class ConstraintSolver:
 
     def velocity_violation(self, positions: Floats, velocities: Floats) -> Floats:
         """|r · (v_j − v_i)|/(d v), (K,), v the speed of the faster end; zero where nothing moves."""
-        turning = velocities[self.pairs[:, 1]] - velocities[self.pairs[:, 0]]
+        turning = self._differences(velocities)
         speeds = np.linalg.norm(velocities, axis=1)[self.pairs].max(axis=1)
         along = np.abs(np.einsum("ij,ij->i", self.bonds(positions), turning))
         return along / (self.lengths * np.where(speeds > 0.0, speeds, 1.0))
 
     def _kept(
-        self, one: Operation, group: Any, positions: Floats, velocities: Floats, duration: float
+        self, solving: Operation, group: Any, positions: Floats, velocities: Floats, duration: float
     ) -> Operation:
         """An operation on a group that fails for the first constraint that cannot be kept."""
 
         def fail(_answer: int) -> None:
-            self._fail(group.order[group.failed(duration != 0.0)], positions, velocities, duration)
+            constraint = group.order[group.failed(duration != 0.0)]
+            self._fail(constraint, positions, velocities, duration)
 
-        return one._replace(python=fail)
+        return solving._replace(python=fail)
 
     def _fail(
         self, constraint: int, positions: Floats, velocities: Floats, duration: float
     ) -> None:
         """Raise ConstraintError with the larger violation: closed forms fail before they move atoms, others after."""
         i, j = self.pairs[constraint].tolist()
-        off = max(
-            self.violation(positions)[constraint],
-            self.violation(positions + duration * velocities)[constraint],
+        moved = positions + duration * velocities
+        off = max(self.violation(positions)[constraint], self.violation(moved)[constraint])
+        step = f"drift of {duration:g}" if duration else "projection of velocities"
+        error = ConstraintError(
+            f"constraint {constraint} (atoms {i}-{j}) cannot be kept in a {step}: "
+            f"the relative error of r² is {off:.1e}"
         )
-        what = f"drift of {duration:g}" if duration else "projection of velocities"
-        why = f"cannot be kept in a {what}: the relative error of r² is {off:.1e}"
-        error = ConstraintError(f"constraint {constraint} (atoms {i}-{j}) {why}")
         error.atoms = i, j
         raise error
 

@@ -30,19 +30,22 @@ from minimd.core.neighbors.domains import (
 )
 from minimd.core.neighbors.search import counting_sort
 from minimd.core.neighbors.verlet_list import count_not_finite
+from minimd.core.structure.vectors import dot, minus
 
 
 class Building(
     ByAddress,
     namedtuple(
         "Building",
-        "positions arrays binned layout n_blocks n_chunks goes_along "
+        "positions arrays binned n_blocks n_chunks goes_along "
         "entry_start needed excluded slot_of images",
     ),
 ):
     """What the operations work on.
-    positions : (N, 3) [length].  Outputs: arrays : ClusterArrays, binned : Binned, and layout : Layout but its columns.
-    n_blocks : of forces, as there is room.  n_chunks : of columns.  goes_along : see cut_into_domains.
+    positions : (N, 3) [length].  Outputs: arrays : ClusterArrays but its columns, binned : Binned.
+    n_blocks : of forces, as there is room.
+    n_chunks : of columns.
+    goes_along : see cut_into_domains.
     entry_start : (K + 1,) int, first entry of each domain.
     needed : (K,) int, output, entries that each domain needs, which may be more than there is room for.
     excluded : partners of each atom, see find_pairs; if there are any, slot_of : (N,) int, output, slot of each atom.
@@ -55,22 +58,20 @@ def place_atoms(building, domain):
     needed, LAYERS + 1 if the list is no longer valid, as for a position that is not a number."""
     arrays = building.arrays
     clusters = arrays.clusters
-    rows = arrays.rows
-    n_lanes = count(arrays.clusters.lanes)
+    lanes = clusters.lanes
+    limits2 = arrays.rows.limits2
+    n_lanes = count(lanes)
+    all_lanes = (1 << n_lanes) - 1
     n_layers = 1
-    if rows.layers[IN_USE] == 0:  # there is no list
+    if arrays.rows.layers[IN_USE] == 0:  # there is no list
         return GO_ON
+
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
-        at = gathered(building.positions, clusters.atom, k * n_lanes, clusters.lanes)
-        was = loaded(
-            clusters.positions, np.uintp(k) * np.uintp(DIMENSIONS * n_lanes), clusters.lanes
-        )
-        dx, dy, dz = at[0] - was[0], at[1] - was[1], at[2] - was[2]
-        moved2 = dx * dx + dy * dy + dz * dz  # padding moves with the last atom
-        while (
-            n_layers <= LAYERS
-            and bits_from_mask(moved2 <= rows.limits2[n_layers - 1]) != (1 << n_lanes) - 1
-        ):
+        at = gathered(building.positions, clusters.atom, k * n_lanes, lanes)
+        start = np.uintp(k) * np.uintp(DIMENSIONS * n_lanes)
+        moved = minus(at, loaded(clusters.positions, start, lanes))
+        moved2 = dot(moved, moved)  # padding moves with the last atom
+        while n_layers <= LAYERS and bits_from_mask(moved2 <= limits2[n_layers - 1]) != all_lanes:
             n_layers += 1
         place(k, arrays, at)
     arrays.memory.layers[domain] = n_layers
@@ -94,23 +95,27 @@ def is_valid(building, _chunk):
 @called_kernel
 def find_columns(building, _chunk):
     """NEEDS_ROOM if the atoms have left the columns."""
-    return GO_ON if columns_fit(building.positions, building.layout.columns) else NEEDS_ROOM
+    return GO_ON if columns_fit(building.positions, building.arrays.columns) else NEEDS_ROOM
 
 
 @called_kernel
 def sort_atoms(building, _chunk):
     """Atoms into the bins of all columns; the first cluster of each, the second lattice direction running faster."""
-    columns = building.layout.columns
-    clusters = building.layout.clusters
+    columns = building.arrays.columns
+    clusters = building.arrays.clusters
     binned = building.binned
     counts = columns.counts
     column_start = clusters.column_start
     n_lanes = count(clusters.lanes)
-    for a in range(DIMENSIONS):  # the cell of the clusters is the one in which they are made
+
+    # the cell of the clusters is the one in which they are made
+    for a in range(DIMENSIONS):
         for b in range(DIMENSIONS):
             clusters.wrapping.inverse[a, b] = columns.inverse[a, b]
             clusters.wrapping.lattice[a, b] = columns.lattice[a, b]
+
     counting_sort(building.positions, columns.inverse, columns.pbc, columns, binned)
+
     column_start[0] = 0
     for column in range(counts[0] * counts[1]):
         n = binned.bin_start[(column + 1) * counts[2]] - binned.bin_start[column * counts[2]]
@@ -121,31 +126,33 @@ def sort_atoms(building, _chunk):
 @called_kernel
 def cut_columns(building, chunk):
     """Columns into clusters: a chunk is some rows of them along the second lattice vector."""
-    columns = building.layout.columns
-    clusters = building.layout.clusters
+    columns = building.arrays.columns
+    clusters = building.arrays.clusters
     n = building.n_chunks
     counts = columns.counts
-    for column in range(
-        chunk * counts[0] // n * counts[1], (chunk + 1) * counts[0] // n * counts[1]
-    ):
+    first = chunk * counts[0] // n * counts[1]
+    last = (chunk + 1) * counts[0] // n * counts[1]
+    for column in range(first, last):
         fill_column(column, building.positions, columns, building.binned, clusters)
     return GO_ON
 
 
 @called_kernel
 def find_domains(building, _chunk):
-    """Clusters into domains.  NEEDS_ROOM if there is too little: how much is needed is then in layout.domains."""
-    columns, clusters, domains, ghosts, _, shifts = building.layout
-    rows = building.arrays.rows
-    cut_into_domains(clusters, columns, domains, building.goes_along)
-    fill_shifts(columns, shifts)
+    """Clusters into domains.  NEEDS_ROOM if there is too little: how much is needed is then in domains."""
+    arrays = building.arrays
+    domains = arrays.domains
+    ghosts = arrays.ghosts
+    rows = arrays.rows
+    cut_into_domains(arrays.clusters, arrays.columns, domains, building.goes_along)
+    fill_shifts(arrays.columns, arrays.memory.shifts)
     for layer in range(LAYERS):
         rows.limits2[layer] = rows.limits2_at_build[layer]
+
     has_room = (
         domains.numbers[GHOSTS] <= ghosts.owner.size
         and domains.window[domains.window.size - 1] <= ghosts.parts.size
         and domains.numbers[BLOCKS] <= building.n_blocks
-        and building.entry_start.size == domains.column.size
     )
     return GO_ON if has_room else NEEDS_ROOM
 
@@ -153,18 +160,17 @@ def find_domains(building, _chunk):
 @called_kernel
 def place_ghosts(building, domain):
     """The ghosts that a domain sees."""
-    fill_ghosts(domain, building.layout)
+    fill_ghosts(domain, building.arrays)
     return GO_ON
 
 
 @filling_kernel
 def list_rows(building, domain):
     """The rows of a domain.  NEEDS_ROOM if there is too little: how much is needed is then in needed."""
+    arrays = building.arrays
     first = building.entry_start[domain]
     last = building.entry_start[domain + 1]
-    needed = find_rows(
-        domain, building.layout, building.arrays.rows, (first, last), make_work(building.layout)
-    )
+    needed = find_rows(domain, arrays, (first, last), make_work(arrays))
     building.needed[domain] = needed
     return GO_ON if needed <= last - first else NEEDS_ROOM
 
@@ -172,40 +178,40 @@ def list_rows(building, domain):
 @called_kernel
 def finish_list(building, _chunk):
     """Which ghosts are used. There is a list now."""
-    sort_ghosts(building.layout.domains, building.layout.ghosts)
+    sort_ghosts(building.arrays.domains, building.arrays.ghosts)
     layers = building.arrays.rows.layers
-    layers[IN_USE], layers[BUILDS] = 1, layers[BUILDS] + 1
+    layers[IN_USE] = 1
+    layers[BUILDS] += 1
     return GO_ON
 
 
 @called_kernel
 def number_slots(building, domain):
     """The slot of each atom of a domain."""
-    clusters = building.layout.clusters
-    domain_start = building.layout.domains.cluster
-    n_lanes = count(clusters.lanes)
-    for slot in range(domain_start[domain] * n_lanes, domain_start[domain + 1] * n_lanes):
-        if slot % n_lanes < clusters.filled[slot // n_lanes]:
-            building.slot_of[clusters.atom[slot]] = slot
+    arrays = building.arrays
+    n_lanes = count(arrays.clusters.lanes)
+    first = arrays.domain_start[domain] * n_lanes
+    last = arrays.domain_start[domain + 1] * n_lanes
+    # backwards: padding comes before the atom that it repeats
+    for slot in range(last - 1, first - 1, -1):
+        building.slot_of[arrays.clusters.atom[slot]] = slot
     return GO_ON
 
 
 @called_kernel
 def exclude_pairs(building, domain):
     """Clear the lane of each excluded partner, at its nearest image, in the row of a domain that has it."""
-    layout = building.layout
-    slot_of = building.slot_of
+    arrays = building.arrays
     start, values = building.excluded
-    clusters = layout.clusters
+    clusters = arrays.clusters
     lattice, inverse, pbc, safe_distance2 = building.images
     image = (lattice, inverse, pbc, safe_distance2[0])
     n_lanes = count(clusters.lanes)
-    for k in range(layout.domains.cluster[domain], layout.domains.cluster[domain + 1]):
+    for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
         for slot in range(k * n_lanes, k * n_lanes + clusters.filled[k]):
             i = clusters.atom[slot]
             # unsigned: none counts from the end
             for p in range(np.uintp(start[i]), np.uintp(start[i + 1])):
-                exclude(
-                    domain, slot, slot_of[np.uintp(values[p])], layout, image, building.arrays.rows
-                )
+                partner = np.uintp(values[p])
+                exclude(domain, slot, building.slot_of[partner], arrays, image)
     return GO_ON

@@ -8,8 +8,9 @@ from numba import types
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import by_type, scalar
 from minimd.core.compiled.simd import broadcast, load, store
-from minimd.core.compiled.simd.vector import count, loaded
+from minimd.core.compiled.simd.vector import count, loaded, stored
 from minimd.core.neighbors.clusters import DIMENSIONS, offsets_of
+from minimd.core.structure.vectors import plus
 
 
 class ClusterMemory(
@@ -25,44 +26,45 @@ class ClusterMemory(
 
 
 class ClusterArrays(
-    ByAddress, namedtuple("ClusterArrays", "clusters domain_start domains ghosts rows memory")
+    ByAddress,
+    namedtuple("ClusterArrays", "clusters domain_start domains ghosts rows memory columns"),
 ):
-    """What the loop over clusters gets from the list.  domain_start : (K + 1,) int, first cluster of each domain."""
+    """A cluster list: what its build fills, and what the loop over clusters gets from it.
+    domain_start : (K + 1,) int, first cluster of each domain."""
 
 
 @scalar
 def place(k, arrays, at):
-    """Positions of the atoms of cluster k, vectors x, y, z [length], to all its ghosts.
-    Indices are unsigned: none counts from the end."""
+    """Positions of the atoms of cluster k to all its ghosts.
+    Indices are unsigned: none counts from the end.
+
+    arrays : ClusterArrays.
+    at : vectors x, y, z [length]."""
     ghosts = arrays.ghosts
     memory = arrays.memory
-    lanes = arrays.clusters.lanes
-    n_lanes = np.uintp(count(lanes))
+    shifts = memory.shifts
+    n_lanes = np.uintp(count(arrays.clusters.lanes))
     block = np.uintp(DIMENSIONS) * n_lanes
-    x, y, z = offsets_of(np.uintp(k) * block, arrays.clusters)
-    x, y, z = at[0] + x, at[1] + y, at[2] + z
+    x, y, z = plus(at, offsets_of(np.uintp(k) * block, arrays.clusters))
     for p in range(np.uintp(ghosts.start[k]), np.uintp(ghosts.start[k + 1])):
         m = np.uintp(ghosts.of[p])
         image = np.uintp(ghosts.image[m])
-        store(memory.coordinates, m * block, x + memory.shifts[image, 0])
-        store(memory.coordinates, m * block + n_lanes, y + memory.shifts[image, 1])
-        store(memory.coordinates, m * block + n_lanes + n_lanes, z + memory.shifts[image, 2])
+        shifted = (x + shifts[image, 0], y + shifts[image, 1], z + shifts[image, 2])
+        stored(memory.coordinates, m * block, shifted)
 
 
 @scalar
 def clear(domain, arrays):
     """Set the forces on all ghosts in the window of a domain to 0; in fixed-point arithmetic to first_sum.
     The thread that adds to them calls it, and so has them in its cache."""
-    lanes = arrays.clusters.lanes
     forces = arrays.memory.forces
     domains = arrays.domains
+    like = load(forces, 0, arrays.clusters.lanes)
     first = domains.place[domain]
     for block in range(first, first + domains.window[domain + 1] - domains.window[domain]):
-        nothing = broadcast(
-            _first_sum(block, arrays.memory.first_sum, forces), load(forces, 0, lanes)
-        )
+        nothing = broadcast(_first_sum(block, arrays.memory.first_sum, forces), like)
         for c in range(DIMENSIONS):
-            store(forces, (block * DIMENSIONS + c) * count(lanes), nothing)
+            store(forces, (block * DIMENSIONS + c) * count(like), nothing)
 
 
 @by_type
@@ -81,8 +83,7 @@ def collected(k, arrays):
     lanes = arrays.clusters.lanes
     block = np.uintp(DIMENSIONS * count(lanes))
     first = np.uintp(ghosts.part_start[k])
-    x, y, z = loaded(forces, np.uintp(ghosts.parts[first]) * block, lanes)
+    total = loaded(forces, np.uintp(ghosts.parts[first]) * block, lanes)
     for p in range(first + np.uintp(1), np.uintp(ghosts.part_start[k + 1])):
-        more_x, more_y, more_z = loaded(forces, np.uintp(ghosts.parts[p]) * block, lanes)
-        x, y, z = x + more_x, y + more_y, z + more_z
-    return x, y, z
+        total = plus(total, loaded(forces, np.uintp(ghosts.parts[p]) * block, lanes))
+    return total

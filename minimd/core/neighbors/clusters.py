@@ -13,21 +13,18 @@ and count nowhere.
 """
 
 from collections import namedtuple
-from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import kernel, scalar
 from minimd.core.compiled.simd import lane
 from minimd.core.compiled.simd.vector import Lanes, count, gathered, loaded, stored
 from minimd.core.neighbors.buffers import Buffers
-from minimd.core.neighbors.search import ATOMS_PER_BIN, WIDER, into_cell
+from minimd.core.neighbors.search import ATOMS_PER_BIN, WIDER, into_cell, transformed
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.system import local_density
-from minimd.core.structure.vectors import Array
+from minimd.core.structure.vectors import Array, plus
 
 N_FIXED = 5  # fields of Columns that stay as the cell is strained
 # numbers of an atom; a cluster of n atoms is a block of 3 n numbers in memory: n x, n y, n z
@@ -47,19 +44,21 @@ class Columns(
 
     What changes as the cell is strained, from along on, is in arrays.
     counts : (3,) int, columns along the first two lattice vectors, and bins along the third, for sorting.
-    distance : within which pairs are searched [length].  reach : (2,) int, the same in columns on each side.
-    pbc, lattice, inverse : of the Cell.  along : (3,) distance as a fraction of its heights.
+    distance : within which pairs are searched [length].
+    reach : (2,) int, the same in columns on each side.
+    pbc, lattice, inverse : of the Cell.
+    along : (3,) distance as a fraction of its heights.
     is_crossed : (3,) bool, whether atoms may meet those beyond the faces across a lattice vector.
     origin, extent : (3,) fractional coordinates of that part; 0 and 1 where is_crossed. In periodic directions
         atoms are in the cell that begins at the origin."""
 
     def move_to(self, to: "Columns") -> bool:
         """Whether there are as many columns in another cell, or elsewhere; then they move there, in the same arrays."""
-        if not all(np.array_equal(a, b) for a, b in zip(self[:N_FIXED], to[:N_FIXED], strict=True)):
-            return False
-        for a, b in zip(self[N_FIXED:], to[N_FIXED:], strict=True):
-            a[:] = b
-        return True
+        is_alike = all(map(np.array_equal, self[:N_FIXED], to[:N_FIXED]))
+        if is_alike:
+            for array, values in zip(self[N_FIXED:], to[N_FIXED:], strict=True):
+                array[:] = values
+        return is_alike
 
 
 class Clusters(
@@ -71,10 +70,13 @@ class Clusters(
     """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n.
 
     Arrays of C elements have room for more.
-    lanes : Lanes, n as a type.  atom : (n C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
+    lanes : Lanes, n as a type.
+    atom : (n C,) int, the user's index.
+    filled : (C,) int, lanes that are not padding.
     positions : flat, a block of 3 n numbers for each cluster: of its atoms when it was made,
         strained since as the cell was [length].
-    origins : the same without the strain, and the same array if there never was one.  wrapping : Wrapping.
+    origins : the same without the strain, and the same array if there never was one.
+    wrapping : Wrapping.
     column_start : (columns + 1,) int, first cluster of each column; the last number is C.
     bottom, top : (C,) lowest and highest fractional coordinate along the third lattice vector.
     boxes : (C, 6) smallest x y z and largest x y z of the atoms of each cluster [length].
@@ -86,29 +88,24 @@ class Wrapping(namedtuple("Wrapping", "inverse periodic lattice origin")):
 
     These are computed, not kept: memory is slower.
     inverse : (3, 3) of the cell in which clusters were made [1/length], and periodic : (3,) 1.0 where it was, else 0.0.
-    lattice : (3, 3) of the cell as it is now [length].  origin : (3,) of Columns."""
+    lattice : (3, 3) of the cell as it is now [length].
+    origin : (3,) of Columns."""
 
 
 @scalar
 def offsets_of(start, clusters):
-    """Lattice vectors that bring the atoms of the block at start into the cell: vectors x, y, z [length]."""
+    """Lattice vectors that bring the atoms of a block into the cell: vectors x, y, z [length].
+
+    start : where the block begins in positions and origins.
+    clusters : Clusters."""
     inverse, periodic, lattice, origin = clusters.wrapping
-    x, y, z = loaded(clusters.origins, start, clusters.lanes)
-    a = (
-        -np.floor(x * inverse[0, 0] + y * inverse[1, 0] + z * inverse[2, 0] - origin[0])
-        * periodic[0]
+    a, b, c = transformed(loaded(clusters.origins, start, clusters.lanes), inverse)
+    cells = (
+        -np.floor(a - origin[0]) * periodic[0],
+        -np.floor(b - origin[1]) * periodic[1],
+        -np.floor(c - origin[2]) * periodic[2],
     )
-    b = (
-        -np.floor(x * inverse[0, 1] + y * inverse[1, 1] + z * inverse[2, 1] - origin[1])
-        * periodic[1]
-    )
-    c = (
-        -np.floor(x * inverse[0, 2] + y * inverse[1, 2] + z * inverse[2, 2] - origin[2])
-        * periodic[2]
-    )
-    x = a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0]
-    y = a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1]
-    return x, y, a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
+    return transformed(cells, lattice)
 
 
 def region_of(cell: Cell, positions: Array, reach: float) -> Array:
@@ -119,35 +116,44 @@ def region_of(cell: Cell, positions: Array, reach: float) -> Array:
     extent = np.ones(3)
     margin = WIDER * reach / cell.heights
     # not @: see observables
-    for k, s in enumerate(np.einsum("ij,jk->ki", positions, cell.inverse)):
-        s = np.sort(s - np.floor(s) if cell.pbc[k] else s)
-        gaps = np.diff(s, append=s[0] + 1.0 if cell.pbc[k] else np.inf)
-        widest = int(np.argmax(gaps)) if cell.pbc[k] else len(s) - 1
-        first = s[(widest + 1) % len(s)]
-        width = 1.0 - gaps[widest] if cell.pbc[k] else s[-1] - s[0]
+    for k, coordinates in enumerate(np.einsum("ij,jk->ki", positions, cell.inverse)):
+        if cell.pbc[k]:
+            s = np.sort(coordinates - np.floor(coordinates))
+            gaps = np.diff(s, append=s[0] + 1.0)
+            widest = int(np.argmax(gaps))
+            first = s[(widest + 1) % len(s)]
+            width = 1.0 - gaps[widest]
+        else:
+            first = coordinates.min()
+            width = coordinates.max() - first
         if not cell.pbc[k] or width + 2.0 * margin[k] <= 1.0:
             origin[k] = first - 0.5 * margin[k]
             extent[k] = width + margin[k]
+
     filled = local_density(positions, cell, reach) * abs(np.linalg.det(cell.lattice))
     return np.array([*origin, *extent, filled])
 
 
 def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: Array) -> Columns:
-    """Columns so wide that the atoms of a cluster fill about a cube of them.  region : see region_of."""
+    """Columns so wide that the atoms of a cluster fill about a cube of them.
+    region : see region_of."""
     origin = region[:3]
     extent = region[3:6]
     filled = region[6] * extent.prod()
     is_crossed = cell.pbc & (extent == 1.0)
     widths = cell.heights * extent
     n_lanes = lanes.size
+
     cube = (n_lanes * widths.prod() / filled) ** (1.0 / 3.0)
     # a flat scene has few; many that are empty would cost time
     most = max(1.0, min(filled, n_atoms) / n_lanes)
     across = np.clip(widths[:2] / cube, 1.0, most)
     across = np.maximum(1.0, np.rint(across * min(1.0, (most / across.prod()) ** 0.5)))
     bins = max(1.0, min(filled, n_atoms / ATOMS_PER_BIN) / across.prod())
+
     needed = np.ceil(WIDER * reach * across / widths[:2])
     needed = np.minimum(needed, np.where(is_crossed[:2], across, across - 1.0))
+
     counts = np.array([*across, bins]).astype(np.int64)
     return Columns(
         counts,
@@ -188,37 +194,43 @@ def columns_fit(positions, columns):
 
 
 def make_clusters(
-    n_clusters: int,
-    columns: Columns,
-    lanes: Lanes,
-    for_build: Sequence[NDArray],
-    memory: Buffers,
-    spare: float,
+    n_clusters: int, columns: Columns, lanes: Lanes, is_strained: bool, buffers: Buffers
 ) -> Clusters:
-    """Arrays with room for so many.  for_build : bottom, top, boxes.  spare : see Buffers.array."""
+    """Arrays with room for so many.
+    is_strained : whether their origins are not their positions."""
+    array = buffers.array
     n_slots = n_clusters * lanes.size
-    array = partial(memory.array, spare=spare)
-    at = array("positions", np.float64, n_slots * DIMENSIONS)
+    positions = array("positions", np.float64, n_slots * DIMENSIONS)
+    origins = array("origins", np.float64, n_slots * DIMENSIONS) if is_strained else positions
+
+    wrapping = Wrapping(
+        array("inverse", np.float64, DIMENSIONS, DIMENSIONS),
+        columns.pbc.astype(np.float64),
+        array("lattice", np.float64, DIMENSIONS, DIMENSIONS),
+        columns.origin,
+    )
     return Clusters(
         lanes,
         array("atom", np.int32, n_slots),
         array("filled", np.int32, n_clusters),
-        at,
-        at,
-        Wrapping(
-            columns.inverse.copy(),
-            columns.pbc.astype(np.float64),
-            columns.lattice.copy(),
-            columns.origin,
-        ),
-        array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1),
-        *for_build,
+        positions,
+        origins,
+        wrapping,
+        array("column start", np.int64, int(columns.counts[:2].prod()) + 1),
+        array("bottom", np.float64, n_clusters),
+        array("top", np.float64, n_clusters),
+        array("boxes", np.float64, n_clusters, 6),
     )
 
 
 @scalar
 def fill_column(column, positions, columns, binned, clusters):
-    """Sort the atoms of a column by height (they nearly are, being in bins), and cut them into clusters."""
+    """Sort the atoms of a column by height (they nearly are, being in bins), and cut them into clusters.
+
+    positions : (N, 3) [length].
+    columns : Columns.
+    binned : Binned; the order within the column is changed.
+    clusters : Clusters, output."""
     counts = columns.counts
     order = binned.order
     height = binned.height
@@ -232,19 +244,21 @@ def fill_column(column, positions, columns, binned, clusters):
             order[q] = order[q - 1]
             q -= 1
         order[q] = i
+
     cluster = clusters.column_start[column]
     for p in range(first, last, n_lanes):
         n = min(n_lanes, last - p)
         clusters.filled[cluster] = n
-        clusters.bottom[cluster], clusters.top[cluster] = height[order[p]], height[order[p + n - 1]]
+        clusters.bottom[cluster] = height[order[p]]
+        clusters.top[cluster] = height[order[p + n - 1]]
         for k in range(n_lanes):
             clusters.atom[cluster * n_lanes + k] = order[p + min(k, n - 1)]
         start = np.uintp(cluster * DIMENSIONS * n_lanes)
         at = gathered(positions, clusters.atom, cluster * n_lanes, clusters.lanes)
         stored(clusters.positions, start, at)
         stored(clusters.origins, start, at)
-        offsets = offsets_of(start, clusters)
-        for c, x in enumerate((at[0] + offsets[0], at[1] + offsets[1], at[2] + offsets[2])):
+        wrapped = plus(at, offsets_of(start, clusters))
+        for c, x in enumerate(wrapped):
             low = high = lane(x, 0)
             for k in range(1, n_lanes):
                 low = min(low, lane(x, k))

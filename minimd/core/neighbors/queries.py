@@ -20,7 +20,9 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
     Parameters
     ----------
     quantities : any of the letters of ASE's neighbor_list, in any order:
-        i, j : (P,) int, the two atoms;  d : (P,) distance [length];  D : (P, 3) r_j − r_i + S · cell [length];
+        i, j : (P,) int, the two atoms;
+    d : (P,) distance [length];
+    D : (P, 3) r_j − r_i + S · cell [length];
         S : (P, 3) int, lattice vectors of system.cell to add to r_j.
     cutoff : [length], > 0 and finite.
 
@@ -28,13 +30,15 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
     ------
     ValueError : for an unknown letter or a cutoff that is not positive and finite.
     """
-    if not (isinstance(quantities, str) and quantities and set(quantities) <= set(QUANTITIES)):
+    is_known = isinstance(quantities, str) and set() < set(quantities) <= set(QUANTITIES)
+    if not is_known:
         raise ValueError(
             f"quantities must be letters of {QUANTITIES!r}; quantities = {shown(quantities)}"
         )
     checked_kind("system", system, System, "a minimd System")
     cutoff = checked_number("cutoff", cutoff, "positive and finite")
     check_size(system, cutoff, 0.0)
+
     cell = system.cell
     positions = system.positions
     pair_list = PairList(len(system), cutoff, 0.0, np.zeros((0, 2), dtype=np.int64))
@@ -42,21 +46,22 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
     pairs = pair_list.pairs
     order = pair_list.order
     first = np.repeat(np.arange(len(system)), np.diff(pairs.start))
+
     cells = pair_list.offsets @ cell.inverse
     steps = cells[pairs.second] - cells[first]
     if cell.is_periodic:
         steps += (pairs.translations @ cell.inverse)[pairs.image]
     shifts = np.rint(steps).astype(np.int64) @ cell.reduction
-    both = np.stack([order[first], order[pairs.second]])
+
+    i = np.concatenate([order[first], order[pairs.second]])
+    j = np.concatenate([order[pairs.second], order[first]])
     shifts = np.concatenate([shifts, -shifts])
-    i, j = np.concatenate([both, both[::-1]], axis=1)
     by_first = np.lexsort((*shifts.T, j, i))
-    i = i[by_first]
-    j = j[by_first]
-    shifts = shifts[by_first]
+    i, j, shifts = i[by_first], j[by_first], shifts[by_first]
+
     vectors = positions[j] - positions[i] + shifts @ cell.vectors
-    found = {"i": i, "j": j, "d": np.linalg.norm(vectors, axis=1), "D": vectors, "S": shifts}
-    answer = tuple(found[quantity] for quantity in quantities)
+    columns = {"i": i, "j": j, "d": np.linalg.norm(vectors, axis=1), "D": vectors, "S": shifts}
+    answer = tuple(columns[quantity] for quantity in quantities)
     return answer if len(answer) > 1 else answer[0]
 
 
@@ -71,8 +76,10 @@ class ClosestPair(NamedTuple):
         return self.told("")
 
     def told(self, length: str) -> str:
-        """The pair as text.  length : the unit."""
-        return f"atoms {self.first} and {self.second}, {self.distance:.3g}{f' {length}' if length else ''} apart"
+        """The pair as text.
+        length : the unit."""
+        unit = f" {length}" if length else ""
+        return f"atoms {self.first} and {self.second}, {self.distance:.3g}{unit} apart"
 
 
 def closest_pair(system: System) -> ClosestPair | None:
@@ -83,24 +90,27 @@ def closest_pair(system: System) -> ClosestPair | None:
     cell = system.cell
     if known.size == 0 or (known.size == 1 and not cell.is_periodic):
         return None
+
     fractional = np.einsum("ij,jk->ik", system.positions[known], cell.inverse)
     fractional = np.where(cell.pbc, fractional - np.floor(fractional), fractional)
-    here = fractional @ cell.lattice
+    wrapped = fractional @ cell.lattice
+
     best = ClosestPair(0, 0, np.inf)
     if known.size > 1:
         from scipy.spatial import KDTree
 
-        distances, partners = KDTree(here).query(here, k=2)
+        distances, partners = KDTree(wrapped).query(wrapped, k=2)
         i = int(np.argmin(distances[:, 1]))
         j = int(partners[i, 0] if partners[i, 0] != i else partners[i, 1])
         best = ClosestPair(min(i, j), max(i, j), distances[i, 1])
+
     # an atom and its own image
     own = np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf)
     reach = BEYOND * min(best.distance, own)
-    from_faces = (np.minimum(fractional, 1.0 - fractional) * cell.heights)[:, cell.pbc]
-    near = np.flatnonzero((from_faces <= reach).any(axis=1))
+    from_faces = np.minimum(fractional, 1.0 - fractional) * cell.heights
+    near = np.flatnonzero((from_faces[:, cell.pbc] <= reach).any(axis=1))
     if near.size and reach > 0.0:
-        first, second, d = neighbor_list("ijd", System(here[near], cell=cell), reach)
+        first, second, d = neighbor_list("ijd", System(wrapped[near], cell=cell), reach)
         if d.min(initial=np.inf) < best.distance:
             p = np.argmin(d)
             best = ClosestPair(near[first[p]], near[second[p]], d[p])

@@ -28,15 +28,19 @@ def best_skin(
         cost(s) = step(c̄) + build(c) / n,   c = ρ (r_c + s)³,   n = s/2 / d steps between two builds
 
     c̄ is the mean of ρ (r_c + s l/L)³ over the layers l = 1 … L of a list, taken into use one after the other.
-    cutoff : r_c [length].  density : ρ [1/length³].  displacement : d, of the fastest atom in a step.  layers : L.
+    cutoff : r_c [length].
+    density : ρ [1/length³].
+    displacement : d, of the fastest atom in a step.
+    layers : L.
     The costs were measured on the Lennard-Jones liquid with cluster lists; the minimum is flat."""
     if not displacement > 0.0:
         return DEFAULT_SKIN * cutoff
+
     skins = SKINS * cutoff
     crowd = density * (cutoff + skins) ** 3
-    in_use = density * np.mean(
-        [(cutoff + skins * (layer / layers)) ** 3 for layer in range(1, layers + 1)], axis=0
-    )
+    reaches = [cutoff + skins * (layer / layers) for layer in range(1, layers + 1)]
+    in_use = density * np.mean([reach**3 for reach in reaches], axis=0)
+
     builds = np.minimum(1.0, 2.0 * displacement / skins)  # in each step
     build = BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms
     cost = STEP_COST[0] + STEP_COST[1] * in_use + build * builds
@@ -45,7 +49,8 @@ def best_skin(
 
 class Built(NamedTuple):
     """What determines the order of a list, and so the rounding of its sums.
-    skin : [length].  positions : (N, 3) when it was built [length], a copy; None if there is no list that can be used.
+    skin : [length].
+    positions : (N, 3) when it was built [length], a copy; None if there is no list that can be used.
     cell : Cell in which it was built, if that has been strained since.
     region : (7,) of its columns, see region_of in clusters; None if it has none."""
 
@@ -64,7 +69,10 @@ class VerletList(ABC):
     A list can follow a homogeneous strain F of cell and atoms, r → r F. Pairs that are not listed were farther apart
     than the reach R, so that they are now farther apart than s R, s being the smallest singular value of F. So the list
     holds until an atom has moved, beside the strain, by more than (s R − r_c)/2.
-    cutoff : [length].  skin : [length], ≥ 0.  n_builds : how often it was built.  version : of the memory it lies in.
+    cutoff : [length].
+    skin : [length], ≥ 0.
+    n_builds : how often it was built.
+    version : of the memory it lies in.
     limit2 : square of the distance that an atom may move before the list is outdated [length²]."""
 
     def __init__(self, cutoff: float, skin: float) -> None:
@@ -120,10 +128,10 @@ class VerletList(ABC):
 
     def built(self) -> Built:
         """What build_again needs to make the same list."""
-        built_in = None if self._cell is None or self._cell is self._built_in else self._built_in
-        return Built(
-            self.skin, None if self._cell is None else self._built_at(), built_in, self._region
-        )
+        if self._cell is None:
+            return Built(self.skin, None, None, self._region)
+        built_in = None if self._cell is self._built_in else self._built_in
+        return Built(self.skin, self._built_at(), built_in, self._region)
 
     def build_again(self, built: Built, cell: Cell) -> None:
         """Build a list again; it must have the same skin."""
@@ -147,9 +155,13 @@ class VerletList(ABC):
 
 @kernel
 def any_moved(positions, reference, limit2):
-    """True if an atom is farther than √limit2 from its reference position, or if its position is NaN."""
+    """True if an atom is farther than √limit2 from its reference position, or if its position is NaN.
+
+    positions, reference : (N, 3) [length].
+    limit2 : [length²]."""
     for i in range(positions.shape[0]):
-        dx, dy = positions[i, 0] - reference[i, 0], positions[i, 1] - reference[i, 1]
+        dx = positions[i, 0] - reference[i, 0]
+        dy = positions[i, 1] - reference[i, 1]
         dz = positions[i, 2] - reference[i, 2]
         if not dx * dx + dy * dy + dz * dz <= limit2:
             return True

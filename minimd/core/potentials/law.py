@@ -165,11 +165,11 @@ def loop_for(loop: Any, *laws: tuple) -> Any:
 def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, float]:
     """u(r) [energy] and −u′(r)/r [energy/length²] of a law at a distance r [length]; NaN where the law gives no real
     number. Raises TypeError if a user's law does not take these parameters or does not return two numbers."""
-    return _two_numbers(law, r * r, parameters, "r²", "-u'(r)/r")
+    return _two_numbers(law, parameters, "r²", "-u'(r)/r", r * r)
 
 
 def _two_numbers(
-    law: tuple, x: float, parameters: tuple[float, ...], variable: str, slope: str
+    law: tuple, parameters: tuple[float, ...], variable: str, slope: str, x: float
 ) -> tuple[float, float]:
     """What a law returns at x, see law_at.  variable, slope : what it takes and returns, for messages."""
     name = type(law).python.__name__ if isinstance(law, UserLaw) else type(law).__name__
@@ -199,10 +199,7 @@ def check_user_law(law: tuple, parameters: tuple[float, ...], distances: Iterabl
 
 def check_law_of_angles(law: tuple, parameters: tuple[float, ...]) -> None:
     """The same for a law of dihedral angles, which returns u and u′(φ)."""
-
-    def at(phi: float) -> tuple[float, float]:
-        return _two_numbers(law, phi, parameters, "phi", "u'(phi)")
-
+    at = functools.partial(_two_numbers, law, parameters, "phi", "u'(phi)")
     _compare(at, lambda phi: 1.0, ANGLES, "phi", "u'(phi)")
 
 

@@ -9,6 +9,7 @@ from scenes import LJ
 from wrong_calls import assert_answered
 
 import minimd as md
+from minimd.core.neighbors.pair_list import PairList
 
 WRONG = {
     "twice": lambda force: force.__imul__(2.0),
@@ -121,3 +122,22 @@ def test_a_wrong_force_is_found_in_any_unit_among_energies_that_are_no_numbers_a
     Steep.seen.clear()
     assert_found_out(Steep, lambda: simulation.run(1))
     assert set(Steep.seen) == {time}
+
+
+class Listed(md.potentials.Term):
+    """A term with a list of its own, of the skin 0.1."""
+
+    def __init__(self):
+        self.list = PairList(2, 1.0, 0.1, np.zeros((0, 2), dtype=np.int64))
+
+    def bind(self, _system):
+        return self
+
+
+def test_a_skin_that_does_not_reach_the_list_of_a_term_is_refused():
+    def simulation(**given):
+        return md.Simulation(md.System(np.eye(2, 3)), Listed(), md.VelocityVerlet(0.002), **given)
+
+    assert_answered(lambda: simulation(skin=0.3), ValueError, "skin must", "0.3", "0.1", "Listed")
+    for given in ({"skin": 0.1}, {}):
+        simulation(**given)

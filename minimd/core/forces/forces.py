@@ -197,6 +197,12 @@ class Forces:
         self._calls = DirectCalls()
         self._n_plans = 0
         self._bind()
+        for term in self._bound if self.options.skin else ():
+            if term.list is not None and term.list.skin != self.options.skin:
+                raise ValueError(
+                    f"skin must be that of the list of neighbors of {type(term).__name__}, which it made itself: "
+                    f"{term.list.skin:g}; skin = {self.options.skin:g}: give it where the list is made"
+                )
         self.check_resolution()
         for term in self._bound:
             if term.warning:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.core.potentials import declared as kind, laws
 from minimd.core.potentials.declared import (
@@ -20,7 +20,7 @@ from minimd.core.potentials.declared import (
 from minimd.core.potentials.law import check_law_of_angles, check_user_law, checked_law, on_vectors
 from minimd.core.potentials.links import Bend, FixedPairs, LinkedTerm, Torsion
 from minimd.core.potentials.term import NoTerm, Term, no_bonds
-from minimd.core.structure.bond_graph import GROUPS, checked_groups, checked_pairs
+from minimd.core.structure.bond_graph import GROUPS, Indices, checked_groups, checked_pairs
 from minimd.core.structure.cell import nearest_vectors
 from minimd.core.structure.system import System
 
@@ -29,6 +29,8 @@ REPULSION = "ε of the repulsion, a Lennard-Jones law cut at its minimum; 0 for 
 # of the length of the first bond: where a user's law of bonds is tried
 TRIED_AT = (0.9, 0.97, 1.06)
 ARGUMENTS = {2: "pairs", 3: "triples", 4: "quadruples"}
+PAIRS = declared(kind.groups, of=2, default=None)
+QUADRUPLES = declared(kind.groups, of=4, default=None)
 
 
 class Bonded(Declared):
@@ -39,32 +41,29 @@ class Bonded(Declared):
     law: ClassVar[Any]
     term: ClassVar[Callable[..., Term]]
 
-    def groups_in(self, system: System) -> NDArray[np.int64]:
+    def groups_in(self, system: System) -> Indices:
         """(G, n) int, those on which it acts in a system.  Raises ValueError if they name atoms that do not exist."""
-        name = ARGUMENTS[size := GROUPS[self.acts_on]]
-        own: NDArray[np.int64] = (
-            getattr(system, self.acts_on) if (given := getattr(self, name)) is None else given
-        )
-        return (
-            checked_pairs(name, own, len(system))
-            if size == 2
-            else checked_groups(name, own, size, len(system))
-        )
+        size = GROUPS[self.acts_on]
+        name = ARGUMENTS[size]
+        groups: Indices | None = getattr(self, name)
+        if groups is None:
+            groups = getattr(system, self.acts_on)
+        if size == 2:
+            return checked_pairs(name, groups, len(system))
+        return checked_groups(name, groups, size, len(system))
 
     def bind(self, system: System) -> Term:
         """The term of these groups in a system.
         Raises ValueError if they name a missing atom, or an array of parameters has another length than their list."""
-        found = self.groups_in(system)
-        columns = self.columns(self.acts_on, len(found))
-        if len(found):
-            self.check_law(system, found[0], tuple(float(column[0]) for column in columns))
-            return self.term(found, columns)
-        is_told = getattr(self, ARGUMENTS[GROUPS[self.acts_on]]) is None
-        return NoTerm(no_bonds(repr(self), self.acts_on) if is_told else "")
+        groups = self.groups_in(system)
+        columns = self.columns(self.acts_on, len(groups))
+        if len(groups):
+            self.check_law(system, groups[0], tuple(float(column[0]) for column in columns))
+            return self.term(groups, columns)
+        is_of_system = getattr(self, ARGUMENTS[GROUPS[self.acts_on]]) is None
+        return NoTerm(no_bonds(repr(self), self.acts_on) if is_of_system else "")
 
-    def check_law(
-        self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]
-    ) -> None:
+    def check_law(self, system: System, group: Indices, numbers: tuple[float, ...]) -> None:
         """Compare a user's law with its slope, for the first group.  Raises ValueError if it is wrong."""
 
 
@@ -73,9 +72,9 @@ class Bond(Bonded):
 
     acts_on = "bonds"
 
-    def term(self, found: NDArray[np.int64], columns: tuple[Array, ...]) -> Term:
+    def term(self, groups: Indices, columns: tuple[Array, ...]) -> Term:
         """See Bonded."""
-        return FixedPairs(found, self.law, (np.full(len(found), np.inf), *columns))
+        return FixedPairs(groups, self.law, (np.full(len(groups), np.inf), *columns))
 
 
 class BondPotential(Bond):
@@ -83,14 +82,13 @@ class BondPotential(Bond):
 
     law: Callable | tuple = declared(kind.own_law, "law(r2, *parameters), as for PairPotential")  # type: ignore[misc]
     parameters: Sequence[ArrayLike] = declared(kind.own_parameters, default=())
-    pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
+    pairs: ArrayLike | None = PAIRS
 
-    def check_law(
-        self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]
-    ) -> None:
+    def check_law(self, system: System, group: Indices, numbers: tuple[float, ...]) -> None:
         """See Bonded."""
         r = float(np.linalg.norm(nearest_vectors(system.positions, system.cell, group[None])))
-        check_user_law(checked_law(self.law), numbers, [x * r for x in TRIED_AT] if r > 0.0 else ())
+        if r > 0.0:
+            check_user_law(checked_law(self.law), numbers, [x * r for x in TRIED_AT])
 
 
 class HarmonicBond(Bond):
@@ -100,7 +98,7 @@ class HarmonicBond(Bond):
     lammps = LammpsStyle("harmonic", lambda k, length: (0.5 * k, length))
     k: ArrayLike = declared(kind.each, "u = k (r − length)²/2", "stiffness", NOT_NEGATIVE)
     length: ArrayLike = declared(kind.each, "rest length", "length", NOT_NEGATIVE)
-    pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
+    pairs: ArrayLike | None = PAIRS
 
 
 class MorseBond(Bond):
@@ -113,7 +111,7 @@ class MorseBond(Bond):
     )
     a: ArrayLike = declared(kind.each, "inverse width", "inverse length", POSITIVE)
     length: ArrayLike = declared(kind.each, "rest length", "length", NOT_NEGATIVE)
-    pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
+    pairs: ArrayLike | None = PAIRS
 
 
 class FENEBond(Bond):
@@ -130,7 +128,7 @@ class FENEBond(Bond):
     longest: ArrayLike = declared(kind.each, "length that a bond cannot reach", "length", POSITIVE)
     epsilon: ArrayLike = declared(kind.each, REPULSION, "energy", NOT_NEGATIVE, default=1.0)
     sigma: ArrayLike = declared(kind.each, "σ of the repulsion", "length", POSITIVE, default=1.0)
-    pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
+    pairs: ArrayLike | None = PAIRS
 
 
 class HarmonicAngle(Bonded):
@@ -145,10 +143,10 @@ class HarmonicAngle(Bonded):
     angle: ArrayLike = declared(kind.each, "rest angle", "angle", kind.ANGLE)
     triples: ArrayLike | None = declared(kind.groups, "the middle one second", of=3, default=None)
 
-    def term(self, found: NDArray[np.int64], columns: tuple[Array, ...]) -> Term:
+    def term(self, groups: Indices, columns: tuple[Array, ...]) -> Term:
         """See Bonded."""
         k, angle = columns
-        return LinkedTerm(found, Bend(), (), (k, np.sin(angle), np.cos(angle)))
+        return LinkedTerm(groups, Bend(), (), (k, np.sin(angle), np.cos(angle)))
 
 
 class Dihedral(Bonded):
@@ -156,9 +154,9 @@ class Dihedral(Bonded):
 
     acts_on = "dihedrals"
 
-    def term(self, found: NDArray[np.int64], columns: tuple[Array, ...]) -> Term:
+    def term(self, groups: Indices, columns: tuple[Array, ...]) -> Term:
         """See Bonded."""
-        return LinkedTerm(found, Torsion(), on_vectors(self.law, len(columns)), columns)
+        return LinkedTerm(groups, Torsion(), on_vectors(self.law, len(columns)), columns)
 
 
 class DihedralPotential(Dihedral):
@@ -171,11 +169,9 @@ class DihedralPotential(Dihedral):
 
     law: Callable | tuple = declared(kind.own_law, "law(phi, *parameters)")  # type: ignore[misc]
     parameters: Sequence[ArrayLike] = declared(kind.own_parameters, default=())
-    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
+    quadruples: ArrayLike | None = QUADRUPLES
 
-    def check_law(
-        self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]
-    ) -> None:
+    def check_law(self, system: System, group: Indices, numbers: tuple[float, ...]) -> None:
         """See Bonded."""
         check_law_of_angles(checked_law(self.law), numbers)
 
@@ -192,7 +188,7 @@ class PeriodicDihedral(Dihedral):
     k: ArrayLike = declared(kind.each, "u = k (1 + cos(n φ − phase))", "energy")
     n: ArrayLike = declared(kind.each, "number of minima in a turn", "", kind.WHOLE)
     phase: ArrayLike = declared(kind.each, "phase of u, see k", "angle", kind.PHASE, default=0.0)
-    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
+    quadruples: ArrayLike | None = QUADRUPLES
 
 
 class RyckaertBellemans(Dihedral):
@@ -202,17 +198,15 @@ class RyckaertBellemans(Dihedral):
     """
 
     law = laws.RyckaertBellemansLaw()
-    lammps = LammpsStyle(
-        "nharmonic", lambda *c: (len(c), *(-one if n % 2 else one for n, one in enumerate(c)))
-    )
+    lammps = LammpsStyle("nharmonic", lambda c0, c1, c2, c3, c4, c5: (6, c0, -c1, c2, -c3, c4, -c5))
     coefficients: Sequence[ArrayLike] = declared(
         kind.coefficients, "c₀ to c₅ of u = Σ cₙ cosⁿ(φ − 180°)", "energy"
     )
-    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
+    quadruples: ArrayLike | None = QUADRUPLES
 
     def numbers(self) -> dict[str, Array]:
         """See Declared."""
-        return {f"c{k}": np.asarray(one) for k, one in enumerate(self.coefficients)}
+        return {f"c{n}": np.asarray(c) for n, c in enumerate(self.coefficients)}
 
 
 class OPLSDihedral(Dihedral):
@@ -229,26 +223,25 @@ class OPLSDihedral(Dihedral):
     k2: ArrayLike = declared(kind.each, "… + k2 (1 − cos 2φ)/2 + …", "energy")
     k3: ArrayLike = declared(kind.each, "… + k3 (1 + cos 3φ)/2 + …", "energy")
     k4: ArrayLike = declared(kind.each, "… + k4 (1 − cos 4φ)/2", "energy", default=0.0)
-    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
+    quadruples: ArrayLike | None = QUADRUPLES
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        shapes = [np.shape(one) for one in (self.k1, self.k2, self.k3, self.k4)]
+        shapes = [array.shape for array in super().numbers().values()]
         if len({*shapes} - {()}) > 1:
             raise ValueError(f"k1 to k4 must have the same length; their shapes are {shapes}")
 
     def numbers(self) -> dict[str, Array]:
         """See Declared."""
-        one, two, three, four = super().numbers().values()
-        c = (
-            two + 0.5 * (one + three),
-            0.5 * (3.0 * three - one),
-            4.0 * four - two,
-            -2.0 * three,
-            -4.0 * four,
-            0.0,
-        )
-        return {f"c{k}": np.asarray(one) for k, one in enumerate(c)}
+        k1, k2, k3, k4 = super().numbers().values()
+        return {
+            "c0": k2 + 0.5 * (k1 + k3),
+            "c1": 0.5 * (3.0 * k3 - k1),
+            "c2": 4.0 * k4 - k2,
+            "c3": -2.0 * k3,
+            "c4": -4.0 * k4,
+            "c5": np.zeros(()),
+        }
 
 
 class HarmonicImproper(Dihedral):
@@ -265,4 +258,4 @@ class HarmonicImproper(Dihedral):
     angle: ArrayLike = declared(
         kind.each, "rest angle, with its sign", "angle", kind.SIGNED_ANGLE, default=0.0
     )
-    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
+    quadruples: ArrayLike | None = QUADRUPLES

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections import namedtuple
 from collections.abc import Sequence
+from dataclasses import KW_ONLY
 from math import inf, sqrt
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from minimd.core.compiled.kernels import scalar, type_of
+from minimd.core.compiled.kernels import scalar
 from minimd.core.compiled.simd import fma, select
 from minimd.core.compiled.simd.functions import polynomial
 from minimd.core.console.words import shown
@@ -23,7 +23,7 @@ from minimd.core.potentials.declared import (
     number,
     pairs,
 )
-from minimd.core.potentials.law import evaluate_law
+from minimd.core.potentials.law import evaluate_law, law_type
 from minimd.core.potentials.prolates import LEAST_ACCURATE, MOST_ACCURATE, Numbers, Split, split_for
 from minimd.core.potentials.term import OwnTerm, PairLaw
 from minimd.core.structure.bond_graph import checked_pairs
@@ -87,23 +87,17 @@ def special(r2, split, parameters):
     t = scale * r2 - 1.0
     inverse2 = 1.0 / r2
     inverse = sqrt(inverse2)
-    is_near = r2 < cutoff2
     inverse3 = inverse * inverse2
+    is_near = r2 < cutoff2
     rest = select(is_near, polynomial(t, values), inverse)
-    return q * (s * inverse - rest), q * (
-        s * inverse3 + select(is_near, polynomial(t, slopes), -inverse3)
-    )
+    slope = select(is_near, polynomial(t, slopes), -inverse3)
+    return q * (s * inverse - rest), q * (s * inverse3 + slope)
 
 
-CoulombLaw, SpecialLaw, ShiftedForceLaw, ChargedLaw = (
-    type_of(formula)(namedtuple(name, fields, module=__name__))
-    for name, formula, fields in (
-        ("CoulombLaw", coulomb, "split"),
-        ("SpecialLaw", special, "split"),
-        ("ShiftedForceLaw", shifted_force, "cutoff"),
-        ("ChargedLaw", charged, "law charges"),
-    )
-)
+CoulombLaw = law_type("CoulombLaw", coulomb)
+SpecialLaw = law_type("SpecialLaw", special)
+ShiftedForceLaw = law_type("ShiftedForceLaw", shifted_force)
+ChargedLaw = law_type("ChargedLaw", charged)
 
 
 class Coulomb(Declared):
@@ -133,103 +127,101 @@ class Coulomb(Declared):
         demand=POSITIVE,
         default=1e-5,
     )
+    _: KW_ONLY
     method: MethodName = declared(
         choice,
         "how charges are summed; the last two are approximations",
         of=METHODS,
         default="ewald",
-        kw_only=True,
     )
     dielectric: float = declared(
-        number,
-        "ε of the reaction field, 1 or more; default: infinite, a conductor",
-        of=inf,
-        default=inf,
-        kw_only=True,
+        number, "ε of the reaction field, 1 or more; default: infinite, a conductor", default=inf
     )
     bonded_scale: Sequence[float] = declared(
-        factors,
-        "factors for pairs one, two and three bonds apart",
-        default=(0.0, 0.0, 1.0),
-        kw_only=True,
+        factors, "factors for pairs one, two and three bonds apart", default=(0.0, 0.0, 1.0)
     )
     exclusions: ArrayLike | None = declared(
-        pairs, "pairs that do not interact, whatever bonded_scale says", default=None, kw_only=True
+        pairs, "pairs that do not interact, whatever bonded_scale says", default=None
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not MOST_ACCURATE <= self.accuracy <= LEAST_ACCURATE:
-            limits = f"between {MOST_ACCURATE:g} and {LEAST_ACCURATE:g} (rounding prevents smaller errors)"
-            raise ValueError(f"accuracy must be {limits}; accuracy = {shown(self.accuracy)}")
+            raise ValueError(
+                f"accuracy must be between {MOST_ACCURATE:g} and {LEAST_ACCURATE:g} "
+                f"(rounding prevents smaller errors); accuracy = {shown(self.accuracy)}"
+            )
         if self.dielectric < 1.0:
-            least = "1 (vacuum) or more, inf for a conductor"
-            raise ValueError(f"dielectric must be {least}; dielectric = {self.dielectric}")
+            raise ValueError(
+                "dielectric must be 1 (vacuum) or more, inf for a conductor; "
+                f"dielectric = {self.dielectric}"
+            )
 
     def bind(self, system: System) -> CoulombTerm:
         """The term of this potential in a system.  Raises ValueError as the class."""
         if not system.charges.any():
-            hint = "System(..., charges=q), atoms.set_initial_charges(q) of ASE, or in a scene file structure.charges"
             raise ValueError(
-                f"Coulomb needs charges; those of the system are all zero: give them as {hint}"
+                "Coulomb needs charges; those of the system are all zero: give them as System(..., charges=q), "
+                "atoms.set_initial_charges(q) of ASE, or in a scene file structure.charges"
             )
         pbc = system.cell.pbc
         is_sum = self.method in SUMS
         if is_sum and pbc.any() and not pbc.all():
-            hint = 'make the cell periodic in all three, with empty space, or take method="shifted-force"'
             raise ValueError(
-                f"Coulomb needs a cell that is periodic in all directions or in none; pbc = {pbc}: {hint}"
+                f"Coulomb needs a cell that is periodic in all directions or in none; pbc = {pbc}: make the cell "
+                'periodic in all three, with empty space, or take method="shifted-force"'
             )
-        cutoff = self.cutoff or inf
-        is_split = is_sum and pbc.all()
-        if cutoff == inf and (pbc.any() or not is_sum):
+        if self.cutoff is None and (pbc.any() or not is_sum):
             where = "in a periodic cell" if is_sum else f"with method {self.method!r}"
             raise ValueError(f"cutoff of Coulomb must be given {where}; it is None")
-        return CoulombTerm(
-            self, system, cutoff, split_for(cutoff, self.accuracy) if is_split else None
-        )
+        return CoulombTerm(self, system)
 
 
 class CoulombTerm(OwnTerm):
     """Charges in a system: a law for the planner to run on a list of neighbors, and perhaps with a sum over waves."""
 
-    def __init__(
-        self, potential: Coulomb, system: System, cutoff: float, split: Split | None
-    ) -> None:
-        self.cutoff = self.shortest_length = (
-            inf if split is None and potential.method in SUMS else cutoff
-        )
-        numbers = NO_REST if split is None else split.numbers
-        if potential.method == "reaction-field":
-            part = 1.0 / (2.0 + 1.0 / potential.dielectric)
-            k = (1.0 - 1.0 / potential.dielectric) * part / self.cutoff
-            c = 3.0 * part / self.cutoff
-            numbers = (
-                2.0 / self.cutoff**2,
-                (c - 0.5 * k, -0.5 * k),
-                (-2.0 * k / self.cutoff**2, 0.0),
-            )
-        charges = system.charges * sqrt(system.units.coulomb)
-        if split is not None and (net := system.net_charge):
-            self.warning = (
-                f"the net charge of the cell is {net:.6g} e: a uniform background balances it"
-            )
-        name = type(potential).__name__
-        table = np.full((1, 1, 1), self.cutoff**2)
-        law = (
-            ShiftedForceLaw(cutoff) if potential.method == "shifted-force" else CoulombLaw(numbers)
-        )
-        left_out = checked_pairs("exclusions", potential.exclusions, len(system))
-        scale = tuple(potential.bonded_scale)
+    def __init__(self, potential: Coulomb, system: System) -> None:
+        cutoff = potential.cutoff or inf
+        split: Split | None = None
+        if potential.method == "shifted-force":
+            law = ShiftedForceLaw(cutoff)
+        elif potential.method == "reaction-field":
+            law = CoulombLaw(_reaction_field(cutoff, potential.dielectric))
+        elif system.cell.is_periodic:
+            split = split_for(cutoff, potential.accuracy)
+            law = CoulombLaw(split.numbers)
+            net_charge = system.net_charge
+            if net_charge != 0.0:
+                self.warning = f"the net charge of the cell is {net_charge:.6g} e: a uniform background balances it"
+        else:
+            cutoff = inf
+            law = CoulombLaw(NO_REST)
+        self.cutoff = cutoff
+        self.shortest_length = cutoff
         self.pair_law = PairLaw(
-            name, law, table, self.cutoff, scale, charges, split, potential.method, left_out
+            type(potential).__name__,
+            law,
+            np.full((1, 1, 1), cutoff**2),
+            cutoff,
+            tuple(potential.bonded_scale),
+            system.charges * sqrt(system.units.coulomb),
+            split,
+            potential.method,
+            checked_pairs("exclusions", potential.exclusions, len(system)),
         )
+
+
+def _reaction_field(cutoff: float, dielectric: float) -> Numbers:
+    """The numbers of the law coulomb with which L(r) = c − k r², see Coulomb."""
+    part = 1.0 / (2.0 + 1.0 / dielectric)
+    k = (1.0 - 1.0 / dielectric) * part / cutoff
+    c = 3.0 * part / cutoff
+    return 2.0 / cutoff**2, (c - 0.5 * k, -0.5 * k), (-2.0 * k / cutoff**2, 0.0)
 
 
 def with_charges(law: PairLaw, charges: PairLaw) -> PairLaw:
     """A law, and that of charges, which reaches as far or farther, as one law."""
-    table = np.concatenate(
-        [np.full((*law.table.shape[:2], 1), charges.cutoff**2), law.table], axis=-1
-    )
+    cutoff2 = np.full((*law.table.shape[:2], 1), charges.cutoff**2)
+    table = np.concatenate([cutoff2, law.table], axis=-1)
     name = f"{law.name}, {charges.name}"
     return charges._replace(name=name, law=ChargedLaw(law.law, charges.law), table=table)

@@ -122,8 +122,9 @@ class Declared(OwnPotential):
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         dataclass(eq=False, repr=False)(cls)
-        if told := [one.told(name) for name, one in cls.parameters_of().items()]:
-            sections = ["", "Parameters", "----------", *told, "", "Raises", "------", RAISES]
+        lines = [parameter.told(name) for name, parameter in cls.parameters_of().items()]
+        if lines:
+            sections = ["", "Parameters", "----------", *lines, "", "Raises", "------", RAISES]
             cls.__doc__ = "\n".join([cleandoc(cls.__doc__ or ""), *sections])
 
     def __post_init__(self) -> None:
@@ -133,21 +134,19 @@ class Declared(OwnPotential):
     @classmethod
     def parameters_of(cls) -> dict[str, Parameter]:
         """What is declared of the arguments, by name."""
-        own = (one for one in fields(cls) if one.init)  # type: ignore[arg-type]
-        taken = sorted(own, key=lambda one: bool(one.kw_only))
-        return {one.name: one.metadata["parameter"] for one in taken}
+        own = (argument for argument in fields(cls) if argument.init)  # type: ignore[arg-type]
+        in_order = sorted(own, key=lambda argument: bool(argument.kw_only))
+        return {argument.name: argument.metadata["parameter"] for argument in in_order}
 
     @classmethod
     def kinds(cls) -> set[Kind]:
         """The kinds of its parameters."""
-        return {one.kind for one in cls.parameters_of().values()}
+        return {parameter.kind for parameter in cls.parameters_of().values()}
 
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
-        return {
-            name: getattr(type(one := getattr(self, name)), "python", one)
-            for name in self.parameters_of()
-        }
+        values = {name: getattr(self, name) for name in self.parameters_of()}
+        return {name: getattr(type(value), "python", value) for name, value in values.items()}
 
     def columns(self, things: str, n: int) -> tuple[Array, ...]:
         """The numbers of the law for each of n things, as contiguous (n,) arrays.
@@ -157,17 +156,17 @@ class Declared(OwnPotential):
                 wanted = f"one number, or {n} numbers, one for each of the {things}"
                 raise ValueError(f"{name} must be {wanted}; its shape is {array.shape}")
         # of one type, for kernels
-        return tuple(np.array(np.broadcast_to(one, n)) for one in self.numbers().values())
+        return tuple(np.array(np.broadcast_to(array, n)) for array in self.numbers().values())
 
     def numbers(self) -> dict[str, Array]:
         """The numbers of the law by name, each one for all, or one for each."""
-        found = {
+        numbers = {
             name: getattr(self, name)
-            for name, one in self.parameters_of().items()
-            if one.kind is each
+            for name, parameter in self.parameters_of().items()
+            if parameter.kind is each
         }
         own: tuple[Array, ...] = getattr(self, "parameters", ())
-        return found | {f"parameter {k}": values for k, values in enumerate(own)}
+        return numbers | {f"parameter {k}": values for k, values in enumerate(own)}
 
 
 def checked_values(
@@ -210,8 +209,8 @@ def _unit(name: str, array: Array) -> Array:
     return array / length
 
 
-def _downwards(_name: str, given: Array) -> Array:
-    return given if given.ndim else np.array([0.0, 0.0, -float(given)])
+def _downwards(_name: str, array: Array) -> Array:
+    return array if array.ndim else np.array([0.0, 0.0, -float(array)])
 
 
 def _of_atoms(shape: tuple) -> bool:
@@ -225,13 +224,13 @@ def _coefficients(name: str, values: Any, asked: Parameter) -> tuple[Array, ...]
     if not (is_list and 0 < len(values) <= MOST_COEFFICIENTS):
         wanted = f"a list of 1 to {MOST_COEFFICIENTS} numbers, c0 to c5"
         raise ValueError(f"{name} must be {wanted}; {name} = {shown(values)}")
-    given = [*values, *[0.0] * (MOST_COEFFICIENTS - len(values))]
-    return tuple(each.check(f"{name}[{k}]", one, asked) for k, one in enumerate(given))
+    filled = [*values, *[0.0] * (MOST_COEFFICIENTS - len(values))]
+    return tuple(each.check(f"{name}[{k}]", value, asked) for k, value in enumerate(filled))
 
 
 def _own_parameters(name: str, values: Any, asked: Parameter) -> tuple[Array, ...]:
     checked_kind(name, values, list | tuple, "a tuple with one entry for each parameter of the law")
-    return tuple(each.check(f"parameter {k}", one, asked) for k, one in enumerate(values))
+    return tuple(each.check(f"parameter {k}", value, asked) for k, value in enumerate(values))
 
 
 def _number(name: str, value: Any, asked: Parameter) -> float | None:
@@ -242,12 +241,12 @@ def _number(name: str, value: Any, asked: Parameter) -> float | None:
 def _atoms(name: str, values: Any, _asked: Parameter) -> NDArray[np.int64] | None:
     if values is None:
         return None
-    found = checked_indices(name, values, "a list of atoms")
-    if found.ndim != 1 or found.min(initial=0) < 0 or len(np.unique(found)) < len(found):
+    atoms = checked_indices(name, values, "a list of atoms")
+    if atoms.ndim != 1 or atoms.min(initial=0) < 0 or len(np.unique(atoms)) < len(atoms):
         raise ValueError(
-            f"{name} must be a list of different atoms, from 0 on; {name} = {shown(found.tolist())}"
+            f"{name} must be a list of different atoms, from 0 on; {name} = {shown(atoms.tolist())}"
         )
-    return found
+    return atoms
 
 
 def _groups(name: str, values: Any, asked: Parameter) -> NDArray[np.int64] | None:
@@ -271,17 +270,17 @@ own_law = Kind("a user's function, or a law type", lambda _name, law, _asked: ch
 own_parameters = Kind("a tuple, each entry one number for all or one for each", _own_parameters)
 number = Kind("one number", _number)
 pairs = Kind(
-    "pairs of atoms", lambda name, given, _: None if given is None else checked_pairs(name, given)
+    "pairs of atoms", lambda name, value, _: None if value is None else checked_pairs(name, value)
 )
 flag = Kind("True or False", lambda name, value, _: checked_flag(name, value))
 given = Kind(  # its class checks it
     "{of}",
-    lambda _name, one, _: (
-        dict(one)
-        if isinstance(one, Mapping)
-        else one.item()
-        if isinstance(one, np.generic)
-        else one
+    lambda _name, value, _: (
+        dict(value)
+        if isinstance(value, Mapping)
+        else value.item()
+        if isinstance(value, np.generic)
+        else value
     ),
 )
 choice = Kind("one of {of}", lambda name, value, asked: checked_choice(name, value, asked.of))

@@ -38,12 +38,14 @@ CLASS_NAME = "UserLaw_{}"  # a digest, or a random number
 
 
 def law_type(name: str, formula: Callable) -> Any:
-    """The law type of a compiled law, formula(r2, *parameters), or of one around another, formula(r2, law, parameters).
+    """The law type of a compiled law, formula(r2, *numbers) or, with fields, formula(r2, *fields, parameters).
 
     name : of the variable that it is assigned to in the module of the formula; there the cache and pickles find it.
     """
     python = formula.py_func  # type: ignore[attr-defined]
-    fields = ["law"] if "law" in signature(python).parameters else []
+    _, *fields, last = signature(python).parameters
+    if last != "parameters":
+        fields = []
     return type_of(formula)(namedtuple(name, fields, module=python.__module__))
 
 
@@ -118,9 +120,9 @@ def user_law(function: Callable) -> UserLaw:
     named = _class_named(CLASS_NAME.format(snapshot.digest or uuid4().hex))
     if not hasattr(named, "formula"):
         formula: Any = snapshot.function
-        type_of(formula if isinstance(formula, Dispatcher) else scalar(formula), snapshot.python)(
-            named
-        )
+        if not isinstance(formula, Dispatcher):
+            formula = scalar(formula)
+        type_of(formula, snapshot.python)(named)
     if not snapshot.digest:
         named.is_recognized = False
         _unrecognized[named.formula] = named  # type: ignore[attr-defined]
@@ -142,17 +144,17 @@ def _nested(law: tuple) -> Iterator[tuple]:
 
 def is_user_law(law: tuple) -> bool:
     """True if the law type, or the one inside it, was made by user_law."""
-    return any(isinstance(one, UserLaw) for one in _nested(law))
+    return any(isinstance(inner, UserLaw) for inner in _nested(law))
 
 
 def reads_table(law: tuple) -> bool:
     """True if the law type, or the one inside it, is a table: vectors cannot look up a place for each lane."""
-    return any(isinstance(field, np.ndarray) for one in _nested(law) for field in one)
+    return any(isinstance(field, np.ndarray) for inner in _nested(law) for field in inner)
 
 
 def is_recognized(law: tuple) -> bool:
     """False if the law type, or the one inside it, is that of a user's law that the disk cache cannot recognize."""
-    return all(getattr(one, "is_recognized", True) for one in _nested(law))
+    return all(getattr(inner, "is_recognized", True) for inner in _nested(law))
 
 
 def loop_for(loop: Any, *laws: tuple) -> Any:
@@ -163,59 +165,62 @@ def loop_for(loop: Any, *laws: tuple) -> Any:
 def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, float]:
     """u(r) [energy] and −u′(r)/r [energy/length²] of a law at a distance r [length]; NaN where the law gives no real
     number. Raises TypeError if a user's law does not take these parameters or does not return two numbers."""
-    return _tried(law, r * r, parameters, "r²", "-u'(r)/r")
+    return _two_numbers(law, parameters, "r²", "-u'(r)/r", r * r)
 
 
-def _tried(
-    law: tuple, x: float, parameters: tuple[float, ...], taken: str, force: str
+def _two_numbers(
+    law: tuple, parameters: tuple[float, ...], variable: str, slope: str, x: float
 ) -> tuple[float, float]:
+    """What a law returns at x, see law_at.  variable, slope : what it takes and returns, for messages."""
     name = type(law).python.__name__ if isinstance(law, UserLaw) else type(law).__name__
     try:
         u, f = evaluate_law(law, x, parameters)
-        return (
-            (nan, nan) if isinstance(u, complex) or isinstance(f, complex) else (float(u), float(f))
-        )
+        if isinstance(u, complex) or isinstance(f, complex):
+            return nan, nan
+        return float(u), float(f)
     except (ArithmeticError, ValueError) as error:
         if "unpack" in str(error):
             raise TypeError(
-                f"the law {name} must return two numbers, u and {force}: {error}"
+                f"the law {name} must return two numbers, u and {slope}: {error}"
             ) from None
         return nan, nan
     except (TypeError, NameError, AttributeError, LookupError) as error:
-        wanted = f"take {taken} and {len(parameters)} parameters and return u and {force}"
-        raise TypeError(f"the law {name} must {wanted}: {error}") from None
+        raise TypeError(
+            f"the law {name} must take {variable} and {len(parameters)} parameters "
+            f"and return u and {slope}: {error}"
+        ) from None
 
 
 def check_user_law(law: tuple, parameters: tuple[float, ...], distances: Iterable[float]) -> None:
     """Try a user's law at some distances [length]: does it return u and −u′(r)/r? Raises TypeError as law_at;
     ValueError if, at more than half of the distances, the second number is not −u′(r)/r by central differences."""
-    _compare(lambda r: law_at(law, r, parameters), lambda r: -1.0 / r, distances, ("r", "-u'(r)/r"))
+    _compare(lambda r: law_at(law, r, parameters), lambda r: -1.0 / r, distances, "r", "-u'(r)/r")
 
 
 def check_law_of_angles(law: tuple, parameters: tuple[float, ...]) -> None:
     """The same for a law of dihedral angles, which returns u and u′(φ)."""
-    at = lambda phi: _tried(law, phi, parameters, "phi", "u'(phi)")  # noqa: E731
-    _compare(at, lambda phi: 1.0, ANGLES, ("phi", "u'(phi)"))
+    at = functools.partial(_two_numbers, law, parameters, "phi", "u'(phi)")
+    _compare(at, lambda phi: 1.0, ANGLES, "phi", "u'(phi)")
 
 
 def _compare(
-    at: Callable, factor: Callable, places: Iterable[float], words: tuple[str, str]
+    at: Callable, factor: Callable, places: Iterable[float], symbol: str, name: str
 ) -> None:
-    tried = 0
-    wrong = list[str]()
-    symbol, force = words
+    """Raise ValueError unless at(x) returns u and factor(x) u′ at most places.  symbol, name : of x and the latter."""
+    n_compared = 0
+    n_wrong = 0
     for x in places:
         u, f = at(x)
-        low, high = (at(x * (1.0 + h))[0] for h in (-STEP, STEP))
+        low, _ = at(x * (1.0 - STEP))
+        high, _ = at(x * (1.0 + STEP))
         slope = factor(x) * (high - low) / (2.0 * STEP * x)
-        if isfinite(u) and isfinite(f) and isfinite(slope):
-            tried += 1
+        if all(map(isfinite, (u, f, slope))):
+            n_compared += 1
             if not agree(f, slope, factor(x) * u / x):
-                wrong.append(
-                    f"at {symbol} = {x:.4g} it returns {f:.6g} where {force} is {slope:.6g}"
-                )
-    if 2 * len(wrong) > tried:
-        raise ValueError(f"the law must return u and {force}; {wrong[-1]}")
+                n_wrong += 1
+                fault = f"at {symbol} = {x:.4g} it returns {f:.6g} where {name} is {slope:.6g}"
+    if 2 * n_wrong > n_compared:
+        raise ValueError(f"the law must return u and {name}; {fault}")
 
 
 def agree(said: float, slope: float, u: float, rough: float = 0.0) -> bool:
@@ -258,16 +263,16 @@ def sum_over_lanes(law, distances2, parameters, columns, lanes):
 @functools.cache
 def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
     """Whether a law compiles for vectors: minimd's do, but for tables; one that branches on its arguments does not."""
-    if reads_table(law) or not is_user_law(law):
-        return not reads_table(law)
-    lanes = lanes_for()
-    column = np.ones(lanes.size)
-    try:
-        loop_for(sum_over_lanes, law)(
-            law, column, (1.0,) * n_parameters, (column,) * n_parameters, lanes
-        )
-    except (NumbaError, AttributeError):  # the latter for a constant, which is no vector
+    if reads_table(law):
         return False
+    if is_user_law(law):
+        lanes = lanes_for()
+        column = np.ones(lanes.size)
+        loop = loop_for(sum_over_lanes, law)
+        try:
+            loop(law, column, (1.0,) * n_parameters, (column,) * n_parameters, lanes)
+        except (NumbaError, AttributeError):  # the latter for a constant, which is no vector
+            return False
     return True
 
 

@@ -90,7 +90,8 @@ def lennard_jones_93(r2, epsilon, sigma):
     epsilon : ε; the well is √10/3 ε deep, at r = (2/5)^(1/6) σ [energy].  sigma : [length].
     W. A. Steele, Surf. Sci. 36, 317 (1973).
     """
-    s3 = (sigma * sigma / r2) * sqrt(sigma * sigma / r2)
+    s2 = sigma * sigma / r2
+    s3 = s2 * sqrt(s2)
     s9 = s3 * s3 * s3
     return epsilon * (2.0 / 15.0 * s9 - s3), epsilon / r2 * (1.2 * s9 - 3.0 * s3)
 
@@ -164,51 +165,43 @@ def restraint(x, y, z, _t, kx, ky, kz, vx, vy, vz):
 
 
 @scalar
-def _in_front(d, law, rest):
+def _in_front(d, law, reach, parameters):
     """u(d) and −u′(d) for 0 < d < reach; zero farther away, NaN on the wall and behind it."""
-    if d >= rest[7]:
+    if d >= reach:
         return 0.0, 0.0
     if not d > 0.0:
         return nan, nan
-    u, f = evaluate_law(law, d * d, rest[8:])
+    u, f = evaluate_law(law, d * d, parameters)
     return u, f * d
 
 
 @scalar
-def planar(x, law, rest):
+def planar(x, law, parameters):
     """Wall in a plane: u(d) of the distance d = n·r − p, see _in_front.
 
-    x : first coordinate [length].  law : of d.  rest : (y, z, t, n, p, reach, *parameters of law); n is a unit vector,
-        three numbers.
+    x : first coordinate [length].  law : of d.
+    parameters : (y, z, t, n, p, reach, *parameters of law); n is a unit vector, three numbers.
     """
-    y = rest[0]
-    z = rest[1]
-    nx = rest[3]
-    ny = rest[4]
-    nz = rest[5]
-    u, f = _in_front(nx * x + ny * y + nz * z - rest[6], law, rest)
+    y, z, _, nx, ny, nz, place, reach = parameters[:8]
+    u, f = _in_front(nx * x + ny * y + nz * z - place, law, reach, parameters[8:])
     return u, f * nx, f * ny, f * nz, 0.0
 
 
 @scalar
-def curved(x, law, rest):
+def curved(x, law, parameters):
     """Wall of a cylinder or a sphere, with atoms inside: u(d) of the distance d = R − ρ, see _in_front.
 
     ρ = |r − (a·r) a| with r relative to a point on the axis; a = 0 makes it a sphere. The force points inwards,
     along −(r − (a·r) a)/ρ.
 
-    x : first coordinate relative to the point [length].  law : of d.  rest : (y, z, t, a, R, reach,
-        *parameters of law); a is a unit vector or 0.
+    x : first coordinate relative to the point [length].  law : of d.
+    parameters : (y, z, t, a, R, reach, *parameters of law); a is a unit vector or 0.
     """
-    y = rest[0]
-    z = rest[1]
-    ax = rest[3]
-    ay = rest[4]
-    az = rest[5]
+    y, z, _, ax, ay, az, radius, reach = parameters[:8]
     along = ax * x + ay * y + az * z
     px, py, pz = x - along * ax, y - along * ay, z - along * az
     rho = sqrt(px * px + py * py + pz * pz)
-    u, f = _in_front(rest[6] - rho, law, rest)
+    u, f = _in_front(radius - rho, law, reach, parameters[8:])
     g = -f / rho if rho > 0.0 else 0.0
     return u, g * px, g * py, g * pz, 0.0
 

@@ -44,7 +44,7 @@ from minimd.core.potentials.law import evaluate_law, loop_for, on_vectors
 from minimd.core.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, OwnTerm, Target
 from minimd.core.structure.cell import minimum_image
 from minimd.core.structure.system import System
-from minimd.core.structure.vectors import combined, cross, dot, times
+from minimd.core.structure.vectors import combined, cross, dot, minus, times
 
 VIRIAL = 6  # components: xx yy zz yz xz xy
 # the smallest sin² of the angle between two neighboring bonds by which forces are divided: its rounding error
@@ -92,19 +92,19 @@ def _stretch(links, b, law, numbers):
 @inlined
 def _minor(a, b, c, d):
     """a b − c d, right to a few roundings even where the products nearly cancel, if fma rounds once (W. Kahan)."""
-    x, y = a * b, c * d
+    x = a * b
+    y = c * d
     return (x - y) + (fma(a, b, -x) - fma(c, d, -y))
 
 
 @inlined
 def _normal(a, b, lost_a, lost_b):
     """(a + lost_a) × (b + lost_b), to a few roundings however small the angle between them is."""
-    n = (
-        _minor(a[1], b[2], a[2], b[1]),
-        _minor(a[2], b[0], a[0], b[2]),
-        _minor(a[0], b[1], a[1], b[0]),
-    )
-    return combined(1.0, n, 1.0, combined(1.0, cross(lost_a, b), 1.0, cross(a, lost_b)))
+    nx = _minor(a[1], b[2], a[2], b[1])
+    ny = _minor(a[2], b[0], a[0], b[2])
+    nz = _minor(a[0], b[1], a[1], b[0])
+    lost = combined(1.0, cross(lost_a, b), 1.0, cross(a, lost_b))
+    return combined(1.0, (nx, ny, nz), 1.0, lost)
 
 
 @scalar
@@ -125,10 +125,9 @@ def _bend(links, block, _law, numbers):
     stretch = np.arctan2(size * cosine - ab * sine, ab * cosine + size * sine)
     slope = k * stretch
     s = select(size > 0.0, slope / size, 0.0)
-    is_beyond = push(links, 0, block, times(s / dot(a, a), cross(n, a)))
-    return 0.5 * slope * stretch, push(
-        links, 1, block, times(s / dot(b, b), cross(b, n))
-    ) or is_beyond
+    is_out = push(links, 0, block, times(s / dot(a, a), cross(n, a)))
+    is_out |= push(links, 1, block, times(s / dot(b, b), cross(b, n)))
+    return 0.5 * slope * stretch, is_out
 
 
 @scalar
@@ -145,20 +144,21 @@ def _turn(links, block, law, numbers):
     f, _ = arm(links, 0, block)
     g, _ = arm(links, 1, block)
     h, _ = arm(links, 2, block)
-    a, b = cross(f, g), cross(h, g)
+    a = cross(f, g)
+    b = cross(h, g)
     g2 = dot(g, g)
     fg = dot(f, g)
     hg = dot(h, g)
-    a2 = dot(a, a)
-    b2 = dot(b, b)
+    a2 = max(dot(a, a), STRAIGHT2 * g2 * dot(f, f))
+    b2 = max(dot(b, b), STRAIGHT2 * g2 * dot(h, h))
     length = g2**0.5
-    u, slope = evaluate_law(law, np.arctan2(dot(g, cross(b, a)) / length, dot(a, b)), numbers)
-    a2, b2 = max(a2, STRAIGHT2 * g2 * dot(f, f)), max(b2, STRAIGHT2 * g2 * dot(h, h))
-    on_i = push(links, 0, block, times(slope * length / a2, a))
-    between = push(
-        links, 1, block, combined(-slope * fg / (a2 * length), a, slope * hg / (b2 * length), b)
-    )
-    return u, push(links, 2, block, times(-slope * length / b2, b)) or on_i or between
+    phi = np.arctan2(dot(g, cross(b, a)) / length, dot(a, b))
+    u, slope = evaluate_law(law, phi, numbers)
+    s = combined(-slope * fg / (a2 * length), a, slope * hg / (b2 * length), b)
+    is_out = push(links, 0, block, times(slope * length / a2, a))
+    is_out |= push(links, 1, block, s)
+    is_out |= push(links, 2, block, times(-slope * length / b2, b))
+    return u, is_out
 
 
 Stretch = link_shape("Stretch", _stretch, (0, 1))
@@ -176,15 +176,13 @@ def block_of(links, l, b):
 def arm(links, l, b):
     """r_l to the nearest image, rounded, and what rounding has left out [length]."""
     x, y, z = _difference(links, l, b)
-    is_near = bits_from_mask(
-        x[0] * x[0] + y[0] * y[0] + z[0] * z[0] <= links.images.safe_distance2[0]
-    )
-    if is_near != (1 << count(links.lanes)) - 1:
-        for k in range(count(links.lanes)):
+    r2 = x[0] * x[0] + y[0] * y[0] + z[0] * z[0]
+    is_near = bits_from_mask(r2 <= links.images.safe_distance2[0])
+    n_lanes = count(links.lanes)
+    if is_near != (1 << n_lanes) - 1:
+        for k in range(n_lanes):
             if not is_near >> k & 1:
-                _find_image(
-                    links, l, b * count(links.lanes) + k, block_of(links, l, b) + np.uintp(k)
-                )
+                _find_image(links, l, b * n_lanes + k, block_of(links, l, b) + np.uintp(k))
         x, y, z = _difference(links, l, b)
     return (x[0], y[0], z[0]), (x[1], y[1], z[1])
 
@@ -194,8 +192,10 @@ def push(links, l, b, force):
     """f_l to its slots; returns whether one is beyond the range of a grid."""
     x, y, z = force
     steps = links.steps
-    on_ends = force_along(x, 1.0, steps), force_along(y, 1.0, steps), force_along(z, 1.0, steps)
-    stored(links.slots, block_of(links, l, b), on_ends)
+    fx = force_along(x, 1.0, steps)
+    fy = force_along(y, 1.0, steps)
+    fz = force_along(z, 1.0, steps)
+    stored(links.slots, block_of(links, l, b), (fx, fy, fz))
     return is_too_large(x * x + y * y + z * z, steps)
 
 
@@ -210,7 +210,7 @@ def add_links(links, chunk):
         links.totals[chunk, c] = 0.0
     for b in range(chunk * n_blocks // n_chunks, (chunk + 1) * n_blocks // n_chunks):
         numbers = loaded_columns(links.columns, b * n_lanes, links.lanes)
-        u, is_beyond = _acting(links.shape, links, b, links.law, numbers)
+        u, is_beyond = _push_ends(links.shape, links, b, links.law, numbers)
         is_out |= is_beyond
         if links.detail != FORCES:
             _count(links, b, links.totals[chunk], u)
@@ -218,7 +218,8 @@ def add_links(links, chunk):
 
 
 @by_type
-def _acting(shape, links, b, law, numbers):
+def _push_ends(shape, links, b, law, numbers):
+    """What the formula of the shape does, see link_shape."""
     formula = shape.instance_class.formula
     return lambda shape, links, b, law, numbers: formula(links, b, law, numbers)
 
@@ -235,32 +236,35 @@ def _count(links, b, total, u):
     for l in range(links.first.shape[0]):
         (x, y, z), _ = arm(links, l, b)
         gx, gy, gz = loaded(links.slots, block_of(links, l, b), links.lanes)
-        fx, fy, fz = as_force(gx, steps), as_force(gy, steps), as_force(gz, steps)
+        fx = as_force(gx, steps)
+        fy = as_force(gy, steps)
+        fz = as_force(gz, steps)
         xx = xx + x * fx
         yy = yy + y * fy
         zz = zz + z * fz
         yz = yz + z * fy
         xz = xz + z * fx
         xy = xy + y * fx
-    for k in range(min(n_lanes, sites.shape[0] - b * n_lanes)):
+    start = b * n_lanes
+    for k in range(min(n_lanes, sites.shape[0] - start)):
         total[0] += in_steps(lane(u, k), steps)
         for s in range(n_sites):
-            energies[sites[b * n_lanes + k, s]] += in_steps(lane(u, k) / n_sites, steps)
+            energies[sites[start + k, s]] += in_steps(lane(u, k) / n_sites, steps)
         for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
             total[1 + c] += in_steps(lane(w, k), steps)
             for s in range(n_sites):
-                virials[sites[b * n_lanes + k, s], c] += in_steps(lane(w, k) / n_sites, steps)
+                virials[sites[start + k, s], c] += in_steps(lane(w, k) / n_sites, steps)
 
 
 @scalar
 def _difference(links, l, b):
-    start = b * count(links.lanes)
+    """r_l with the translation that is kept: x, y, z, each as _component."""
     lanes = links.lanes
-    end = gathered(links.positions, links.second[l], start, lanes)
-    begin = gathered(links.positions, links.first[l], start, lanes)
-    shift = loaded(links.translations, block_of(links, l, b), lanes)
-    x, y = _component(end[0], begin[0], shift[0]), _component(end[1], begin[1], shift[1])
-    return x, y, _component(end[2], begin[2], shift[2])
+    start = b * count(lanes)
+    ax, ay, az = gathered(links.positions, links.first[l], start, lanes)
+    bx, by, bz = gathered(links.positions, links.second[l], start, lanes)
+    tx, ty, tz = loaded(links.translations, block_of(links, l, b), lanes)
+    return _component(bx, ax, tx), _component(by, ay, ty), _component(bz, az, tz)
 
 
 @scalar
@@ -277,26 +281,27 @@ def _component(x, y, translation):
 @scalar
 def _find_image(links, l, t, at):
     """The translation of link l of term t, in place: that of the nearest image.  at : of its x in the translations."""
-    i = links.first[l, t]
-    j = links.second[l, t]
-    positions = links.positions
+    begin = links.positions[links.first[l, t]]
+    end = links.positions[links.second[l, t]]
     n = np.uintp(count(links.lanes))
-    lattice, inverse, pbc, safe_distance2 = links.images
-    x = positions[j, 0] - positions[i, 0]
-    y = positions[j, 1] - positions[i, 1]
-    z = positions[j, 2] - positions[i, 2]
+    for k, x in enumerate(nearest_translation(minus(end, begin), links.images)):
+        links.translations[at + np.uintp(k) * n] = x
+
+
+@scalar
+def nearest_translation(separation, images):
+    """The translation (x, y, z) that makes a separation (x, y, z) + translation shortest [length].  images : Images."""
+    lattice, inverse, pbc, safe_distance2 = images
+    x, y, z = separation
     a, b, c = minimum_image(x, y, z, lattice, inverse, pbc, safe_distance2[0])
-    for k in range(DIMENSIONS):
-        links.translations[at + np.uintp(k) * n] = (
-            a * lattice[0, k] + b * lattice[1, k] + c * lattice[2, k]
-        )
+    return combined(1.0, combined(a, lattice[0], b, lattice[1]), c, lattice[2])
 
 
 class LinkedTerm(OwnTerm):
     """Terms of one shape, each link taken at its nearest image.  sites : (T, L + 1) int, atoms of each term.
 
     shape : from link_shape.  law : law type, which runs on vectors.  columns : (T,) numbers of each term, for each
-    parameter.  n_slots, first_slot : its slots, see Slots.
+    parameter.  first_slot : where its slots begin, see Slots.
     """
 
     fits_grid = True
@@ -304,22 +309,22 @@ class LinkedTerm(OwnTerm):
     def __init__(
         self, sites: NDArray, shape: Any, law: tuple, columns: tuple[NDArray, ...]
     ) -> None:
-        self.lanes, self._sites, self.n_terms = (
-            lanes_for(),
-            np.array(sites),
-            (n_terms := len(sites)),
-        )
-        full = np.minimum(np.arange(-(-n_terms // self.lanes.size) * self.lanes.size), n_terms - 1)
-        ends = zip(*shape.ends, strict=True)
-        self.first, self.second = (sites.T[list(side)][:, full].astype(np.int32) for side in ends)
+        self.lanes = lanes_for()
+        self.n_terms = len(sites)
+        n_blocks = -(-self.n_terms // self.lanes.size)
+        filled = np.minimum(np.arange(n_blocks * self.lanes.size), self.n_terms - 1)
+        first, second = np.transpose(shape.ends)
+        self.first = sites.T[first][:, filled].astype(np.int32)
+        self.second = sites.T[second][:, filled].astype(np.int32)
+        self.first_slot = 0
+        self._sites = np.array(sites)
         self._shape = shape
         self._law = law
-        self._columns = tuple(column[full] for column in columns)
+        self._columns = tuple(column[filled] for column in columns)
         self._translations = np.zeros(DIMENSIONS * self.first.size)
-        self._loop, self._calls = loop_for(add_links, law), DirectCalls()
-        self.n_slots = self.first.size
-        self.first_slot = 0
-        self._totals = np.zeros((n_chunks_of(n_terms), 1 + VIRIAL))
+        self._totals = np.zeros((n_chunks_of(self.n_terms), 1 + VIRIAL))
+        self._loop = loop_for(add_links, law)
+        self._calls = DirectCalls()
 
     def follow(self, system: System) -> bool:
         """See Term; images are looked for again."""
@@ -329,19 +334,24 @@ class LinkedTerm(OwnTerm):
     def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
         totals = self._totals[:1] if target.detail == PER_ATOM else self._totals
-        slots = target.slots[
-            DIMENSIONS * self.first_slot : DIMENSIONS * (self.first_slot + self.n_slots)
-        ]
-        place = (
+        start = DIMENSIONS * self.first_slot
+        links = Links(
             system.positions,
             target.images,
             self.first,
             self.second,
             self._sites,
             self._translations,
+            self._shape,
+            self._law,
+            self._columns,
+            target.slots[start : start + self._translations.size],
+            target.steps,
+            target.detail,
+            totals,
+            (target.energies, target.virials),
+            self.lanes,
         )
-        what = self._shape, self._law, self._columns, slots, target.steps, target.detail
-        links = Links(*place, *what, totals, (target.energies, target.virials), self.lanes)
         yield operation(self._calls, self._loop, links, len(totals))
 
     def collect(self, target: Target) -> None:
@@ -376,10 +386,11 @@ class Gathering(
 def sum_slots(gathering, chunk):
     """forces += Σ of the slots of each atom of a chunk, in their order."""
     atoms, start, place, slots, forces, n_chunks, lanes = gathering
-    y_after_x, z_after_x = np.uintp(count(lanes)), np.uintp(2 * count(lanes))
-    for a in range(
-        np.uintp(chunk * atoms.size // n_chunks), np.uintp((chunk + 1) * atoms.size // n_chunks)
-    ):
+    y_after_x = np.uintp(count(lanes))
+    z_after_x = np.uintp(2 * count(lanes))
+    begin = np.uintp(chunk * atoms.size // n_chunks)
+    end = np.uintp((chunk + 1) * atoms.size // n_chunks)
+    for a in range(begin, end):
         i = np.uintp(atoms[a])
         x, y, z = forces[i, 0], forces[i, 1], forces[i, 2]
         for p in range(np.uintp(start[a]), np.uintp(start[a + np.uintp(1)])):
@@ -401,25 +412,37 @@ class Slots:
 
     def __init__(self, terms: list[LinkedTerm]) -> None:
         self._lanes = lanes_for()
-        ends, self.size, n_lanes = [np.zeros((0, 2), dtype=np.int64)], 0, self._lanes.size
+        self._calls = DirectCalls()
+        self.size = 0
+        ends = [np.zeros((2, 0), dtype=np.int64)]
+        n_lanes = self._lanes.size
         for term in terms:
             term.first_slot = self.size
-            slots = self.size + np.arange(term.n_slots).reshape(term.first.shape)[:, : term.n_terms]
-            places = (slots // n_lanes * DIMENSIONS * n_lanes + slots % n_lanes).ravel()
-            ends.append(np.column_stack([term.second[:, : term.n_terms].ravel(), places]))
-            ends.append(np.column_stack([term.first[:, : term.n_terms].ravel(), -1 - places]))
-            self.size += term.n_slots
-        atom, place = np.concatenate(ends).T
+            slots = self.size + np.arange(term.first.size).reshape(term.first.shape)
+            places = slots // n_lanes * DIMENSIONS * n_lanes + slots % n_lanes
+            # without the terms that fill up the last block
+            atoms = np.stack([term.second, term.first])[..., : term.n_terms]
+            signed = np.stack([places, -1 - places])[..., : term.n_terms]
+            ends.append(np.stack([atoms.ravel(), signed.ravel()]))
+            self.size += term.first.size
+        atom, place = np.concatenate(ends, axis=1)
         order = np.argsort(atom, kind="stable")
-        self._atoms, start = np.unique(atom[order], return_index=True)
+        atoms, start = np.unique(atom[order], return_index=True)
+        self._atoms = atoms.astype(np.int32)
         self._start = np.append(start, len(atom)).astype(np.int32)
-        self._place, self._atoms = place[order].astype(np.int32), self._atoms.astype(np.int32)
-        self._calls = DirectCalls()
+        self._place = place[order].astype(np.int32)
 
     def operations(self, target: Target) -> Iterator[Operation]:
         """The sums of the slots of all atoms."""
         if self.size:
             n_chunks = n_chunks_of(len(self._atoms))
-            where = self._atoms, self._start, self._place
-            made = Gathering(*where, target.slots, target.forces, n_chunks, self._lanes)
-            yield operation(self._calls, sum_slots, made, n_chunks)
+            gathering = Gathering(
+                self._atoms,
+                self._start,
+                self._place,
+                target.slots,
+                target.forces,
+                n_chunks,
+                self._lanes,
+            )
+            yield operation(self._calls, sum_slots, gathering, n_chunks)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABCMeta
+from abc import ABCMeta, abstractmethod
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY
@@ -11,17 +11,17 @@ from math import factorial, inf, isclose, isfinite, nan, pi, sqrt
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from minimd.core.compiled.kernels import scalar, type_of
+from minimd.core.compiled.kernels import scalar
 from minimd.core.console.words import listed, near, shown
 from minimd.core.potentials import declared as kind
-from minimd.core.potentials.declared import Declared, declared
-from minimd.core.potentials.law import UserLaw, check_user_law, evaluate_law, law_at
+from minimd.core.potentials.declared import Array, Declared, declared
+from minimd.core.potentials.law import UserLaw, check_user_law, evaluate_law, law_at, law_type
 from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.term import OwnTerm, PairLaw, no_bonds
 from minimd.core.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
-from minimd.core.structure.bond_graph import checked_pairs
+from minimd.core.structure.bond_graph import Indices, checked_pairs
 from minimd.core.structure.checks import (
     checked_choice,
     checked_kind,
@@ -78,12 +78,14 @@ R_ON = "r_on of the switches; 0.8 r_c if not given"
 FACTORS = "factors for pairs one, two and three bonds apart; 0 excludes, 1 changes nothing"
 TAIL = "add energy and virial of what truncation leaves out, at uniform density (g = 1); for truncated and the switches"
 LEFT_OUT = "on which the law does not act, whatever bonded_scale says; their nearest images, too"
+# arguments of several classes
+CUTOFF = declared(kind.given, R_C, "length", of=FOR_PAIRS, default=None)
+TRUNCATION = declared(kind.choice, SEE, of=TRUNCATIONS, default="shifted")
 
 
 class Nonbonded(Declared, metaclass=ABCMeta):
     """Base class of laws u(r) between all pairs of atoms closer than a cutoff.
 
-    as_law() : the law type, parameters of all atoms or by species, and those of pairs of species, not checked yet.
     plain_law, law : law type, without and with the truncation.  cutoff : the largest [length], infinite without one.
     """
 
@@ -97,30 +99,31 @@ class Nonbonded(Declared, metaclass=ABCMeta):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        # each class has a cutoff and a truncation, in their places among its arguments
-        own: Any = self
-        self.plain_law, self.parameters, by_pair = own.as_law()
+        self.plain_law, parameters, by_pair = self.as_law()
         self._is_tried = not isinstance(self.plain_law, UserLaw)
-        self.truncation: TruncationName = own.truncation
-        self._cutoff, self._cutoffs = own.cutoff, _checked_cutoffs(own.cutoff)
+        # each class has a cutoff and a truncation, in their places among its arguments
+        arguments = super().arguments()
+        self.truncation: TruncationName = arguments["truncation"]
+        self._given_cutoff = arguments["cutoff"]
+        self._cutoffs = _checked_cutoffs(self._given_cutoff)
         self.law: Any = TRUNCATIONS[self.truncation].around(self.plain_law)
         self.cutoff: Any = max(self._cutoffs.values())
         if not callable(self.mixing) and self.mixing is not None:
             checked_choice("mixing", self.mixing, MIXING)
-        self.parameters, self._by_pair = self._checked_parameters(self.parameters, by_pair)
-        self.pairs = self.pairs if self._by_pair else None
-        self._check_switch_start()
-        if self.tail_correction and (
-            self.truncation not in ("truncated", *SWITCHES) or self.cutoff == inf
-        ):
-            needed = f"a cutoff and truncation 'truncated', {listed(SWITCHES)}"
-            told = f"cutoff = {self.cutoff}, truncation = {self.truncation!r}"
-            raise ValueError(f"tail_correction needs {needed}; there is no tail with {told}")
+        own, self._by_pair = self._checked_parameters(parameters, by_pair)
+        self.parameters: Any = own
+        if not self._by_pair:
+            self.pairs = None
+        self._check_truncation()
+
+    @abstractmethod
+    def as_law(self) -> tuple[Any, Any, Any]:
+        """The law type, the parameters of all atoms or by species, and those of pairs of species, not checked yet."""
 
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
-        as_given = {"law": type(self.plain_law).python, "cutoff": self._cutoff}
-        return {name: as_given.get(name, value) for name, value in super().arguments().items()}
+        own = {"law": type(self.plain_law).python, "cutoff": self._given_cutoff}
+        return {name: own.get(name, value) for name, value in super().arguments().items()}
 
     def bind(self, system: System) -> PairTerm:
         """The term of this potential in a system.  Raises ValueError as table; for a periodic cell without a cutoff,
@@ -131,17 +134,20 @@ class Nonbonded(Declared, metaclass=ABCMeta):
             )
         own = self.parameters if isinstance(self.parameters, dict) else {}
         known = [*own, *(name for name in system.species_names if name not in own)]
-        for name in (name for pair in self._by_pair if self.parameters for name in pair):
-            if name not in known:
-                wanted = f"of known species, {listed(known)}; they name {name!r}{near(name, known)}"
-                raise ValueError(f"pairs of {type(self).__name__} must be {wanted}")
+        for pair in self._by_pair if own else ():
+            for name in pair:
+                if name not in known:
+                    raise ValueError(
+                        f"pairs of {type(self).__name__} must be of known species, {listed(known)}; "
+                        f"they name {name!r}{near(name, known)}"
+                    )
         if self.tail_correction and system.volume is None:
             raise ValueError(
                 "tail_correction needs a density: a cell that is periodic in all three directions"
             )
         return PairTerm(self, system)
 
-    def table(self, species_names: Sequence[Label]) -> NDArray[np.float64]:
+    def table(self, species_names: Sequence[Label]) -> Array:
         """Numbers of the truncated law for each pair of species: (S, S, 1 + P), the squared cutoff first; S is 1 if all
         atoms are alike. Raises ValueError for a species, or an unlike pair, without parameters or a mixing rule."""
         names = species_names if self.depends_on_species else (None,)
@@ -159,7 +165,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
 
     def pair_energy(
         self, r: ArrayLike, first: Label | None = None, second: Label | None = None
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         """u [energy] of two atoms of given species at distances r > 0 [length], truncation included;
         an array of r's shape. Raises ValueError for distances that are not positive, and as table."""
         for label in first, second:
@@ -168,13 +174,14 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         distances = checked_numbers("r", r, "positive distances")
         if not (distances > 0.0).all():
             raise ValueError(f"r must be positive distances; r = {shown(r)}")
-        law = self.law
-        every = distances.ravel().tolist()
-        inside = [law_at(law, x, tuple(numbers))[0] if x * x < cutoff2 else 0.0 for x in every]
-        return np.array(inside).reshape(distances.shape)
+        energies = [
+            law_at(self.law, x, tuple(numbers))[0] if x * x < cutoff2 else 0.0
+            for x in distances.ravel().tolist()
+        ]
+        return np.array(energies).reshape(distances.shape)
 
     def tail(
-        self, counts: NDArray[np.int64], species_names: Sequence[Label], volume: float
+        self, counts: Indices, species_names: Sequence[Label], volume: float
     ) -> tuple[float, float]:
         """Energy and trace of the virial of what the truncation left out, for g(r) = 1 [energy].
 
@@ -182,92 +189,86 @@ class Nonbonded(Declared, metaclass=ABCMeta):
 
         counts : (S,) atoms of each species.  M. P. Allen, D. J. Tildesley (2017), eq. 2.144.
         """
-        crowds = (
-            [*zip(species_names, counts, strict=True)]
-            if self.depends_on_species
-            else [(None, counts.sum())]
-        )
-        terms = [
-            2.0 * pi * n_a * n_b / volume * self._tail_integrals(a, b)
-            for a, n_a in crowds
-            for b, n_b in crowds
-        ]
-        return float(sum(u for u, _ in terms)), float(sum(w for _, w in terms))
+        crowds: list[tuple[Any, Any]] = [(None, counts.sum())]
+        if self.depends_on_species:
+            crowds = [*zip(species_names, counts, strict=True)]
+        total = np.zeros(2)
+        for a, n_a in crowds:
+            for b, n_b in crowds:
+                total += 2.0 * pi * n_a * n_b / volume * self._tail_integrals(a, b)
+        energy, virial = total.tolist()
+        return energy, virial
 
     def _numbers(self, a: Any, b: Any) -> tuple[float, ...]:
         """The squared cutoff, and the numbers of the truncated law, of a pair of species."""
-        if (cutoff := self._cutoffs.get((a, b), self._cutoffs.get(None))) is None:
+        cutoff = self._cutoffs.get((a, b), self._cutoffs.get(None))
+        if cutoff is None:
             raise ValueError(
                 f"cutoff has no entry for the species {a!r}, {b!r}; it has {listed(self._cutoffs)}"
             )
         parameters = self._parameters_of(a, b)
         if not self._is_tried:
-            check_user_law(
-                self.plain_law,
-                parameters,
-                [x * (cutoff if isfinite(cutoff) else 1.0) for x in TRIED_AT],
-            )
+            length = cutoff if isfinite(cutoff) else 1.0
+            check_user_law(self.plain_law, parameters, [x * length for x in TRIED_AT])
             self._is_tried = True
         extra = TRUNCATIONS[self.truncation].numbers(
             self.plain_law, parameters, cutoff, self._switch_start_for(cutoff)
         )
         if not all(map(isfinite, extra)) and self.truncation not in SWITCHES:
-            there = f"the law is {extra[0]} at the cutoff {cutoff:g}, where it must be finite to be {self.truncation}"
-            raise ValueError(f"{there}: give another cutoff, or truncation='truncated'")
+            raise ValueError(
+                f"the law is {extra[0]} at the cutoff {cutoff:g}, where it must be finite to be {self.truncation}: "
+                "give another cutoff, or truncation='truncated'"
+            )
         return (cutoff * cutoff, *extra, *parameters)
 
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
-        if not isinstance(self.parameters, dict):
-            return self.parameters
+        own = self.parameters
+        if not isinstance(own, dict):
+            return own
         if (a, b) in self._by_pair:
             return self._by_pair[a, b]
-        own = self.parameters
-        lacking = f"{type(self).__name__} has no parameters for"
         for name in (a, b):
             if name not in own:
-                raise ValueError(f"{lacking} species {name!r}; it has {listed(own)}")
+                raise ValueError(
+                    f"{type(self).__name__} has no parameters for species {name!r}; it has {listed(own)}"
+                )
         if a == b:
             return own[a]
         if self.mixing is None:
             raise ValueError(
-                f"{lacking} the pair {a!r}, {b!r}; give pairs={{...}}, or a mixing rule"
+                f"{type(self).__name__} has no parameters for the pair {a!r}, {b!r}; "
+                "give pairs={...}, or a mixing rule"
             )
         rule = MIXING[self.mixing] if isinstance(self.mixing, str) else self.mixing
-        mixed, reverse = (
-            self._checked_numbers(rule(own[x], own[y]), (x, y)) for x, y in ((a, b), (b, a))
-        )
-        is_same = all(map(partial(isclose, rel_tol=MIXED), mixed, reverse))
-        if not (len(mixed) == len(reverse) == len(own[a]) and is_same):
-            wanted = f"all parameters, the same for ({a!r}, {b!r}) as for ({b!r}, {a!r})"
+        mixed = self._checked_numbers(rule(own[a], own[b]), (a, b))
+        reverse = self._checked_numbers(rule(own[b], own[a]), (b, a))
+        is_complete = len(mixed) == len(reverse) == len(own[a])
+        if not (is_complete and all(map(partial(isclose, rel_tol=MIXED), mixed, reverse))):
             raise ValueError(
-                f"mixing must give {wanted}; it gives {mixed} for the first and {reverse} for the second"
+                f"mixing must give all parameters, the same for ({a!r}, {b!r}) as for ({b!r}, {a!r}); "
+                f"it gives {mixed} for the first and {reverse} for the second"
             )
         return mixed
 
     def _checked_parameters(
-        self, given: Any, pairs: Any
+        self, parameters: Any, pairs: Any
     ) -> tuple[Parameters | dict[Label, Parameters], dict]:
         """Parameters of all atoms or of each species, and those of pairs in both orders."""
-        both_orders = _symmetric("pairs", {} if pairs is None else pairs)
-        if not isinstance(given, Mapping):
-            if both_orders:
-                wanted = (
-                    f"need parameters that are a mapping from species; parameters = {shown(given)}"
+        by_pair = _symmetric("pairs", {} if pairs is None else pairs)
+        if not isinstance(parameters, Mapping):
+            if by_pair:
+                raise ValueError(
+                    f"pairs of {type(self).__name__} need parameters that are a mapping from species; "
+                    f"parameters = {shown(parameters)}"
                 )
-                raise ValueError(f"pairs of {type(self).__name__} {wanted}")
-            return self._checked_numbers(given, None), {}
-        by_label = {
-            label: self._checked_numbers(numbers, label) for label, numbers in given.items()
-        }
-        by_pair = {
-            pair: self._checked_numbers(numbers, pair) for pair, numbers in both_orders.items()
-        }
-        if len({len(numbers) for numbers in (*by_label.values(), *by_pair.values())}) > 1:
-            told = shown(by_label | by_pair)
+            return self._checked_numbers(parameters, None), {}
+        own = {name: self._checked_numbers(numbers, name) for name, numbers in parameters.items()}
+        by_pair = {pair: self._checked_numbers(numbers, pair) for pair, numbers in by_pair.items()}
+        if len({len(numbers) for numbers in (*own.values(), *by_pair.values())}) > 1:
             raise ValueError(
-                f"all species and pairs must have the same number of parameters; these are {told}"
+                f"all species and pairs must have the same number of parameters; these are {shown(own | by_pair)}"
             )
-        return by_label, by_pair
+        return own, by_pair
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
         """Parameters of one law.  of : a species, a pair; None for all.  Raises ValueError unless they are finite."""
@@ -279,58 +280,61 @@ class Nonbonded(Declared, metaclass=ABCMeta):
             )
         return tuple(values.tolist())
 
-    def _tail_integrals(self, a: Label | None, b: Label | None) -> NDArray[np.float64]:
+    def _tail_integrals(self, a: Label | None, b: Label | None) -> Array:
         """∫ (u − u_truncated) r² dr and ∫ (f − f_truncated) r⁴ dr, from the beginning of the truncation to infinity.
         Raises ValueError if they do not converge."""
         from scipy.integrate import quad  # here, so that importing minimd need not load it
 
         cutoff2, *numbers = self._numbers(a, b)
-        cutoff, parameters = cutoff2**0.5, self._parameters_of(a, b)
+        cutoff = cutoff2**0.5
+        parameters = self._parameters_of(a, b)
+        limits = [(1.0, inf)]  # of x = r/r_c
+        if self.truncation != "truncated":
+            limits.insert(0, (self._switch_start_for(cutoff) / cutoff, 1.0))
 
-        def left_out(k: int, x: float) -> float:
+        def left_out(x: float, k: int) -> float:
             r = x * cutoff
-            inside = evaluate_law(self.law, r * r, tuple(numbers))[k] if x < 1.0 else 0.0
-            return (
-                cutoff
-                * (evaluate_law(self.plain_law, r * r, parameters)[k] - inside)
-                * r ** (2 + 2 * k)
-            )
+            difference = evaluate_law(self.plain_law, r * r, parameters)[k]
+            if x < 1.0:
+                difference -= evaluate_law(self.law, r * r, tuple(numbers))[k]
+            return cutoff * difference * r ** (2 + 2 * k)
 
-        def integral(k: int, low: float, high: float) -> float:
-            value, error = quad(
-                partial(left_out, k), low, high, epsabs=0.0, epsrel=ACCURACY, full_output=1
-            )[:2]
-            if not error <= CONVERGED * abs(value):
-                told = f"its integral is {value:.3g} ± {error:.1g}"
-                raise ValueError(
-                    f"tail_correction needs a law that falls off faster than 1/r³; {told}"
-                )
-            return value
-
-        switched = (
-            []
-            if self.truncation == "truncated"
-            else [(self._switch_start_for(cutoff) / cutoff, 1.0)]
-        )
-        return np.array(
-            [sum(integral(k, *limits) for limits in [*switched, (1.0, inf)]) for k in (0, 1)]
-        )
+        integrals = np.zeros(2)
+        for k in (0, 1):
+            for low, high in limits:
+                value, error = quad(
+                    left_out, low, high, (k,), full_output=1, epsabs=0.0, epsrel=ACCURACY
+                )[:2]
+                if not error <= CONVERGED * abs(value):
+                    raise ValueError(
+                        "tail_correction needs a law that falls off faster than 1/r³; "
+                        f"its integral is {value:.3g} ± {error:.1g}"
+                    )
+                integrals[k] += value
+        return integrals
 
     def _switch_start_for(self, cutoff: float) -> float:
         return SWITCH_FROM * cutoff if self.switch_start is None else self.switch_start
 
-    def _check_switch_start(self) -> None:
+    def _check_truncation(self) -> None:
+        start = self.switch_start
         if self.cutoff == inf and self.truncation not in ("truncated", "shifted"):
             raise ValueError(f"cutoff must be given for truncation {self.truncation!r}; it is None")
-        if (start := self.switch_start) is None:
-            return
-        if self.truncation not in SWITCHES:
+        if start is not None:
+            if self.truncation not in SWITCHES:
+                raise ValueError(
+                    f"switch_start is for truncation {listed(SWITCHES)}; truncation = {self.truncation!r}"
+                )
+            if not 0.0 < start < self.shortest_length:
+                raise ValueError(
+                    f"switch_start must lie between 0 and the cutoff {self.shortest_length}; switch_start = {start}"
+                )
+        has_tail = self.truncation in ("truncated", *SWITCHES) and self.cutoff < inf
+        if self.tail_correction and not has_tail:
             raise ValueError(
-                f"switch_start is for truncation {listed(SWITCHES)}; truncation = {self.truncation!r}"
+                f"tail_correction needs a cutoff and truncation 'truncated', {listed(SWITCHES)}; "
+                f"there is no tail with cutoff = {self.cutoff}, truncation = {self.truncation!r}"
             )
-        if not 0.0 < start < self.shortest_length:
-            limits = f"0 and the cutoff {self.shortest_length}"
-            raise ValueError(f"switch_start must lie between {limits}; switch_start = {start}")
 
 
 class PairPotential(Nonbonded):
@@ -345,8 +349,8 @@ class PairPotential(Nonbonded):
     parameters: Parameters | ByLabel = declared(
         kind.given, of="a tuple, or a mapping from species to them", default=()
     )
-    cutoff: Cutoff | None = declared(kind.given, R_C, "length", of=FOR_PAIRS, default=None)
-    truncation: TruncationName = declared(kind.choice, SEE, of=TRUNCATIONS, default="shifted")
+    cutoff: Cutoff | None = CUTOFF
+    truncation: TruncationName = TRUNCATION
 
     def as_law(self) -> tuple[Any, Any, Any]:
         """See Nonbonded."""
@@ -357,26 +361,25 @@ class PairTerm(OwnTerm):
     """A pair potential in a system: a law for the planner to run on a list of neighbors, and its tail."""
 
     def __init__(self, potential: Nonbonded, system: System) -> None:
-        table = potential.table(system.species_names)
-        name = type(potential).__name__
-        cutoff = potential.cutoff
-        left_out = checked_pairs("exclusions", potential.exclusions, len(system))
-        self.pair_law = PairLaw(
-            name, potential.law, table, cutoff, tuple(potential.bonded_scale), exclusions=left_out
-        )
-        self.cutoff = cutoff
+        self.cutoff = potential.cutoff
         self.shortest_length = potential.shortest_length
-        self._potential = potential
-        self._species = (
-            np.bincount(system.species_index, minlength=len(system.species_names)),
-            system.species_names,
+        self.pair_law = PairLaw(
+            type(potential).__name__,
+            potential.law,
+            potential.table(system.species_names),
+            potential.cutoff,
+            tuple(potential.bonded_scale),
+            exclusions=checked_pairs("exclusions", potential.exclusions, len(system)),
         )
+        self._potential = potential
+        self._names = system.species_names
+        self._counts = np.bincount(system.species_index, minlength=len(self._names))
         if potential.bonded_scale != UNSCALED and not len(system.bonds):
             self.warning = no_bonds(f"bonded_scale of {potential!r}")
 
     @cached_property
     def _tail_times_volume(self) -> tuple[float, float]:
-        return self._potential.tail(*self._species, volume=1.0)
+        return self._potential.tail(self._counts, self._names, volume=1.0)
 
     def tail(self, system: System) -> tuple[float, float]:
         """See Term."""
@@ -388,17 +391,17 @@ class PairTerm(OwnTerm):
 
 def _checked_cutoffs(cutoff: Any) -> dict[Any, float]:
     """The cutoffs of pairs of species, in both orders; or of all pairs, infinite if none is given, under None."""
+    if cutoff is None:
+        return {None: inf}
     if not isinstance(cutoff, Mapping):
-        return {
-            None: inf if cutoff is None else checked_number("cutoff", cutoff, "positive and finite")
-        }
+        return {None: checked_number("cutoff", cutoff, "positive and finite")}
     if not cutoff:
         raise ValueError(
             "cutoff must be a number, or a mapping with an entry for each pair of species; it is empty"
         )
     checked = {
-        pair: checked_number(f"cutoff of {pair!r}", one, "positive and finite")
-        for pair, one in cutoff.items()
+        pair: checked_number(f"cutoff of {pair!r}", length, "positive and finite")
+        for pair, length in cutoff.items()
     }
     return _symmetric("cutoff", checked)
 
@@ -408,14 +411,18 @@ def _symmetric(name: str, by_pair: Any) -> dict:
     if not isinstance(by_pair, Mapping) or not all(
         isinstance(pair, tuple) and len(pair) == 2 for pair in by_pair
     ):
-        wanted = "a mapping from pairs of species, such as ('A', 'B')"
-        raise ValueError(f"{name} must be {wanted}; {name} = {shown(by_pair)}")
+        raise ValueError(
+            f"{name} must be a mapping from pairs of species, such as ('A', 'B'); {name} = {shown(by_pair)}"
+        )
+    both_orders = {}
     for (a, b), value in by_pair.items():
         if np.any(by_pair.get((b, a), value) != value):
             raise ValueError(
                 f"the pair {a!r}, {b!r} must be given once; it has {value} and {by_pair[b, a]}"
             )
-    return {key: value for (a, b), value in by_pair.items() for key in ((a, b), (b, a))}
+        both_orders[a, b] = value
+        both_orders[b, a] = value
+    return both_orders
 
 
 def curvature_at_minimum(epsilon: Any, sigma: Any) -> Any:
@@ -432,31 +439,30 @@ class LennardJones(Nonbonded):
     sigma: float | None = declared(
         kind.given, "where u = 0", "length", of="one number", default=None
     )
-    cutoff: Cutoff | None = declared(kind.given, R_C, "length", of=FOR_PAIRS, default=None)
-    truncation: TruncationName = declared(kind.choice, SEE, of=TRUNCATIONS, default="shifted")
-    _: KW_ONLY
+    cutoff: Cutoff | None = CUTOFF
+    truncation: TruncationName = TRUNCATION
     mixing: MixingName | Rule | None = declared(
-        kind.given, OTHERS, of=A_RULE, default="lorentz-berthelot"
+        kind.given, OTHERS, of=A_RULE, default="lorentz-berthelot", kw_only=True
     )
 
     def as_law(self) -> tuple[Any, Any, Any]:
         """See Nonbonded."""
-        if isinstance(self.epsilon, Mapping) == (self.sigma is not None):
-            needed = "either epsilon and sigma, or one mapping from species to (epsilon, sigma)"
-            raise ValueError(f"give LennardJones {needed}")
-        parameters = (
-            self.epsilon if isinstance(self.epsilon, Mapping) else (self.epsilon, self.sigma)
-        )
+        is_by_species = isinstance(self.epsilon, Mapping)
+        if is_by_species == (self.sigma is not None):
+            raise ValueError(
+                "give LennardJones either epsilon and sigma, or one mapping from species to (epsilon, sigma)"
+            )
+        parameters = self.epsilon if is_by_species else (self.epsilon, self.sigma)
         return LennardJonesLaw(), parameters, self.pairs
 
     @property
     def shortest_length(self) -> float:
         """See Nonbonded; without a cutoff the smallest σ [length]."""
-        if (shortest := super().shortest_length) < inf:
+        shortest = super().shortest_length
+        if shortest < inf:
             return shortest
-        parameters = (
-            self.parameters.values() if isinstance(self.parameters, dict) else [self.parameters]
-        )
+        own = self.parameters
+        parameters = [*own.values()] if isinstance(own, dict) else [own]
         return min((sigma for _, sigma in (*parameters, *self._by_pair.values())), default=inf)
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
@@ -466,7 +472,8 @@ class LennardJones(Nonbonded):
             )
         whose = "" if of is None else f" of {of!r}"
         epsilon = checked_number(f"epsilon{whose}", numbers[0], "finite and not negative")
-        return epsilon, checked_number(f"sigma{whose}", numbers[1], "positive and finite")
+        sigma = checked_number(f"sigma{whose}", numbers[1], "positive and finite")
+        return epsilon, sigma
 
 
 class Table(namedtuple("Table", "knots coefficients density")):
@@ -517,7 +524,7 @@ def tabulated(r2, table, parameters):
     return u, -slope / r
 
 
-TabulatedLaw = type_of(tabulated)(namedtuple("TabulatedLaw", "table"))
+TabulatedLaw = law_type("TabulatedLaw", tabulated)
 
 
 class Tabulated(Nonbonded):
@@ -539,7 +546,7 @@ class Tabulated(Nonbonded):
     cutoff: Cutoff | None = declared(
         kind.given, "r_c; the end of the table if not given", "length", of=FOR_PAIRS, default=None
     )
-    truncation: TruncationName = declared(kind.choice, SEE, of=TRUNCATIONS, default="shifted")
+    truncation: TruncationName = TRUNCATION
     mixing: None = declared(kind.given, init=False, default=None)
     pairs: None = declared(kind.given, init=False, default=None)
     tail_correction: bool = declared(kind.flag, init=False, default=False)
@@ -547,27 +554,30 @@ class Tabulated(Nonbonded):
     def as_law(self) -> tuple[Any, Any, Any]:
         """See Nonbonded."""
         r = _checked_distances(self.r)
-        by_pair = self.u if isinstance(self.u, Mapping) else {None: self.u}
-        energies: Any = {
-            pair: _checked_energies(values, r, pair) for pair, values in by_pair.items()
-        }
+        is_by_pair = isinstance(self.u, Mapping)
+        by_pair: Any = self.u if is_by_pair else {None: self.u}
+        energies: Any = {pair: _checked_energies(u, r, pair) for pair, u in by_pair.items()}
         if not energies:
             raise ValueError(
                 "u must be energies, or a mapping with an entry for each pair of species; it is empty"
             )
         self.r = r
-        self.u = energies if isinstance(self.u, Mapping) else energies[None]
-        self.cutoff = float(r[-1]) if self.cutoff is None else self.cutoff
-        shortest, longest = (limit(_checked_cutoffs(self.cutoff).values()) for limit in (min, max))
+        self.u = energies if is_by_pair else energies[None]
+        if self.cutoff is None:
+            self.cutoff = float(r[-1])
+        cutoffs = _checked_cutoffs(self.cutoff).values()
+        shortest = min(cutoffs)
+        longest = max(cutoffs)
         if not r[0] < shortest <= longest <= r[-1]:
             wrong = longest if longest > r[-1] else shortest
-            ends = f"which goes from r = {r[0]:g} to {r[-1]:g}"
-            hint = "give another cutoff, or a longer table"
             raise ValueError(
-                f"cutoff must lie within the table, {ends}; cutoff = {wrong:g}: {hint}"
+                f"cutoff must lie within the table, which goes from r = {r[0]:g} to {r[-1]:g}; "
+                f"cutoff = {wrong:g}: give another cutoff, or a longer table"
             )
-        pairs = {pair: (float(k),) for k, pair in enumerate(energies) if pair is not None}
-        return TabulatedLaw(_table(r, [*energies.values()])), {} if pairs else (0.0,), pairs
+        law = TabulatedLaw(_table(r, [*energies.values()]))
+        if not is_by_pair:
+            return law, (0.0,), {}
+        return law, {}, {pair: (float(k),) for k, pair in enumerate(energies)}
 
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
         if isinstance(self.u, Mapping) and (a, b) not in self._by_pair:
@@ -577,27 +587,29 @@ class Tabulated(Nonbonded):
         return super()._parameters_of(a, b)
 
 
-def _checked_distances(r: Any) -> NDArray[np.float64]:
+def _checked_distances(r: Any) -> Array:
     distances = checked_numbers("r", r, "increasing distances")
     if distances.ndim != 1 or len(distances) < FEWEST:
-        wanted = f"at least {FEWEST} distances, for a spline of degree {DEGREE}"
-        raise ValueError(f"r must be {wanted}; its shape is {distances.shape}")
+        raise ValueError(
+            f"r must be at least {FEWEST} distances, for a spline of degree {DEGREE}; "
+            f"its shape is {distances.shape}"
+        )
     wrong = np.flatnonzero(~(np.isfinite(distances) & (distances >= 0.0)))
     if wrong.size:
         raise ValueError(
             f"r must be finite and not negative; r[{wrong[0]}] = {distances[wrong[0]]:g}"
         )
-    wrong = np.flatnonzero(np.diff(distances) <= 0.0)
-    if wrong.size:
-        k = wrong[0]
-        hint = "sort the table, each r once"
+    steps = np.diff(distances)
+    if not steps.min() > 0.0:
+        k = np.argmin(steps > 0.0)
         raise ValueError(
-            f"r must increase; r[{k + 1}] = {distances[k + 1]:g} follows r[{k}] = {distances[k]:g}: {hint}"
+            f"r must increase; r[{k + 1}] = {distances[k + 1]:g} follows r[{k}] = {distances[k]:g}: "
+            "sort the table, each r once"
         )
     return distances
 
 
-def _checked_energies(u: Any, r: NDArray[np.float64], pair: Any) -> NDArray[np.float64]:
+def _checked_energies(u: Any, r: Array, pair: Any) -> Array:
     """The energies of a table.  pair : of species; None for all."""
     name = "u" if pair is None else f"u of {pair!r}"
     energies = checked_numbers(name, u, "one energy for each r")
@@ -607,27 +619,23 @@ def _checked_energies(u: Any, r: NDArray[np.float64], pair: Any) -> NDArray[np.f
         )
     wrong = np.flatnonzero(~np.isfinite(energies))
     if wrong.size:
-        where = f"{shown(energies[wrong[0]].item())} at r[{wrong[0]}] = {r[wrong[0]]:g}"
-        raise ValueError(f"{name} must be finite; it is {where}: leave such points out")
+        k = wrong[0]
+        raise ValueError(
+            f"{name} must be finite; it is {shown(energies[k].item())} at r[{k}] = {r[k]:g}: leave such points out"
+        )
     return energies
 
 
-def _table(r: NDArray[np.float64], energies: Sequence[NDArray[np.float64]]) -> Table:
+def _table(r: Array, energies: Sequence[Array]) -> Table:
     """The splines through energies, each (n,)."""
     # here, so that importing minimd need not load it
     from scipy.interpolate import make_interp_spline
 
     splines = [make_interp_spline(r, u, DEGREE) for u in energies]
     powers = range(DEGREE, -1, -1)
-    pieces = [
-        [one.derivative(k)(r[:-1]) / factorial(k) if k else one(r[:-1]) for k in powers]
-        for one in splines
-    ]
-    return Table(
-        r,
-        np.ascontiguousarray(np.moveaxis(np.array(pieces), 1, -1)),
-        (len(r) - 1) / float(r[-1] - r[0]),
-    )
+    pieces = [[spline.derivative(k)(r[:-1]) / factorial(k) for k in powers] for spline in splines]
+    coefficients = np.ascontiguousarray(np.moveaxis(np.array(pieces), 1, -1))
+    return Table(r, coefficients, (len(r) - 1) / float(r[-1] - r[0]))
 
 
 # for isinstance: constructors differ, so that none can inherit another

@@ -25,14 +25,16 @@ from minimd.core.compiled.simd.functions import cosine, sine
 Array = NDArray[np.float64]
 Numbers = tuple[float, tuple[float, ...], tuple[float, ...]]
 
-NARROWEST, WIDEST = 2.0, 40.0  # bandwidths c
+NARROWEST = 2.0  # bandwidth c
+WIDEST = 40.0
 ITERATIONS = 7  # each squares the error of ψ₀
 # rms error of forces over rms force, in units of ψ₀(1)/ψ₀(0): 0.3 to 0.7 were measured in molten salts, 0.5 to 1.5 in
 # water, up to 9 in cold crystals, whose forces nearly cancel, 0.04 in a slab of charge, whose forces are large
 SAFETY = 9.0
 DEGREES = (8, 12, 20, 28)  # of the polynomials in r²: one compiled form for each
 FITTED = 0.0003  # error of a polynomial that is small enough, in units of the accuracy
-LEAST_ACCURATE, MOST_ACCURATE = 0.05, 1e-13  # what can be asked for
+LEAST_ACCURATE = 0.05  # what can be asked for
+MOST_ACCURATE = 1e-13
 
 
 class Split(NamedTuple):
@@ -61,14 +63,11 @@ class Split(NamedTuple):
         wave = prolate(self.bandwidth)
         k = np.sqrt(k2)
         kappa = k * self.cutoff
+        y = kappa / wave.bandwidth
         # ∫₀¹ ψ₀(x) cos(c y x) dx is proportional to ψ₀(y)
-        shape = (
-            legendre.legval(kappa / wave.bandwidth, wave.series) / wave.at_zero
-            - wave.at_end * sine(kappa) / kappa
-        )
-        bend = legendre.legval(kappa / wave.bandwidth, legendre.legder(wave.series)) / (
-            wave.at_zero * wave.bandwidth
-        )
+        shape = legendre.legval(y, wave.series) / wave.at_zero - wave.at_end * sine(kappa) / kappa
+        slope = legendre.legval(y, legendre.legder(wave.series))
+        bend = slope / (wave.at_zero * wave.bandwidth)
         bend -= wave.at_end * (cosine(kappa) - sine(kappa) / kappa) / kappa
         scale = 4.0 * pi / (1.0 - wave.at_end)
         return scale * shape / k2, scale * (0.5 * bend * kappa - shape) / k2**2
@@ -92,28 +91,23 @@ def prolate(bandwidth: float) -> Prolate:
     """
     c2 = bandwidth**2
     k = 2.0 * np.arange(30 + int(bandwidth))
-    diagonal = (
-        k * (k + 1.0) + (2.0 * k * (k + 1.0) - 1.0) / ((2.0 * k + 3.0) * (2.0 * k - 1.0)) * c2
-    )
-    beside = (
-        (k + 2.0) * (k + 1.0) / ((2.0 * k + 3.0) * np.sqrt((2.0 * k + 1.0) * (2.0 * k + 5.0))) * c2
-    )
+    n = k * (k + 1.0)
+    diagonal = n + (2.0 * n - 1.0) / ((2.0 * k + 3.0) * (2.0 * k - 1.0)) * c2
+    norms = (2.0 * k + 3.0) * np.sqrt((2.0 * k + 1.0) * (2.0 * k + 5.0))
+    beside = (k + 2.0) * (k + 1.0) / norms * c2
     eigenvalue = bandwidth - 0.75  # nearly
     for _ in range(ITERATIONS):
         upwards = [1.0, 0.0]  # the vector, from its end, where it is smallest
         for i in range(len(k) - 1, 0, -1):
-            upwards.insert(
-                0,
-                ((eigenvalue - diagonal[i]) * upwards[0] - beside[i] * upwards[1]) / beside[i - 1],
-            )
+            below = (eigenvalue - diagonal[i]) * upwards[0] - beside[i] * upwards[1]
+            upwards.insert(0, below / beside[i - 1])
         vector = np.array(upwards[:-1]) / upwards[0]
         eigenvalue += (diagonal[0] + beside[0] * vector[1] - eigenvalue) / (vector**2).sum()
     series = np.zeros(2 * len(k))
     series[::2] = vector * np.sqrt(k + 0.5)
     series /= series[0]  # ∫₀¹ of all others vanishes
-    return Prolate(
-        bandwidth, series, float(legendre.legval(0.0, series)), float(legendre.legval(1.0, series))
-    )
+    at_zero, at_end = legendre.legval([0.0, 1.0], series).tolist()
+    return Prolate(bandwidth, series, at_zero, at_end)
 
 
 def error_of(bandwidth: float) -> float:
@@ -137,19 +131,16 @@ def split_for(cutoff: float, accuracy: float) -> Split:
     def smooth(t: Array) -> Array:
         """r_c L, of t = 2 r²/r_c² − 1."""
         x = np.sqrt(np.maximum(0.5 * (t + 1.0), 1e-24))
-        upto = legendre.legval(x, integral) - legendre.legval(0.0, integral) - wave.at_end * x
-        return upto / (x * (1.0 - wave.at_end))
+        area = legendre.legval(x, integral) - legendre.legval(0.0, integral) - wave.at_end * x
+        return area / (x * (1.0 - wave.at_end))
 
     t = np.linspace(-1.0, 1.0, 1001)[1:-1]
     exact = smooth(t)
     enough = max(FITTED * accuracy, 1e-15) * exact.max()
     for degree in DEGREES:
         zeros = cosine(pi * (np.arange(degree + 1.0) + 0.5) / (degree + 1.0))
-        series = (
-            2.0
-            / len(zeros)
-            * (chebyshev.chebvander(zeros, degree) * smooth(zeros)[:, None]).sum(axis=0)
-        )
+        products = chebyshev.chebvander(zeros, degree) * smooth(zeros)[:, None]
+        series = 2.0 / len(zeros) * products.sum(axis=0)
         series[0] *= 0.5
         if np.abs(chebyshev.chebval(t, series) - exact).max() < enough:
             break
@@ -159,11 +150,5 @@ def split_for(cutoff: float, accuracy: float) -> Split:
     # ∫₀¹ x² ψ₀: of x² = (P₀ + 2 P₂)/3 the latter has ∫₀¹ P₂² = 1/5
     moment = (1.0 / 3.0 + 2.0 / 15.0 * wave.series[2] - wave.at_end / 3.0) / (1.0 - wave.at_end)
     at_zero = float(polynomial.polyval(-1.0, values))
-    return Split(
-        cutoff,
-        bandwidth,
-        error_of(bandwidth),
-        numbers,
-        at_zero,
-        2.0 * pi * cutoff**2 * float(moment),
-    )
+    moment = 2.0 * pi * cutoff**2 * float(moment)
+    return Split(cutoff, bandwidth, error_of(bandwidth), numbers, at_zero, moment)

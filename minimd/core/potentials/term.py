@@ -155,8 +155,8 @@ class Term:
 
     def operations(self, system: System, target: Target) -> Iterable[Operation]:
         """The operations that add the forces of this term to a target."""
-        parts = target.detail, target.forces, target.energies, target.virials
-        yield in_python(lambda: self.add(system, *parts))
+        arrays = target.forces, target.energies, target.virials
+        yield in_python(lambda: self.add(system, target.detail, *arrays))
 
     def collect(self, target: Target) -> None:
         """After operations: add energies and virials that they have left elsewhere to those of the target."""
@@ -221,28 +221,31 @@ class OwnPotential(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        told = ((name, as_text(value)) for name, value in self.arguments().items())
-        return [("potential", type(self).__name__), *told]
+        arguments = ((name, as_text(value)) for name, value in self.arguments().items())
+        return [("potential", type(self).__name__), *arguments]
 
 
 def bound(potential: Any, system: System) -> Term:
     """The term of a potential on a system.
     Raises TypeError for something that is no potential, or binds to something that is no term."""
     if not hasattr(potential, "bind") or isinstance(potential, type):
-        wanted = "potentials of minimd, such as LennardJones, or objects with bind(system); a law of your own"
-        law = "is passed as PairPotential(law, parameters, cutoff): see docs/own-laws.md"
-        raise TypeError(f"potentials must be {wanted} {law}; got {shown(potential)}")
+        raise TypeError(
+            "potentials must be potentials of minimd, such as LennardJones, or objects with bind(system); "
+            "a law of your own is passed as PairPotential(law, parameters, cutoff): see docs/own-laws.md; "
+            f"got {shown(potential)}"
+        )
     term = potential.bind(system)
     if isinstance(term, Term):
         return term
     if not hasattr(term, "add"):
-        wanted = "an object with add(system, detail, forces, energies, virials)"
         raise TypeError(
-            f"bind must return a term, {wanted}; that of {shown(potential)} is {shown(term)}"
+            "bind must return a term, an object with add(system, detail, forces, energies, virials); "
+            f"that of {shown(potential)} is {shown(term)}"
         )
     completed = Term()  # what the object has, and the defaults of a Term
-    names = ("add", "skipped", "acts_from_outside", "is_checked")
-    completed.__dict__.update({name: getattr(term, name) for name in names if hasattr(term, name)})
+    for name in ("add", "skipped", "acts_from_outside", "is_checked"):
+        if hasattr(term, name):
+            setattr(completed, name, getattr(term, name))
     return completed
 
 
@@ -258,35 +261,42 @@ def check_force(potential: Any, system: System, time: float) -> None:
         potential, system = deepcopy((potential, system))
     except Exception:  # whatever an object of the user's raises
         return
-    term, rng, length = bound(potential, system), np.random.default_rng(1), _length_of(system)
+    term = bound(potential, system)
     term.time = time
-    n_compared = 0
-    wrong = []
+    rng = np.random.default_rng(1)
+    length = _length_of(system)
     # where no force is zero by symmetry
-    here = system.positions + SHAKEN * length * rng.standard_normal(system.positions.shape)
+    positions = system.positions + SHAKEN * length * rng.standard_normal(system.positions.shape)
 
-    def at(displacement: NDArray | float) -> tuple[NDArray, NDArray]:
-        forces = np.zeros_like(here)
-        energies = np.zeros(len(here))
-        virials = np.zeros((len(here), 6))
-        system.positions[:] = here + displacement
+    def evaluate(displacement: NDArray | float) -> tuple[NDArray, NDArray]:
+        forces = np.zeros_like(positions)
+        energies = np.zeros(len(positions))
+        virials = np.zeros((len(positions), 6))
+        system.positions[:] = positions + displacement
         term.add(system, TOTALS, forces, energies, virials)
         return forces, energies
 
-    forces, energies = at(0.0)
-    for way in rng.standard_normal((TRIES, *here.shape)) if energies.any() else ():
+    def slope_along(way: NDArray, h: float) -> float:
+        differences = evaluate(-h * way)[1] - evaluate(h * way)[1]
+        return float(differences.sum()) / (2.0 * h)
+
+    forces, energies = evaluate(0.0)
+    if not energies.any():
+        return
+    n_compared = 0
+    faults = []
+    for way in rng.standard_normal((TRIES, *positions.shape)):
         force = float((forces * way).sum())
-        steps = STEP * length, 2.0 * STEP * length
-        slope, other = (float((at(-h * way)[1] - at(h * way)[1]).sum()) / (2.0 * h) for h in steps)
-        n_compared += bool(np.isfinite([force, slope, other]).all())
-        if not agree(force, slope, np.abs(energies).sum() / length, ROUGH * abs(slope - other)):
-            wrong.append(
-                f"for a displacement w of all atoms F·w = {force:.6g}, but -dU/dw = {slope:.6g}"
-            )
-    if 2 * len(wrong) > n_compared:
-        fault = f"{wrong[0]}; a term whose force is no gradient sets is_checked = False"
+        slope = slope_along(way, STEP * length)
+        coarse = slope_along(way, 2.0 * STEP * length)
+        n_compared += bool(np.isfinite([force, slope, coarse]).all())
+        if not agree(force, slope, np.abs(energies).sum() / length, ROUGH * abs(slope - coarse)):
+            faults.append(f"F·w = {force:.6g}, but -dU/dw = {slope:.6g}")
+    if 2 * len(faults) > n_compared:
         raise ValueError(
-            f"the force of {shown(potential)} must be minus the gradient of its energy; {fault}"
+            f"the force of {shown(potential)} must be minus the gradient of its energy; "
+            f"for a displacement w of all atoms {faults[0]}; "
+            "a term whose force is no gradient sets is_checked = False"
         )
 
 
@@ -294,39 +304,40 @@ def _length_of(system: System) -> float:
     """A length by which atoms can move: the closest distance, within bounds if they overlap or are far off [length]."""
     cell = system.cell
     positions = system.positions
-    pair = closest_pair(system)
     sizes = (
         cell.heights[cell.pbc].min(initial=inf),
         np.ptp(positions, axis=0).max(),
         np.abs(positions).max(),
         1.0,
     )
-    spacing = next(size for size in sizes if 0.0 < size < inf) / len(system) ** (1.0 / 3.0)
+    size = next(size for size in sizes if 0.0 < size < inf)
+    spacing = size / len(system) ** (1.0 / 3.0)
+    pair = closest_pair(system)
     return float(np.clip(pair.distance if pair else spacing, CLOSE * spacing, spacing))
 
 
 def no_bonds(what: str, groups: str = "bonds") -> str:
     """The warning that something made for bonds, angles, dihedrals or impropers finds none."""
     key = {"bonds": "structure.bonds", "angles": "triples"}.get(groups, "quadruples")
-    places = (
-        f"System({groups}=...) or System.from_ase(atoms, {groups}=...), in a scene file as {key}"
+    return (
+        f"{what} has no effect: the system has no {groups}; give them as System({groups}=...) or "
+        f"System.from_ase(atoms, {groups}=...), in a scene file as {key}"
     )
-    return f"{what} has no effect: the system has no {groups}; give them as {places}"
 
 
 def as_potentials(given: Any) -> tuple[Any, ...]:
     """One potential or several as a tuple. A calculator of ASE becomes the potentials of a minimd.ase.Calculator, or
     ForcesFromCalculator, with a warning; other objects stay as they are, to be refused by bound."""
     potentials: list[Any] = []
-    for one in given if isinstance(given, list | tuple) else (given,):
-        if hasattr(one, "bind") or not is_calculator(one):
-            potentials.append(one)
-        elif (own := getattr(one, "own_potentials", None)) is not None:
-            # of a minimd.ase.Calculator
+    for potential in given if isinstance(given, list | tuple) else (given,):
+        own = getattr(potential, "own_potentials", None)
+        if hasattr(potential, "bind") or not is_calculator(potential):
+            potentials.append(potential)
+        elif own is not None:
             potentials.extend(as_potentials(own))
         else:
-            warn(calculators_said(one))
-            potentials.append(ForcesFromCalculator(one))
+            warn(calculators_said(potential))
+            potentials.append(ForcesFromCalculator(potential))
     return tuple(potentials)
 
 
@@ -338,8 +349,10 @@ def is_calculator(calculator: Any) -> bool:
 def calculators_said(calculator: Any) -> str:
     """The warning, given once, for steps with a calculator that is not minimd's."""
     name = type(calculator).__name__
-    why = "minimd makes the steps, but only as fast as"
-    return f"the calculator is {name}, not minimd.ase.Calculator: {why} {name} computes the forces"
+    return (
+        f"the calculator is {name}, not minimd.ase.Calculator: "
+        f"minimd makes the steps, but only as fast as {name} computes the forces"
+    )
 
 
 class ForcesFromCalculator(OwnPotential):
@@ -354,8 +367,10 @@ class ForcesFromCalculator(OwnPotential):
 
     def __init__(self, calculator: Any) -> None:
         if not is_calculator(calculator):
-            wanted = "a calculator of ASE, such as ase.calculators.emt.EMT()"
-            raise TypeError(f"calculator must be {wanted}; got {shown(calculator)}")
+            raise TypeError(
+                "calculator must be a calculator of ASE, such as ase.calculators.emt.EMT(); "
+                f"got {shown(calculator)}"
+            )
         self.calculator = calculator
 
     def arguments(self) -> dict[str, Any]:
@@ -387,18 +402,17 @@ class CalculatorTerm(Term):
     ) -> None:
         """See Term. Shares are equal; but PER_ATOM takes energies of atoms from a calculator that has them, shifted to
         the right sum."""
-        self._atoms.positions[:] = system.positions
-        self._atoms.cell[:] = system.cell.vectors
-        own = self._atoms.get_forces(apply_constraint=False)
+        atoms = self._atoms
+        atoms.positions[:] = system.positions
+        atoms.cell[:] = system.cell.vectors
+        own = atoms.get_forces(apply_constraint=False)
         forces += own
         if detail != FORCES:
-            total = self._atoms.get_potential_energy(
-                force_consistent="free_energy" in self._implemented
-            )
-            own_shares = detail == PER_ATOM and "energies" in self._implemented
-            shares = (
-                self._atoms.get_potential_energies() if own_shares else np.zeros(len(self._atoms))
-            )
+            has_free_energy = "free_energy" in self._implemented
+            total = atoms.get_potential_energy(force_consistent=has_free_energy)
+            shares = np.zeros(len(atoms))
+            if detail == PER_ATOM and "energies" in self._implemented:
+                shares = atoms.get_potential_energies()
             energies += shares + (total - shares.sum()) / len(shares)
             virials += self._virial(system, own) / len(system)
 
@@ -412,6 +426,6 @@ class CalculatorTerm(Term):
 
             return -self._atoms.get_stress() * volume_of(self._atoms)
         except NotImplementedError as reason:
-            told = f"{type(self._atoms.calc).__name__} gives no stress ({reason}); virial and pressure are NaN"
-            warn(told)
+            name = type(self._atoms.calc).__name__
+            warn(f"{name} gives no stress ({reason}); virial and pressure are NaN")
             return np.full(6, np.nan)

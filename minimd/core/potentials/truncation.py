@@ -79,26 +79,34 @@ def smooth(r2, law, parameters):
     scale = 1.0 / (parameters[1] - parameters[0])
     y = max(0.0, min(1.0, (r2 - parameters[0]) * scale))
     z = 1.0 - y
-    y3, z3 = y * y * y, z * z * z
-    series = 1.0 + y * (
-        8.0 + y * (36.0 + y * (120.0 + y * (330.0 + y * (792.0 + y * (1716.0 + y * 3432.0)))))
-    )
+    y3 = y * y * y
+    z3 = z * z * z
+    upper = 330.0 + y * (792.0 + y * (1716.0 + y * 3432.0))
+    series = 1.0 + y * (8.0 + y * (36.0 + y * (120.0 + y * upper)))
     s = z3 * z3 * z * z * series
     slope = -51480.0 * y3 * y3 * y * z3 * z3 * z * scale  # dS/d(r²)
     return s * u, s * f - 2.0 * slope * u
 
 
 class Truncation(NamedTuple):
-    """around : makes the law type of the truncated law.  numbers : makes the parameters of its formula, from the law,
-    its parameters, r_c, r_on."""
+    """around : makes the law type of the truncated law.
+    numbers : makes the parameters of its formula, from the law, its parameters, r_c and r_on."""
 
     around: Callable[[tuple], tuple]
     numbers: Callable[[tuple, tuple, float, float], tuple]
 
 
-def _value_and_slope(law: tuple, parameters: tuple, cutoff: float, _switch_start: float) -> tuple:
-    u, f = law_at(law, cutoff, parameters)
-    return (u, -f * cutoff, cutoff)
+def _value(law: tuple, parameters: tuple, r_c: float, _r_on: float) -> tuple:
+    return law_at(law, r_c, parameters)[:1]
+
+
+def _value_and_slope(law: tuple, parameters: tuple, r_c: float, _r_on: float) -> tuple:
+    u, f = law_at(law, r_c, parameters)
+    return u, -f * r_c, r_c
+
+
+def _squares(_law: tuple, _parameters: tuple, r_c: float, r_on: float) -> tuple:
+    return r_on * r_on, r_c * r_c
 
 
 Shifted = law_type("Shifted", shifted)
@@ -108,16 +116,12 @@ CharmmSwitched = law_type("CharmmSwitched", charmm)
 Smooth = law_type("Smooth", smooth)
 
 TRUNCATIONS = {
-    "truncated": Truncation(lambda law: law, lambda law, parameters, r_c, r_on: ()),
-    "shifted": Truncation(
-        Shifted, lambda law, parameters, r_c, r_on: law_at(law, r_c, parameters)[:1]
-    ),
+    "truncated": Truncation(lambda law: law, lambda *_: ()),
+    "shifted": Truncation(Shifted, _value),
     "force-shifted": Truncation(ForceShifted, _value_and_slope),
     "switched": Truncation(Switched, lambda law, parameters, r_c, r_on: (r_on, r_c)),
-    "charmm": Truncation(
-        CharmmSwitched, lambda law, parameters, r_c, r_on: (r_on * r_on, r_c * r_c)
-    ),
-    "smooth": Truncation(Smooth, lambda law, parameters, r_c, r_on: (r_on * r_on, r_c * r_c)),
+    "charmm": Truncation(CharmmSwitched, _squares),
+    "smooth": Truncation(Smooth, _squares),
 }
 
 # the keys of TRUNCATIONS

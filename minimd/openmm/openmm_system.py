@@ -150,7 +150,7 @@ def from_openmm(
             f"openmm_system must be an openmm.System; openmm_system = {shown(openmm_system)}"
         )
     forces = [force for force in openmm_system.getForces() if _has_terms(force)]
-    places = np.array(_plain(positions), dtype=np.float64)
+    places = np.array(_plain(positions), float)
     n = openmm_system.getNumParticles()
     atoms = [*topology.atoms()]
     if not n == len(atoms) == len(places):
@@ -366,7 +366,7 @@ def _rows(owner: Any, name: str, what: str = "Parameters") -> Array:
     n = getattr(owner, f"getNum{name}s")()
     parameters = getattr(owner, f"get{name}{what}")
     rows = [np.hstack([*map(_plain, parameters(k))]) for k in range(n)]
-    return np.array(rows, dtype=np.float64) if rows else np.zeros((0, 5))
+    return np.array(rows, float) if rows else np.zeros((0, 5))
 
 
 def _plain(quantity: Any) -> Any:

@@ -10,11 +10,11 @@ from ase.data import atomic_numbers
 from ase.geometry import find_mic
 from ase.stress import full_3x3_to_voigt_6_stress
 from ase.units import fs
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.core.console.quiet import warn
-from minimd.core.structure.bond_graph import GROUPS, joined_in, texts
-from minimd.core.structure.cell import Cell
+from minimd.core.structure.bond_graph import GROUPS, Indices, joined_in, texts
+from minimd.core.structure.cell import Array, Cell
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.constraints import (
     TOLERANCE,
@@ -139,7 +139,7 @@ def _check_occupancy(atoms: Atoms, source: str) -> None:
             )
 
 
-def _charges(atoms: Atoms) -> NDArray[np.float64]:
+def _charges(atoms: Atoms) -> Array:
     """Initial charges [e], or those of a column of an extended XYZ file, which ASE keeps as results."""
     charges = atoms.get_initial_charges()
     if isinstance(atoms.calc, SinglePointCalculator) and not atoms.has("initial_charges"):
@@ -147,9 +147,7 @@ def _charges(atoms: Atoms) -> NDArray[np.float64]:
     return np.asarray(charges)
 
 
-def _velocities(
-    atoms: Atoms, source: str, units: UnitSystem, has_masses: bool
-) -> NDArray[np.float64]:
+def _velocities(atoms: Atoms, source: str, units: UnitSystem, has_masses: bool) -> Array:
     """Velocities of momenta, or of a column of an extended XYZ file: velo in ASE's units, as its specification says,
     vel in Å/fs, as GPUMD writes it, which is told; in reduced units unchanged, and zero if they depend on masses that
     nobody states."""
@@ -157,7 +155,7 @@ def _velocities(
     if not name or atoms.has("momenta"):
         is_known = units is ASE or has_masses or TYPES in atoms.arrays
         return np.asarray(atoms.get_velocities() * is_known)
-    column = np.array(atoms.arrays[name], dtype=np.float64)
+    column = np.array(atoms.arrays[name], float)
     if units is not ASE:
         return column
     unit, factor = VELOCITIES[name]
@@ -241,9 +239,7 @@ def same_scene(one: Atoms, other: Atoms) -> bool:
     return one.calc is other.calc and all(map(np.array_equal, *scenes))
 
 
-def calculators_stress(
-    stress: NDArray[np.float64], atoms: Atoms, conserves_momentum: bool
-) -> NDArray[np.float64]:
+def calculators_stress(stress: Array, atoms: Atoms, conserves_momentum: bool) -> Array:
     """What ASE calls the stress, (6,) as xx yy zz yz xz xy [eV/Å³]: without the kinetic part, which
     get_stress(include_ideal_gas=True) adds.  stress : (3, 3), of an engine with the atoms in their present motion.
     conserves_momentum : of that engine."""
@@ -263,8 +259,8 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
     """The constraints of atoms: lengths, linear molecules and fixed atoms. FixCom is left out: see fixes_center.
     Raises ValueError for a constraint of another kind, by name."""
     n = len(atoms)
-    pairs: list[NDArray[np.int64]] = []
-    lengths: list[NDArray[np.float64]] = []
+    pairs: list[Indices] = []
+    lengths: list[Array] = []
     tolerances: list[float] = []
     fixed: list[int] = []
     for constraint in atoms.constraints:
@@ -311,13 +307,13 @@ def fixes_center(atoms: Atoms) -> bool:
     return any(isinstance(constraint, FixCom) for constraint in atoms.constraints)
 
 
-def _distances(atoms: Atoms, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
+def _distances(atoms: Atoms, pairs: Indices) -> Array:
     """Distances to the nearest image [Å]."""
     vectors = atoms.positions[pairs[:, 1]] - atoms.positions[pairs[:, 0]]
     return find_mic(vectors, atoms.cell, atoms.pbc)[1]
 
 
-def _counted_from_front(indices: Any, n_atoms: int) -> NDArray[np.int64]:
+def _counted_from_front(indices: Any, n_atoms: int) -> Indices:
     """Indices of atoms; negative ones count from the last atom, in ASE as in Python."""
-    array = np.asarray(indices, dtype=np.int64)
+    array = np.asarray(indices, np.int64)
     return np.where(array < 0, array + n_atoms, array)

@@ -18,11 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.core.structure.checks import check_rows, checked_indices
 
 MAX_BONDS_APART = 3
+Indices = NDArray[np.int64]
 # of a System, and how many atoms each has
 GROUPS = {"bonds": 2, "angles": 3, "dihedrals": 4, "impropers": 4}
 
 
-def pairs_by_bonds_apart(bonds: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+def pairs_by_bonds_apart(bonds: Indices) -> list[Indices]:
     """Pairs i < j whose shortest path along the bonds has one, two and three bonds: three (P, 2) int arrays, each
     sorted by (i, j). Rings and cages are no exception: the shortest path decides.  bonds : (B, 2) int."""
     # of bonded atoms alone: most scenes have none
@@ -38,21 +39,19 @@ def pairs_by_bonds_apart(bonds: NDArray[np.int64]) -> list[NDArray[np.int64]]:
             shell = {k for j in shell for k in neighbors[j]} - seen
             seen |= shell
             pairs.extend((i, j) for j in sorted(shell) if j > i)
-    return [np.array(pairs, dtype=np.int64).reshape(-1, 2) for pairs in apart]
+    return [np.array(pairs, np.int64).reshape(-1, 2) for pairs in apart]
 
 
-def connected(pairs: NDArray[np.int64], n_atoms: int) -> NDArray[np.int64]:
+def connected(pairs: Indices, n_atoms: int) -> Indices:
     """(N,) the number, from 0 on, of the molecule of each atom: pairs (P, 2) connect the atoms of one."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     bonded = coo_array((np.ones(len(pairs)), pairs.T), shape=(n_atoms, n_atoms))
-    return np.asarray(connected_components(bonded, directed=False)[1], dtype=np.int64)
+    return np.asarray(connected_components(bonded, directed=False)[1], np.int64)
 
 
-def checked_pairs(
-    name: str, pairs: ArrayLike | None, n_atoms: int | None = None
-) -> NDArray[np.int64]:
+def checked_pairs(name: str, pairs: ArrayLike | None, n_atoms: int | None = None) -> Indices:
     """Pairs of atoms as a (P, 2) int array, (0, 2) if there are none.  n_atoms : None for any number of atoms.
     Raises ValueError as checked_groups, or if a pair is given twice, in either order."""
     array = checked_groups(name, pairs, 2, n_atoms)
@@ -68,7 +67,7 @@ def checked_pairs(
     return array
 
 
-def among(pairs: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
+def among(pairs: Indices, others: Indices) -> NDArray[np.bool_]:
     """Which of the pairs, (B,) bool, are among others, in either order."""
     n_atoms = 1 + max(pairs.max(initial=0), others.max(initial=0))
     numbers = [each.min(axis=1) * n_atoms + each.max(axis=1) for each in (pairs, others)]
@@ -77,13 +76,13 @@ def among(pairs: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.boo
 
 def checked_groups(
     name: str, groups: ArrayLike | None, size: int, n_atoms: int | None = None
-) -> NDArray[np.int64]:
+) -> Indices:
     """Groups of size different atoms as a (G, size) int array; None for none of them; see checked_pairs.
     Raises ValueError if the shape is wrong, an atom does not exist, or an atom appears twice in a group."""
     expected = f"an (n, {size}) array of atom indices"
     array = checked_indices(name, () if groups is None else groups, expected)
     if array.size == 0:
-        return np.zeros((0, size), dtype=np.int64)
+        return np.zeros((0, size), np.int64)
     if array.ndim != 2 or array.shape[1] != size:
         raise ValueError(f"{name} must be {expected}; its shape is {array.shape}")
     known = "from 0 on"
@@ -97,7 +96,6 @@ def checked_groups(
     return array
 
 
-Indices = NDArray[np.int64]
 # indices, and the type
 FORMS = {
     name: re.compile("-".join([r"(\d+)"] * (size - 1)) + r"(?:\((\w+)\))?")

@@ -103,7 +103,7 @@ def checked_numbers(name: str, values: Any, expected: str) -> NDArray[np.float64
     Raises ValueError as checked_array."""
     array = checked_array(name, values, expected, "if")
     try:
-        return np.array(array, dtype=np.float64, order="C")
+        return np.array(array, float, order="C")
     except OverflowError as error:
         raise ValueError(f"{name} must be {expected}: {error}") from None
 
@@ -141,7 +141,7 @@ def checked_indices(name: str, values: Any, expected: str) -> NDArray[np.int64]:
             f"{name} must be {expected}: they go from {array.min()} to {array.max()}, but at most {MOST_ATOMS} atoms "
             "are allowed"
         )
-    return np.array(array, dtype=np.int64, order="C")
+    return np.array(array, np.int64, order="C")
 
 
 def checked_array(name: str, values: Any, expected: str, kinds: str) -> NDArray[Any]:

@@ -3,10 +3,10 @@
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.core.console.words import shown
-from minimd.core.structure.bond_graph import checked_pairs, connected
+from minimd.core.structure.bond_graph import Indices, checked_pairs, connected
 from minimd.core.structure.cell import Array, Cell, nearest_vectors
 from minimd.core.structure.checks import (
     MOST_ATOMS,
@@ -116,7 +116,7 @@ def lengths_of(positions: Array, cell: Cell, constraints: DistanceConstraints) -
     return np.linalg.norm(nearest_vectors(positions, cell, constraints.pairs), axis=1)
 
 
-def molecules_of(system: Any) -> NDArray[np.int64]:
+def molecules_of(system: Any) -> Indices:
     """(N,) the number of the molecule of each atom: bonds and lengths held fixed connect the atoms of a molecule."""
     held = [each.pairs for each in system.constraints if isinstance(each, DistanceConstraints)]
     return connected(np.concatenate([system.bonds, *held]), len(system))

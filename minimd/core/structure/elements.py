@@ -17,12 +17,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from ase.data import atomic_masses, atomic_numbers
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from minimd.core.console.quiet import warn
 from minimd.core.console.words import shown
+from minimd.core.structure.bond_graph import Indices
 from minimd.core.structure.checks import checked_number
+from minimd.core.structure.vectors import Array
 
 ISOTOPES = {"D": 2.014, "T": 3.016}  # u
 IONS = {
@@ -61,11 +62,11 @@ class Stated(NamedTuple):
 
     source: str
     names: Sequence[str]
-    positions: NDArray[np.float64]
+    positions: Array
     elements: Sequence[str] | None = None
-    masses: NDArray[np.float64] | None = None
+    masses: Array | None = None
     residues: Sequence[str] | None = None
-    residue_of: NDArray[np.int64] | None = None
+    residue_of: Indices | None = None
 
 
 def is_element(symbol: str) -> bool:
@@ -97,7 +98,7 @@ def atomic_mass(element: str) -> float:
 
 def identified(
     stated: Stated, masses: Any = None, elements: Any = None, *, is_reduced: bool = False
-) -> tuple[NDArray[np.float64], list[str]]:
+) -> tuple[Array, list[str]]:
     """Masses (N,) [u] and elements (N,) of atoms, "" for an atom with a mass, but without element.
 
     masses, elements : given by the user, which win: a sequence of N, or by names of atoms; or, as masses, what a second
@@ -143,7 +144,7 @@ def identified(
     return weights, symbols
 
 
-def _of_both(weights: NDArray[np.float64], second: Stated, stated: Stated) -> NDArray[np.float64]:
+def _of_both(weights: Array, second: Stated, stated: Stated) -> Array:
     """Masses of two files: those of the second where it states them."""
     if len(second.names) != len(weights):
         raise ValueError(

@@ -10,14 +10,15 @@ from MDAnalysis.guesser.default_guesser import DefaultGuesser
 from MDAnalysis.lib.mdamath import triclinic_vectors
 from MDAnalysis.lib.util import openany
 from MDAnalysis.units import get_conversion_factor
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.core.console.quiet import quiet, warn
-from minimd.core.structure.bond_graph import GROUPS
+from minimd.core.structure.bond_graph import GROUPS, Indices
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.elements import ISOTOPES, Stated, identified, symbol_of
 from minimd.core.structure.lammps_units import LAMMPS_UNITS
 from minimd.core.structure.units import LJ, UnitSystem
+from minimd.core.structure.vectors import Array
 
 
 def universe_arguments(
@@ -99,7 +100,7 @@ def _scales(trajectory: Any, units: UnitSystem, source: str) -> tuple[float, flo
     return to_length / units.to_angstrom, scale * units.to_picosecond / units.to_angstrom
 
 
-def _cell(dimensions: Any, length: float, source: str) -> NDArray[np.float64] | None:
+def _cell(dimensions: Any, length: float, source: str) -> Array | None:
     """Cell vectors of lengths and angles; an edge of length 0 is an open direction. Edges or angles of 0 are no cell,
     nor is one that cannot be, which is told."""
     if dimensions is None:
@@ -109,7 +110,7 @@ def _cell(dimensions: Any, length: float, source: str) -> NDArray[np.float64] | 
         return None
     is_open = edges == 0.0
     with quiet():
-        vectors = triclinic_vectors([*np.where(is_open, 1.0, edges), *angles], dtype=np.float64)
+        vectors = triclinic_vectors([*np.where(is_open, 1.0, edges), *angles], float)
     if not vectors.any():
         warn(
             f"edges and angles {[*edges.tolist(), *angles.tolist()]} of {source} are no cell; give cell="
@@ -119,14 +120,14 @@ def _cell(dimensions: Any, length: float, source: str) -> NDArray[np.float64] | 
     return np.asarray(length * vectors)
 
 
-def as_decimals(values: Any) -> NDArray[np.float64]:
+def as_decimals(values: Any) -> Array:
     """Numbers that MDAnalysis has rounded to float32, in float64 and the same shape: their shortest decimals, which are
     those of a text file."""
-    rounded = np.asarray(values, dtype=np.float32)
+    rounded = np.asarray(values, np.float32)
     return np.array([float(text) for text in rounded.ravel().astype(str)]).reshape(rounded.shape)
 
 
-def stated_of(atoms: AtomGroup, source: str, positions: NDArray[np.float64]) -> Stated:
+def stated_of(atoms: AtomGroup, source: str, positions: Array) -> Stated:
     """What a group of atoms states, apart from what MDAnalysis has guessed."""
     elements = residues = residue_of = None
     if _is_stated(atoms, "elements"):
@@ -148,11 +149,11 @@ def _is_stated(atoms: AtomGroup, name: str) -> bool:
     return attribute is not None and not attribute.is_guessed
 
 
-def _masses(atoms: AtomGroup) -> NDArray[np.float64] | None:
+def _masses(atoms: AtomGroup) -> Array | None:
     """Masses [u] that are not those which MDAnalysis guesses; NaN where it knows none."""
     if not hasattr(atoms, "masses"):
         return None
-    masses = np.array(atoms.masses, dtype=np.float64)
+    masses = np.array(atoms.masses, float)
     is_stated = _is_stated(atoms, "masses")
     kinds = getattr(atoms, "elements", getattr(atoms, "types", None))
     if kinds is None:
@@ -167,12 +168,12 @@ def _masses(atoms: AtomGroup) -> NDArray[np.float64] | None:
     return None if is_guess.all() and (kinds == types).all() else masses
 
 
-def charges_of(atoms: AtomGroup) -> NDArray[np.float64] | None:
+def charges_of(atoms: AtomGroup) -> Array | None:
     """Charges [e], or None. MDAnalysis rounds those of some files to float32; their shortest decimals are those of the
     file, with which neutral molecules stay neutral."""
     if not hasattr(atoms, "charges"):
         return None
-    charges = np.asarray(atoms.charges, dtype=np.float64)
+    charges = np.asarray(atoms.charges, float)
     is_rounded = np.array_equal(charges.astype(np.float32), charges)
     return as_decimals(charges) if is_rounded else charges
 
@@ -197,13 +198,13 @@ def _types_or_elements(atoms: AtomGroup, symbols: Sequence[str]) -> list[str]:
     return species
 
 
-def _within(atoms: AtomGroup, name: str, size: int) -> NDArray[np.int64]:
+def _within(atoms: AtomGroup, name: str, size: int) -> Indices:
     """Bonds, angles or dihedrals whose atoms are all in the group, as indices into it."""
     try:
-        groups = np.asarray(getattr(atoms, name).indices, dtype=np.int64).reshape(-1, size)
+        groups = np.asarray(getattr(atoms, name).indices, np.int64).reshape(-1, size)
     except (AttributeError, NoDataError):
         return np.zeros((0, size), np.int64)
     place = np.full(len(atoms.universe.atoms), -1)
     place[atoms.indices] = np.arange(len(atoms))
-    members: NDArray[np.int64] = place[groups]
+    members: Indices = place[groups]
     return members[(members >= 0).all(axis=1)]

@@ -139,7 +139,7 @@ def independent(rest: Array) -> float:
 def statistical_inefficiency(series: Any) -> float:
     """How many entries of a correlated series count as one independent entry: g = T error² / σ²; NaN if the error is,
     1 for a constant series."""
-    values = np.asarray(series, dtype=np.float64)
+    values = np.asarray(series, float)
     error = mean_and_error(values)[1]
     variance = float(values.var(ddof=1)) if len(values) > 1 else 0.0
     return len(values) * error**2 / variance if variance > 0.0 else 1.0
@@ -156,7 +156,7 @@ def replicas(estimate: Callable[[Array], Any], total: Array, parts: Array) -> Ar
         of blocks of equal length.
     This is the jackknife: B. Efron, C. Stein, Ann. Statist. 9, 586 (1981)."""
     # (0, ...) without blocks
-    return np.array([estimate(total - part) for part in (0.0, *parts)], dtype=np.float64)[1:]
+    return np.array([estimate(total - part) for part in (0.0, *parts)], float)[1:]
 
 
 def spread(without: Array) -> Array:

@@ -14,8 +14,8 @@ from minimd.core.compiled.machine import EPS
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import listed, shown
 from minimd.core.structure import units as unit_systems
-from minimd.core.structure.bond_graph import GROUPS, checked_groups, checked_pairs
-from minimd.core.structure.cell import Cell
+from minimd.core.structure.bond_graph import GROUPS, Indices, checked_groups, checked_pairs
+from minimd.core.structure.cell import Array, Cell
 from minimd.core.structure.checks import (
     LARGEST,
     MOST_ATOMS,
@@ -168,7 +168,7 @@ class System(Displayed):
         counts = zip(np.bincount(self.species_index), self.species_names, strict=True)
         return ", ".join(f"{n} {name}" for n, name in counts)
 
-    def groups(self) -> dict[str, NDArray[np.int64]]:
+    def groups(self) -> dict[str, Indices]:
         """Bonds, angles, dihedrals and impropers, by these names."""
         return {name: getattr(self, name) for name in GROUPS}
 
@@ -305,9 +305,7 @@ def arguments_of(system: System) -> dict[str, Any]:
     return {name: getattr(system, name) for name in names}
 
 
-def _checked_vectors(
-    name: str, values: ArrayLike, n_atoms: int | None = None
-) -> NDArray[np.float64]:
+def _checked_vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> Array:
     """A fresh contiguous (N, 3) float64 array, or a sentence about what is wrong with it."""
     array = checked_numbers(name, values, "an (N, 3) array of numbers")
     if array.ndim != 2 or array.shape[1] != 3 or not 0 < array.shape[0] <= MOST_ATOMS:
@@ -327,9 +325,7 @@ def _checked_vectors(
     return array
 
 
-def _checked_charges(
-    charges: Any, species_names: tuple, species_index: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _checked_charges(charges: Any, species_names: tuple, species_index: Indices) -> Array:
     n_atoms = len(species_index)
     if charges is None:
         return np.zeros(n_atoms)
@@ -362,9 +358,9 @@ def _checked_topology(topology: Any, n_atoms: int) -> NDArray[np.str_]:
     return topology.copy()
 
 
-def _checked_species(species: Any, n_atoms: int) -> tuple[tuple, NDArray[np.int64]]:
+def _checked_species(species: Any, n_atoms: int) -> tuple[tuple, Indices]:
     expected = f"species must be {n_atoms} labels, one for each atom, or one str for all"
-    alike = np.zeros(n_atoms, dtype=np.int64)  # pages of zeros that nobody writes to need no memory
+    alike = np.zeros(n_atoms, np.int64)  # pages of zeros that nobody writes to need no memory
     if species is None:
         return ("X",), alike
     if np.ma.is_masked(species):
@@ -372,7 +368,7 @@ def _checked_species(species: Any, n_atoms: int) -> tuple[tuple, NDArray[np.int6
     if isinstance(species, str):
         species = [species] * n_atoms
     try:
-        labels = species if isinstance(species, np.ndarray) else np.asarray(species, dtype=object)
+        labels = species if isinstance(species, np.ndarray) else np.asarray(species, object)
     except ValueError as error:
         raise ValueError(f"{expected}: {error}") from None
     if labels.shape != (n_atoms,):
@@ -409,7 +405,7 @@ def check_resolution(system: System, length: float, name: str) -> None:
         )
 
 
-def local_density(positions: NDArray[np.float64], cell: Cell, width: float) -> float:
+def local_density(positions: Array, cell: Cell, width: float) -> float:
     """The density around an atom, in the mean over all atoms, at least N/V [1/length³].
 
         ρ = Σ n (n − 1) / (N V_b)   over bins of volume V_b with n atoms: −1, because no atom is its own neighbor

@@ -25,19 +25,38 @@ MOST_DECISIONS = 8  # conditions that a call of a law may evaluate one after the
 # names in math and numpy: in Lepton
 SAME = "sqrt exp log sin cos tan asin acos atan sinh cosh tanh erf erfc floor ceil abs"
 FUNCTIONS = {name: name for name in SAME.split()} | {
-    "arcsin": "asin", "arccos": "acos", "arctan": "atan", "fabs": "abs", "absolute": "abs",
-    "maximum": "max", "minimum": "min", "where": "select",
-}  # fmt: skip
+    "arcsin": "asin",
+    "arccos": "acos",
+    "arctan": "atan",
+    "fabs": "abs",
+    "absolute": "abs",
+    "maximum": "max",
+    "minimum": "min",
+    "where": "select",
+}
 # names in math and numpy: by operators and other functions
 COMPUTED: dict[str, Callable[..., Any]] = {
-    "add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "negative": operator.neg,
-    "divide": operator.truediv, "true_divide": operator.truediv,
-    "power": operator.pow, "float_power": operator.pow, "pow": operator.pow,
-    "less": operator.lt, "greater": operator.gt, "less_equal": operator.le, "greater_equal": operator.ge,
-    "square": lambda x: x * x, "reciprocal": lambda x: 1.0 / x, "cbrt": lambda x: x ** (1.0 / 3.0),
-    "expm1": lambda x: x.of("exp", x) - 1.0, "log1p": lambda x: x.of("log", 1.0 + x),
-    "log10": lambda x: x.of("log", x) / math.log(10.0), "log2": lambda x: x.of("log", x) / math.log(2.0),
-}  # fmt: skip
+    "add": operator.add,
+    "subtract": operator.sub,
+    "multiply": operator.mul,
+    "negative": operator.neg,
+    "divide": operator.truediv,
+    "true_divide": operator.truediv,
+    "power": operator.pow,
+    "float_power": operator.pow,
+    "pow": operator.pow,
+    "less": operator.lt,
+    "greater": operator.gt,
+    "less_equal": operator.le,
+    "greater_equal": operator.ge,
+    "square": lambda x: x * x,
+    "reciprocal": lambda x: 1.0 / x,
+    "cbrt": lambda x: x ** (1.0 / 3.0),
+    "expm1": lambda x: x.of("exp", x) - 1.0,
+    "log1p": lambda x: x.of("log", 1.0 + x),
+    "log10": lambda x: x.of("log", x) / math.log(10.0),
+    "log2": lambda x: x.of("log", x) / math.log(2.0),
+}
 LEAVES = {"r": "r", "r2": "(r*r)"}  # symbols without arguments, as they are written
 
 
@@ -103,11 +122,16 @@ class Symbol:
 
 
 OPERATORS: dict[str, Callable[..., Any]] = {  # of Python, by their names in operator; a is a symbol
-    "neg": lambda a: 0.0 - a, "pos": lambda a: a, "abs": lambda a: a.of("abs", a),
-    "lt": lambda a, b: 1.0 - (a >= b), "gt": lambda a, b: 1.0 - (a <= b), "ne": lambda a, b: 1.0 - (a == b),
-    "le": lambda a, b: a.of("step", b - a), "ge": lambda a, b: a.of("step", a - b),
+    "neg": lambda a: 0.0 - a,
+    "pos": lambda a: a,
+    "abs": lambda a: a.of("abs", a),
+    "lt": lambda a, b: 1.0 - (a >= b),
+    "gt": lambda a, b: 1.0 - (a <= b),
+    "ne": lambda a, b: 1.0 - (a == b),
+    "le": lambda a, b: a.of("step", b - a),
+    "ge": lambda a, b: a.of("step", a - b),
     "eq": lambda a, b: a.of("delta", a - b),
-}  # fmt: skip
+}
 for _name, _sign in {"add": "+", "sub": "-", "mul": "*", "truediv": "/", "pow": "^"}.items():
     OPERATORS[_name] = lambda a, b, sign=_sign: a.of(sign, a, b)
     OPERATORS[f"r{_name}"] = lambda a, b, sign=_sign: a.of(sign, b, a)

@@ -78,13 +78,24 @@ def _in_ase_units(epsilon: Array, sigma: Array) -> tuple[Array, Array]:
 
 # by force or law: what OpenMM calls its terms, and the potential of their atoms and parameters
 BONDED: dict[str, tuple[str, Any]] = {
-    "HarmonicBondForce": ("Bond", lambda at, length, k: HarmonicBond(KJ / NM**2 * k, NM * length, at)),
+    "HarmonicBondForce": (
+        "Bond",
+        lambda at, length, k: HarmonicBond(KJ / NM**2 * k, NM * length, at),
+    ),
     "HarmonicAngleForce": ("Angle", lambda at, angle, k: HarmonicAngle(KJ * k, angle, at)),
-    "PeriodicTorsionForce": ("Torsion", lambda at, n, phase, k: PeriodicDihedral(KJ * k, n, phase, at)),
-    "RBTorsionForce": ("Torsion", lambda at, *c: RyckaertBellemans([KJ * power for power in c], at)),
-    "-α/r^6+β/r^12":
-        ("Bond", lambda at, c, a: BondPotential(LennardJonesLaw(), _in_ase_units(*_well(a, c)), at)),
-}  # fmt: skip
+    "PeriodicTorsionForce": (
+        "Torsion",
+        lambda at, n, phase, k: PeriodicDihedral(KJ * k, n, phase, at),
+    ),
+    "RBTorsionForce": (
+        "Torsion",
+        lambda at, *c: RyckaertBellemans([KJ * power for power in c], at),
+    ),
+    "-α/r^6+β/r^12": (
+        "Bond",
+        lambda at, c, a: BondPotential(LennardJonesLaw(), _in_ase_units(*_well(a, c)), at),
+    ),
+}
 for _law in IMPROPERS:
     BONDED[_law] = ("Torsion", partial(_improper, 2.0, _law))
     BONDED[f"0.5*{_law}"] = ("Torsion", partial(_improper, 1.0, _law))

@@ -202,7 +202,8 @@ def from_openmm(
         cell = NM * np.array([_plain(vector) for vector in vectors])
     names = [*map(_names, atoms)]
     kinds = [*map(tuple, numbers.tolist())]
-    species = _labels([row[1] or "X" for row in names], kinds)
+    symbols = [symbol or "X" for _, symbol, *_ in names]
+    species = _labels([*zip(symbols, kinds, strict=True)])
     bonds = {tuple(sorted((a.index, b.index))) for a, b in topology.bonds()}
     held = _rows(openmm_system, "Constraint")
     held = held[~np.isin(held[:, :2], fixed).all(axis=1)]
@@ -271,10 +272,11 @@ def _check(
             strange = [
                 f"virtual sites, or sites of mass 0 that have no element, such as particle {k}"
             ]
-    for force in forces:
+    names = [type(force).__name__ for force in forces]
+    for force, name in zip(forces, names, strict=True):
         kind, _ = _kind(force)
         if kind not in KNOWN:
-            strange.append(type(force).__name__)
+            strange.append(name)
             if hasattr(force, "getEnergyFunction"):
                 strange.append(f"its energy {force.getEnergyFunction()}")
         elif kind == "NonbondedForce":
@@ -284,7 +286,7 @@ def _check(
                 strange.append("parameter offsets of NonbondedForce")
             if not force.getIncludeDirectSpace():
                 strange.append("NonbondedForce without its direct space")
-    if [type(force).__name__ for force in forces].count("NonbondedForce") > 1:
+    if names.count("NonbondedForce") > 1:
         strange.append("a second NonbondedForce")
     if strange:
         raise ValueError(
@@ -359,17 +361,16 @@ def _names(atom: Any) -> list[str]:
     return [atom.name, symbol, residue.name, number, residue.chain.id]
 
 
-def _labels(symbols: list[str], wells: list[Any]) -> list[str]:
-    """Species of atoms: their symbols, and where one has several wells (ε, σ), the numbers of these, from 1 on."""
+def _labels(atoms: list[tuple[str, Any]]) -> list[str]:
+    """Species of atoms (symbol, well): the symbols, and where one has several wells, their numbers, from 1 on."""
     numbers: dict[str, dict[Any, int]] = {}
-    for symbol, well in zip(symbols, wells, strict=True):
-        of_symbol = numbers.setdefault(symbol, {})
-        of_symbol.setdefault(well, len(of_symbol) + 1)
-    species = []
-    for symbol, well in zip(symbols, wells, strict=True):
-        of_symbol = numbers[symbol]
-        species.append(f"{symbol}{of_symbol[well]}" if len(of_symbol) > 1 else symbol)
-    return species
+    for symbol, well in atoms:
+        wells = numbers.setdefault(symbol, {})
+        wells.setdefault(well, len(wells) + 1)
+    return [
+        f"{symbol}{numbers[symbol][well]}" if len(numbers[symbol]) > 1 else symbol
+        for symbol, well in atoms
+    ]
 
 
 def _rows(owner: Any, name: str, what: str = "Parameters") -> Array:

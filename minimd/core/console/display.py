@@ -28,9 +28,8 @@ class Displayed:
 
     def display_rows(self) -> Rows:
         """Names and words; a row without a name continues the one before."""
-        return [
-            (line[:NAME_WIDTH].rstrip(), line[NAME_WIDTH + 1 :]) for line in str(self).splitlines()
-        ]
+        lines = str(self).splitlines()
+        return [(line[:NAME_WIDTH].rstrip(), line[NAME_WIDTH + 1 :]) for line in lines]
 
     def __str__(self) -> str:
         rows = self.display_rows()
@@ -53,21 +52,14 @@ class Displayed:
 def call_of(one: object, arguments: Mapping[str, Any], always: Iterable[str] = ()) -> str:
     """The call that recreates an object, without arguments that have their default values,
     except for those named in always."""
-    defaults = {
-        name: parameter.default for name, parameter in signature(type(one)).parameters.items()
-    }
-
-    def is_default(name: str, value: Any) -> bool:
-        is_plain = name in defaults and not isinstance(value, np.ndarray | Mapping)
-        return is_plain and bool(defaults[name] == value)
-
+    parameters = signature(type(one)).parameters
     always = set(always)
-    told = [
-        f"{key}={as_text(one)}"
-        for key, one in arguments.items()
-        if key in always or not is_default(key, one)
-    ]
-    return f"{type(one).__name__}({', '.join(told)})"
+    texts = []
+    for name, value in arguments.items():
+        may_be_default = name in parameters and not isinstance(value, np.ndarray | Mapping)
+        if name in always or not (may_be_default and parameters[name].default == value):
+            texts.append(f"{name}={as_text(value)}")
+    return f"{type(one).__name__}({', '.join(texts)})"
 
 
 def as_text(value: Any) -> str:

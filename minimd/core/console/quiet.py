@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
+INSIDE = ("minimd", "contextlib")  # packages to whose lines no warning points
 IS_QUIET = ContextVar("is_quiet", default=False)
 
 
@@ -45,12 +46,9 @@ def warn(words: str) -> None:
     it."""
     frame = sys._getframe()
     level = 1
-    inside = ("minimd", "contextlib")
-    while (
-        frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in inside
-    ):
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in INSIDE:
         frame = frame.f_back
-        level = level + 1
+        level += 1
     try:
         warnings.warn(words, stacklevel=level)
     except UserWarning:  # warnings are errors

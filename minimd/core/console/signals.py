@@ -13,11 +13,8 @@ from typing import Any, NoReturn, Protocol
 from minimd.core.compiled.terminal import tell
 
 # Windows has no SIGHUP
-SIGNALS = [
-    number
-    for name in ("SIGINT", "SIGTERM", "SIGHUP")
-    if (number := getattr(signal, name, None)) is not None
-]
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+SIGNALS = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
 # handlers that nobody has set; the command `minimd` adds its own
 DEFAULT_HANDLERS: list[Any] = [signal.SIG_DFL, signal.default_int_handler]
 
@@ -62,11 +59,10 @@ def stop_on_signals(run: Stoppable, seconds: float = inf) -> Iterator[None]:
     if seconds < threading.TIMEOUT_MAX:  # 292 years
         timer = threading.Timer(seconds, setattr, (run, "stop_requested", True))
         timer.start()
+    outer = [handler for _, handler in _active.values()]
     try:
         try:
-            with _handled(
-                dict.fromkeys(SIGNALS, request), before, [outer for _, outer in _active.values()]
-            ):
+            with _handled(dict.fromkeys(SIGNALS, request), before, outer):
                 yield
         finally:
             if timer is not None:
@@ -102,9 +98,9 @@ def raising_on_signals() -> Iterator[None]:
     For the main thread of a process whose workers do the work. Handlers that the host has set, and signals that it
     ignores, are left alone.
     """
-    with _handled(
-        dict.fromkeys(SIGNALS, raise_terminated) | {signal.SIGINT: signal.default_int_handler}, {}
-    ):
+    handlers: dict[int, Any] = dict.fromkeys(SIGNALS, raise_terminated)
+    handlers[signal.SIGINT] = signal.default_int_handler
+    with _handled(handlers, {}):
         yield
 
 
@@ -115,8 +111,10 @@ def _handled(
     """Set handlers of signals, in the main thread, in place of the default ones and of those named in also; before :
     takes the replaced ones. At the end they are set again, that of Ctrl-C last: it may raise."""
     try:
-        for number in SIGNALS if threading.current_thread() is threading.main_thread() else ():
-            if (handler := signal.getsignal(number)) in (*DEFAULT_HANDLERS, *also):
+        is_main = threading.current_thread() is threading.main_thread()
+        for number in SIGNALS if is_main else ():
+            handler = signal.getsignal(number)
+            if handler in (*DEFAULT_HANDLERS, *also):
                 before[number] = handler
                 signal.signal(number, handlers[number])
         yield
@@ -164,12 +162,16 @@ def _kept(stopped: BaseException) -> str:
     """Which files of a run hold what was written, and how a script goes on, as clauses; empty if there are none, or a
     caller tells it."""
     files = [str(file) for file in getattr(stopped, "kept", ()) if file.exists()]
-    again = "to go on, call run with trajectory={0!r}, append=True; in a new session first sim = {1}({0!r}, potentials)"
-    can_go_on = [file for file in files if file.lower().endswith(".h5md")]
-    go_on = f"; {again.format(can_go_on[0], 'minimd.Simulation.resume')}" if can_go_on else ""
-    return (
-        f"; what was written is kept in {', '.join(files)}{go_on}" if files and not _callers else ""
-    )
+    if not files or _callers:
+        return ""
+    kept = f"; what was written is kept in {', '.join(files)}"
+    for file in files:
+        if file.lower().endswith(".h5md"):
+            return (
+                f"{kept}; to go on, call run with trajectory={file!r}, append=True; in a new session first sim = "
+                f"minimd.Simulation.resume({file!r}, potentials)"
+            )
+    return kept
 
 
 class Terminated(SystemExit):

@@ -10,22 +10,22 @@ SIMILAR = 0.5  # of the letters are the same, as of Ar and Al
 
 def near(name: Any, known: Iterable[Any]) -> str:
     """The words "did you mean ...?" with the most similar of the known names; empty if none is similar."""
-    texts = [one for one in known if isinstance(one, str)]
-    found = get_close_matches(name, texts, n=1, cutoff=SIMILAR) if isinstance(name, str) else []
-    return f"; did you mean {found[0]!r}?" if found else ""
+    texts = [text for text in known if isinstance(text, str)]
+    matches = get_close_matches(name, texts, n=1, cutoff=SIMILAR) if isinstance(name, str) else []
+    return f"; did you mean {matches[0]!r}?" if matches else ""
 
 
 def listed(names: Iterable[Any]) -> str:
     """The names, with commas between them."""
-    return ", ".join(repr(name) for name in names)
+    return ", ".join(map(repr, names))
 
 
 def printable(text: str) -> str:
     """A text of a file, with escapes in place of characters that a terminal would obey, or that reorder others;
     ends of lines are kept."""
     return "".join(
-        one if one.isprintable() or one == "\n" else one.encode("unicode_escape").decode()
-        for one in text
+        char if char.isprintable() or char == "\n" else char.encode("unicode_escape").decode()
+        for char in text
     )
 
 

@@ -10,11 +10,11 @@ from ase.data import atomic_numbers
 from ase.geometry import find_mic
 from ase.stress import full_3x3_to_voigt_6_stress
 from ase.units import fs
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.core.console.quiet import warn
-from minimd.core.structure.bond_graph import GROUPS, joined_in, texts
-from minimd.core.structure.cell import Cell
+from minimd.core.structure.bond_graph import GROUPS, Indices, joined_in, texts
+from minimd.core.structure.cell import Array, Cell
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.constraints import (
     TOLERANCE,
@@ -30,12 +30,14 @@ from minimd.core.structure.units import ASE, UnitSystem
 
 LABELS = "species_labels"  # the array of an ase.Atoms for species that are not chemical elements
 # in the info of atoms from a .traj, which keeps no such array: the names of species; tags are indices into them
-# an array of atoms from LAMMPS and DL_POLY, whose velocities do not depend on masses
-TYPES = "types"
 NAMES = "species_names"
+TYPES = (
+    "types"  # an array of atoms from LAMMPS and DL_POLY, whose velocities do not depend on masses
+)
+# names of columns, their unit in words, and what they are divided by
+VELOCITIES = {"velo": ("ASE's units", 1.0), "vel": ("Å/fs", fs)}
 FULL = 1e-3  # least difference of an occupancy from one
 Given = ArrayLike | None
-Pairs = tuple[NDArray[np.int64], NDArray[np.float64]]
 UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCom"
 
 
@@ -65,6 +67,7 @@ def system_arguments(
     checked_kind("atoms", atoms, Atoms, "an ase.Atoms or, as system, a minimd System")
     stated = stated or stated_of(atoms)
     source = stated.source
+    has_masses = stated.masses is not None
     _check_occupancy(atoms, source)
     title = LAMMPS_UNITS.search(str(atoms.info.get("comment")))
     if title and title[1] != "metal" and (title[1] != "real" or atoms.has("momenta")):
@@ -72,12 +75,13 @@ def system_arguments(
             f"the file of {source} states units = {title[1]}; if these were not given to ase.io.read, its numbers are "
             "wrong: minimd.ase.system_from_file reads them as stated"
         )
-    found = joined_in(atoms) if bonds is None else None
+    groups = joined_in(atoms).groups if bonds is None else {"bonds": bonds}
+    groups = groups | {name: rows for name, rows in others.items() if rows is not None}
     weights, symbols = identified(stated, masses, elements, is_reduced=units is not ASE)
-    # of the databank
+    # files of the databank have this cell where there is none
     is_dummy = "residuenames" in atoms.arrays and np.array_equal(atoms.cell.array, np.eye(3))
     labels = stated.names if "type" in atoms.arrays and not any(symbols) else _labels(atoms)
-    velocities = _velocities(atoms, source, units, stated.masses is not None)
+    velocities = _velocities(atoms, source, units, has_masses)
     if constraints and fixes_center(atoms):
         velocities -= momentum(velocities, weights) / weights.sum()
     return {
@@ -87,8 +91,7 @@ def system_arguments(
         "velocities": velocities,
         "cell": None if is_dummy else cell_of(atoms),
         "species": labels if symbols == stated.elements else species_of(symbols, labels),
-        **(found.groups if found is not None else {"bonds": bonds}),
-        **{name: given for name, given in others.items() if given is not None},
+        **groups,
         "units": units,
         "constraints": constraints_of(atoms) if constraints else (),
     }
@@ -101,20 +104,16 @@ def stated_of(atoms: Atoms, source: str = "this ase.Atoms") -> Stated:
     source : in words, for messages.  Raises ValueError if they do not agree."""
     arrays = atoms.arrays
     symbols = [symbol if symbol != "X" else "" for symbol in atoms.get_chemical_symbols()]
-    masses = atoms.get_masses() if atoms.has("masses") else None
-    masses = arrays.get("mass") if masses is None else masses
+    masses = atoms.get_masses() if atoms.has("masses") else arrays.get("mass")
     names = [str(label) for label in arrays.get("atomtypes", _labels(atoms))]
     if masses is None and "type" in arrays and np.array_equal(arrays["type"], atoms.numbers):
         symbols = [""] * len(atoms)
         names = [str(kind) for kind in arrays["type"].tolist()]
-    residues = (
-        [str(label) for label in arrays["residuenames"]] if "residuenames" in arrays else None
-    )
-    residue_of = (
-        np.unique(arrays["residuenumbers"], return_inverse=True)[1]
-        if "residuenumbers" in arrays
-        else None
-    )
+    residues = residue_of = None
+    if "residuenames" in arrays:
+        residues = [str(label) for label in arrays["residuenames"]]
+    if "residuenumbers" in arrays:
+        residue_of = np.unique(arrays["residuenumbers"], return_inverse=True)[1]
     stated = Stated(source, names, atoms.positions, symbols, masses, residues, residue_of)
     if masses is None and "atomtypes" in arrays and residues is not None:
         check_names(stated)
@@ -124,48 +123,46 @@ def stated_of(atoms: Atoms, source: str = "this ase.Atoms") -> Stated:
 def _check_occupancy(atoms: Atoms, source: str) -> None:
     """Raise ValueError for sites of a CIF file that are occupied in part, or by several elements."""
     sites = atoms.info.get("occupancy")
-    kinds = atoms.arrays.get("spacegroup_kinds", range(len(atoms)))
-    for k, kind in enumerate(kinds if isinstance(sites, dict) else ()):
+    if not isinstance(sites, dict):
+        return
+    for k, kind in enumerate(atoms.arrays.get("spacegroup_kinds", range(len(atoms)))):
         shares = sites.get(str(kind), {})
-        # others are "." and "?"
-        known = [share for share in shares.values() if not isinstance(share, str)]
-        if len(shares) > 1 or any(abs(share - 1.0) > FULL for share in known):
-            told = ", ".join(f"{share} of {element}" for element, share in shares.items())
+        numbers = [
+            share for share in shares.values() if not isinstance(share, str)
+        ]  # not "." or "?"
+        if len(shares) > 1 or any(abs(share - 1.0) > FULL for share in numbers):
+            occupancy = ", ".join(f"{share} of {element}" for element, share in shares.items())
             raise ValueError(
-                f"the site of atom {k} of {source} has an occupancy of {told}: a list of such sites is no structure; "
-                "choose atoms for them, with whole occupancies, or delete atoms.info['occupancy'] if you have done so"
+                f"the site of atom {k} of {source} has an occupancy of {occupancy}: a list of such sites is no "
+                "structure; choose atoms for them, with whole occupancies, or delete atoms.info['occupancy'] if you "
+                "have done so"
             )
 
 
-def _charges(atoms: Atoms) -> NDArray[np.float64]:
+def _charges(atoms: Atoms) -> Array:
     """Initial charges [e], or those of a column of an extended XYZ file, which ASE keeps as results."""
-    results = atoms.calc.results if isinstance(atoms.calc, SinglePointCalculator) else {}
-    initial = atoms.get_initial_charges()
-    return initial if atoms.has("initial_charges") else np.asarray(results.get("charges", initial))
+    charges = atoms.get_initial_charges()
+    if isinstance(atoms.calc, SinglePointCalculator) and not atoms.has("initial_charges"):
+        charges = atoms.calc.results.get("charges", charges)
+    return np.asarray(charges)
 
 
-def _velocities(
-    atoms: Atoms, source: str, units: UnitSystem, has_masses: bool
-) -> NDArray[np.float64]:
+def _velocities(atoms: Atoms, source: str, units: UnitSystem, has_masses: bool) -> Array:
     """Velocities of momenta, or of a column of an extended XYZ file: velo in ASE's units, as its specification says,
     vel in Å/fs, as GPUMD writes it, which is told; in reduced units unchanged, and zero if they depend on masses that
     nobody states."""
-    columns = [
-        name for name in ("velo", "vel") if name in atoms.arrays and not atoms.has("momenta")
-    ]
-    if not columns:
+    name = next((name for name in VELOCITIES if name in atoms.arrays), "")
+    if not name or atoms.has("momenta"):
         is_known = units is ASE or has_masses or TYPES in atoms.arrays
-        velocities: NDArray[np.float64] = atoms.get_velocities() * is_known
-        return velocities
-    column = np.array(atoms.arrays[columns[0]], dtype=np.float64)
+        return np.asarray(atoms.get_velocities() * is_known)
+    column = np.array(atoms.arrays[name], float)
     if units is not ASE:
         return column
-    in_fs = columns[0] == "vel"
-    unit = "Å/fs" if in_fs else "ASE's units"
+    unit, factor = VELOCITIES[name]
     warn(
-        f"the column {columns[0]!r} of {source} is taken for velocities in {unit}; the file does not state their unit"
+        f"the column {name!r} of {source} is taken for velocities in {unit}; the file does not state their unit"
     )
-    return column / fs if in_fs else column
+    return column / factor
 
 
 def atoms_from_system(system: Any) -> Atoms:
@@ -188,20 +185,18 @@ def atoms_from_system(system: Any) -> Atoms:
         atoms.set_initial_charges(system.charges)
     if not set(system.species_names) <= set(atomic_numbers):
         atoms.set_array(LABELS, system.species)
-    if named := texts(system.groups(), len(atoms)):
-        atoms.arrays.update(named, id=np.arange(1, len(atoms) + 1))
-    kept: list[FixConstraint] = []
+    joined = texts(system.groups(), len(atoms))
+    if joined:
+        atoms.arrays.update(joined, id=np.arange(1, len(atoms) + 1))
+    constraints: list[FixConstraint] = []
     for constraint in system.constraints:
         if isinstance(constraint, FixedAtoms):
-            kept.append(FixAtoms(indices=constraint.atoms))
-        else:  # for ASE's solver
-            lengths = lengths_of(system.positions, system.cell, constraint).copy()
-            kept.append(
-                FixBondLengths(
-                    constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths
-                )
-            )
-    atoms.set_constraint(kept)
+            constraints.append(FixAtoms(indices=constraint.atoms))
+        else:
+            pairs = constraint.pairs.copy()
+            lengths = lengths_of(system.positions, cell, constraint).copy()
+            constraints.append(FixBondLengths(pairs, constraint.tolerance, lengths))
+    atoms.set_constraint(constraints)
     return atoms
 
 
@@ -215,14 +210,13 @@ def label_by_tags(atoms: Atoms, system: Any) -> None:
 def _labels(atoms: Atoms) -> Any:
     """The species of each atom: its label, or else its chemical symbol; an atom that is not X needs no label."""
     names = atoms.info.get(NAMES)
-    symbols = atoms.get_chemical_symbols()
-    tags = atoms.get_tags().tolist()
+    labels = atoms.get_chemical_symbols()
     if LABELS in atoms.arrays or names is None:
-        return atoms.arrays.get(LABELS, symbols)
-    each = zip(symbols, tags, strict=True)
-    return [
-        names[tag] if symbol == "X" and 0 <= tag < len(names) else symbol for symbol, tag in each
-    ]
+        return atoms.arrays.get(LABELS, labels)
+    for k, tag in enumerate(atoms.get_tags().tolist()):
+        if labels[k] == "X" and 0 <= tag < len(names):
+            labels[k] = names[tag]
+    return labels
 
 
 def cell_of(atoms: Atoms) -> Cell:
@@ -237,18 +231,15 @@ def same_labels(one: Atoms, other: Atoms) -> bool:
 
 def same_scene(one: Atoms, other: Atoms) -> bool:
     """True if only positions, momenta and cell can differ."""
-    fixed = [
-        [atoms.numbers, atoms.get_masses(), atoms.get_initial_charges(), atoms.pbc]
-        for atoms in (one, other)
-    ]
-    for arrays, atoms in zip(fixed, (one, other), strict=True):
+    scenes = []
+    for atoms in (one, other):
+        arrays = [atoms.numbers, atoms.get_masses(), atoms.get_initial_charges(), atoms.pbc]
         arrays += [atoms.arrays.get(name, ()) for name in (LABELS, *GROUPS)]
-    return all(map(np.array_equal, *fixed)) and one.calc is other.calc
+        scenes.append(arrays)
+    return one.calc is other.calc and all(map(np.array_equal, *scenes))
 
 
-def calculators_stress(
-    stress: NDArray[np.float64], atoms: Atoms, conserves_momentum: bool
-) -> NDArray[np.float64]:
+def calculators_stress(stress: Array, atoms: Atoms, conserves_momentum: bool) -> Array:
     """What ASE calls the stress, (6,) as xx yy zz yz xz xy [eV/Å³]: without the kinetic part, which
     get_stress(include_ideal_gas=True) adds.  stress : (3, 3), of an engine with the atoms in their present motion.
     conserves_momentum : of that engine."""
@@ -267,41 +258,47 @@ def volume_of(atoms: Atoms) -> float:
 def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
     """The constraints of atoms: lengths, linear molecules and fixed atoms. FixCom is left out: see fixes_center.
     Raises ValueError for a constraint of another kind, by name."""
-    lengths: list[Pairs] = []
+    n = len(atoms)
+    pairs: list[Indices] = []
+    lengths: list[Array] = []
     tolerances: list[float] = []
     fixed: list[int] = []
     for constraint in atoms.constraints:
         if isinstance(constraint, FixBondLengths):
-            pairs = _counted_from_front(constraint.pairs, len(atoms))
-            given = constraint.bondlengths
+            bonds = _counted_from_front(constraint.pairs, n)
+            stated = constraint.bondlengths
+            pairs.append(bonds)
             lengths.append(
-                (
-                    pairs,
-                    _distances(atoms, pairs) if given is None else np.asarray(given, dtype=float),
-                )
+                _distances(atoms, bonds) if stated is None else np.asarray(stated, float)
             )
             tolerances.append(float(constraint.tolerance))
         elif isinstance(constraint, FixLinearTriatomic):
-            triples = _counted_from_front(constraint.triples, len(atoms))
-            arms = np.concatenate([triples[:, [0, 1]], triples[:, [1, 2]]])
-            apart = _distances(atoms, arms)  # the distance of the ends is the sum of both bonds
-            rods = np.concatenate([arms, triples[:, [0, 2]]])
-            lengths.append((rods, np.concatenate([apart, apart.reshape(2, -1).sum(axis=0)])))
+            triples = _counted_from_front(constraint.triples, n)
+            first = triples[:, :2]
+            second = triples[:, 1:]
+            bonds = np.concatenate([first, second])
+            distances = _distances(atoms, bonds)
+            # the distance of the ends is the sum of both bonds
+            pairs += [bonds, triples[:, [0, 2]]]
+            lengths += [distances, distances.reshape(2, -1).sum(axis=0)]
         elif isinstance(constraint, FixAtoms):
-            fixed.extend(np.arange(len(atoms))[constraint.index])
+            fixed.extend(np.arange(n)[constraint.index])
         elif type(constraint) is not FixCom:
-            told = f"it holds {type(constraint).__name__}: remove it, or use ASE's dynamics"
-            raise ValueError(f"atoms.constraints may hold {UNDERSTOOD}; {told}")
+            raise ValueError(
+                f"atoms.constraints may hold {UNDERSTOOD}; it holds {type(constraint).__name__}: remove it, or use "
+                "ASE's dynamics"
+            )
     if fixed and fixes_center(atoms):
-        why_not = (
-            "with fixed atoms the center of mass does not stay by itself; remove FixCom or FixAtoms"
+        raise ValueError(
+            "atoms.constraints holds FixCom and FixAtoms: with fixed atoms the center of mass does not stay by itself; "
+            "remove FixCom or FixAtoms"
         )
-        raise ValueError(f"atoms.constraints holds FixCom and FixAtoms: {why_not}")
-    answer: list[Constraint] = [FixedAtoms(np.unique(fixed))] if fixed else []
-    if lengths:
-        pairs, values = (np.concatenate(part) for part in zip(*lengths, strict=True))
-        answer.append(DistanceConstraints(pairs, values, min(tolerances, default=TOLERANCE)))
-    return tuple(answer)
+    constraints: list[Constraint] = [FixedAtoms(np.unique(fixed))] if fixed else []
+    if pairs:
+        tolerance = min(tolerances, default=TOLERANCE)
+        distances = np.concatenate(lengths)
+        constraints.append(DistanceConstraints(np.concatenate(pairs), distances, tolerance))
+    return tuple(constraints)
 
 
 def fixes_center(atoms: Atoms) -> bool:
@@ -310,14 +307,13 @@ def fixes_center(atoms: Atoms) -> bool:
     return any(isinstance(constraint, FixCom) for constraint in atoms.constraints)
 
 
-def _distances(atoms: Atoms, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
+def _distances(atoms: Atoms, pairs: Indices) -> Array:
     """Distances to the nearest image [Å]."""
-    return find_mic(
-        atoms.positions[pairs[:, 1]] - atoms.positions[pairs[:, 0]], atoms.cell, atoms.pbc
-    )[1]
+    vectors = atoms.positions[pairs[:, 1]] - atoms.positions[pairs[:, 0]]
+    return find_mic(vectors, atoms.cell, atoms.pbc)[1]
 
 
-def _counted_from_front(indices: Any, n_atoms: int) -> NDArray[np.int64]:
+def _counted_from_front(indices: Any, n_atoms: int) -> Indices:
     """Indices of atoms; negative ones count from the last atom, in ASE as in Python."""
-    array = np.asarray(indices, dtype=np.int64)
+    array = np.asarray(indices, np.int64)
     return np.where(array < 0, array + n_atoms, array)

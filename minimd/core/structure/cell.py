@@ -20,9 +20,9 @@ from minimd.core.structure.vectors import Array, follow_lattice
 MOST_IMAGES = 2**16
 # smallest singular value of the unit lattice vectors below which they count as linearly dependent
 FLAT = 1e-9
-SLAB = "such as pbc=(True, True, False) of a slab"
 OPEN = (
-    f"in a direction that does not repeat give length 0, or any length and pbc=False there, {SLAB}"
+    "in a direction that does not repeat give length 0, or any length and pbc=False there, such as "
+    "pbc=(True, True, False) of a slab"
 )
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
 # combinations of vectors that could be shorter
@@ -60,11 +60,13 @@ class Cell(Displayed):
 
     def _complete(self, lattice: Array, reduction: NDArray[np.int64]) -> None:
         inverse = np.linalg.inv(lattice)
-        made = {"lattice": lattice, "reduction": reduction, "inverse": inverse}
-        made["heights"] = 1.0 / np.linalg.norm(inverse, axis=0)
-        self.__setstate__(
-            self.__dict__ | {name: np.ascontiguousarray(array) for name, array in made.items()}
+        self.__dict__.update(
+            lattice=np.ascontiguousarray(lattice),
+            reduction=np.ascontiguousarray(reduction),
+            inverse=np.ascontiguousarray(inverse),
+            heights=1.0 / np.linalg.norm(inverse, axis=0),
         )
+        self.__setstate__(self.__dict__)
 
     def __setstate__(self, state: dict) -> None:
         """Arrays are read-only, in a copy too, where NumPy forgets it: kernels are not compiled for a second kind."""
@@ -102,14 +104,15 @@ class Cell(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        if not (self.is_periodic or self.vectors.any()):
+        if not self.vectors.any():
             return [("cell", "none")]
-        words = (
-            as_text(tuple(row)) + ", open" * (not pbc)
-            for row, pbc in zip(self.vectors.tolist(), self.pbc, strict=True)
-        )
-        rows = [*zip(("cell a", "b", "c"), words, strict=True)]
-        return rows if self.volume is None else [*rows, ("volume", f"{self.volume:.10g}")]
+        rows = []
+        for k, name in enumerate(("cell a", "b", "c")):
+            is_open = "" if self.pbc[k] else ", open"
+            rows.append((name, f"{as_text(tuple(self.vectors[k].tolist()))}{is_open}"))
+        if self.volume is not None:
+            rows.append(("volume", f"{self.volume:.10g}"))
+        return rows
 
     @property
     def is_periodic(self) -> bool:
@@ -241,32 +244,30 @@ def images_of_length(
         reach = np.where(cell.pbc, (lengths[k] + np.linalg.norm(nearest)) // cell.heights + 1, 0)
         n_images = np.prod(2.0 * reach + 1.0)
         if n_images > MOST_IMAGES:
-            given = f"lengths[{k}] = {lengths[k]:g} reaches over {n_images:.1e} images of the cell"
-            height = f"which is only {cell.heights[cell.pbc].min():.3g} high"
             raise ValueError(
-                f"{given}, {height}; at most {MOST_IMAGES} images are possible: reduce the length"
+                f"lengths[{k}] = {lengths[k]:g} reaches over {n_images:.1e} images of the cell, which is only "
+                f"{cell.heights[cell.pbc].min():.3g} high; at most {MOST_IMAGES} images are possible: reduce the length"
             )
         steps = np.meshgrid(*(np.arange(-n, n + 1) for n in reach), indexing="ij")
         others = np.stack(steps, axis=-1).reshape(-1, 3) @ cell.lattice
-        translations[k] += others[
-            np.argmin(np.abs(np.linalg.norm(nearest + others, axis=1) - lengths[k]))
-        ]
+        distances = np.linalg.norm(nearest + others, axis=1)
+        translations[k] += others[np.argmin(np.abs(distances - lengths[k]))]
     return translations
 
 
 def _as_matrix(vectors: ArrayLike | None) -> Array:
     if vectors is None:
         return np.zeros((3, 3))
-    if isinstance(vectors, list | tuple) and any(one is None for one in vectors):
+    if isinstance(vectors, list | tuple) and any(row is None for row in vectors):
         raise ValueError(f"cell must hold numbers; cell = {shown(vectors)}: {OPEN}")
-    wanted = "one length, three lengths or a (3, 3) array of rows"
-    array = checked_numbers("cell", vectors, wanted)
+    expected = "one length, three lengths or a (3, 3) array of rows"
+    array = checked_numbers("cell", vectors, expected)
     if array.ndim == 0 or array.shape == (3,):
         if (array < 0.0).any():
             raise ValueError(f"lengths of a cell must not be negative; cell = {array.tolist()}")
         array = np.diag(np.broadcast_to(array, 3)).copy()
     if array.shape != (3, 3):
-        raise ValueError(f"cell must be {wanted}; its shape is {array.shape}: {OPEN}")
+        raise ValueError(f"cell must be {expected}; its shape is {array.shape}: {OPEN}")
     if not np.isfinite(array).all():
         raise ValueError(f"cell must be finite; cell = {array.tolist()}: {OPEN}")
     return array
@@ -281,25 +282,25 @@ def _as_flags(pbc: ArrayLike) -> NDArray[np.bool_]:
 
 
 def _check_independent(vectors: Array, pbc: NDArray[np.bool_]) -> None:
-    given = vectors.any(axis=1)
-    for k in np.flatnonzero(pbc & ~given):
-        leave = f"leave it open: pbc={tuple((pbc & given).tolist())}"
+    has_vector = vectors.any(axis=1)
+    for k in np.flatnonzero(pbc & ~has_vector):
         raise ValueError(
-            f"pbc[{k}] is True but cell[{k}] is zero; give a lattice vector there, or {leave}"
+            f"pbc[{k}] is True but cell[{k}] is zero; give a lattice vector there, or leave it open: "
+            f"pbc={tuple((pbc & has_vector).tolist())}"
         )
     rows = vectors[pbc]
     if rows.size == 0:
         return
     largest = np.abs(rows).max(axis=1)
     if largest.min() < SMALLEST or largest.max() > LARGEST:
-        wanted = f"between {SMALLEST:g} and {LARGEST:g} long"
         raise ValueError(
-            f"lattice vectors must be {wanted}; take other units: they are {rows.tolist()}"
+            f"lattice vectors must be between {SMALLEST:g} and {LARGEST:g} long; take other units: they are "
+            f"{rows.tolist()}"
         )
     if EPS * largest.max() > largest.min():
-        most = f"a factor of {1.0 / EPS:.1g}"
         raise ValueError(
-            f"lengths of lattice vectors must not differ by more than {most}; they are {rows.tolist()}"
+            f"lengths of lattice vectors must not differ by more than a factor of {1.0 / EPS:.1g}; they are "
+            f"{rows.tolist()}"
         )
     unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     if np.linalg.svd(unit, compute_uv=False).min() < FLAT:
@@ -311,13 +312,14 @@ def _check_independent(vectors: Array, pbc: NDArray[np.bool_]) -> None:
 def _reduced(vectors: Array, pbc: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int64]]:
     """Minkowski-reduced periodic rows, completed to three dimensions; and the integers that make them from vectors."""
     periodic = np.flatnonzero(pbc)
+    rows = vectors[periodic]
     steps = np.eye(len(periodic), dtype=np.int64)
-    while (shorter := _shorter(steps, vectors[periodic])) is not None:
-        steps[shorter[0]] = shorter[1]
+    while _shorten(steps, rows):
+        pass
     lattice = np.zeros((3, 3))
-    reduction = np.zeros((3, 3), dtype=np.int64)
+    reduction = np.zeros((3, 3), np.int64)
     reduction[np.ix_(periodic, periodic)] = steps
-    lattice[periodic] = steps @ vectors[periodic]
+    lattice[periodic] = steps @ rows
     # open rows: unit vectors perpendicular to the periodic ones and to each other
     if len(periodic) < 3:
         directions = np.linalg.svd(lattice[pbc])[2] if len(periodic) else np.eye(3)
@@ -325,8 +327,8 @@ def _reduced(vectors: Array, pbc: NDArray[np.bool_]) -> tuple[Array, NDArray[np.
     return lattice, reduction
 
 
-def _shorter(steps: NDArray[np.int64], rows: Array) -> tuple[int, NDArray[np.int64]] | None:
-    """Which vector of steps @ rows can be replaced by a shorter one of the same lattice, and its steps; or None.
+def _shorten(steps: NDArray[np.int64], rows: Array) -> bool:
+    """Replace one vector of steps @ rows by a shorter one of the same lattice; False if there is none.
     Candidates: the vector plus multiples of the others, once the rounded projection (Gauss), then all of −1, 0, 1
     (Minkowski's conditions)."""
     current = steps @ rows
@@ -334,10 +336,13 @@ def _shorter(steps: NDArray[np.int64], rows: Array) -> tuple[int, NDArray[np.int
     for i in np.argsort(-length2).tolist():
         near = [steps[i].copy()]
         gauss = []
-        for j in (j for j in range(len(steps)) if j != i):
-            gauss.append(steps[i] - int(np.rint(current[i] @ current[j] / length2[j])) * steps[j])
-            near = [step + a * steps[j] for step in near for a in (-1, 0, 1)]
+        for j in range(len(steps)):
+            if j != i:
+                projection = int(np.rint(current[i] @ current[j] / length2[j]))
+                gauss.append(steps[i] - projection * steps[j])
+                near = [step + a * steps[j] for step in near for a in (-1, 0, 1)]
         for candidate in gauss + near:
             if ((candidate @ rows) ** 2).sum() < SHORTER * length2[i]:
-                return i, candidate
-    return None
+                steps[i] = candidate
+                return True
+    return False

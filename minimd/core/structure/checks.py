@@ -31,14 +31,9 @@ PLAIN = {bool: "b", int: "i", float: "f"}
 def checked_count(name: str, value: Any, least: int = 1, limit: int = COUNTS) -> int:
     """The value as an int. Raises ValueError unless it is an int or an integer of NumPy, not a bool, not less than
     least, and below limit; name is used in the message."""
-    if (
-        not isinstance(value, Integral)
-        or isinstance(value, bool)
-        or not least <= int(value) < limit
-    ):
-        most = (
-            f" and below {limit:.3g}" if isinstance(value, Integral) and int(value) >= limit else ""
-        )
+    is_whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not (is_whole and least <= int(value) < limit):
+        most = f" and below {limit:.3g}" if is_whole and int(value) >= limit else ""
         raise ValueError(
             f"{name} must be a whole number, at least {least}{most}; {name} = {shown(value)}"
         )
@@ -55,12 +50,14 @@ def checked_number(
         number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan
     except OverflowError:
         number = inf
-    if not DEMANDS[demand](number):
+    is_right = DEMANDS[demand]
+    if not is_right(number):
         raise ValueError(f"{name} must be {demand}; {name} = {shown(value)}")
-    if abs(number) > LARGEST or (abs(number) < smallest and not DEMANDS[demand](0.0)):
-        sizes = f"between {smallest:g} and {LARGEST:g} in size"
+    size = abs(number)
+    if size > LARGEST or (size < smallest and not is_right(0.0)):
         raise ValueError(
-            f"{name} must be {demand}, {sizes}; {name} = {shown(value)}: take other units"
+            f"{name} must be {demand}, between {smallest:g} and {LARGEST:g} in size; {name} = {shown(value)}: "
+            "take other units"
         )
     return number
 
@@ -106,7 +103,7 @@ def checked_numbers(name: str, values: Any, expected: str) -> NDArray[np.float64
     Raises ValueError as checked_array."""
     array = checked_array(name, values, expected, "if")
     try:
-        return np.array(array, dtype=np.float64, order="C")
+        return np.array(array, float, order="C")
     except OverflowError as error:
         raise ValueError(f"{name} must be {expected}: {error}") from None
 
@@ -120,13 +117,9 @@ def checked_sizes(name: str, values: Any, n: int, each: str) -> NDArray[np.float
             f"{name} must be one number, or {n} numbers, one for each {each}; its shape is {array.shape}"
         )
     array = np.broadcast_to(array, (n,)).copy()
-    check_rows(name, "positive and finite", np.isfinite(array) & (array > 0.0), array)
-    check_rows(
-        name,
-        f"between {SMALLEST:g} and {LARGEST:g}",
-        (array >= SMALLEST) & (array <= LARGEST),
-        array,
-    )
+    check_rows(name, "positive and finite", (array > 0.0) & (array < inf), array)
+    is_usual = (array >= SMALLEST) & (array <= LARGEST)
+    check_rows(name, f"between {SMALLEST:g} and {LARGEST:g}", is_usual, array)
     return array
 
 
@@ -134,10 +127,9 @@ def check_rows(name: str, demand: str, is_good: Any, array: NDArray[Any]) -> Non
     """Raise ValueError with the first row of an array that is not good, (n,) bool.  demand : what it must be."""
     bad = np.flatnonzero(~is_good)
     if bad.size:
+        k = bad[0]
         others = f", and {bad.size - 1} more" if bad.size > 1 else ""
-        raise ValueError(
-            f"{name} must be {demand}; {name}[{bad[0]}] = {array[bad[0]].tolist()}{others}"
-        )
+        raise ValueError(f"{name} must be {demand}; {name}[{k}] = {array[k].tolist()}{others}")
 
 
 def checked_indices(name: str, values: Any, expected: str) -> NDArray[np.int64]:
@@ -145,50 +137,52 @@ def checked_indices(name: str, values: Any, expected: str) -> NDArray[np.int64]:
     Raises ValueError as checked_array, or if one is too large."""
     array = checked_array(name, values, expected, "i")
     if array.size and not -MOST_ATOMS <= array.min() <= array.max() < MOST_ATOMS:
-        told = f"they go from {array.min()} to {array.max()}, but at most {MOST_ATOMS} atoms are allowed"
-        raise ValueError(f"{name} must be {expected}: {told}")
-    return np.array(array, dtype=np.int64, order="C")
+        raise ValueError(
+            f"{name} must be {expected}: they go from {array.min()} to {array.max()}, but at most {MOST_ATOMS} atoms "
+            "are allowed"
+        )
+    return np.array(array, np.int64, order="C")
 
 
 def checked_array(name: str, values: Any, expected: str, kinds: str) -> NDArray[Any]:
     """The values as an array, the same one if they are one.  expected : words for the message.  kinds : which of KINDS
     may be in it.  Raises ValueError for anything else, for masked values, for bools among numbers, for ragged lists,
     and for more than MOST_NUMBERS values."""
-    found: set[str] = set()
+    present: set[str] = set()
     try:
-        _find_kinds(values, found)
-        wrong = [
-            KINDS[kind]
-            for kind in sorted(found)
-            if kind not in kinds or (kind == "b" and len(found) > 1)
-        ]
-        if wrong:
-            raise ValueError(f"some are {wrong[0]}")
+        _find_kinds(values, present)
+        for kind in sorted(present):
+            if kind not in kinds or (kind == "b" and len(present) > 1):
+                raise ValueError(f"some are {KINDS[kind]}")
         return np.asarray(values)
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"{name} must be {expected}: {error}") from None
 
 
-def _find_kinds(values: Any, found: set[str]) -> None:
-    """Add to found the kinds of numbers among the values.  Raises ValueError for values that are no numbers, masked,
-    or too many."""
+def _find_kinds(values: Any, kinds: set[str]) -> None:
+    """Add the kinds of numbers among the values.  Raises ValueError for values that are no numbers, masked, or too
+    many."""
     if type(values) in PLAIN:
-        found.add(PLAIN[type(values)])
+        kinds.add(PLAIN[type(values)])
         return
     if isinstance(values, list | tuple):
         for value in values:
-            _find_kinds(value, found)
+            _find_kinds(value, kinds)
         return
     is_list = isinstance(values, Sequence) and not isinstance(values, str)
-    array = np.empty(0) if is_list and len(values) > MOST_NUMBERS else np.asanyarray(values)
-    kind = array.dtype.kind.replace("u", "i")
-    if (size := max(array.size, len(values) if is_list else 0)) > MOST_NUMBERS:
+    size = len(values) if is_list else 0
+    array = np.empty(0) if size > MOST_NUMBERS else np.asanyarray(values)
+    size = max(size, array.size)
+    if size > MOST_NUMBERS:
         raise ValueError(f"there are {size} values; at most {MOST_NUMBERS} are allowed")
     if np.ma.is_masked(array):
         raise ValueError("some are masked; fill them or leave them out")
+    kind = array.dtype.kind.replace("u", "i")
     if array.dtype == object and array.ndim:
-        _find_kinds(array.tolist(), found)
-    elif isinstance(values, Real) or (kind in KINDS and array.size):
-        found.add(kind if kind in KINDS else "i" if isinstance(values, Integral) else "f")
+        _find_kinds(array.tolist(), kinds)
+    elif kind in KINDS and (array.size or isinstance(values, Real)):
+        kinds.add(kind)
+    elif isinstance(values, Real):  # an object, such as a Fraction
+        kinds.add("i" if isinstance(values, Integral) else "f")
     elif array.size:
         raise ValueError(f"{shown(array.ravel()[:1].tolist()[0])} is not a number")

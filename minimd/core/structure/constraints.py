@@ -3,10 +3,10 @@
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.core.console.words import shown
-from minimd.core.structure.bond_graph import checked_pairs, connected
+from minimd.core.structure.bond_graph import Indices, checked_pairs, connected
 from minimd.core.structure.cell import Array, Cell, nearest_vectors
 from minimd.core.structure.checks import (
     MOST_ATOMS,
@@ -51,13 +51,12 @@ class DistanceConstraints:
             )
         self.lengths: Array | None = None
         if lengths is not None:
-            given = checked_numbers("lengths", lengths, "one number, or one for each pair")
-            given = given.reshape(()) if given.shape == (1,) else given
-            self.lengths = checked_sizes("lengths", given, len(self.pairs), "pair")
-        self.tolerance, self.solver = (
-            checked_number("tolerance", tolerance),
-            checked_choice("solver", solver, get_args(SolverName)),
-        )
+            numbers = checked_numbers("lengths", lengths, "one number, or one for each pair")
+            if numbers.shape == (1,):
+                numbers = numbers.reshape(())
+            self.lengths = checked_sizes("lengths", numbers, len(self.pairs), "pair")
+        self.tolerance = checked_number("tolerance", tolerance)
+        self.solver = checked_choice("solver", solver, get_args(SolverName))
         if not 0.0 < self.tolerance < 1.0:
             raise ValueError(
                 f"tolerance, of |r² − d²|/d², must lie between 0 and 1; tolerance = {tolerance!r}"
@@ -84,10 +83,12 @@ class FixedAtoms:
         chosen = checked_array("fixed atoms", atoms, expected, "bi")
         if chosen.ndim != 1 or (chosen.size and not 0 <= chosen.min() <= chosen.max() < MOST_ATOMS):
             raise ValueError(f"fixed atoms must be {expected}; got {shown(atoms)}")
-        self._n_bools = chosen.size if chosen.dtype == bool and chosen.size else None
-        self.atoms = (
-            np.flatnonzero(chosen) if chosen.dtype == bool else np.unique(chosen.astype(np.int64))
-        )
+        self._n_bools = None
+        if chosen.dtype == bool:
+            self._n_bools = chosen.size or None
+            self.atoms = np.flatnonzero(chosen)
+        else:
+            self.atoms = np.unique(chosen.astype(np.int64))
 
     def __repr__(self) -> str:
         return f"FixedAtoms({len(self.atoms)} atoms)"
@@ -95,8 +96,10 @@ class FixedAtoms:
     def check_size(self, n_atoms: int) -> None:
         """Raise ValueError if the indices or the bools do not fit a system of n_atoms atoms."""
         if self._n_bools not in (None, n_atoms):
-            wanted = f"as indices, or as one bool for each of {n_atoms} atoms"
-            raise ValueError(f"fixed atoms must be given {wanted}; got {self._n_bools} bools")
+            raise ValueError(
+                f"fixed atoms must be given as indices, or as one bool for each of {n_atoms} atoms; "
+                f"got {self._n_bools} bools"
+            )
         if self.atoms.max(initial=-1) >= n_atoms:
             raise ValueError(
                 f"fixed atoms must be among 0 to {n_atoms - 1}; they name atom {self.atoms.max()}"
@@ -108,15 +111,12 @@ Constraint = DistanceConstraints | FixedAtoms
 
 def lengths_of(positions: Array, cell: Cell, constraints: DistanceConstraints) -> Array:
     """(K,) [length], as given; else the present distances to the nearest image."""
-    given = constraints.lengths
-    return (
-        np.linalg.norm(nearest_vectors(positions, cell, constraints.pairs), axis=1)
-        if given is None
-        else given
-    )
+    if constraints.lengths is not None:
+        return constraints.lengths
+    return np.linalg.norm(nearest_vectors(positions, cell, constraints.pairs), axis=1)
 
 
-def molecules_of(system: Any) -> NDArray[np.int64]:
+def molecules_of(system: Any) -> Indices:
     """(N,) the number of the molecule of each atom: bonds and lengths held fixed connect the atoms of a molecule."""
     held = [each.pairs for each in system.constraints if isinstance(each, DistanceConstraints)]
     return connected(np.concatenate([system.bonds, *held]), len(system))

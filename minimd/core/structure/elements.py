@@ -17,12 +17,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from ase.data import atomic_masses, atomic_numbers
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from minimd.core.console.quiet import warn
 from minimd.core.console.words import shown
+from minimd.core.structure.bond_graph import Indices
 from minimd.core.structure.checks import checked_number
+from minimd.core.structure.vectors import Array
 
 ISOTOPES = {"D": 2.014, "T": 3.016}  # u
 IONS = {
@@ -61,11 +62,11 @@ class Stated(NamedTuple):
 
     source: str
     names: Sequence[str]
-    positions: NDArray[np.float64]
+    positions: Array
     elements: Sequence[str] | None = None
-    masses: NDArray[np.float64] | None = None
+    masses: Array | None = None
     residues: Sequence[str] | None = None
-    residue_of: NDArray[np.int64] | None = None
+    residue_of: Indices | None = None
 
 
 def is_element(symbol: str) -> bool:
@@ -97,7 +98,7 @@ def atomic_mass(element: str) -> float:
 
 def identified(
     stated: Stated, masses: Any = None, elements: Any = None, *, is_reduced: bool = False
-) -> tuple[NDArray[np.float64], list[str]]:
+) -> tuple[Array, list[str]]:
     """Masses (N,) [u] and elements (N,) of atoms, "" for an atom with a mass, but without element.
 
     masses, elements : given by the user, which win: a sequence of N, or by names of atoms; or, as masses, what a second
@@ -108,10 +109,10 @@ def identified(
     sites, and for names and lengths that do not fit.
     """
     n = len(stated.names)
-    symbols = list(stated.elements) if stated.elements is not None else [""] * n
-    weights = (
-        np.full(n, np.nan) if stated.masses is None else np.array(stated.masses, dtype=np.float64)
-    )
+    symbols = list(stated.elements or [""] * n)
+    weights = np.full(n, np.nan)
+    if stated.masses is not None:
+        weights[:] = stated.masses
     for k, symbol in _by_atom("elements", elements, stated).items():
         atomic_mass(symbol)
         symbols[k] = symbol
@@ -137,14 +138,13 @@ def identified(
     for k in missing:
         weights[k] = 1.0 if is_reduced else atomic_mass(symbols[k])
     if stated.residues is not None and not is_reduced:  # elements of atoms whose masses are stated
-        names = zip(symbols, stated.names, stated.residues, strict=True)
-        symbols = [
-            symbol or certain_element(name, residue) or "" for symbol, name, residue in names
-        ]
+        kinds = zip(stated.names, stated.residues, strict=True)
+        for k, kind in enumerate(kinds):
+            symbols[k] = symbols[k] or certain_element(*kind) or ""
     return weights, symbols
 
 
-def _of_both(weights: NDArray[np.float64], second: Stated, stated: Stated) -> NDArray[np.float64]:
+def _of_both(weights: Array, second: Stated, stated: Stated) -> Array:
     """Masses of two files: those of the second where it states them."""
     if len(second.names) != len(weights):
         raise ValueError(
@@ -163,41 +163,44 @@ def species_of(symbols: Sequence[str], labels: Sequence[Any]) -> list[Any]:
 def check_names(stated: Stated) -> None:
     """Raise ValueError where the elements, which another program has made of names, are not those of the names, or
     stand as far apart as beads."""
-    residues = stated.residues or []
-    for k, (name, residue, symbol) in enumerate(
-        zip(stated.names, residues, stated.elements or [], strict=True)
-    ):
-        certain = certain_element(name, residue)
-        expected = guessed_element(name, residue) if certain is None else certain
-        if symbol != expected and (expected or certain is not None):
+    symbols = stated.elements or []
+    kinds = zip(stated.names, stated.residues or [], strict=True)
+    for k, (name, residue) in enumerate(kinds):
+        symbol = symbols[k]
+        expected = guessed_element(name, residue)
+        is_known = expected or certain_element(name, residue) is not None
+        if symbol != expected and is_known:
             raise ValueError(
                 f"atom {k}, {name!r} of residue {residue!r}, of {stated.source} is {symbol or 'no element'}, but its "
                 f"name tells {expected or 'no element'}; read the file with minimd.ase.system_from_file, or call "
                 "atoms.set_masses"
             )
-    _check_distance(stated, range(len(stated.names)), stated.elements or [])
+    _check_distance(stated, range(len(symbols)), symbols)
 
 
-def _by_atom(name: str, given: Any, stated: Stated) -> dict[int, Any]:
+def _by_atom(name: str, values: Any, stated: Stated) -> dict[int, Any]:
     """What the user gives for atoms, by their indices."""
-    n = len(stated.names)
-    if given is None:
+    labels = stated.names
+    n = len(labels)
+    if values is None:
         return {}
-    if isinstance(given, Mapping):
-        given = {str(key): value for key, value in given.items()}
-        names = set(stated.names)
-        unknown = [key for key in given if key not in names]
-        if unknown:
-            known = ", ".join(sorted(names)[:8])
-            raise ValueError(
-                f"{name} names {unknown[0]!r}, but the atoms of {stated.source} are called {known}"
-            )
-        return {k: given[label] for k, label in enumerate(stated.names) if label in given}
-    values = np.asarray(given)
-    if values.shape not in ((), (n,)):
-        wanted = f"one for each of the {n} atoms of {stated.source}, or by their names"
-        raise ValueError(f"{name} must be {wanted}; {name} = {shown(given)}")
-    return dict(enumerate(np.broadcast_to(values, n).tolist()))
+    if isinstance(values, Mapping):
+        of_label = {str(label): value for label, value in values.items()}
+        known = set(labels)
+        for label in of_label:
+            if label not in known:
+                raise ValueError(
+                    f"{name} names {label!r}, but the atoms of {stated.source} are called "
+                    f"{', '.join(sorted(known)[:8])}"
+                )
+        return {k: of_label[label] for k, label in enumerate(labels) if label in of_label}
+    array = np.asarray(values)
+    if array.shape not in ((), (n,)):
+        raise ValueError(
+            f"{name} must be one for each of the {n} atoms of {stated.source}, or by their names; "
+            f"{name} = {shown(values)}"
+        )
+    return dict(enumerate(np.broadcast_to(array, n).tolist()))
 
 
 def _guess(stated: Stated, atoms: Sequence[int], symbols: list[str]) -> None:
@@ -205,23 +208,21 @@ def _guess(stated: Stated, atoms: Sequence[int], symbols: list[str]) -> None:
     residues = stated.residues or [""] * len(symbols)
     known: dict[tuple[str, str], str] = {}
     for k in atoms:
-        kind = (stated.names[k], residues[k])
-        if kind not in known:
-            known[kind] = guessed_element(*kind)
-        if not known[kind]:
-            of = f" of residue {kind[1]!r}" if kind[1] else ""
+        name = stated.names[k]
+        residue = residues[k]
+        symbols[k] = known[name, residue] = guessed_element(name, residue)
+        if not symbols[k]:
+            of_residue = f" of residue {residue!r}" if residue else ""
             raise ValueError(
-                f"{stated.source} states neither mass nor element of atom {k}, {kind[0]!r}{of}, and its name does not "
-                f"tell them; {REMEDY}"
+                f"{stated.source} states neither mass nor element of atom {k}, {name!r}{of_residue}, and its name "
+                f"does not tell them; {REMEDY}"
             )
-        symbols[k] = known[kind]
     _check_distance(stated, atoms, symbols)
     first = atoms[0]
-    others = [
-        f"{name} of {residue} is {known[name, residue]}"
-        for name, residue in known
-        if residue and certain_element(name, residue) is None
-    ]
+    others = []
+    for (name, residue), symbol in known.items():
+        if residue and certain_element(name, residue) is None:
+            others.append(f"{name} of {residue} is {symbol}")
     in_others = f"; in residues that are not known, {', '.join(others[:TOLD])}" if others else ""
     warn(
         f"{stated.source} states no elements: they, and with them masses, are guessed from the names of atoms and "
@@ -232,7 +233,7 @@ def _guess(stated: Stated, atoms: Sequence[int], symbols: list[str]) -> None:
 def _check_distance(stated: Stated, atoms: Sequence[int], symbols: Sequence[str]) -> None:
     """Raise ValueError for residues of one name whose atoms, other than metals, stand as far from the nearest as beads,
     by their median."""
-    if stated.residue_of is None or stated.residues is None or len(stated.positions) < 2:
+    if stated.residue_of is None or stated.residues is None:
         return
     is_shared = np.bincount(stated.residue_of)[stated.residue_of] > 1
     of_name: dict[str, list[int]] = {}
@@ -241,7 +242,8 @@ def _check_distance(stated: Stated, atoms: Sequence[int], symbols: Sequence[str]
             of_name.setdefault(stated.residues[k], []).append(k)
     tree = cKDTree(stated.positions)
     for residue, members in of_name.items():
-        apart = float(np.median(tree.query(stated.positions[members], k=2)[0][:, 1]))
+        nearest = tree.query(stated.positions[members], k=2)[0][:, 1]
+        apart = np.median(nearest)
         if apart > BEADS:
             first = members[0]
             raise ValueError(
@@ -259,16 +261,12 @@ def guessed_element(name: str, residue: str = "") -> str:
     from MDAnalysis.guesser.default_guesser import DefaultGuesser
 
     letters = _letters(name)
-    symbol = letters[:1]
     long = letters[:2].capitalize()
-    if (
-        LONG.match(letters)
-        or name[:2] == long
-        or (not residue and is_element(letters.capitalize()))
-    ):
-        symbol = long if is_element(long) else symbol
+    is_whole = not residue and is_element(letters.capitalize())
+    is_long = is_whole or name[:2] == long or LONG.match(letters)
+    symbol = long if is_long and is_element(long) else letters[:1]
     other = str(DefaultGuesser(None).guess_atom_element(name)).capitalize()
-    is_usual = is_element(symbol) and (len(symbol) == 2 or symbol in (*LETTERS, *SINGLE, "B"))
+    is_usual = len(symbol) == 2 or symbol in (*LETTERS, *SINGLE, "B")
     return symbol if is_usual and (symbol == other or not is_element(other)) else ""
 
 
@@ -279,12 +277,10 @@ def certain_element(name: str, residue: str) -> str | None:
     from MDAnalysis.core.selection import NucleicSelection, ProteinSelection, WaterSelection
 
     letters = _letters(name)
-    symbol = letters.capitalize()
-    if letters in IONS and _letters(residue) in (letters, "ION", "IONS"):
-        return IONS[letters]
-    is_ion = is_element(symbol) and (len(symbol) == 2 or symbol in SINGLE)
-    if letters and is_ion and _letters(residue) in (letters, "ION", "IONS"):
-        return symbol
+    ion = IONS.get(letters, letters.capitalize())
+    may_be_ion = is_element(ion) and (len(ion) == 2 or ion in SINGLE)
+    if may_be_ion and _letters(residue) in (letters, "ION", "IONS"):
+        return ion
     if residue in SELENIUM and letters == "SE":
         return "Se"
     if residue in WaterSelection.water_res:

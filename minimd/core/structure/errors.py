@@ -4,6 +4,16 @@ import os
 import re
 from typing import Any
 
+# in lines of Numba that name what it cannot compile
+TELLING = (
+    "Untyped global name",
+    "Unknown attribute",
+    "No implementation of function",
+    "Use of unsupported",
+    "cannot be compiled",
+    "Unsupported",
+)
+
 
 class NonFiniteError(ArithmeticError):
     """A position, velocity, force or energy is no longer a finite number.
@@ -55,20 +65,14 @@ class Interrupted(KeyboardInterrupt):
 def sentence(error: BaseException) -> str:
     """The message of an error; for one of the operating system with its file name, without its number."""
     if isinstance(error, OSError) and error.strerror is not None:
-        return (
-            error.strerror
-            if error.filename is None
-            else f"{os.fsdecode(error.filename)}: {error.strerror}"
-        )
-    return str(error) or (
-        "interrupted" if isinstance(error, KeyboardInterrupt) else type(error).__name__
-    )
+        file = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
+        return f"{file}{error.strerror}"
+    is_interrupt = isinstance(error, KeyboardInterrupt)
+    return str(error) or ("interrupted" if is_interrupt else type(error).__name__)
 
 
 def why_not_compiled(message: str) -> str:
     """The line of a message of Numba that names what it cannot compile; else its first line."""
     lines = [line.strip().removeprefix("- ") for line in message.splitlines() if line.strip()]
-    of_names = "Untyped global name", "Unknown attribute", "No implementation of function"
-    telling = (*of_names, "Use of unsupported", "cannot be compiled", "Unsupported")
-    told = [line for words in telling for line in lines if words in line]
-    return re.sub(r"\x1b\[\d*m", "", [*told, *lines, "Numba gives no reason"][0])
+    reasons = [line for clause in TELLING for line in lines if clause in line]
+    return re.sub(r"\x1b\[\d*m", "", [*reasons, *lines, "Numba gives no reason"][0])

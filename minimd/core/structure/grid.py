@@ -1,7 +1,7 @@
 """The grid of fixed-point dynamics: the steps of which positions, momenta and energies are whole multiples."""
 
 from dataclasses import dataclass
-from math import frexp, isfinite, ldexp, log2
+from math import frexp, ldexp, log2
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,18 +48,15 @@ class Grid(Displayed):
 
     def __post_init__(self) -> None:
         for name, step in vars(self).items():
-            if not (
-                isinstance(step, float) and isfinite(step) and step > 0.0 and frexp(step)[0] == 0.5
-            ):
-                wanted = f"the step of {name} of a Grid must be a power of two, such as 2.0**-40"
-                raise ValueError(f"{wanted}; {name} = {shown(step)}")
+            # the mantissa of infinity and NaN is not ½, that of −½ is −½
+            if not isinstance(step, float) or frexp(step)[0] != 0.5:
+                raise ValueError(
+                    f"the step of {name} of a Grid must be a power of two, such as 2.0**-40; {name} = {shown(step)}"
+                )
 
     def __repr__(self) -> str:
-        return (
-            "Grid("
-            + ", ".join(f"{name}=2.0**{log2(step):.0f}" for name, step in vars(self).items())
-            + ")"
-        )
+        steps = [f"{name}=2.0**{log2(step):.0f}" for name, step in vars(self).items()]
+        return f"Grid({', '.join(steps)})"
 
     def display_rows(self) -> Rows:
         """See Displayed."""
@@ -71,28 +68,21 @@ class Grid(Displayed):
         depth : of the deepest well of a pair [energy]."""
         cell = system.cell
         longest = float(np.linalg.norm(cell.vectors[cell.pbc], axis=1).max(initial=0.0))
-        size = max(
-            largest_component(system.positions),
-            float(np.ptp(system.positions, axis=0).max()),
-            longest,
-        )
+        extent = float(np.ptp(system.positions, axis=0).max())
+        size = max(largest_component(system.positions), extent, longest)
         heaviest = float(system.masses.max())
         lightest = float(system.masses.min())
         timestep = abs(timestep)
         fastest = float(np.abs(system.masses[:, None] * system.velocities).max())
-        momentum = (
-            max(fastest, (2.0 * heaviest * DEEP * depth) ** 0.5)
-            or heaviest * SLOW * (size or 1.0) / timestep
-        )
+        momentum = max(fastest, (2.0 * heaviest * DEEP * depth) ** 0.5)
+        momentum = momentum or heaviest * SLOW * (size or 1.0) / timestep
         energy = len(system) * (DEEP * depth + momentum**2 / lightest)
-        reach = (size or momentum * timestep / lightest) * (
-            TRAVEL if cell.pbc.all() else FAR_TRAVEL
-        )
-        length = _power_of_two(reach) / FARTHEST
+        travel = TRAVEL if cell.pbc.all() else FAR_TRAVEL
+        reach = (size or momentum * timestep / lightest) * travel
         return cls(
-            length,
-            _power_of_two(momentum * FASTER) / MOST,
-            _power_of_two(energy * ENERGY_ROOM) / FARTHEST,
+            _upper_power_of_two(reach) / FARTHEST,
+            _upper_power_of_two(momentum * FASTER) / MOST,
+            _upper_power_of_two(energy * ENERGY_ROOM) / FARTHEST,
         )
 
     def has_room_for(self, system: System) -> bool:
@@ -103,11 +93,7 @@ class Grid(Displayed):
 
     def widened(self, other: "Grid") -> "Grid":
         """The larger steps of two grids."""
-        return Grid(
-            max(self.length, other.length),
-            max(self.momentum, other.momentum),
-            max(self.energy, other.energy),
-        )
+        return Grid(*map(max, vars(self).values(), vars(other).values()))
 
     def take(self, system: System, inverse_masses: Array) -> None:
         """Round positions, lattice vectors and momenta of a system to the grid, in place.
@@ -135,10 +121,9 @@ class Grid(Displayed):
     def momenta(self, velocities: Array, inverse_masses: Array) -> Array:
         """Momenta in steps, whole numbers (N, 3), of velocities (N, 3); zero for fixed atoms."""
         steps = (self.momentum * inverse_masses)[:, None]
-        return (
-            np.rint(np.divide(velocities, steps, out=np.zeros_like(velocities), where=steps > 0.0))
-            + NO_SIGN
-        )
+        momenta = np.zeros_like(velocities)
+        np.divide(velocities, steps, out=momenta, where=steps > 0.0)
+        return np.rint(momenta) + NO_SIGN
 
     def check_momenta(self, velocities: Array, inverse_masses: Array) -> None:
         """Raise RangeError if a momentum is beyond the range of the grid."""
@@ -146,24 +131,21 @@ class Grid(Displayed):
         if not largest_component(momenta) <= MOST:
             atom = int(np.argmax(np.abs(momenta).max(axis=1)))
             largest = np.abs(momenta).max() * self.momentum
-            most = MOST * self.momentum
-            hint = f"grid=minimd.Grid(...) with a larger step of momentum than {self.momentum:.3g}"
-            told = f"the momentum of atom {atom} is {largest:.3g}"
             raise RangeError(
-                f"{told}, beyond the range of fixed-point numbers, {most:.3g}: give {hint}"
+                f"the momentum of atom {atom} is {largest:.3g}, beyond the range of fixed-point numbers, "
+                f"{MOST * self.momentum:.3g}: give grid=minimd.Grid(...) with a larger step of momentum than "
+                f"{self.momentum:.3g}"
             )
 
     def check_positions(self, positions: Array) -> None:
         """Raise RangeError if a position is beyond the range of the grid."""
         if not largest_component(positions) <= FARTHEST * self.length:
             atom = int(np.argmax(np.abs(positions).max(axis=1)))
-            largest = np.abs(positions).max()
-            most = FARTHEST * self.length
-            wrap = "simulation.positions[:] = simulation.system.cell.wrapped(simulation.positions)"
-            hint = f"grid=minimd.Grid(...) with a larger step of length than {self.length:.3g}"
-            told = f"atom {atom} is {largest:.3g} from the origin, beyond the range of fixed-point numbers, {most:.3g}"
             raise RangeError(
-                f"{told}: give {hint}; or, in a periodic cell, wrap the positions: {wrap}"
+                f"atom {atom} is {np.abs(positions).max():.3g} from the origin, beyond the range of fixed-point "
+                f"numbers, {FARTHEST * self.length:.3g}: give grid=minimd.Grid(...) with a larger step of length than "
+                f"{self.length:.3g}; or, in a periodic cell, wrap the positions: "
+                "simulation.positions[:] = simulation.system.cell.wrapped(simulation.positions)"
             )
 
 
@@ -174,7 +156,7 @@ def steps_of(grid: Grid, units: ArrayLike) -> GridSteps:
     )
 
 
-def _power_of_two(x: float) -> float:
+def _upper_power_of_two(x: float) -> float:
     """The smallest power of two that is not below x > 0."""
     mantissa, exponent = frexp(x)
     return ldexp(1.0, exponent - 1 if mantissa == 0.5 else exponent)

@@ -43,9 +43,8 @@ class Box:
         hand = handedness(lattice)
         self.turn, self.edges = upright(hand * lattice)
         self.open = ~cell.pbc
-        self.images = np.where(
-            self.open, 0.0, np.floor(hand * (positions @ np.linalg.inv(lattice)))
-        ).astype(np.int64)
+        cells = np.floor(hand * (positions @ np.linalg.inv(lattice)))
+        self.images = np.where(self.open, 0.0, cells).astype(np.int64)
         self._shifts = self.images @ (hand * lattice)
         self.positions = self.turned(positions - self._shifts)
         self.low = np.zeros(3)
@@ -71,9 +70,8 @@ class Box:
         multiples of most_images cells; those are taken that come closest to the expected positions, (N, 3) [length]."""
         positions = self.back(unwrapped) + self._shifts
         crossed = self.crossed(expected - positions)
-        return (
-            positions + self.most_images * np.rint(crossed / self.most_images) @ self._cell.lattice
-        )
+        lost = self.most_images * np.rint(crossed / self.most_images)
+        return positions + lost @ self._cell.lattice
 
     def crossed(self, displacements: Array) -> Array:
         """How many cells displacements (N, 3) [length] are long, along each periodic lattice vector."""
@@ -95,15 +93,16 @@ class Box:
             types = sections.get(name.capitalize(), [np.zeros(0)])[0]
             if types.size:
                 yield f"{types.size} {name}\n{types.max()} {name[:-1]} types\n"
-        for low, high, axis in zip(self.low, self.high, "xyz", strict=True):
-            yield f"{low:.17g} {high:.17g} {axis}lo {axis}hi\n"
+        for k, axis in enumerate("xyz"):
+            yield f"{self.low[k]:.17g} {self.high[k]:.17g} {axis}lo {axis}hi\n"
         tilts = self.edges[[1, 2, 2], [0, 0, 1]]
         if tilts.any():
             yield "{:.17g} {:.17g} {:.17g} xy xz yz\n".format(*tilts)
         for name, columns in sections.items():
             table = [entries for column in columns for entries in np.atleast_2d(column.T)]
-            form = " ".join(["%d", *(FORMS[entries.dtype.kind] for entries in table)])
+            forms = [FORMS[entries.dtype.kind] for entries in table]
+            line = f"%d {' '.join(forms)}\n"
             if table[0].size:
                 yield f"\n{name}\n\n"
             for row in zip(count(1), *table, strict=False):
-                yield form % row + "\n"
+                yield line % row

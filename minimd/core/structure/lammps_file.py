@@ -24,16 +24,15 @@ def write_lammps_data(file: Any, system: Any, overwrite: bool = False) -> None:
     path = checked_path("file", file)
     checked_flag("overwrite", overwrite)
     if path.suffix.lower() not in SUFFIXES:
-        others = "ase.io.write(file, system.to_ase()) writes other formats, Simulation.run(trajectory=) those of runs"
         raise ValueError(
-            f"file must be LAMMPS data, .data or .lmp; file = {str(path)!r}: {others}, such as .h5md"
+            f"file must be LAMMPS data, .data or .lmp; file = {str(path)!r}: ase.io.write(file, system.to_ase()) "
+            "writes other formats, Simulation.run(trajectory=) those of runs, such as .h5md"
         )
     cell = system.cell
     box = Box(cell, system.positions, np.where(cell.pbc[:, None], cell.vectors, cell.lattice))
     box.make_room(ROOM)
-    kinds, of_atom = np.unique(
-        np.column_stack([system.species_index, system.masses]), axis=0, return_inverse=True
-    )
+    of_atom = np.column_stack([system.species_index, system.masses])
+    kinds, types = np.unique(of_atom, axis=0, return_inverse=True)
     names = [str(system.species_names[int(k)]) for k in kinds[:, 0]]
     labels = type_labels(names)
     units = "lj"
@@ -43,14 +42,13 @@ def write_lammps_data(file: Any, system: Any, overwrite: bool = False) -> None:
         units = "metal"
         charges = system.charges
         velocities /= ASE.to_picosecond
-    types = of_atom.reshape(-1) + 1
-    sections: dict[str, Columns] = {
-        "Masses": [kinds[:, 1], np.array([f"# {name}" for name in names])],
-        "Atoms # full": [molecules_of(system) + 1, types, charges, box.positions, box.images],
-        "Velocities": [velocities],
-    }
+    numbers = [molecules_of(system) + 1, types.reshape(-1) + 1]
+    sections: dict[str, Columns] = {}
     if not labels[0].isdecimal():
-        sections = {"Atom Type Labels": [np.array(labels)]} | sections
+        sections["Atom Type Labels"] = [np.array(labels)]
+    sections["Masses"] = [kinds[:, 1], np.array([f"# {name}" for name in names])]
+    sections["Atoms # full"] = [*numbers, charges, box.positions, box.images]
+    sections["Velocities"] = [velocities]
     for name, groups in system.groups().items():
         sections[name.capitalize()] = [np.ones(len(groups), np.int64), groups + 1]
     boundary = " ".join("f" if is_open else "p" for is_open in box.open)

@@ -33,14 +33,12 @@ def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tup
     n_atoms = len(basis) * prod(counts.tolist())
     lattice_constant = checked_number("lattice_constant", lattice_constant, "positive and finite")
     if n_atoms > MOST_ATOMS:
-        given = f"repeat = {shown(repeat)} makes {n_atoms:.1e} of them"
-        raise ValueError(f"repeat must make at most {MOST_ATOMS} atoms; {given}")
-    corners = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(
-        -1, 1, 3
-    )
-    return (corners + np.array(basis)).reshape(-1, 3) * lattice_constant, counts.astype(
-        np.float64
-    ) * lattice_constant
+        raise ValueError(
+            f"repeat must make at most {MOST_ATOMS} atoms; repeat = {shown(repeat)} makes {n_atoms:.1e} of them"
+        )
+    corners = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1)
+    positions = (corners.reshape(-1, 1, 3) + np.array(basis)).reshape(-1, 3) * lattice_constant
+    return positions, counts.astype(np.float64) * lattice_constant
 
 
 def constant_from_density(lattice: str, density: float, mass: float = 1.0) -> float:
@@ -48,4 +46,5 @@ def constant_from_density(lattice: str, density: float, mass: float = 1.0) -> fl
     Raises ValueError for an unknown lattice, a density or a mass that is not positive."""
     n_atoms = len(BASES[checked_choice("lattice", lattice, BASES)])
     mass = checked_number("mass", mass, "positive and finite")
-    return cbrt(n_atoms * mass / checked_number("density", density, "positive and finite"))
+    density = checked_number("density", density, "positive and finite")
+    return cbrt(n_atoms * mass / density)

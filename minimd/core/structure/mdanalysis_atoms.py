@@ -10,14 +10,15 @@ from MDAnalysis.guesser.default_guesser import DefaultGuesser
 from MDAnalysis.lib.mdamath import triclinic_vectors
 from MDAnalysis.lib.util import openany
 from MDAnalysis.units import get_conversion_factor
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.core.console.quiet import quiet, warn
-from minimd.core.structure.bond_graph import GROUPS
+from minimd.core.structure.bond_graph import GROUPS, Indices
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.elements import ISOTOPES, Stated, identified, symbol_of
 from minimd.core.structure.lammps_units import LAMMPS_UNITS
 from minimd.core.structure.units import LJ, UnitSystem
+from minimd.core.structure.vectors import Array
 
 
 def universe_arguments(
@@ -50,20 +51,22 @@ def universe_arguments(
     with suppress(NoDataError, UnicodeEncodeError):
         texts = np.array([stated.names, symbols, atoms.resnames, atoms.resids, atoms.segids], "S")
         topology = texts.T.astype(str)
+    velocities = None
+    if trajectory.ts.has_velocities:
+        velocities = speed * as_decimals(atoms.velocities)
+    joined = {
+        name: _within(atoms, name, GROUPS[name]) if rows is None else rows
+        for name, rows in groups.items()
+    }
     return {
         "positions": positions,
         "masses": weights,
         "charges": charges_of(atoms),
-        "velocities": speed * as_decimals(atoms.velocities)
-        if trajectory.ts.has_velocities
-        else None,
+        "velocities": velocities,
         "cell": _cell(trajectory.ts.dimensions, length, source),
         "pbc": pbc,
-        "species": _species(atoms, symbols),
-        **{
-            name: _within(atoms, name, GROUPS[name]) if given is None else given
-            for name, given in groups.items()
-        },
+        "species": _types_or_elements(atoms, symbols),
+        **joined,
         "units": units,
         "topology": topology,
     }
@@ -78,7 +81,7 @@ def _scales(trajectory: Any, units: UnitSystem, source: str) -> tuple[float, flo
     time = native.get("time") or "ps"
     speed = native.get("velocity") or f"{length}/{time}"
     to_speed = get_conversion_factor("speed", speed, "Angstrom/ps")
-    is_converted = bool(getattr(trajectory, "convert_units", False))
+    is_converted = getattr(trajectory, "convert_units", False)
     is_lammps = trajectory.format in ("DATA", "LAMMPSDUMP")
     if units is LJ:
         return 1.0, 1.0 / to_speed if is_converted and is_lammps else 1.0
@@ -86,63 +89,58 @@ def _scales(trajectory: Any, units: UnitSystem, source: str) -> tuple[float, flo
     if is_lammps and trajectory.ts.has_velocities:
         with openany(trajectory.filename) as file:
             stated = LAMMPS_UNITS.search(file.readline())
-        if stated is None or stated.group(1) not in ("real", "metal"):
+        name = stated and stated[1]
+        if name not in ("real", "metal"):
             raise ValueError(
                 f"the velocities of {source} are in units that its LAMMPS file does not state as real or metal; "
                 "read it with minimd.ase.system_from_file and lammps_units="
             )
-        scale *= 1.0 if stated.group(1) == "real" else 1.0 / to_speed
+        scale *= 1.0 if name == "real" else 1.0 / to_speed
     to_length = 1.0 if is_converted else get_conversion_factor("length", length, "Angstrom")
     return to_length / units.to_angstrom, scale * units.to_picosecond / units.to_angstrom
 
 
-def _cell(dimensions: Any, length: float, source: str) -> NDArray[np.float64] | None:
+def _cell(dimensions: Any, length: float, source: str) -> Array | None:
     """Cell vectors of lengths and angles; an edge of length 0 is an open direction. Edges or angles of 0 are no cell,
     nor is one that cannot be, which is told."""
-    if dimensions is None or not np.any(dimensions[:3]) or not np.any(dimensions[3:]):
+    if dimensions is None:
         return None
     edges, angles = np.split(as_decimals(dimensions), 2)
+    if not (edges.any() and angles.any()):
+        return None
     is_open = edges == 0.0
     with quiet():
-        vectors: NDArray[np.float64] = triclinic_vectors(
-            [*np.where(is_open, 1.0, edges), *angles], dtype=np.float64
-        )
+        vectors = triclinic_vectors([*np.where(is_open, 1.0, edges), *angles], float)
     if not vectors.any():
         warn(
             f"edges and angles {[*edges.tolist(), *angles.tolist()]} of {source} are no cell; give cell="
         )
         return None
     vectors[is_open] = 0.0
-    return length * vectors
+    return np.asarray(length * vectors)
 
 
-def as_decimals(values: Any) -> NDArray[np.float64]:
+def as_decimals(values: Any) -> Array:
     """Numbers that MDAnalysis has rounded to float32, in float64 and the same shape: their shortest decimals, which are
     those of a text file."""
-    rounded = np.asarray(values, dtype=np.float32)
+    rounded = np.asarray(values, np.float32)
     return np.array([float(text) for text in rounded.ravel().astype(str)]).reshape(rounded.shape)
 
 
-def stated_of(atoms: AtomGroup, source: str, positions: NDArray[np.float64]) -> Stated:
+def stated_of(atoms: AtomGroup, source: str, positions: Array) -> Stated:
     """What a group of atoms states, apart from what MDAnalysis has guessed."""
-    elements = None
-    # D and T are in the column of a PDB file, but not in MDAnalysis' elements
+    elements = residues = residue_of = None
     if _is_stated(atoms, "elements"):
-        pairs = zip(atoms.elements, getattr(atoms, "types", atoms.elements), strict=True)
-        elements = [
-            symbol_of(str(text)) or (str(kind) if str(kind) in ISOTOPES else "")
-            for text, kind in pairs
-        ]
-    has_residues = hasattr(atoms, "resnames")
-    return Stated(
-        source,
-        [str(name) for name in getattr(atoms, "names", _types(atoms))],
-        positions,
-        elements,
-        _masses(atoms),
-        [str(name) for name in atoms.resnames] if has_residues else None,
-        np.unique(atoms.resindices, return_inverse=True)[1] if has_residues else None,
-    )
+        elements = [symbol_of(str(text)) for text in atoms.elements]
+        # D and T are in the column of a PDB file, but not in MDAnalysis' elements
+        for k, kind in enumerate(getattr(atoms, "types", ())):
+            if not elements[k] and kind in ISOTOPES:
+                elements[k] = str(kind)
+    if hasattr(atoms, "resnames"):
+        residues = [str(name) for name in atoms.resnames]
+        residue_of = np.unique(atoms.resindices, return_inverse=True)[1]
+    names = [str(name) for name in getattr(atoms, "names", _types(atoms))]
+    return Stated(source, names, positions, elements, _masses(atoms), residues, residue_of)
 
 
 def _is_stated(atoms: AtomGroup, name: str) -> bool:
@@ -151,38 +149,33 @@ def _is_stated(atoms: AtomGroup, name: str) -> bool:
     return attribute is not None and not attribute.is_guessed
 
 
-def _masses(atoms: AtomGroup) -> NDArray[np.float64] | None:
+def _masses(atoms: AtomGroup) -> Array | None:
     """Masses [u] that are not those which MDAnalysis guesses; NaN where it knows none."""
     if not hasattr(atoms, "masses"):
         return None
-    masses = np.array(atoms.masses, dtype=np.float64)
-    kinds = next(
-        (getattr(atoms, name) for name in ("elements", "types") if hasattr(atoms, name)), None
-    )
+    masses = np.array(atoms.masses, float)
+    is_stated = _is_stated(atoms, "masses")
+    kinds = getattr(atoms, "elements", getattr(atoms, "types", None))
     if kinds is None:
-        return masses if _is_stated(atoms, "masses") else None
+        return masses if is_stated else None
+    guesser = DefaultGuesser(None)
     with quiet():
-        is_guess = np.equal(DefaultGuesser(None).guess_masses(np.asarray(kinds)), masses)
-        types = DefaultGuesser(None).guess_types(getattr(atoms, "names", kinds))
-    if not _is_stated(atoms, "masses"):
+        is_guess = np.equal(guesser.guess_masses(np.asarray(kinds)), masses)
+        types = guesser.guess_types(getattr(atoms, "names", kinds))
+    if not is_stated:
         return np.where(is_guess | (masses <= 0.0), np.nan, masses)
     # Merge forgets that masses and types were guessed
-    return (
-        None
-        if is_guess.all()
-        and kinds is not getattr(atoms, "elements", None)
-        and (kinds == types).all()
-        else masses
-    )
+    return None if is_guess.all() and (kinds == types).all() else masses
 
 
-def charges_of(atoms: AtomGroup) -> NDArray[np.float64] | None:
+def charges_of(atoms: AtomGroup) -> Array | None:
     """Charges [e], or None. MDAnalysis rounds those of some files to float32; their shortest decimals are those of the
     file, with which neutral molecules stay neutral."""
-    if (charges := getattr(atoms, "charges", None)) is None:
+    if not hasattr(atoms, "charges"):
         return None
-    charges = np.asarray(charges, dtype=np.float64)
-    return as_decimals(charges) if np.array_equal(charges.astype(np.float32), charges) else charges
+    charges = np.asarray(atoms.charges, float)
+    is_rounded = np.array_equal(charges.astype(np.float32), charges)
+    return as_decimals(charges) if is_rounded else charges
 
 
 def _types(atoms: AtomGroup) -> list[str]:
@@ -194,23 +187,24 @@ def _types(atoms: AtomGroup) -> list[str]:
     return [""] * len(atoms)
 
 
-def _species(atoms: AtomGroup, symbols: Sequence[str]) -> list[str]:
+def _types_or_elements(atoms: AtomGroup, symbols: Sequence[str]) -> list[str]:
     """Types that are stated, unless they are elements in capitals; else elements, or names where there are none."""
     has_types = _is_stated(atoms, "types")
     species = []
     for label, symbol in zip(_types(atoms), symbols, strict=True):
         is_type = has_types and label[:1].isalpha() and label.upper() != symbol.upper()
-        species.append((label if is_type else symbol) or label or "X")
+        name = label if is_type else symbol
+        species.append(name or label or "X")
     return species
 
 
-def _within(atoms: AtomGroup, name: str, size: int) -> NDArray[np.int64]:
+def _within(atoms: AtomGroup, name: str, size: int) -> Indices:
     """Bonds, angles or dihedrals whose atoms are all in the group, as indices into it."""
     try:
-        groups = np.asarray(getattr(atoms, name).indices, dtype=np.int64).reshape(-1, size)
+        groups = np.asarray(getattr(atoms, name).indices, np.int64).reshape(-1, size)
     except (AttributeError, NoDataError):
         return np.zeros((0, size), np.int64)
     place = np.full(len(atoms.universe.atoms), -1)
     place[atoms.indices] = np.arange(len(atoms))
-    found: NDArray[np.int64] = place[groups]
-    return found[(found >= 0).all(axis=1)]
+    members: Indices = place[groups]
+    return members[(members >= 0).all(axis=1)]

@@ -35,14 +35,16 @@ def mean_and_error(series: Any) -> tuple[float, float]:
     Raises ValueError for anything but a list of numbers.
     """
     values = checked_numbers("series", series, "numbers")
+
     if values.ndim != 1:
         raise ValueError(f"series must be one number for each time; its shape is {values.shape}")
-    if len(values) < FEW:
-        return float(values.mean()) if len(values) else np.nan, np.nan
-    mean = float(values.mean())
-    length = len(values) // MOST_BLOCKS + 1
-    # without the mean, whose rounding would hide them
-    blocks = (values - mean)[: len(values) // length * length].reshape(-1, length).mean(axis=1)
+    n = len(values)
+    mean = float(values.mean()) if n else np.nan
+    if n < FEW:
+        return mean, np.nan
+    length = n // MOST_BLOCKS + 1
+    fluctuations = values - mean  # blocks of the values would be rounded more
+    blocks = fluctuations[: n // length * length].reshape(-1, length).mean(axis=1)
     return mean, float(standard_error(blocks))
 
 
@@ -65,9 +67,8 @@ def standard_error(parts: Array, weighted: Weighted | None = None) -> Array:
     n = len(parts)
     if n < FEW:
         return np.full(parts.shape[1:], np.nan)
-    logs, variances, forms = (
-        np.array(one) for one in zip(*_forms(weighted or correlated, n), strict=True)
-    )
+    columns = zip(*_forms(weighted or correlated, n), strict=True)
+    logs, variances, forms = map(np.array, columns)
     with np.errstate(all="ignore"):
         # equal numbers give 0, whatever the rounding of their mean
         rest = (parts - parts[0]).reshape(n, -1)
@@ -77,8 +78,9 @@ def standard_error(parts: Array, weighted: Weighted | None = None) -> Array:
         q = np.array([((form @ x) * x).sum(axis=0) for form in forms]) / (n - 1.0)
         log_weights = logs[:, None] - 0.5 * (n - 1.0) * np.log(q)
         weights = np.exp(log_weights - log_weights.max(axis=0))
-        found = size * (weights * np.sqrt(variances[:, None] * q)).sum(axis=0) / weights.sum(axis=0)
-    return np.where(size == 0.0, 0.0, found).reshape(parts.shape[1:])
+        errors = np.sqrt(variances[:, None] * q)
+        error = size * (weights * errors).sum(axis=0) / weights.sum(axis=0)
+    return np.where(size == 0.0, 0.0, error).reshape(parts.shape[1:])
 
 
 def correlated(n: int) -> list[tuple[float, Array]]:
@@ -86,16 +88,14 @@ def correlated(n: int) -> list[tuple[float, Array]]:
     see standard_error."""
     lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     each = (1.0 - NONE) / (len(TIMES) * len(SHARES))
-    found = [(NONE, np.eye(n))]
+    white = np.eye(n)
+    covariances = [(NONE, white)]
     for time in n * np.array(TIMES):
         ratio = np.exp(-1.0 / time)
-        slow = np.where(
-            lags == 0,
-            1.0 - time * (1.0 - ratio),
-            0.5 * time * (1.0 - ratio) ** 2 * ratio ** (lags - 1.0),
-        )
-        found += [(each, share * slow + (1.0 - share) * np.eye(n)) for share in SHARES]
-    return found
+        slow = 0.5 * time * (1.0 - ratio) ** 2 * ratio ** (lags - 1.0)
+        np.fill_diagonal(slow, 1.0 - time * (1.0 - ratio))
+        covariances += [(each, share * slow + (1.0 - share) * white) for share in SHARES]
+    return covariances
 
 
 def wandering(n: int) -> list[tuple[float, Array]]:
@@ -103,28 +103,25 @@ def wandering(n: int) -> list[tuple[float, Array]]:
     beside = np.eye(n, k=1) + np.eye(n, k=-1)
     walk = np.eye(n) + 0.25 * beside
     noise = 2.0 * np.eye(n) - beside
-    return [
-        (weight, part * walk / walk.sum() + (1.0 - part) * noise / noise.sum())
-        for part, weight in WALKS.items()
-    ]
+    covariances = []
+    for part, weight in WALKS.items():
+        covariance = part * walk / walk.sum() + (1.0 - part) * noise / noise.sum()
+        covariances.append((weight, covariance))
+    return covariances
 
 
 @cache
 def _forms(weighted: Weighted, n: int) -> list[tuple[float, float, Array]]:
     """For each C: log p (|C| 1ᵀC⁻¹1)^(−1/2), 1ᵀC1/n², and the matrix of (n − 1) q, (n, n); see standard_error."""
-    found = []
+    forms = []
     for weight, covariance in weighted(n):
         inverse = np.linalg.inv(covariance)
         sums = inverse.sum(axis=0)
-        log = np.log(weight) - 0.5 * (np.linalg.slogdet(covariance)[1] + np.log(sums.sum()))
-        found.append(
-            (
-                float(log),
-                float(covariance.sum()) / n**2,
-                inverse - np.outer(sums, sums) / sums.sum(),
-            )
-        )
-    return found
+        total = sums.sum()
+        log = np.log(weight) - 0.5 * (np.linalg.slogdet(covariance)[1] + np.log(total))
+        form = inverse - np.outer(sums, sums) / total
+        forms.append((float(log), float(covariance.sum()) / n**2, form))
+    return forms
 
 
 def independent(rest: Array) -> float:
@@ -133,15 +130,16 @@ def independent(rest: Array) -> float:
     M. G. Kendall, Biometrika 41, 403 (1954), on the bias."""
     square = float(rest @ rest)
     n = len(rest)
-    alike = float(rest[1:] @ rest[:-1]) / square if square > 0.0 else 0.0
-    alike = min(max(0.0, alike + (2.0 + 4.0 * alike) / n), 1.0 - 1.0 / n)
-    return n * (1.0 - alike) / (1.0 + alike)
+    correlation = float(rest[1:] @ rest[:-1]) / square if square > 0.0 else 0.0
+    correlation += (2.0 + 4.0 * correlation) / n
+    correlation = min(max(0.0, correlation), 1.0 - 1.0 / n)
+    return n * (1.0 - correlation) / (1.0 + correlation)
 
 
 def statistical_inefficiency(series: Any) -> float:
     """How many entries of a correlated series count as one independent entry: g = T error² / σ²; NaN if the error is,
     1 for a constant series."""
-    values = np.asarray(series, dtype=np.float64)
+    values = np.asarray(series, float)
     error = mean_and_error(values)[1]
     variance = float(values.var(ddof=1)) if len(values) > 1 else 0.0
     return len(values) * error**2 / variance if variance > 0.0 else 1.0
@@ -158,7 +156,7 @@ def replicas(estimate: Callable[[Array], Any], total: Array, parts: Array) -> Ar
         of blocks of equal length.
     This is the jackknife: B. Efron, C. Stein, Ann. Statist. 9, 586 (1981)."""
     # (0, ...) without blocks
-    return np.array([estimate(total - part) for part in (0.0, *parts)], dtype=np.float64)[1:]
+    return np.array([estimate(total - part) for part in (0.0, *parts)], float)[1:]
 
 
 def spread(without: Array) -> Array:
@@ -172,6 +170,6 @@ def with_error(mean: float, error: float) -> str:
     if not (isfinite(error) and error > 0.0 and isfinite(mean)):
         return f"{mean:.6g}"
     digits = max(0, 1 - floor(log10(error)))
-    return (
-        f"{mean:.{digits}f} ± {error:.{digits}f}" if digits < 12 else f"{mean:.12g} ± {error:.1e}"
-    )
+    if digits < 12:
+        return f"{mean:.{digits}f} ± {error:.{digits}f}"
+    return f"{mean:.12g} ± {error:.1e}"

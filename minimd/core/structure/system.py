@@ -14,8 +14,8 @@ from minimd.core.compiled.machine import EPS
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import listed, shown
 from minimd.core.structure import units as unit_systems
-from minimd.core.structure.bond_graph import GROUPS, checked_groups, checked_pairs
-from minimd.core.structure.cell import Cell
+from minimd.core.structure.bond_graph import GROUPS, Indices, checked_groups, checked_pairs
+from minimd.core.structure.cell import Array, Cell
 from minimd.core.structure.checks import (
     LARGEST,
     MOST_ATOMS,
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     import MDAnalysis
 
 AnySystem: TypeAlias = "System | ase.Atoms"
-READ_ONLY = ("masses", "charges", "species_names", "species_index", *GROUPS, "units", "topology")
+FIXED = ("masses", "charges", *GROUPS, "units", "topology")
+READ_ONLY = (*FIXED, "species_names", "species_index")
 ROW = re.compile(r"([ -~]*\n){3}-?[0-9]{1,9}\n[ -~]*")  # of topology
 MOST_BINS = 2**20  # along a lattice vector: their numbers are int64
 RESOLVED = 1e-6  # of a length: the largest rounding error of separations that is allowed
@@ -94,57 +95,51 @@ class System(Displayed):
         topology: ArrayLike | None = None,
     ) -> None:
         checked_kind("units", units, UnitSystem, "minimd.units.LJ or minimd.units.ASE")
-        if not isinstance(constraints, list | tuple) or not all(
-            isinstance(one, Constraint) for one in constraints
-        ):
-            wanted = "a list of DistanceConstraints and FixedAtoms"
-            raise TypeError(f"constraints of a System must be {wanted}; got {shown(constraints)}")
+        is_list = isinstance(constraints, list | tuple)
+        if not (is_list and all(isinstance(each, Constraint) for each in constraints)):
+            raise TypeError(
+                "constraints of a System must be a list of DistanceConstraints and FixedAtoms; got "
+                f"{shown(constraints)}"
+            )
         if masses is None and units is not unit_systems.LJ:
             raise ValueError(
                 f"masses are missing: give one number or one per atom; {units.name} units have no default"
             )
         if isinstance(cell, Cell) and pbc is not None:
-            whereas = "give pbc to System only together with lattice vectors"
-            raise ValueError(f"pbc is part of the Cell given: Cell.of(vectors, pbc); {whereas}")
-        self.units, self.constraints, self.positions = (
-            units,
-            tuple(constraints),
-            _vectors("positions", positions),
-        )
+            raise ValueError(
+                "pbc is part of the Cell given: Cell.of(vectors, pbc); give pbc to System only together with lattice "
+                "vectors"
+            )
+        self.units = units
+        self.constraints = tuple(constraints)
+        self.positions = _checked_vectors("positions", positions)
         n_atoms = len(self.positions)
         self.masses = checked_sizes("masses", 1.0 if masses is None else masses, n_atoms, "atom")
-        at_rest = np.zeros((n_atoms, 3))
-        self.velocities = (
-            at_rest if velocities is None else _vectors("velocities", velocities, n_atoms)
-        )
+        self.velocities = np.zeros((n_atoms, 3))
+        if velocities is not None:
+            self.velocities[:] = _checked_vectors("velocities", velocities, n_atoms)
         self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
-        self.species_names, self.species_index = _species(species, n_atoms)
-        self.charges = _charges(charges, self.species_names, self.species_index)
+        self.species_names, self.species_index = _checked_species(species, n_atoms)
+        self.charges = _checked_charges(charges, self.species_names, self.species_index)
         self.bonds = checked_pairs("bonds", bonds, n_atoms)
-        self.angles = checked_groups("angles", angles, GROUPS["angles"], n_atoms)
-        self.dihedrals = checked_groups("dihedrals", dihedrals, GROUPS["dihedrals"], n_atoms)
-        self.impropers = checked_groups("impropers", impropers, GROUPS["impropers"], n_atoms)
+        self.angles = checked_groups("angles", angles, 3, n_atoms)
+        self.dihedrals = checked_groups("dihedrals", dihedrals, 4, n_atoms)
+        self.impropers = checked_groups("impropers", impropers, 4, n_atoms)
         if topology is not None:
-            self.topology = _topology(topology, n_atoms)
+            self.topology = _checked_topology(topology, n_atoms)
         self.__setstate__({})
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """What may not be changed is read-only, in a copy too, where NumPy forgets it."""
         self.__dict__.update(state)
-        for fixed in (
-            self.masses,
-            self.charges,
-            self.species_index,
-            *self.groups().values(),
-            self.topology,
-        ):
-            fixed.setflags(write=False)
+        for name in ("masses", "charges", "species_index", *GROUPS, "topology"):
+            getattr(self, name).setflags(write=False)
 
     def __setattr__(self, name: str, value: Any) -> None:
         """New positions and velocities are copied into the existing arrays, which a running simulation uses.
         Raises AttributeError for a read-only attribute.  TypeError for a cell that is no Cell."""
         if name in ("positions", "velocities") and name in self.__dict__:
-            self.__dict__[name][:] = _vectors(name, value, len(self))
+            self.__dict__[name][:] = _checked_vectors(name, value, len(self))
         elif name in READ_ONLY and name in self.__dict__:
             raise AttributeError(f"{name} of a System cannot be changed; make a new System")
         else:
@@ -162,13 +157,10 @@ class System(Displayed):
 
     def __repr__(self) -> str:
         names = ", ".join(map(str, self.species_names))
-        where = f"periodic {self.cell.pbc.tolist()}"
-        joined = ", ".join(
-            f"{len(one)} {name}"
-            for name, one in self.groups().items()
-            if name == "bonds" or len(one)
-        )
-        return f"System({len(self)} atoms of {names}; {joined}; {where}; {self.units.name} units)"
+        counts = {name: len(rows) for name, rows in self.groups().items()}
+        joined = ", ".join(f"{n} {name}" for name, n in counts.items() if n or name == "bonds")
+        periodic = self.cell.pbc.tolist()
+        return f"System({len(self)} atoms of {names}; {joined}; periodic {periodic}; {self.units.name} units)"
 
     @property
     def composition(self) -> str:
@@ -176,37 +168,36 @@ class System(Displayed):
         counts = zip(np.bincount(self.species_index), self.species_names, strict=True)
         return ", ".join(f"{n} {name}" for n, name in counts)
 
-    def groups(self) -> dict[str, NDArray[np.int64]]:
+    def groups(self) -> dict[str, Indices]:
         """Bonds, angles, dihedrals and impropers, by these names."""
         return {name: getattr(self, name) for name in GROUPS}
 
     def display_rows(self) -> Rows:
         """See Displayed."""
         units = self.units
-        rows = [("atoms", f"{len(self)}: {self.composition}")]
-        for name, words in self.cell.display_rows():
-            told = (
-                f"{words} {units.volume}"
-                if name == "volume"
-                else words.replace(")", f") {units.length}")
-            )
-            rows.append((name, told))
+        length = units.length
+        table = {"atoms": f"{len(self)}: {self.composition}"}
+        for name, text in self.cell.display_rows():
+            table[name] = text.replace(")", f") {length}")
         if self.volume is not None:
+            table["volume"] += f" {units.volume}"
             density = self.masses.sum() / self.volume
-            is_ase = units is unit_systems.ASE
-            in_grams = f"{density / unit_systems.GRAM_PER_CM3:.6g} g/cm³"
-            of_mass = in_grams if is_ase else f"{density:.6g} mass/{units.length}³"
-            rows.append(
-                ("density", f"{len(self) / self.volume:.6g} atoms/{units.length}³, {of_mass}")
-            )
+            of_mass = f"{density:.6g} mass/{length}³"
+            if units is unit_systems.ASE:
+                of_mass = f"{density / unit_systems.GRAM_PER_CM3:.6g} g/cm³"
+            table["density"] = f"{len(self) / self.volume:.6g} atoms/{length}³, {of_mass}"
         if self.charges.any():
-            words = f"net charge {self.net_charge:.6g} e, at most {np.abs(self.charges).max():.6g} e on an atom"
-            rows.append(("charges", words))
-        rows += [(name, str(len(one))) for name, one in self.groups().items() if len(one)]
-        rows += (
-            [("constraints", ", ".join(map(repr, self.constraints)))] if self.constraints else []
-        )
-        return [*rows, ("units", f"{units.name}: {units.length}, {units.energy}, {units.time}")]
+            largest = np.abs(self.charges).max()
+            table["charges"] = (
+                f"net charge {self.net_charge:.6g} e, at most {largest:.6g} e on an atom"
+            )
+        for name, groups in self.groups().items():
+            if len(groups):
+                table[name] = str(len(groups))
+        if self.constraints:
+            table["constraints"] = ", ".join(map(repr, self.constraints))
+        table["units"] = f"{units.name}: {length}, {units.energy}, {units.time}"
+        return [*table.items()]
 
     @property
     def species(self) -> NDArray:
@@ -244,11 +235,8 @@ class System(Displayed):
         mass, give it the atoms themselves."""
         from minimd.core.structure.ase_atoms import system_arguments
 
-        return cls(
-            **system_arguments(
-                atoms, bonds, angles=angles, dihedrals=dihedrals, impropers=impropers
-            )
-        )
+        groups: dict[str, Any] = {"angles": angles, "dihedrals": dihedrals, "impropers": impropers}
+        return cls(**system_arguments(atoms, bonds, **groups))
 
     @classmethod
     def from_mdanalysis(
@@ -313,22 +301,11 @@ def changed(system: System, **changes: Any) -> System:
 
 def arguments_of(system: System) -> dict[str, Any]:
     """The arguments of a system, by their names."""
-    names = (
-        "positions",
-        "masses",
-        "charges",
-        "velocities",
-        "cell",
-        "species",
-        *GROUPS,
-        "units",
-        "constraints",
-        "topology",
-    )
+    names = ("positions", "velocities", "cell", "species", "constraints", *FIXED)
     return {name: getattr(system, name) for name in names}
 
 
-def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArray[np.float64]:
+def _checked_vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> Array:
     """A fresh contiguous (N, 3) float64 array, or a sentence about what is wrong with it."""
     array = checked_numbers(name, values, "an (N, 3) array of numbers")
     if array.ndim != 2 or array.shape[1] != 3 or not 0 < array.shape[0] <= MOST_ATOMS:
@@ -340,27 +317,27 @@ def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArra
             f"{name} must have one row for each of the {n_atoms} atoms; it has {len(array)}"
         )
     check_rows(name, "finite", np.isfinite(array).all(axis=1), array)
-    if (largest := largest_component(array)) > LARGEST:
+    largest = largest_component(array)
+    if largest > LARGEST:
         raise ValueError(
             f"{name} must be below {LARGEST:g}; the largest is {largest:g}: take other units"
         )
     return array
 
 
-def _charges(
-    charges: Any, species_names: tuple, species_index: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _checked_charges(charges: Any, species_names: tuple, species_index: Indices) -> Array:
     n_atoms = len(species_index)
     if charges is None:
         return np.zeros(n_atoms)
     if isinstance(charges, Mapping):
         if set(charges) != set(species_names):
-            wanted = f"must have a number for each species, {listed(species_names)}"
-            raise ValueError(f"charges {wanted}; they have one for {listed(charges)}")
-        by_name = checked_numbers(
-            "charges", [charges[name] for name in species_names], "one number for each species"
-        )
-        charges = by_name[species_index]
+            raise ValueError(
+                f"charges must have a number for each species, {listed(species_names)}; they have one for "
+                f"{listed(charges)}"
+            )
+        of_species = [charges[name] for name in species_names]
+        numbers = checked_numbers("charges", of_species, "one number for each species")
+        charges = numbers[species_index]
     checked = checked_numbers("charges", charges, "one number for each atom")
     if checked.shape != (n_atoms,):
         raise ValueError(
@@ -370,12 +347,9 @@ def _charges(
     return checked
 
 
-def _topology(topology: Any, n_atoms: int) -> NDArray[np.str_]:
-    if (
-        not isinstance(topology, np.ndarray)
-        or topology.dtype.kind != "U"
-        or topology.shape not in [(n_atoms, 5), (0, 5)]
-    ):
+def _checked_topology(topology: Any, n_atoms: int) -> NDArray[np.str_]:
+    is_text = isinstance(topology, np.ndarray) and topology.dtype.kind == "U"
+    if not is_text or topology.shape not in [(n_atoms, 5), (0, 5)]:
         raise ValueError(
             f"topology must be an ({n_atoms}, 5) array of str; topology = {shown(topology)}"
         )
@@ -384,55 +358,54 @@ def _topology(topology: Any, n_atoms: int) -> NDArray[np.str_]:
     return topology.copy()
 
 
-def _species(
-    species: str | Sequence | NDArray | None, n_atoms: int
-) -> tuple[tuple, NDArray[np.int64]]:
-    wanted = f"species must be {n_atoms} labels, one for each atom, or one str for all"
-    one = np.zeros(n_atoms, dtype=np.int64)  # pages of zeros that nobody writes to need no memory
+def _checked_species(species: Any, n_atoms: int) -> tuple[tuple, Indices]:
+    expected = f"species must be {n_atoms} labels, one for each atom, or one str for all"
+    alike = np.zeros(n_atoms, np.int64)  # pages of zeros that nobody writes to need no memory
     if species is None:
-        return ("X",), one
+        return ("X",), alike
     if np.ma.is_masked(species):
         raise ValueError("species must be labels; some are masked: fill them")
-    if isinstance(species, np.ndarray) and species.shape != (n_atoms,):
-        raise ValueError(f"{wanted}; their shape is {species.shape}")
+    if isinstance(species, str):
+        species = [species] * n_atoms
     try:
-        labels = np.asarray(
-            [species] * n_atoms if isinstance(species, str) else species, dtype=object
-        )
+        labels = species if isinstance(species, np.ndarray) else np.asarray(species, object)
     except ValueError as error:
-        raise ValueError(f"{wanted}: {error}") from None
+        raise ValueError(f"{expected}: {error}") from None
     if labels.shape != (n_atoms,):
-        raise ValueError(f"{wanted}; their shape is {labels.shape}")
-    kinds = (str, int | np.integer)
-    if not any(
-        all(isinstance(label, kind) and not isinstance(label, bool) for label in labels)
-        for kind in kinds
-    ):
+        raise ValueError(f"{expected}; their shape is {labels.shape}")
+    labels = labels.tolist()
+    are_texts = all(isinstance(label, str) for label in labels)
+    are_numbers = all(
+        isinstance(label, int | np.integer) and not isinstance(label, bool) for label in labels
+    )
+    if not (are_texts or are_numbers):
         raise ValueError(
-            f"species must be all strings or all whole numbers; they are {shown(labels[:3].tolist())} ..."
+            f"species must be all strings or all whole numbers; they are {shown(labels[:3])} ..."
         )
-    names, index = np.unique(labels.tolist(), return_inverse=True)
-    if strange := [name for name in names.tolist() if not str(name).isprintable()]:
-        raise ValueError(
-            f"species must be labels of printable characters; one is {shown(strange[0])}"
-        )
-    return tuple(names.tolist()), one if len(names) == 1 else index.astype(np.int64)
+    names, index = np.unique(labels, return_inverse=True)
+    species_names = tuple(names.tolist())
+    for name in species_names:
+        if not str(name).isprintable():
+            raise ValueError(
+                f"species must be labels of printable characters; one is {shown(name)}"
+            )
+    return species_names, alike if len(names) == 1 else index.astype(np.int64)
 
 
 def check_resolution(system: System, length: float, name: str) -> None:
     """Raise ValueError if separations of atoms have rounding errors of more than RESOLVED of a length.  name :
     of the length, in words."""
     farthest = largest_component(system.positions)
-    if EPS * farthest > RESOLVED * length:
-        error = f"{EPS * farthest:.1g}, more than a millionth of {name}, {length:.3g}"
-        most = RESOLVED * length / EPS
-        given = f"the largest is {farthest:.1e}, where rounding moves atoms by {error}"
+    error = EPS * farthest
+    if error > RESOLVED * length:
         raise ValueError(
-            f"positions must be below {most:.1e} in this scene; {given}: shift them towards the origin"
+            f"positions must be below {RESOLVED * length / EPS:.1e} in this scene; the largest is {farthest:.1e}, "
+            f"where rounding moves atoms by {error:.1g}, more than a millionth of {name}, {length:.3g}: shift them "
+            "towards the origin"
         )
 
 
-def local_density(positions: NDArray[np.float64], cell: Cell, width: float) -> float:
+def local_density(positions: Array, cell: Cell, width: float) -> float:
     """The density around an atom, in the mean over all atoms, at least N/V [1/length³].
 
         ρ = Σ n (n − 1) / (N V_b)   over bins of volume V_b with n atoms: −1, because no atom is its own neighbor
@@ -443,9 +416,7 @@ def local_density(positions: NDArray[np.float64], cell: Cell, width: float) -> f
     s -= np.where(cell.pbc, np.floor(s), s.min(axis=0))
     extent = np.where(cell.pbc, 1.0, np.maximum(width / cell.heights, s.max(axis=0)))
     counts = np.clip(np.floor(extent * cell.heights / width), 1, MOST_BINS).astype(np.int64)
-    bins = np.minimum((s / extent * counts).astype(np.int64), counts - 1)
-    n = np.unique(
-        (bins[:, 0] * counts[1] + bins[:, 1]) * counts[2] + bins[:, 2], return_counts=True
-    )[1]
+    i, j, k = np.minimum((s / extent * counts).astype(np.int64), counts - 1).T
+    n = np.unique((i * counts[1] + j) * counts[2] + k, return_counts=True)[1]
     around = float((n * (n - 1)).sum()) / len(s) * float(counts.prod())
     return max(len(s), around) / float(abs(np.linalg.det(cell.lattice)) * extent.prod())

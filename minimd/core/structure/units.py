@@ -61,13 +61,11 @@ class UnitSystem:
     def shown(self, time: float) -> str:
         """A time as text: with 4 digits below 1000 of the small unit, else with 6 digits in the large one; "2.5 fs",
         "12.5 ps", "0.004 τ"."""
-        shown = time * self.to_picosecond
-        small = shown * self.shown_small_time
-        return (
-            f"{small:.4g} {self.small_time}"
-            if abs(small) < 1000.0
-            else f"{shown:.6g} {self.shown_time}"
-        )
+        large = time * self.to_picosecond
+        small = large * self.shown_small_time
+        if abs(small) < 1000.0:
+            return f"{small:.4g} {self.small_time}"
+        return f"{large:.6g} {self.shown_time}"
 
 
 LJ = UnitSystem()
@@ -102,8 +100,5 @@ def _system(name: str) -> UnitSystem:
 
 def __dir__() -> list[str]:
     """The public names, without what this module imports."""
-    return [
-        name
-        for name in globals()
-        if name.isupper() or name in ("UnitSystem", "fs", "ps") or name.startswith("__")
-    ]
+    others = ("UnitSystem", "fs", "ps")
+    return [name for name in globals() if name.isupper() or name in others or name[:2] == "__"]

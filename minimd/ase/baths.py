@@ -90,7 +90,8 @@ class LangevinBath(Thermostat):
 
 class BussiBath(StochasticVelocityRescaling):
     """StochasticVelocityRescaling before the step; the caller counts the degrees of freedom n_dof, and the motion of
-    the center is rescaled, too.  relaxation_time : τ > 0 [time]."""
+    the center is rescaled, too.
+    relaxation_time : τ > 0 [time]."""
 
     substeps: ClassVar[Substeps] = BEFORE  # type: ignore[assignment] # mypy takes the row of the base for its type
 
@@ -116,7 +117,8 @@ class AndersenBath(Thermostat):
 
         v ← √(k_B T/m) ξ      with probability p in each step; ξ normal
 
-    probability : p in each step, 0 to 1.  keeps_center : whether the center of mass stays at rest; it gets a thermal
+    probability : p in each step, 0 to 1.
+    keeps_center : whether the center of mass stays at rest; it gets a thermal
     velocity before the collisions, which is removed after them.  H. C. Andersen, J. Chem. Phys. 72, 2384 (1980).
     """
 
@@ -157,7 +159,9 @@ class BerendsenBath(Splitting):
 
         v ← λ v,   λ² = 1 + (T/T′ − 1) Δt/τ,   0.9 ≤ λ ≤ 1.1
 
-    relaxation_time : τ, not 0.  n_dof : degrees of freedom in T′.  keeps_center : whether total momentum is removed, in
+    relaxation_time : τ, not 0.
+    n_dof : degrees of freedom in T′.
+    keeps_center : whether total momentum is removed, in
     equal shares from all atoms.  H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984).
     """
 
@@ -204,8 +208,11 @@ class Chain:
         η̇_j = p_j/Q_j,   ṗ_1 = 2K − n k_B T − p_1 p_2/Q_2,   ṗ_j = p_{j−1}²/Q_{j−1} − k_B T − p_j p_{j+1}/Q_{j+1},
         v̇ = −v p_1/Q_1
 
-    thermal : k_B T [energy].  n_dof : n.  relaxation_time : τ; Q_1 = n k_B T τ², all others k_B T τ².
-    length : M.  loops : substeps of a contact.
+    thermal : k_B T [energy].
+    n_dof : n.
+    relaxation_time : τ; Q_1 = n k_B T τ², all others k_B T τ².
+    length : M.
+    loops : substeps of a contact.
     eta, p : (M,) η_j and p_j.  G. J. Martyna, M. L. Klein, M. E. Tuckerman, J. Chem. Phys. 97, 2635 (1992);
     integrator: G. J. Martyna et al., Mol. Phys. 87, 1117 (1996).
     """

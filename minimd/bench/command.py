@@ -42,7 +42,8 @@ def benchmark(name: str, text: str, *arguments: Argument, description: str = "")
 
 
 def bench(name: str, arguments: Namespace) -> None:
-    """Run a benchmark, print its outcome, and write it with --out.  Raises as the benchmark."""
+    """Run a benchmark, print its outcome, and write it with --out.
+    Raises as the benchmark."""
     from minimd.bench.outcome import markdown, write
 
     if arguments.out:
@@ -60,14 +61,17 @@ def _outcome(name: str, arguments: Namespace, repeats: int) -> "Outcome":
         from minimd.bench.work_precision import run_work_precision
 
         return run_work_precision(arguments.scenes, quick, repeats)
+
     if name == "scene":
         from minimd.bench.ingredients import run_ingredients
 
         return run_ingredients(arguments.cells, repeats)
+
     if name == "scaling":
         from minimd.bench.scaling import run_scaling
 
         return run_scaling(arguments.threads, quick, repeats)
+
     from minimd.bench.peers import BESIDE_SCENES, PeersOptions, able_peers, run_peers
     from minimd.bench.scenes import SCENES
 
@@ -80,6 +84,7 @@ def _outcome(name: str, arguments: Namespace, repeats: int) -> "Outcome":
         cells = (10,)
         threads = threads or (1,)
         peers = peers or able_peers(BESIDE_SCENES, scenes)
+
     return run_peers(PeersOptions(scenes, arguments.cells or cells, threads, peers, repeats))
 
 

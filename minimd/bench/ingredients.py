@@ -26,7 +26,9 @@ PARTNERS = 1.3  # σ: only closer atoms are bonded; this is within the first pea
 
 
 class IngredientCost(NamedTuple):
-    """The cost of one ingredient.  seconds : (R,) of a step in each turn.  n_pairs : number of pairs in range."""
+    """The cost of one ingredient.
+    seconds : (R,) of a step in each turn.
+    n_pairs : number of pairs in range."""
 
     name: str
     n_atoms: int
@@ -59,12 +61,14 @@ class IngredientCosts:
         }
         pairs_of_melt = self.costs[0].n_pairs / self.costs[0].n_atoms
         cells = []
+
         for cost in self.costs:
             time = spread(1e6 * cost.seconds)
             ratio = self.ratio(cost)
             pairs = cost.n_pairs / cost.n_atoms
             by_pair = spread(ratio * pairs_of_melt / pairs)
             cells.append([cost.name, cost.n_atoms, time, spread(ratio), f"{pairs:.1f}", by_pair])
+
         head = (
             f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); only "
             "pairs in range are counted."
@@ -90,6 +94,7 @@ def run_ingredients(n: int, repeats: int) -> IngredientCosts:
     """Measure the time of the melt of 4 n³ atoms, and with one ingredient more or less, in turns."""
     n_atoms = 4 * n**3
     base = equilibrated(SCENES[scenes.MELT](n))
+
     with tempfile.TemporaryDirectory() as folder:
         ingredients = _ingredients(base, n, Path(folder))
         engines = [Minimd(scene, 1, *options) for scene, *options in ingredients.values()]
@@ -102,6 +107,7 @@ def run_ingredients(n: int, repeats: int) -> IngredientCosts:
         before = pairs()
         seconds = 1.0 / take_turns(engines, n_steps, repeats, n_atoms)
         n_pairs = 0.5 * np.add(before, pairs())
+
     sizes = [len(scene.system) for scene, *_ in ingredients.values()]
     tell("done")
     costs = map(IngredientCost, ingredients, sizes, n_pairs.tolist(), seconds)

@@ -37,7 +37,9 @@ Ratios = Array | None
 
 
 class Outcome(Protocol):
-    """The outcome of one benchmark.  name : in its files.  packages : whose versions matter, besides minimd, numba and
+    """The outcome of one benchmark.
+    name : in its files.
+    packages : whose versions matter, besides minimd, numba and
     numpy."""
 
     name: str
@@ -134,14 +136,16 @@ def summary(values: Ratios) -> dict[str, Any] | None:
 
 
 def new_figure(height: float) -> "Figure":
-    """An empty figure without a window.  height : inches."""
+    """An empty figure without a window.
+    height : inches."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(WIDTH, height), layout="constrained")
 
 
 def bars(ratios: Mapping[str, Array], label: str) -> "Figure":
-    """Bars for the medians of ratios, with the ranges of their rounds, and a line at 1.  label : of the axis."""
+    """Bars for the medians of ratios, with the ranges of their rounds, and a line at 1.
+    label : of the axis."""
     figure = new_figure(max(2.0, 0.3 * len(ratios)))
     axes = figure.subplots()
     rounds = np.array(list(ratios.values()))
@@ -201,6 +205,7 @@ def name_curves(panel: Any) -> None:
         return round(y / gap), -round(x, 2), y
 
     height = -1.0
+
     for curve in sorted(panel.lines, key=place):
         height = max(place(curve)[2], height + gap)
         color = curve.get_color()

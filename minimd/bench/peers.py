@@ -30,7 +30,8 @@ FROM_ATOMS = 256_000
 
 class EngineSpeed(NamedTuple):
     """The speed of one engine with one scene.
-    speeds : (R,) atom-steps per second in each turn.  bytes_per_atom : None if not measured."""
+    speeds : (R,) atom-steps per second in each turn.
+    bytes_per_atom : None if not measured."""
 
     engine: str
     threads: int
@@ -64,7 +65,8 @@ def ratios(rows: Sequence[EngineSpeed], row: EngineSpeed) -> tuple[outcome.Ratio
 
 class PeersOptions(NamedTuple):
     """Options of run_peers.
-    threads : if empty, one thread and all cores.  peers : names in PEERS; if empty, all that are installed; "none" for
+    threads : if empty, one thread and all cores.
+    peers : names in PEERS; if empty, all that are installed; "none" for
         no peer."""
 
     scenes: tuple[str, ...] = (MELT,)
@@ -76,7 +78,9 @@ class PeersOptions(NamedTuple):
 
 @dataclass
 class Peers:
-    """The rows of each scene and size.  texts : descriptions of the scenes, by name.  packages : of the peers that took
+    """The rows of each scene and size.
+    texts : descriptions of the scenes, by name.
+    packages : of the peers that took
     part."""
 
     texts: Mapping[str, str]
@@ -102,15 +106,19 @@ class Peers:
                 "minimd is faster by": float,
             }
             cells = []
+
             for own, peer in self.fastest():
                 ratio = spread(own.speeds / peer.speeds)
                 row = [own.scene, own.n_atoms, own.shown, peer.engine, peer.shown, ratio]
                 cells.append(row)
+
             lines += ["", *table(titles, cells)]
+
         for rows in self.sizes:
             scene = rows[0].scene
             title = f"## {scene}, {rows[0].n_atoms} atoms"
             lines += ["", title, "", f"{self.texts[scene]}.", "", *_table(rows)]
+
         return lines
 
     def fastest(self) -> list[tuple[EngineSpeed, EngineSpeed]]:
@@ -145,10 +153,12 @@ class Peers:
             }
             label = "speed of minimd, double, one thread, divided by that of the fastest peer"
             return outcome.bars(faster, label)
+
         rows = [row for rows in self.sizes for row in rows]
         all_threads = sorted({row.threads for row in rows})
         figure = outcome.new_figure(3.8 * len(all_threads))
         panels = figure.subplots(len(all_threads), sharex=True, sharey=True, squeeze=False)[:, 0]
+
         for panel, threads in zip(panels, all_threads, strict=True):
             curves = dict[str, list[EngineSpeed]]()
             for row in rows:
@@ -168,6 +178,7 @@ class Peers:
             )
             panel.yaxis.set_major_formatter("{x:g}")
             panel.yaxis.set_minor_formatter("{x:g}")
+
         for panel in panels:
             outcome.name_curves(panel)
         panels[-1].set_xlabel("atoms")
@@ -187,12 +198,14 @@ def _table(rows: Sequence[EngineSpeed]) -> list[str]:
     if has_memory:
         titles["bytes per atom"] = float
     cells = []
+
     for row in rows:
         name = f"**{row.engine}**" if row.is_minimd else row.engine
         cells.append([name, row.threads, row.precision, row.shown, *map(spread, ratios(rows, row))])
         if has_memory:
             memory = row.bytes_per_atom
             cells[-1].append("" if memory is None else f"{memory:.0f}")
+
     return table(titles, cells)
 
 
@@ -227,7 +240,8 @@ def able_peers(names: Iterable[str], scenes: Sequence[str]) -> tuple[str, ...]:
 
 
 def _checked_scenes(options: PeersOptions) -> dict[str, str]:
-    """The texts of the scenes, by name.  Raises ValueError for an unknown scene, or one with too small a cell."""
+    """The texts of the scenes, by name.
+    Raises ValueError for an unknown scene, or one with too small a cell."""
     _check_names("scene", options.scenes, SCENES)
     texts = {}
     smallest = min(options.cells)
@@ -243,27 +257,33 @@ def _checked_scenes(options: PeersOptions) -> dict[str, str]:
 
 
 def _checked_peers(options: PeersOptions) -> tuple[str, ...]:
-    """The peers that take part.  Raises ValueError for one that is unknown or missing, or can run no scene."""
+    """The peers that take part.
+    Raises ValueError for one that is unknown or missing, or can run no scene."""
     if options.peers == NO_PEERS:
         return ()
     allowed = (*PEERS, *NO_PEERS) if len(options.peers) == 1 else tuple(PEERS)
     _check_names("peers", options.peers, allowed)
     able = able_peers(PEERS, options.scenes)
+
     for name in options.peers:
         peer = PEERS[name]
         if name not in able:
             raise ValueError(
                 f"--peers {name} cannot run the scene {options.scenes[0]!r}; it runs {', '.join(peer.scenes)}"
             )
+
         if not peer.is_installed:
             raise ValueError(f"{peer.package} is {peer.remedy}")
+
     if options.peers:
         return options.peers
     missing = {}
+
     for name in able:
         peer = PEERS[name]
         if not peer.is_installed:
             missing[peer.package] = peer.remedy
+
     for package, remedy in missing.items():
         tell(f"no comparison with {package}: {remedy}")
     return tuple(name for name in able if PEERS[name].package not in missing)
@@ -286,16 +306,19 @@ def _beside(
     for count in dict.fromkeys((1, *threads)):
         asked.append((Minimd, count))
     counts = {"one": (1,), "each": threads, "most": (max(threads),)}
+
     for peer_name in peers:
         peer = PEERS[peer_name]
         is_wanted = peer_name in options.peers or n_atoms <= peer.most_atoms
         if is_wanted and name in peer.scenes:
             load = partial(_load, peer_name)
             asked += [(load, count) for count in counts[peer.threads]]
+
     if scene.error:
         groups = _accurate(asked, scene)
     else:
         groups = [{k: load(scene, count) for k, (load, count) in enumerate(asked)}]
+
     for group in groups:
         check_agreement([*group.values()], scene)
     tell(f"{name}: the energies agree")
@@ -303,15 +326,18 @@ def _beside(
     engines = [engine for group in groups for engine in group.values()]
     speeds = n_atoms * in_turns(engines, options.repeats, n_atoms)
     best = dict[int, EngineSpeed]()
+
     for k, engine, speed in zip(places, engines, speeds, strict=True):
         if k not in best or np.median(speed) > np.median(best[k].speeds):
             best[k] = EngineSpeed(
                 engine.name, engine.threads, engine.precision, name, n_atoms, speed
             )
+
     for k, row in best.items():
         if row.is_minimd and 4 * n**3 >= FROM_ATOMS:
             tell(f"{n_atoms} atoms: memory of minimd, {threads_text(row.threads)}")
             best[k] = row._replace(bytes_per_atom=bytes_per_atom(name, n, row.threads))
+
     return [best[k] for k in sorted(best)]
 
 
@@ -322,12 +348,14 @@ def _accurate(
     accuracy whose measured error is allowed, without those that do not reach it."""
     groups = []
     widest = 0.5 * scene.edges.min()
+
     for cutoff in [r for r in WATER_CUTOFFS if r <= widest] or [scene.law.cutoff]:
         exact = scene.cut(cutoff, EXACT)
         forces = Minimd(exact).forces
         charges = exact._replace(potentials=exact.potentials[1:])
         scale = np.linalg.norm(Minimd(charges).forces)
         group = dict[int, LoadedEngine]()
+
         for k, (load, count) in enumerate(asked):
             for accuracy in scene.error * LADDER:
                 engine = load(scene.cut(cutoff, accuracy), count)
@@ -339,12 +367,15 @@ def _accurate(
                     break
             else:
                 tell(f"{scene.name}: {engine.name}: left out, as no accuracy is high enough")
+
         groups.append(group)
+
     return groups
 
 
 def _load(name: str, scene: BenchScene, threads: int) -> LoadedEngine:
-    """A peer that has loaded the scene.  Raises ValueError for any failure of the peer."""
+    """A peer that has loaded the scene.
+    Raises ValueError for any failure of the peer."""
     try:
         return PEERS[name].load(scene, threads)
     except Exception as error:

@@ -29,7 +29,8 @@ MEMORY_STEPS = 120  # enough for the snapshots to which a failed run goes back
 
 
 class Size(NamedTuple):
-    """Times for one number of atoms.  seconds : for each number of threads (R,), of a step in each turn."""
+    """Times for one number of atoms.
+    seconds : for each number of threads (R,), of a step in each turn."""
 
     n_atoms: int
     seconds: dict[int, Array]
@@ -37,7 +38,8 @@ class Size(NamedTuple):
 
 @dataclass
 class Scaling:
-    """Times by size and threads.  memory : bytes per atom between 32 000 and memory_atoms atoms, if it is known."""
+    """Times by size and threads.
+    memory : bytes per atom between 32 000 and memory_atoms atoms, if it is known."""
 
     sizes: Sequence[Size]
     memory: float | None
@@ -104,7 +106,8 @@ class Scaling:
 
 
 def run_scaling(threads: Sequence[int], quick: bool, repeats: int) -> Scaling:
-    """Measure time and memory of the melt.  Raises ValueError for more threads than cores."""
+    """Measure time and memory of the melt.
+    Raises ValueError for more threads than cores."""
     numbers = dict.fromkeys((1, *thread_numbers(threads)))
     sizes = []
     for n in CELLS_QUICK if quick else CELLS:

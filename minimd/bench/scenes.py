@@ -66,8 +66,11 @@ EXACT = 1e-9  # accuracy of the sum with which errors are found
 
 class BenchScene(NamedTuple):
     """A system with its potentials, and how its steps are made.
-    text : a description in one line.  constraints : lengths held fixed.  method : with its time step and bath.
-    error : the largest of the forces of charges, of their rms; 0 without charges.  accuracy : asked for with charges.
+    text : a description in one line.
+    constraints : lengths held fixed.
+    method : with its time step and bath.
+    error : the largest of the forces of charges, of their rms; 0 without charges.
+    accuracy : asked for with charges.
     """
 
     name: str
@@ -105,7 +108,9 @@ class BenchScene(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """A scene before it has atoms.  build : makes them from n, without velocities.  rigid : lengths held fixed."""
+    """A scene before it has atoms.
+    build : makes them from n, without velocities.
+    rigid : lengths held fixed."""
 
     text: str
     build: Callable[[int], md.System]
@@ -176,7 +181,8 @@ def _beads(density: float, n: int) -> md.System:
 
 
 def _runs(molecules: NDArray[np.int64], size: int) -> NDArray[np.int64]:
-    """All runs of neighboring atoms in chains, (K, size).  molecules : (M, L), the atoms of each."""
+    """All runs of neighboring atoms in chains, (K, size).
+    molecules : (M, L), the atoms of each."""
     return sliding_window_view(molecules, size, axis=1).reshape(-1, size)
 
 
@@ -424,6 +430,7 @@ def pairs_in_range(scene: BenchScene, positions: Array) -> int:
         box = scene.edges
         places = positions % box
         places[places >= box] = 0.0  # by rounding
+
     names = scene.system.species_names
     trees = [cKDTree(places[scene.system.species == name], boxsize=box) for name in names]
     cutoffs = np.sqrt(scene.law.table(names)[:, :, 0])

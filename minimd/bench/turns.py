@@ -33,7 +33,8 @@ LONGEST_TURN = 5.0
 def check_agreement(engines: Sequence[LoadedEngine], scene: BenchScene) -> None:
     """Check that all engines have loaded the same scene and make the same steps; for this they make some steps.
     The total energy alone does not show a wrong time step, because it is conserved. The potential energy of a melting
-    crystal does.  Raises HandOverError if an engine differs from the first."""
+    crystal does.
+    Raises HandOverError if an engine differs from the first."""
     n_atoms = len(scene.system)
     heat = scene.temperature * scene.system.units.k_B
 
@@ -82,7 +83,8 @@ def take_turns(
     engines: Sequence[LoadedEngine], n_steps: Sequence[int], repeats: int, n_atoms: int
 ) -> Array:
     """Steps per second of each engine in each turn, (E, repeats).
-    The engines take turns because the speed of a machine drifts: so the drift affects all of them.  n_steps : (E,),
+    The engines take turns because the speed of a machine drifts: so the drift affects all of them.
+    n_steps : (E,),
     of a turn."""
     speeds = np.empty((len(engines), repeats))
     for turn in range(repeats):
@@ -104,7 +106,8 @@ def label(engine: LoadedEngine) -> str:
 
 
 def thread_numbers(threads: Sequence[int]) -> tuple[int, ...]:
-    """Numbers of threads, without repetition; if none are given, one and all cores.  Raises ValueError for more threads
+    """Numbers of threads, without repetition; if none are given, one and all cores.
+    Raises ValueError for more threads
     than cores."""
     cores = available_cores()
     most = max(threads, default=1)

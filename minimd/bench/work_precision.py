@@ -58,7 +58,10 @@ END = 2.0 * np.pi * PERIODS
 
 
 class Point(NamedTuple):
-    """One run.  who : engine and precision.  order : of its method.  forces : evaluations per unit of time.
+    """One run.
+    who : engine and precision.
+    order : of its method.
+    forces : evaluations per unit of time.
     Errors that are unknown are NaN, those of a run that failed infinite."""
 
     who: str
@@ -139,11 +142,13 @@ class Case(NamedTuple):
         first = [curve for curve in curves if curve[1] == md.VelocityVerlet.name]
         others = sorted((curve for curve in curves if curve not in first), key=rank)
         shown = {}
+
         for who, method in (first + others)[:MOST_CURVES]:
             points = curves[who, method]
             is_own = points[0].is_minimd
             errors = np.array([[p.oscillation] for p in points])
             shown[method if is_own else who] = [p.seconds for p in points], errors, is_own
+
         panel.set(xscale="log", yscale="log", xlabel="seconds", ylabel="oscillation of the energy")
         panel.set_title(f"{self.name}: time of a run of {self.duration}")
         draw(panel, shown)
@@ -230,6 +235,7 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
         truncation, cut = ARGONS[name]
         scene = scene._replace(potentials=(lennard_jones(truncation=truncation),))
         text += f"; {cut}"
+
     runs: list[tuple[type[Splitting], engines.Peer | None]] = []
     runs += [(SPLITTINGS[method], None) for method in (QUICK_METHODS if quick else SPLITTINGS)]
     if name != "argon-smooth":  # no peer has this potential
@@ -237,6 +243,7 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
         runs += [(md.VelocityVerlet, peer) for peer in peers if peer.is_installed]
     reference = _path(scene, SPLITTINGS[REFERENCE], REFERENCE_COST)
     points = []
+
     for method, peer in runs:
         for cost in COSTS_QUICK if quick else COSTS:
             steps = OBSERVATIONS * max(1, round(cost * DURATION / method.stages / OBSERVATIONS))
@@ -250,7 +257,9 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
             else:
                 make = partial(peer.load, own, 1)
                 distance = np.nan
+
             points.append(measured(own, steps, make, repeats, distance))
+
     text += f"; {len(scene.system)} atoms, one thread, {DURATION:g} τ"
     return Case(name, text, "τ", points)
 
@@ -284,6 +293,7 @@ def measured(
         steps * method.stages / DURATION,
     )
     seconds = np.inf
+
     for _ in range(repeats):
         engine = make()
         point = point._replace(who=engine.name)
@@ -300,7 +310,9 @@ def measured(
                     energies = np.append(energies, engine.total_energy())
         except (ArithmeticError, RuntimeError):
             return point
+
         seconds = min(seconds, taken)
+
     n_held = sum(len(rigid.pairs) for rigid in scene.constraints)
     n_dof = 3 * len(scene.system) - 3 - n_held
     scale = scene.temperature * np.sqrt(n_dof)
@@ -331,6 +343,7 @@ def _kepler(_name: str, quick: bool, repeats: int) -> Case:
     problem = md.integrators.SecondOrder(njit(attraction))
     points = []
     implicit = [method for method in IMPLICIT.values() if method.is_symmetric]
+
     for method in (*SPLITTINGS.values(), *implicit):
         for cost in COSTS_QUICK if quick else COSTS:
             # a tenth of the forces: orbits are slow
@@ -351,6 +364,7 @@ def _kepler(_name: str, quick: bool, repeats: int) -> Case:
             except (ConvergenceError, ArithmeticError):
                 points.append(point)
                 continue
+
             path = runs[-1][0]
             seconds = min(taken for _, taken in runs)
             kinetic = 0.5 * (path.v**2).sum(axis=1)
@@ -358,6 +372,7 @@ def _kepler(_name: str, quick: bool, repeats: int) -> Case:
             errors = about_line(path.t / END, kinetic + potential)
             errors["distance"] = float(np.linalg.norm(path.q[-1] - Q0))
             points.append(point._replace(forces=path.nfev / END, seconds=seconds, **errors))
+
     periods = f"{PERIODS} periods"
     units = "units a (half axis) and v (velocity in a circle)"
     text = f"Kepler's ellipse, eccentricity {ECCENTRICITY}, {periods}; {units}"

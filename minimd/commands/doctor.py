@@ -269,7 +269,8 @@ def lammps() -> Finding:
 
 
 def _moved(threads: int | None) -> md.Simulation:
-    """The liquid of 4000 atoms after some steps.  threads : their number; None for all cores."""
+    """The liquid of 4000 atoms after some steps.
+    threads : their number; None for all cores."""
     simulation = _liquid(10, threads=threads)
     simulation.run(STEPS_COMPARED, every=STEPS_COMPARED, progress=False)
     return simulation

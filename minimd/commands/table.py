@@ -17,7 +17,9 @@ from minimd.view.viewing import FRAMES
 
 
 class Argument(NamedTuple):
-    """One argument.  name : with dashes for an option.  more : further ones for argparse."""
+    """One argument.
+    name : with dashes for an option.
+    more : further ones for argparse."""
 
     name: str
     help: str
@@ -27,8 +29,12 @@ class Argument(NamedTuple):
 
 
 class Command(NamedTuple):
-    """One command.  run : called with the parsed arguments; returns False if a check failed.  help : in the list of
-    all commands.  below : its own commands, which it has in place of run.  epilog : after its help."""
+    """One command.
+    run : called with the parsed arguments; returns False if a check failed.
+    help : in the list of
+    all commands.
+    below : its own commands, which it has in place of run.
+    epilog : after its help."""
 
     name: str
     help: str
@@ -68,7 +74,8 @@ def add(parsers: Any, command: Command) -> None:
 
 
 def whole_number(text: str, least: int = 0) -> int:
-    """A whole number, for argparse.  Raises ArgumentTypeError for any other text, or a number that is too small."""
+    """A whole number, for argparse.
+    Raises ArgumentTypeError for any other text, or a number that is too small."""
     digits = text.replace("_", "")
     if not digits.isdecimal() or int(digits) < least:
         raise ArgumentTypeError(f"must be a whole number, at least {least}; it is {text!r}")
@@ -101,7 +108,8 @@ def refuse(what: str, place: Path, run: Path, metavar: str) -> NoReturn:
 
 
 def drawing(file: Path) -> str:
-    """Tell that a picture or a page is being drawn; returns the word for the end.  Raises OSError, ValueError for a
+    """Tell that a picture or a page is being drawn; returns the word for the end.
+    Raises OSError, ValueError for a
     place where it cannot be written."""
     from minimd.core.files.trajectory import checked_output
 
@@ -121,7 +129,8 @@ def tell_next(files: Iterable[Path]) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Run a scene.  Raises as run_scene."""
+    """Run a scene.
+    Raises as run_scene."""
     from minimd.scene import run_scene
 
     scene = scene_of(arguments)
@@ -142,7 +151,8 @@ def run(arguments: Namespace) -> None:
 
 
 def scan(arguments: Namespace) -> bool:
-    """Scan a scene, or print the status of a scan, with averages and picture; False if members have failed.  Raises as
+    """Scan a scene, or print the status of a scan, with averages and picture; False if members have failed.
+    Raises as
     scan_scene."""
     from minimd.ensemble.scan import parsed_setting, scan_scene
     from minimd.ensemble.table import save_picture, status
@@ -185,7 +195,8 @@ def slice_of_members(text: str) -> range:
 
 
 def resume(arguments: Namespace) -> None:
-    """Go on with a run.  Raises as resume_run."""
+    """Go on with a run.
+    Raises as resume_run."""
     from minimd.scene import resume_run
 
     resume_run(
@@ -199,7 +210,8 @@ def resume(arguments: Namespace) -> None:
 
 
 def replay(arguments: Namespace) -> None:
-    """Print the crash report and make the steps.  Raises as verify_frames and minimd.replay."""
+    """Print the crash report and make the steps.
+    Raises as verify_frames and minimd.replay."""
     from minimd.core.files.crash_file import read_crash_report
     from minimd.core.files.h5md_reader import verify_frames
 
@@ -216,7 +228,8 @@ def replay(arguments: Namespace) -> None:
 
 
 def lammps(arguments: Namespace) -> None:
-    """Hand a scene over.  Raises as hand_over_scene."""
+    """Hand a scene over.
+    Raises as hand_over_scene."""
     from minimd.lammps.handing_over import TRAJECTORY
     from minimd.scene.running import hand_over_scene
 
@@ -236,7 +249,8 @@ def lammps(arguments: Namespace) -> None:
 
 
 def check(arguments: Namespace) -> bool:
-    """Print the check of a file; True if it passed.  Raises as check_file."""
+    """Print the check of a file; True if it passed.
+    Raises as check_file."""
     from minimd.view.check import check_file
 
     result = check_file(arguments.file)
@@ -245,7 +259,8 @@ def check(arguments: Namespace) -> bool:
 
 
 def plot(arguments: Namespace) -> None:
-    """Draw the picture and print its name.  Raises as verify_frames, drawing and plot_file."""
+    """Draw the picture and print its name.
+    Raises as verify_frames, drawing and plot_file."""
     from minimd.core.files.h5md_reader import verify_frames
     from minimd.view.plot import plot_file
 
@@ -256,7 +271,8 @@ def plot(arguments: Namespace) -> None:
 
 
 def view(arguments: Namespace) -> None:
-    """Write the page and print its name.  Raises as verify_frames, drawing and minimd.view."""
+    """Write the page and print its name.
+    Raises as verify_frames, drawing and minimd.view."""
     from minimd.core.files.h5md_reader import verify_frames
 
     verify_frames(arguments.file)
@@ -273,7 +289,8 @@ def view(arguments: Namespace) -> None:
 
 
 def frames(arguments: Namespace) -> None:
-    """Write a file for each step.  Raises as minimd.Past."""
+    """Write a file for each step.
+    Raises as minimd.Past."""
     file = arguments.file
     progress = False if arguments.quiet else None
     past = md.Past(file, potentials_of(arguments))
@@ -294,7 +311,8 @@ def frames(arguments: Namespace) -> None:
 
 
 def archive(arguments: Namespace) -> None:
-    """Write the archive and print its size.  Raises as minimd.archive."""
+    """Write the archive and print its size.
+    Raises as minimd.archive."""
     file = arguments.file
     out = arguments.out or file.with_name(f"{file.stem}.archive.h5md")
     potentials = potentials_of(arguments)
@@ -309,7 +327,8 @@ def doctor(arguments: Namespace) -> Any:
 
 
 def grade(arguments: Namespace) -> bool:
-    """Print the grade of a class of dynamics; True if it passed.  Raises ValueError for one that is not there."""
+    """Print the grade of a class of dynamics; True if it passed.
+    Raises ValueError for one that is not there."""
     from minimd.judge.telling import as_dict, draw, named
 
     result = md.grade(named(arguments.dynamics), kind="dynamics", **dict(arguments.options))

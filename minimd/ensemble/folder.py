@@ -87,7 +87,9 @@ KINDS: dict[str, Callable[[Any], bool]] = {
 
 
 class Asked(NamedTuple):
-    """What was asked for.  seed : entropy of all random numbers.  parameters : of each member.  build, prepare, run :
+    """What was asked for.
+    seed : entropy of all random numbers.
+    parameters : of each member.  build, prepare, run :
     names of functions, with hashes of their code, see name_of."""
 
     seed: int
@@ -123,8 +125,11 @@ def alone(folder: Path) -> Iterator[None]:
 class EnsembleFolder:
     """The folder of an ensemble; if it is opened for writing, the journal of its members is locked until it is closed.
 
-    path : of the folder.  members : those that are made, None for all.  asked : what the last call asked for, None in
-    a new folder.  rows : of members that have ended, by index.
+    path : of the folder.
+    members : those that are made, None for all.
+    asked : what the last call asked for, None in
+    a new folder.
+    rows : of members that have ended, by index.
     """
 
     def __init__(self, path: Path, *, writes: bool, members: range | None = None) -> None:
@@ -144,7 +149,8 @@ class EnsembleFolder:
             raise
 
     def _claim(self) -> None:
-        """Lock the journal.  Raises OSError if that is impossible, or another call makes some of the members."""
+        """Lock the journal.
+        Raises OSError if that is impossible, or another call makes some of the members."""
         self.path.mkdir(parents=True, exist_ok=True)
         try:
             self._lock = locked(self._journal, create=True)
@@ -174,7 +180,8 @@ class EnsembleFolder:
         """Write the description of what is asked for now, and return it; the parameters of further members from earlier
         calls are appended.
 
-        resume : True to go on with the members in the folder, False to remove them.  any_seed : if there is a seed in
+        resume : True to go on with the members in the folder, False to remove them.
+        any_seed : if there is a seed in
         the folder, it is taken.
         Raises ValueError if the folder holds another ensemble.
         """
@@ -189,14 +196,17 @@ class EnsembleFolder:
                         f"folder {str(self.path)!r} holds another ensemble: {difference}; choose another folder, or "
                         "replace what is there with resume=False"
                     )
+
                 further = self.asked.parameters[len(asked.parameters) :]
                 asked = asked._replace(parameters=asked.parameters + further)
             else:
                 self._forget(resume)
+
             rows = asked.parameters
             columns = {name: [row[name] for row in rows] for name in rows[0]}
             size = {"parameters": columns, "members": len(rows), "minimd": __version__}
             write_whole(self.path / DESCRIPTION, json.dumps(asked._asdict() | size, indent=1))
+
         self.asked = asked
         return asked
 
@@ -215,7 +225,8 @@ class EnsembleFolder:
         os.ftruncate(self._lock, 0)
 
     def take(self, row: Row) -> None:
-        """Append the row of a member that has ended.  Raises OSError if it cannot be written, such as on a full
+        """Append the row of a member that has ended.
+        Raises OSError if it cannot be written, such as on a full
         disk."""
         index = row["index"]
         row = row | {"ended": time()}
@@ -262,7 +273,8 @@ class EnsembleFolder:
         return sorted(journals, key=str)
 
     def _folders(self) -> list[os.DirEntry[str]]:
-        """The folders of members.  Raises OSError if one of them is a link: what it leads to may belong to others."""
+        """The folders of members.
+        Raises OSError if one of them is a link: what it leads to may belong to others."""
         folders = [place for place in os.scandir(self.path) if FOLDER.fullmatch(place.name)]
         for place in folders:
             if not place.is_dir(follow_symlinks=False):
@@ -283,6 +295,7 @@ class EnsembleFolder:
                 raise ValueError(
                     f"members = {shown(n_members)}, but each parameter has {len(rows)} values"
                 )
+
             functions = [description[name] for name in FUNCTIONS]
             for name, function in zip(FUNCTIONS, functions, strict=True):
                 if not isinstance(function, str):
@@ -377,10 +390,12 @@ def name_of(function: Callable | None) -> str:
     if function is None:
         return ""
     arguments: list[Any] = []
+
     while isinstance(function, functools.partial):
         pairs = [*enumerate(function.args), *sorted(function.keywords.items())]
         arguments += [(name, value) for name, value in pairs if isinstance(value, Value)]
         function = function.func
+
     named: Any = function if hasattr(function, "__qualname__") else type(function)
     module = named.__module__
     script = getattr(sys.modules["__main__"], "__file__", None)
@@ -398,5 +413,6 @@ def name_of(function: Callable | None) -> str:
             code = ast.unparse(ast.parse(textwrap.dedent(inspect.getsource(named))))
     except (OSError, TypeError, SyntaxError):
         return name
+
     digest = hashlib.sha256(f"{code}{arguments or ''}".encode()).hexdigest()[:16]
     return name if name.startswith("minimd.") else f"{name}{CODE}{digest}"

@@ -52,7 +52,10 @@ LENGTH = 60  # characters of a note, so that each writing replaces the whole not
 class Member:
     """One run of an ensemble. member["temperature"] is its parameter of that name.
 
-    index : from 0.  parameters : value of each name.  steps : number of steps asked for.  file : its H5MD file.
+    index : from 0.
+    parameters : value of each name.
+    steps : number of steps asked for.
+    file : its H5MD file.
     entropy : of the ensemble; the seeds of all members are derived from it.
     """
 
@@ -88,7 +91,8 @@ class Member:
         If an earlier call was stopped before the end, the simulation takes over the state in the file and makes the
         remaining steps: file and record have the same bits as without the interruption.
 
-        every : steps between observations.  Raises as Simulation.run; FileExistsError if it is called twice.
+        every : steps between observations.
+        Raises as Simulation.run; FileExistsError if it is called twice.
         """
         from minimd.core.files.h5md_reader import read_file, verify_frames
 
@@ -117,7 +121,8 @@ def member_text(index: int, parameters: Mapping[str, Value]) -> str:
 
 def steps_in_file(simulation: Simulation, member: Member, first: int | None, every: int) -> Record:
     """Make the steps of a member, or the remaining ones if its run has begun at the step `first`, and write them to its
-    file; returns the record of all frames.  Raises as Simulation.run."""
+    file; returns the record of all frames.
+    Raises as Simulation.run."""
     from minimd.core.files.h5md_reader import read_file
 
     if first is None:
@@ -136,7 +141,8 @@ def file_of(index: int) -> Path:
 
 
 def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
-    """The parameters of each member.  parameters : number of members, columns of values, or a mapping for each member.
+    """The parameters of each member.
+    parameters : number of members, columns of values, or a mapping for each member.
 
     Raises ValueError, TypeError for anything else, no members, columns of different lengths, members with different
     names, values that are neither numbers nor texts, and names that are reserved for columns of the table.
@@ -154,9 +160,11 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
     else:
         n_members = checked_count("the number of members", parameters, 1, MOST_MEMBERS + 1)
         return [{} for _ in range(n_members)]
+
     if not rows:
         raise ValueError("an ensemble must have at least one member; parameters is empty")
     names = rows[0]
+
     for name in names:
         is_text = isinstance(name, str) and name != ""
         if not is_text or name in OWN_COLUMNS or name.endswith(OWN_ENDINGS):
@@ -164,6 +172,7 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
                 f"the name of a parameter must be a text, not one of {listed(OWN_COLUMNS)}, nor end in "
                 f"{' or '.join(OWN_ENDINGS)}: these are columns of the table; it is {shown(name)}"
             )
+
     for index, row in enumerate(rows):
         if row.keys() != names.keys():
             raise ValueError(
@@ -178,6 +187,7 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
                     f"parameter {name!r} must be a number, a text, True or False; for member {index} it is "
                     f"{shown(value)}"
                 )
+
     return [{name: row[name] for name in names} for row in rows]
 
 
@@ -198,7 +208,8 @@ def _from_columns(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done for every member; see ensemble.  call : unique name of this call of ensemble."""
+    """What is done for every member; see ensemble.
+    call : unique name of this call of ensemble."""
 
     build: Callable[[Member], Simulation]
     prepare: Callable[[Simulation, Member], Any] | None
@@ -219,16 +230,19 @@ def noting(member: Member) -> Iterator[list[Any]]:
 
     def keep() -> None:
         descriptor = -1
+
         while not ended.wait(SECONDS_BETWEEN_NOTES):
             state = "being prepared"
             if now:
                 simulation, first = now
                 state = f"at step {simulation.step - first} of {member.steps}"
+
             with suppress(OSError):  # a run does not fail because its note cannot be written
                 if descriptor < 0:
                     descriptor = new_file(place)
                 os.lseek(descriptor, 0, os.SEEK_SET)
                 os.write(descriptor, f"{state}\n".rjust(LENGTH).encode())
+
         if descriptor >= 0:
             os.close(descriptor)
 
@@ -277,11 +291,13 @@ def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
         row["crash_file"] = "" if file is None else str(file)
         row["is_blown_up"] = isinstance(error, NonFiniteError | ConstraintError)
         row["is_transient"] = isinstance(error, OSError | MemoryError)
+
     return row | {"seconds": perf_counter() - started}
 
 
 def work_through(plan: Plan, jobs: list[Job], _number: int) -> list[Row]:
-    """Do several jobs, one after the other.  _number : of this call, unique; dask would return the results of an equal
+    """Do several jobs, one after the other.
+    _number : of this call, unique; dask would return the results of an equal
     call."""
     return [work(plan, *job) for job in jobs]
 
@@ -296,6 +312,7 @@ def _results(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> R
         raise TypeError(
             f"build must return a Simulation; for {member} it returned {shown(simulation)}"
         )
+
     file = member.file
     stopped = file.with_suffix(STOPPED)
     crash = crash_file_place(True, file) or file
@@ -306,16 +323,19 @@ def _results(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> R
         with suppress(OSError, ValueError):
             simulation = Simulation.resume(file, simulation.potentials, threads=threads)
             first = int(read_file(file).record.step[0])
+
     if first is None:
         if begins_anew or plan.run is None:
             stopped.unlink(missing_ok=True)
         elif file.exists():  # `run` may write a new file, or go on with the old one
             os.replace(file, stopped)
+
         file.unlink(missing_ok=True)
         crash.unlink(missing_ok=True)
         file.parent.mkdir(parents=True, exist_ok=True)
         if plan.prepare is not None:
             plan.prepare(simulation, member)
+
     begun = simulation.step if first is None else first
     now += (simulation, begun)
     if plan.run is None:
@@ -324,6 +344,7 @@ def _results(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> R
         result = plan.run(simulation, member)
         stopped.unlink(missing_ok=True)
         n_steps = simulation.step - begun
+
     averages = averages_of(result)
     return {
         "status": DONE,
@@ -338,7 +359,8 @@ def _results(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> R
 def averages_of(result: Any) -> dict[str, tuple[float, float]]:
     """Means and errors, by name, of what the function run returned; none for None.
 
-    result : a Record, or a dict of numbers, of tuples (mean, error) or of series.  Raises TypeError, ValueError for
+    result : a Record, or a dict of numbers, of tuples (mean, error) or of series.
+    Raises TypeError, ValueError for
     anything else.
     """
     demand = (
@@ -352,13 +374,16 @@ def averages_of(result: Any) -> dict[str, tuple[float, float]]:
             if name not in ("step", "time"):
                 averages[name] = mean_and_error(column)
         return averages
+
     if not isinstance(result, Mapping):
         raise TypeError(f"{demand}; it returned {shown(result)}")
+
     for name, value in result.items():
         if not isinstance(name, str) or not name:
             raise TypeError(
                 f"{demand}, with texts as names; a name in the dict that it returned is {shown(name)}"
             )
+
         array = np.asarray(value)
         if array.dtype.kind not in "biuf" or array.ndim > 1:
             raise TypeError(f"{demand}; in the dict that it returned {name} = {shown(value)}")
@@ -368,4 +393,5 @@ def averages_of(result: Any) -> dict[str, tuple[float, float]]:
             averages[name] = float(array[0]), float(array[1])
         else:
             averages[name] = mean_and_error(array)
+
     return averages

@@ -110,7 +110,8 @@ def ensemble(
         the other.
     seed : entropy of the SeedSequence from which each member gets a child; None for that of the folder, or a random one
         in a new folder.
-    folder : for all files; see minimd.ensemble.folder.  resume : False to replace what is in the folder.
+    folder : for all files; see minimd.ensemble.folder.
+    resume : False to replace what is in the folder.
     members : make only these, such as range(0, 50): other calls, also on other machines, may make others in the same
         folder at the same time. The table has the members of all calls.
     retries : how often a member is tried again in this call if its worker has died, or after an error of files,
@@ -138,6 +139,7 @@ def ensemble(
     retries = checked_count("retries", retries, 0)
     n_workers = _check_executor(executor, workers, plan)
     chosen_members = checked_members(members, len(rows), resume)
+
     with EnsembleFolder(place, writes=True, members=members and chosen_members) as opened:
         entropy = randbits(128) if seed is None else seed
         functions = (name_of(build), name_of(prepare), name_of(run))
@@ -154,6 +156,7 @@ def ensemble(
             ):
                 tell(n_done)
                 jobs = _Jobs(_jobs_of(opened, asked, todo), retries, seconds)
+
                 for row in _rows(chosen, plan, jobs, most_waiting):
                     opened.take(row)
                     n_done += 1
@@ -167,11 +170,14 @@ def ensemble(
                 stopped.kept = ()
                 tell_ending(stopped)
                 raise
+
             raise Interrupted(f"interrupted: {state}", table) from None
         except EnsembleError:
             written_table(opened, asked, len(rows))
             raise
+
         table = written_table(opened, asked, len(rows))
+
     _tell_failures(table, opened.rows, chosen_members)
     return table
 
@@ -185,7 +191,8 @@ def _jobs_of(folder: EnsembleFolder, asked: Asked, indices: list[int]) -> Iterat
 class _Jobs:
     """Jobs that are to be done, in batches: those of short members together.
 
-    seconds : that a batch should take, 0 for batches of one.  retries : see ensemble.
+    seconds : that a batch should take, 0 for batches of one.
+    retries : see ensemble.
     """
 
     def __init__(self, jobs: Iterator[Job], retries: int, seconds: float) -> None:
@@ -204,7 +211,8 @@ class _Jobs:
         return list(islice(self._jobs, self._size))
 
     def take(self, batch: list[Job], future: Future) -> Iterator[Row]:
-        """The rows of a batch that has ended, without those of members that are tried again.  Raises EnsembleError if
+        """The rows of a batch that has ended, without those of members that are tried again.
+        Raises EnsembleError if
         members cannot be run, and KeyboardInterrupt."""
         for job, row in zip(batch, _rows_of(batch, future), strict=True):
             if row["status"] == DONE:
@@ -218,6 +226,7 @@ class _Jobs:
                 self._again.append(job)
             else:
                 yield row
+
         if self._recent:
             most = min(2 * self._size, MOST_IN_A_BATCH)
             wanted = max(1.0, self._seconds / max(1e-9, *self._recent))
@@ -250,8 +259,10 @@ def _rows(executor: Executor, plan: Plan, jobs: _Jobs, most_waiting: int) -> Ite
                         f"{batch[0][0]} could not be given to the executor: {type(error).__name__}: {sentence(error)}. "
                         f"{ANOTHER}"
                     ) from error
+
                 waiting[future] = batch
                 future.add_done_callback(ended.put)
+
             if not waiting:
                 return
             yield from next_rows()
@@ -265,7 +276,8 @@ def _rows(executor: Executor, plan: Plan, jobs: _Jobs, most_waiting: int) -> Ite
 
 
 def _rows_of(batch: list[Job], future: Future) -> list[Row]:
-    """The rows of a batch that has ended, also if its worker died.  Raises as _Jobs.take."""
+    """The rows of a batch that has ended, also if its worker died.
+    Raises as _Jobs.take."""
     try:
         rows: list[Row] = future.result()
         return rows
@@ -317,7 +329,8 @@ def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Execu
 
 
 def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) -> int:
-    """The number of processes to spawn.  Raises TypeError, ValueError, RuntimeError if functions, executor and workers
+    """The number of processes to spawn.
+    Raises TypeError, ValueError, RuntimeError if functions, executor and workers
     are wrong, or cannot work together."""
     functions = {"build": plan.build, "prepare": plan.prepare, "run": plan.run}
     for name, function in functions.items():
@@ -334,23 +347,28 @@ def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) 
                 "executor must have a method submit, like a concurrent.futures.Executor; executor = "
                 f"{shown(executor)}"
             )
+
     n_workers = available_cores() if workers is None else checked_count("workers", workers, 0)
     if isinstance(executor, ProcessPoolExecutor) or (executor is None and n_workers):
         for name, function in functions.items():
             _check_can_be_sent(name, function)
         frame = sys._getframe()
+
         while frame.f_back is not None:
             is_module = frame.f_code.co_name == "<module>"
             if is_module and frame.f_globals.get("__name__") == "__mp_main__":
                 raise RuntimeError(
                     f"a worker process imports the script, which calls md.ensemble again; {BELOW}"
                 )
+
             frame = frame.f_back
+
     return n_workers
 
 
 def checked_members(members: range | None, n_members: int, resume: bool) -> range:
-    """The indices of members that this call makes.  Raises ValueError."""
+    """The indices of members that this call makes.
+    Raises ValueError."""
     if members is None:
         return range(n_members)
     is_slice = isinstance(members, range) and members.step == 1
@@ -384,7 +402,8 @@ def _check_can_be_sent(name: str, function: Callable | None) -> None:
 
 
 def _tell_failures(table: EnsembleTable, rows: dict[int, Row], members: range) -> None:
-    """Warn of members that have failed, of those that were to be made.  Raises EnsembleError if all have failed."""
+    """Warn of members that have failed, of those that were to be made.
+    Raises EnsembleError if all have failed."""
     sentences = list(table.failures(members))
     n_failed = len(sentences)
     n_members = len(members)

@@ -56,7 +56,8 @@ class Setting(NamedTuple):
 def parsed_setting(text: str) -> Setting:
     """Read KEY=FROM:TO:STEP, where TO is included if a step reaches it, or KEY=VALUE,VALUE,...
 
-    Steps are counted in decimal arithmetic: 0.1:0.3:0.1 is 0.1, 0.2, 0.3.  Raises ValueError.
+    Steps are counted in decimal arithmetic: 0.1:0.3:0.1 is 0.1, 0.2, 0.3.
+    Raises ValueError.
     """
     key, _, values = text.partition("=")
     key = key.strip()
@@ -70,10 +71,12 @@ def parsed_setting(text: str) -> Setting:
         n = int((end - start) / step) + 1 if step else 0
     except (InvalidOperation, OverflowError, ValueError):
         raise ValueError(f"--set needs numbers FROM:TO:STEP; it is {text!r}") from None
+
     if not 1 <= n <= MOST_VALUES:
         raise ValueError(
             f"--set needs a STEP that leads from FROM to TO with at most {MOST_VALUES} values; it is {text!r}"
         )
+
     is_whole = all(number.lstrip("+-").isdecimal() for number in numbers)
     kind = int if is_whole else float
     return Setting(key, [kind(start + k * step) for k in range(n)])
@@ -94,27 +97,34 @@ def changed_text(path: Path, text: str, values: Iterable[tuple[str, Value]]) -> 
     import tomlkit
 
     document = tomlkit.parse(text)
+
     for key, value in values:
         node: Any = document
         *way, last = [part for part in re.split(r"[.\[\]]", key) if part]
+
         for part in way:
             try:
                 is_index = part.isdecimal() and isinstance(node, list)
                 node = node[int(part) if is_index else part]
             except (KeyError, IndexError, TypeError):
                 raise ValueError(f"{path} has no {key!r}, because it has no {part!r}") from None
+
         if not isinstance(node, dict):
             raise ValueError(
                 f"{path} has no {key!r}: {last!r} must be a key in a table; write an entry of a list as in "
                 "potential[0].cutoff"
             )
+
         node[last] = value
+
     return tomlkit.dumps(document)
 
 
 @dataclass(frozen=True)
 class SceneMembers:
-    """Builds and prepares the members of a scan.  path : of the scene, absolute.  text : of the scene."""
+    """Builds and prepares the members of a scan.
+    path : of the scene, absolute.
+    text : of the scene."""
 
     path: Path
     text: str
@@ -160,7 +170,9 @@ def scan_scene(
 
     Parameters
     ----------
-    steps : in place of those of the scene.  tell : called with each line of the report.  others : see ensemble.
+    steps : in place of those of the scene.
+    tell : called with each line of the report.
+    others : see ensemble.
 
     Raises
     ------
@@ -169,11 +181,13 @@ def scan_scene(
     scene = load_scene(path)
     place = Path(folder)
     build = SceneMembers(Path(path).absolute(), scene.text)
+
     for setting in settings:
         if setting.key in OF_THE_SCAN:
             raise ValueError(
                 f"{setting.key} is the same for all members of a scan; {OF_THE_SCAN[setting.key]}"
             )
+
     keys = [setting.key for setting in settings]
     combinations = product(*(setting.values for setting in settings))
     grid = [dict(zip(keys, values, strict=True)) for values in combinations]
@@ -186,6 +200,7 @@ def scan_scene(
     kept = place / SCENE
     checked_members(members, n_members, resume)
     place.mkdir(parents=True, exist_ok=True)
+
     with alone(place):
         if not (resume and kept.exists()):
             # refuses one that is in use, before the change
@@ -199,12 +214,14 @@ def scan_scene(
                     f"folder {str(place)!r} holds a scan of another scene, {kept}; choose another folder with --out, "
                     "or replace it with --overwrite"
                 )
+
     title = scene.sections.title
     tell(f"scene          {path}: {title}" if title else f"scene          {path}")
     if scene.sections.observer:
         tell(
             "NOTE           the observers of the scene are not used: they need a single run, and a scan has many"
         )
+
     for setting in settings:
         tell(f"set            {setting}")
     tell(

@@ -56,7 +56,9 @@ class EnsembleTable(Displayed):
     array : structured array: index, the parameters, status, n_steps, n_atoms, <name>_mean and <name>_error of each
         observable, file, message. status is "done", "failed", "begun" (stopped before its end) or "missing".
         Means are NaN for a member that is not done.
-    folder : of the ensemble.  parameters, observables : names.  units : the UnitSystem of the observables,
+    folder : of the ensemble.
+    parameters, observables : names.
+    units : the UnitSystem of the observables,
         None if it is not known.
 
     table["pressure_mean"] is a column of the array.
@@ -107,6 +109,7 @@ class EnsembleTable(Displayed):
         first = np.unique(groups, return_index=True)[1]
         columns = {name: rows[name][first] for name in self.parameters}
         columns["n_members"] = n
+
         for name in self.observables:
             means = rows[f"{name}_mean"]
             errors = rows[f"{name}_error"]
@@ -117,6 +120,7 @@ class EnsembleTable(Displayed):
             inner = np.sqrt(np.bincount(groups, errors**2, n_sets)) / n
             columns[f"{name}_mean"] = mean
             columns[f"{name}_error"] = np.fmax(inner, np.sqrt(scatter))
+
         return _structured(columns)
 
     def unit(self, name: str) -> str:
@@ -142,7 +146,8 @@ class EnsembleTable(Displayed):
 
     def write(self) -> None:
         """Write table.csv and table.json into the folder; numbers have all their digits, paths are relative to the
-        folder.  Raises OSError."""
+        folder.
+        Raises OSError."""
         columns = {name: column.tolist() for name, column in self._columns().items()}
         for index, file in enumerate(columns["file"]):
             if file:
@@ -159,7 +164,8 @@ class EnsembleTable(Displayed):
         write_whole(self.folder / "table.json", json.dumps(table))
 
     def failures(self, members: range | None = None) -> Iterator[str]:
-        """A sentence for each member that has failed.  members : consecutive indices of those that are told, None for
+        """A sentence for each member that has failed.
+        members : consecutive indices of those that are told, None for
         all."""
         rows = self.array if members is None else self.array[members.start : members.stop]
         for row in rows[rows["status"] == FAILED]:
@@ -208,6 +214,7 @@ def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTa
     rows = []
     states = []
     files = []
+
     for index in range(n_members):
         row = folder.rows.get(index, {})
         has_result = bool(row) and (row["status"] == FAILED or asked.is_done(row))
@@ -215,6 +222,7 @@ def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTa
         place = file_of(index).as_posix()
         files.append(str(folder.path / place) if place in on_disk else "")
         states.append(rows[-1].get("status", BEGUN if files[-1] else MISSING))
+
     columns: dict[str, Any] = {"index": np.arange(n_members)}
     for name in asked.parameters[0]:
         columns[name] = np.array([values[name] for values in asked.parameters[:n_members]])
@@ -222,11 +230,13 @@ def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTa
     for name in ("n_steps", "n_atoms"):
         columns[name] = np.array([row.get(name, 0) for row in rows], dtype=np.int64)
     names = list(dict.fromkeys(name for row in rows for name in row.get("means", ())))
+
     for ending, key in (("_mean", "means"), ("_error", "errors")):
         results = [row.get(key, {}) for row in rows]
         for name in names:
             numbers = [result.get(name, np.nan) for result in results]
             columns[name + ending] = np.array(numbers, dtype=np.float64)
+
     columns["file"] = np.array(files, object)
     columns["message"] = np.array([row.get("message", "") for row in rows], object)
     units = {row["units"] for row in rows if "units" in row}
@@ -235,7 +245,8 @@ def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTa
 
 
 def written_table(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTable:
-    """The same, written into the folder; it has all members if other calls may run there.  Raises OSError."""
+    """The same, written into the folder; it has all members if other calls may run there.
+    Raises OSError."""
     with alone(folder.path):
         if folder.members is not None:
             folder.read()
@@ -247,21 +258,25 @@ def written_table(folder: EnsembleFolder, asked: Asked, n_members: int) -> Ensem
 
 
 def status(folder: Path) -> tuple[EnsembleTable, list[str]]:
-    """The table as it is now, and lines about it.  Raises FileNotFoundError, ValueError for a folder without an
+    """The table as it is now, and lines about it.
+    Raises FileNotFoundError, ValueError for a folder without an
     ensemble."""
     with EnsembleFolder(folder, writes=False) as opened:
         if opened.asked is None:
             raise FileNotFoundError(
                 f"folder {str(folder)!r} holds no ensemble: there is no {DESCRIPTION} in it"
             )
+
         table = table_of(opened, opened.asked, len(opened.asked.parameters))
         steps = opened.asked.steps
         noted = sorted(int(Path(name).stem) for name in opened.files() if name.endswith(NOTE))
+
     notes = {index: read_note(opened.file(index)) for index in noted}
     running = [index for index in noted if notes[index]]
     begun = np.flatnonzero(table["status"] == BEGUN).tolist()
     stopped = [index for index in begun if not notes.get(index)]
     lines = str(table).splitlines()
+
     for word, members in (("running", running), ("begun", stopped)):
         for index in members[:MOST_TOLD]:
             progress = notes.get(index) or _progress(table["file"][index], steps)
@@ -269,6 +284,7 @@ def status(folder: Path) -> tuple[EnsembleTable, list[str]]:
         n_more = len(members) - MOST_TOLD
         if n_more > 0:
             lines.append(f"{'':<14} and {n_more} more")
+
     return table, lines
 
 
@@ -294,12 +310,14 @@ def told_averages(table: EnsembleTable) -> Iterator[str]:
     names = names or list(table.observables)
     columns = [[name, *map(str, rows[name][:MOST_LINES])] for name in table.parameters]
     columns.append(["members", *map(str, rows["n_members"][:MOST_LINES])])
+
     for name in names:
         unit = table.unit(name)
         title = name.replace("_", " ")
         averages = zip(rows[f"{name}_mean"], rows[f"{name}_error"], strict=True)
         cells = [with_error(*average) for average in islice(averages, MOST_LINES)]
         columns.append([f"{title} [{unit}]" if unit else title, *cells])
+
     widths = [max(map(len, column)) for column in columns]
     for line in zip(*columns, strict=True):
         yield "  ".join(f"{cell:>{width}}" for cell, width in zip(line, widths, strict=True))
@@ -342,6 +360,7 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
     for k, row in enumerate(rows):
         values = [f"{parameter.rpartition('.')[2]} = {row[parameter]}" for parameter in others]
         curves.setdefault(", ".join(values), []).append(k)
+
     for label, members in curves.items():
         curve = rows[members]
         x = np.arange(len(curve))
@@ -358,6 +377,7 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
             capsize=2.5,
             label=label.replace("$", r"\$"),
         )
+
     unit = table.unit(name).replace("k_B", "$k_B$")
     quantity = name.replace("_", " ").replace("$", r"\$")
     axes.set_xlabel(x_name or "set of parameters", parse_math=False)
@@ -373,7 +393,8 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
 def save_picture(
     table: EnsembleTable, quantity: str | None = None, out: Path | None = None
 ) -> Path:
-    """Save the figure to out, or to a file in the folder named after the quantity.  Raises ValueError as
+    """Save the figure to out, or to a file in the folder named after the quantity.
+    Raises ValueError as
     picture_of_scan, OSError."""
     place = out or table.folder / f"{drawn_quantity(table, quantity)}.png"
     return write_picture(picture_of_scan(table, quantity), place)

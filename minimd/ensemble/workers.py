@@ -113,7 +113,8 @@ class WorkerProcess:
         return False
 
     def do(self, job: bytes) -> Any:
-        """The result of a pickled job.  Raises what the job raises, WorkerDied if the process dies,
+        """The result of a pickled job.
+        Raises what the job raises, WorkerDied if the process dies,
         WorkerStopped if it was told to end."""
         try:
             self._pipe.send_bytes(job)
@@ -196,6 +197,7 @@ def named_executor(name: str, workers: int | None) -> Iterator[dict[str, Any] | 
         raise ValueError(
             f"--executor must be processes, threads, dask or mpi; --executor {shown(name)}"
         )
+
     try:
         if name == "dask":
             from dask import config
@@ -207,6 +209,7 @@ def named_executor(name: str, workers: int | None) -> Iterator[dict[str, Any] | 
         raise ValueError(
             f"--executor {name} needs {error.name}, which is missing: pip install 'minimd-engine[cluster]'"
         ) from error
+
     if name == "processes":
         yield {"workers": workers}
         return
@@ -217,6 +220,7 @@ def named_executor(name: str, workers: int | None) -> Iterator[dict[str, Any] | 
         raise ValueError(
             f"--executor {name} uses all processes of {owner}: leave out --workers, which is {workers}"
         )
+
     n_workers = max(1, available_cores() if workers is None else workers)
     opened: Any
     if name == "threads":
@@ -231,5 +235,6 @@ def named_executor(name: str, workers: int | None) -> Iterator[dict[str, Any] | 
                 "first process gives out the work"
             )
         opened = MPICommExecutor()
+
     with opened as executor:
         yield None if executor is None else {"executor": executor}

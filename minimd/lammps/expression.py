@@ -152,7 +152,8 @@ def applied(name: str, *inputs: Any) -> Any:
 
 def energy_expression(law: tuple, parameters: tuple[float, ...]) -> str:
     """u(r) [energy] of a law as an expression for Lepton, with the variable r [length].
-    law : law type, with its truncation.  parameters : its numbers.
+    law : law type, with its truncation.
+    parameters : its numbers.
     Raises UnwritableError for a law that Lepton cannot express."""
     try:
         if reads_table(law):
@@ -258,6 +259,7 @@ def written(expression: Any) -> str:
             if not math.isfinite(number):
                 raise UnwritableError(f"it contains the number {number}")
             return repr(number) if number >= 0.0 else f"(0-{-number!r})"
+
         if id(part) not in texts:
             operation = part.operation
             arguments = [text(argument) for argument in part.arguments]
@@ -268,6 +270,7 @@ def written(expression: Any) -> str:
                 named.append(f"t{len(named) + 1}={whole}")
                 whole = f"t{len(named)}"
             texts[id(part)] = whole
+
         return texts[id(part)]
 
     count(expression)

@@ -41,7 +41,8 @@ MAGIC = b"DUMPCUSTOM"
 
 def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, Array]]:
     """For each frame, its step and all columns but the first, (N, C); the first must be the id, which orders the rows.
-    A file that does not exist has no frame; one that is cut off or lacks atoms ends the iteration.  Raises ValueError
+    A file that does not exist has no frame; one that is cut off or lacks atoms ends the iteration.
+    Raises ValueError
     for a file that is not such a dump."""
     with suppress(EOFError, FileNotFoundError), path.open("rb") as file:
         while file.peek(1):  # type: ignore[attr-defined]
@@ -49,7 +50,8 @@ def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, Array]]:
 
 
 def _frame(file: BinaryIO, expected: int) -> tuple[int, Array]:
-    """The next frame.  Raises EOFError if it is cut off, or has another number of atoms."""
+    """The next frame.
+    Raises EOFError if it is cut off, or has another number of atoms."""
 
     def read(kind: str) -> tuple[Any, ...]:
         form = struct.Struct(f"={kind}")  # without gaps
@@ -62,6 +64,7 @@ def _frame(file: BinaryIO, expected: int) -> tuple[int, Array]:
         raise ValueError(
             "LAMMPS has written a dump in a format that minimd does not know; use LAMMPS of 2021 or later"
         )
+
     _revision, step, n_atoms, tilted = read("iqqi")
     if n_atoms != expected:
         raise EOFError
@@ -71,11 +74,13 @@ def _frame(file: BinaryIO, expected: int) -> tuple[int, Array]:
     _names_of_columns, n_processes = read(f"{size}si")
     rows = np.empty((n_atoms, n_columns - 1))
     filled = 0
+
     for _ in range(n_processes):
         (n_numbers,) = read("i")
         part = np.frombuffer(read(f"{8 * n_numbers}s")[0]).reshape(-1, n_columns)
         rows[part[:, 0].astype(np.int64) - 1] = part[:, 1:]
         filled += len(part)
+
     if filled != n_atoms:
         raise EOFError
     return step, rows
@@ -92,11 +97,16 @@ MOST_STEPS = 2**31  # one run of LAMMPS makes fewer
 @dataclass(frozen=True)
 class HandOver(Displayed):
     """The result of a hand-over.
-    folder : of all files.  trajectory : the H5MD file, from which Simulation.resume goes on.  record : Record of its
-        frames.  verification : of step 0.
+    folder : of all files.
+    trajectory : the H5MD file, from which Simulation.resume goes on.
+    record : Record of its
+        frames.
+    verification : of step 0.
     energy_difference : largest difference, in all frames, of the potential energies of LAMMPS and minimd, as a fraction
         of the largest of Verification.scale, the potential energy of the frame and its N k_B T.
-    seconds : of each phase.  version : of LAMMPS.  processes : their number."""
+    seconds : of each phase.
+    version : of LAMMPS.
+    processes : their number."""
 
     folder: Path
     trajectory: Path
@@ -172,17 +182,25 @@ def hand_over(
 
     Parameters
     ----------
-    folder : for all files; it must not exist, or must be empty.  steps : number of steps.  processes : number of MPI
+    folder : for all files; it must not exist, or must be empty.
+    steps : number of steps.
+    processes : number of MPI
         processes.
     every : steps between frames: the first state, and then those whose step is a multiple of every.
-    store_forces : also write forces.  overwrite : replace the folder.  progress : as for Simulation.run.  tell : called
+    store_forces : also write forces.
+    overwrite : replace the folder.
+    progress : as for Simulation.run.
+    tell : called
         with lines about the hand-over; None for silence.
 
     Raises
     ------
-    FileNotFoundError : if LAMMPS is not found, or mpiexec for several processes.  FileExistsError : for a folder that
-        is not empty.  OSError : for files.
-    ValueError : for a scene that LAMMPS cannot run as minimd does.  HandOverError : if LAMMPS disagrees or fails.
+    FileNotFoundError : if LAMMPS is not found, or mpiexec for several processes.
+    FileExistsError : for a folder that
+        is not empty.
+    OSError : for files.
+    ValueError : for a scene that LAMMPS cannot run as minimd does.
+    HandOverError : if LAMMPS disagrees or fails.
     The simulation is then in its state before, and the folder is removed. But if LAMMPS fails after it has written
     frames, the complete frames are kept, and the simulation is in the state of the last one.
     """
@@ -190,11 +208,13 @@ def hand_over(
     with_forces = checked_flag("store_forces", store_forces)
     tell = tell or (lambda line: None)
     engine = job.engine
+
     with _in_folder(job), stop_on_signals(job):
         with phase(job, "writing"):
             engine.begin()
             model = Model(engine)
             script.write(job.folder, engine, model, job.steps, job.every)
+
         tell(f"LAMMPS         {job.program.version}, on {_named(job.processes)}")
         for k, line in enumerate(not_carried_over(simulation)):
             tell(f"{'' if k else 'not carried':<14} {line}")
@@ -205,17 +225,21 @@ def hand_over(
         (job.folder / script.LOG).unlink()
         log = Log(job.folder / script.LOG)
         failure = ""
+
         with phase(job, "running"), progress_of(job.steps, "LAMMPS", progress) as show:
             try:
                 job.run(script.RUN, lambda step: show(step - job.first_step))
             except HandOverError as error:
                 failure = str(error)
+
         log.read_on()
+
         with phase(job, "reading back"):
             is_whole = not (failure or job.stop_requested)
             record, difference, n_missing = _brought_back(
                 job, model, log, verification.scale, with_forces, is_whole
             )
+
         _judge(job, failure, log, max(DISAGREEMENT, model.tolerance), record, difference, n_missing)
         answer = HandOver(
             job.folder,
@@ -247,7 +271,9 @@ def check_hand_over(
 
 @dataclass
 class Job:
-    """One hand-over, see hand_over.  seconds : of each phase.  stop_requested : by a signal, see console.signals."""
+    """One hand-over, see hand_over.
+    seconds : of each phase.
+    stop_requested : by a signal, see console.signals."""
 
     simulation: Simulation
     folder: Path
@@ -294,7 +320,8 @@ def _checked_job(
     every: int,
     overwrite: bool,
 ) -> Job:
-    """The hand-over.  Raises ValueError for a scene or numbers that LAMMPS cannot run; FileNotFoundError,
+    """The hand-over.
+    Raises ValueError for a scene or numbers that LAMMPS cannot run; FileNotFoundError,
     FileExistsError or OSError if LAMMPS is not found, or the files cannot be written there."""
     checked_kind("simulation", simulation, Simulation, "a Simulation")
     folder = checked_path("folder", folder)
@@ -304,6 +331,7 @@ def _checked_job(
             "a run with a barostat cannot be handed over to LAMMPS, which has other barostats than "
             "minimd; run it with minimd"
         )
+
     steps = checked_count("steps", steps, limit=MOST_STEPS)
     every = checked_count("every", every)
     processes = checked_count("processes", processes)
@@ -317,12 +345,15 @@ def _checked_job(
         raise FileExistsError(
             f"folder {str(folder)!r} exists and is not empty; choose another name, or pass overwrite=True"
         )
+
     if is_file:
         raise FileExistsError(f"{str(folder)!r} is a file; choose another name")
+
     for name in sorted(names - {TRAJECTORY, OUTPUT, *script.FILES}):
         raise FileExistsError(
             f"{str(folder)!r} holds more than a hand-over, such as {name!r}; choose another name"
         )
+
     parent = folder.absolute().parent
     if not parent.is_dir():
         raise FileNotFoundError(f"folder {str(parent)!r} does not exist; make it first")
@@ -335,6 +366,7 @@ def _checked_job(
             f"the hand-over needs {needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the "
             f"disk has {free / 1e9:.2g} GB left; free some space, or write frames less often (every = {every})"
         )
+
     return job
 
 
@@ -356,9 +388,11 @@ def _in_folder(job: Job) -> Iterator[None]:
             job.engine.restore(before)
             if old is not None:
                 old.rename(folder)
+
         if isinstance(error, OSError) and error.strerror:
             raise type(error)(f"the hand-over to LAMMPS failed: {sentence(error)}") from None
         raise
+
     _remove_raw(job)
     if old is not None:
         shutil.rmtree(old)
@@ -370,7 +404,8 @@ def _remove_raw(job: Job) -> None:
 
 
 def _verified(job: Job, model: Model) -> Verification:
-    """Compare step 0 in the scene and in a copy.  Raises HandOverError if LAMMPS and minimd differ."""
+    """Compare step 0 in the scene and in a copy.
+    Raises HandOverError if LAMMPS and minimd differ."""
     copy, ours = in_both(job.engine, model.smallest_cutoff, model.skin)
     box = Box(copy.cell, copy.positions)
     box.make_room(model.reach)
@@ -383,6 +418,7 @@ def _verified(job: Job, model: Model) -> Verification:
             f"LAMMPS runs on {log.processes} process instead of {job.processes}; {job.program.lmp} was "
             f"probably built without MPI, or for another mpiexec than {job.program.mpiexec}: {INSTALL}"
         )
+
     theirs = []
     for name, box_of_file in zip(script.STEP_0, (model.box, box), strict=True):
         for _, columns in frames(job.folder / name, len(copy)):
@@ -452,6 +488,7 @@ def _brought_back(
                     n_missing -= 1
     finally:
         notes["title"] = title
+
     job.simulation.record = record
     return record, float(np.max(differences)), n_missing
 
@@ -466,6 +503,7 @@ def _stand(job: Job, box: Box, step: int, columns: Array) -> None:
             f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step "
             f"({timestep:g})"
         )
+
     half = 0.5 * (step - engine.step) * timestep
     limit = box.most_images // 2
     most = np.abs(box.crossed(half * (velocities - engine.velocities))).max()
@@ -475,6 +513,7 @@ def _stand(job: Job, box: Box, step: int, columns: Array) -> None:
             f"uncertain by {most:.3g} cells since step {engine.step}, and LAMMPS counts {limit} "
             f"at most; bring frames back more often (every = {job.every})"
         )
+
     engine.positions[:] = box.positions_back(
         columns[:, :3], engine.positions + half * (velocities + engine.velocities)
     )
@@ -509,8 +548,10 @@ def _judge(
         )
     else:
         return
+
     if job.keeps_frames:
         kept = f"{len(record)} frames up to step {job.engine.step} are kept in {job.folder / TRAJECTORY}"
         # the name of the signal follows
         reason = f"{kept}; {reason}" if job.stop_requested else f"{reason}; {kept}"
+
     raise KeyboardInterrupt(reason) if job.stop_requested else HandOverError(reason)

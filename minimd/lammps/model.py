@@ -38,7 +38,8 @@ def rigid_groups(
     constraints: DistanceConstraints, n_atoms: int
 ) -> tuple[Indices, Array, Indices, Array]:
     """The bonds (B, 2) with lengths (B,) [length], and the angles (A, 3), the middle atom second, with openings (A,)
-    [rad], that keep these lengths.  Raises ValueError for molecules that LAMMPS cannot hold."""
+    [rad], that keep these lengths.
+    Raises ValueError for molecules that LAMMPS cannot hold."""
     pairs = constraints.pairs
     lengths = np.asarray(constraints.lengths)
     molecule = connected(pairs, n_atoms)
@@ -56,6 +57,7 @@ def rigid_groups(
             f"{CAN}; the rigid molecule of atom {atoms[0]} has {len(atoms)} atoms and {n_bonds[wrong[0]]} lengths: "
             "run this scene with minimd"
         )
+
     in_triangle = is_triangle[of_pair]
     sides = np.flatnonzero(in_triangle)
     triangles = sides[np.argsort(of_pair[sides], kind="stable")].reshape(-1, 3)
@@ -67,15 +69,18 @@ def rigid_groups(
 def _opened(
     pairs: Indices, lengths: Array, triangles: Indices
 ) -> tuple[Indices, Indices, Indices, Array]:
-    """Two equal sides of each triangle, the atoms of the angle between them, and the angle.  triangles : (A, 3)
+    """Two equal sides of each triangle, the atoms of the angle between them, and the angle.
+    triangles : (A, 3)
     indices of pairs."""
     sides = lengths[triangles]
     longest = sides.max(axis=1, keepdims=True, initial=1.0)
     differences = np.abs(sides - np.roll(sides, -1, axis=1)) / longest
+
     for k in np.flatnonzero(differences.min(axis=1) > EQUAL):
         raise ValueError(
             f"{CAN}; the triangle of atom {pairs[triangles[k, 0], 0]} has no equal sides: run this scene with minimd"
         )
+
     # the first of two equal sides; the second follows it, cyclically
     equal = np.argmin(differences, axis=1)
     rows = np.arange(len(triangles))
@@ -115,7 +120,9 @@ LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smo
 
 class AtomTypes(NamedTuple):
     """One type for each combination of species, mass, and whether an atom is held fixed.
-    of_atom : (N,) type of each atom, from 0 on.  species : (T,) index of the species of a type.  masses : (T,) [mass].
+    of_atom : (N,) type of each atom, from 0 on.
+    species : (T,) index of the species of a type.
+    masses : (T,) [mass].
         is_fixed : (T,) bool."""
 
     of_atom: Indices
@@ -125,7 +132,8 @@ class AtomTypes(NamedTuple):
 
     @classmethod
     def of(cls, engine: Engine) -> "AtomTypes":
-        """The types of atoms of an engine.  Raises ValueError for more than MOST_TYPES."""
+        """The types of atoms of an engine.
+        Raises ValueError for more than MOST_TYPES."""
         system = engine.system
         fixed = engine.constraint_set.inverse_masses == 0.0
         atoms = np.column_stack([system.species_index, system.masses, fixed])
@@ -141,7 +149,10 @@ class AtomTypes(NamedTuple):
 
 class Groups:
     """Bonds, angles or dihedrals, with their types.
-    size : atoms in a group.  coefficients : style and numbers of types.  atoms : (G, size).  types : (G,), from 0 on.
+    size : atoms in a group.
+    coefficients : style and numbers of types.
+    atoms : (G, size).
+    types : (G,), from 0 on.
     """
 
     def __init__(self, size: int) -> None:
@@ -154,7 +165,9 @@ class Groups:
         self, atoms: Indices, parameters: Array, written: Callable[[list[float]], Style]
     ) -> range:
         """Add groups, with a new type for each of the different rows of parameters, and return the new types.
-        atoms : (G, size).  parameters : (G, P).  written : called with P numbers, gives the coefficients of a type."""
+        atoms : (G, size).
+        parameters : (G, P).
+        written : called with P numbers, gives the coefficients of a type."""
         first = len(self.coefficients)
         rows, of_each = np.unique(parameters, axis=0, return_inverse=True)
         self.atoms = np.concatenate([self.atoms, atoms.reshape(-1, self.size)])
@@ -163,7 +176,8 @@ class Groups:
         return range(first, len(self.coefficients))
 
     def commands(self, word: str) -> list[str]:
-        """Styles and coefficients as commands.  word : bond, angle or dihedral."""
+        """Styles and coefficients as commands.
+        word : bond, angle or dihedral."""
         styles = dict(self.coefficients)
         if not styles:
             return []
@@ -177,8 +191,11 @@ class Groups:
 
 
 class PairStyle(NamedTuple):
-    """name : of the style.  cutoff : the largest [length].  shift : whether LAMMPS subtracts u(r_c).
-    scale : bonded_scale.  coefficients : for each pair of types, the types as LAMMPS writes them, and the parameters.
+    """name : of the style.
+    cutoff : the largest [length].
+    shift : whether LAMMPS subtracts u(r_c).
+    scale : bonded_scale.
+    coefficients : for each pair of types, the types as LAMMPS writes them, and the parameters.
     """
 
     name: str
@@ -193,10 +210,17 @@ class Model:
 
     Attributes
     ----------
-    box : Box.  types : AtomTypes.  joined : Groups by LAMMPS' word for one.  bonds, angles : two of them.
+    box : Box.
+    types : AtomTypes.
+    joined : Groups by LAMMPS' word for one.
+    bonds, angles : two of them.
     rigid_bonds, rigid_angles : the types that fix shake holds.
-    charges : (N,) [√(energy · length)].  kspace : commands for their sum over waves.  tolerance : of step 0.
-    pair_styles : list of PairStyle.  cutoff, skin : [length], of lists.  search : how these are built.
+    charges : (N,) [√(energy · length)].
+    kspace : commands for their sum over waves.
+    tolerance : of step 0.
+    pair_styles : list of PairStyle.
+    cutoff, skin : [length], of lists.
+    search : how these are built.
     reach : [length], of the communication between processes.
 
     Raises
@@ -280,6 +304,7 @@ class Model:
             for i, j in combinations_with_replacement(range(len(species)), 2):
                 row = table[species[i], species[j]]
                 coefficients.append((f"{i + 1} {j + 1}", numbers(*row.tolist())))
+
         is_shifted = is_own and isinstance(law, Shifted)
         return PairStyle(
             style, cutoffs.max(), is_shifted, tuple(potential.bonded_scale), coefficients
@@ -298,10 +323,12 @@ class Model:
             obstacle = (
                 obstacle or f"accuracy must be at least {FINEST:g}, and is {potential.accuracy:g}"
             )
+
         if obstacle:
             raise ValueError(
                 f"LAMMPS cannot sum these charges as minimd does: {obstacle}; run this scene with minimd"
             )
+
         present = evaluate(engine.system, potential)
         rms = np.sqrt((present.forces**2).sum(axis=1).mean())
         least = np.abs(present.energies).mean() / term.cutoff
@@ -354,6 +381,7 @@ class Model:
         names = [style.name for style in self.pair_styles]
         styles = " ".join(f"{style.name} {words(style.cutoff)}" for style in self.pair_styles)
         lines = [f"pair_style {hybrid}{styles}"]
+
         for k, style in enumerate(self.pair_styles):
             label = of_pair = ""
             if is_hybrid:
@@ -362,12 +390,14 @@ class Model:
                     f"{style.name} {number} " if names.count(style.name) > 1 else f"{style.name} "
                 )
                 of_pair = f"pair {label}"
+
             for types, numbers in style.coefficients:
                 lines.append(f"pair_coeff {types} {label}{numbers}")
             if style.shift:
                 lines.append(f"pair_modify {of_pair}shift yes")
             if style.scale != self.special_bonds():
                 lines.append(f"pair_modify pair {label}special lj/coul {words(*style.scale)}")
+
         return lines + self.kspace + linked
 
 
@@ -377,7 +407,8 @@ def words(*numbers: float) -> str:
 
 
 def _coefficients(potential: Bonded, row: list[float]) -> Style:
-    """Style and numbers of a bond, an angle or a dihedral.  Raises ValueError for a law that LAMMPS does not have."""
+    """Style and numbers of a bond, an angle or a dihedral.
+    Raises ValueError for a law that LAMMPS does not have."""
     if potential.lammps is not None:
         return potential.lammps.name, words(*potential.lammps.numbers(*row))
     if potential.acts_on == "bonds":

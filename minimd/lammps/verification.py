@@ -30,10 +30,12 @@ PART = 0.01
 
 class Verification(NamedTuple):
     """The largest differences at step 0, each relative to the largest of its kind; the worse of scene and copy.
-    energy : of the whole scene, relative to Σ|e_i| of the atoms.  energies, forces, virials : of single atoms, relative
+    energy : of the whole scene, relative to Σ|e_i| of the atoms.
+    energies, forces, virials : of single atoms, relative
         to the largest one; forces and virials to the larger of both, one being the other at the largest cutoff; where
         they vanish or cancel, as in a crystal or a dilute gas, to what follows from energies or the copy.
-    atom : the atom whose force differs most.  scale : of energies [energy]: Σ|e_i|, or PART of that of the copy if it
+    atom : the atom whose force differs most.
+    scale : of energies [energy]: Σ|e_i|, or PART of that of the copy if it
         is larger."""
 
     energy: float
@@ -69,6 +71,7 @@ class Verification(NamedTuple):
 def on_a_cutoff(engine: Engine) -> str:
     """A clause about a pair that interacts, on a cutoff at which energy or force jumps; empty if there is none."""
     system = engine.system
+
     for potential in engine.interactions.potentials:
         if not isinstance(potential, Nonbonded) or potential.cutoff == np.inf:
             continue
@@ -80,6 +83,7 @@ def on_a_cutoff(engine: Engine) -> str:
         first, second, distances = neighbor_list("ijd", system, reach)
         at = cutoffs[species[first], species[second]]
         scales = bonded_scales(potential, system)
+
         for k in np.flatnonzero(np.abs(distances - at) <= TOLERANCE * at):
             pair = (int(first[k]), int(second[k]))
             if scales.get(frozenset(pair), 1.0) != 0.0:
@@ -88,13 +92,15 @@ def on_a_cutoff(engine: Engine) -> str:
                     f"{type(potential).__name__}, where rounding decides whether they interact: change the cutoff, "
                     "or take truncation='force-shifted'"
                 )
+
     return ""
 
 
 class Evaluated(NamedTuple):
     """For each atom: energies (N,) [energy], forces (N, 3) [energy/length], virials (N, 6) [energy],
     as xx yy zz yz xz xy.
-    length : the largest cutoff [length], or 1.  n_idle : number of potentials without any energy."""
+    length : the largest cutoff [length], or 1.
+    n_idle : number of potentials without any energy."""
 
     energies: Array
     forces: Array
@@ -112,6 +118,7 @@ def evaluated(engine: Engine, system: System) -> Evaluated:
     virials = np.zeros((n, 6))
     lengths = []
     n_idle = 0
+
     for potential in engine.interactions.potentials:
         with quiet():
             alone = Forces(system, potential, options)
@@ -124,6 +131,7 @@ def evaluated(engine: Engine, system: System) -> Evaluated:
         if np.isfinite(alone.largest_cutoff):
             lengths.append(alone.largest_cutoff)
         n_idle += not own.any()
+
     return Evaluated(energies, forces, virials, max(lengths, default=1.0), n_idle)
 
 
@@ -136,7 +144,8 @@ def in_both(
     has an energy in two sizes in succession, so that the energy is not only that of a pair at the cutoff. If no size
     achieves this, the copy is the first one with the smallest number of terms without energy.
     If energies are not finite in any size, it is the scene itself.
-    shortest : the smallest cutoff [length].  skin : [length].
+    shortest : the smallest cutoff [length].
+    skin : [length].
         Raises NonFiniteError if energies or forces of the scene are not finite."""
     system = engine.system
     scene = before = evaluated(engine, system)
@@ -149,6 +158,7 @@ def in_both(
     least = 0.0
     fewest = np.inf
     chosen = (system, scene)
+
     while size * SMALLER >= least and fewest > 0:
         size *= SMALLER
         copy = system.copy()
@@ -163,14 +173,17 @@ def in_both(
         if fewest > 0 and least == 0.0:
             closest = closest_pair(system)
             least = NEAREST * shortest / closest.distance if closest is not None else np.inf
+
     return chosen[0], (scene, chosen[1])
 
 
 def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> Verification:
-    """Compare the numbers of scene and copy.  Raises HandOverError if those of LAMMPS are missing."""
+    """Compare the numbers of scene and copy.
+    Raises HandOverError if those of LAMMPS are missing."""
     rows = []
     atoms = []
     sizes = [float(np.abs(each.energies).sum()) for each in ours]
+
     for own, size, part in zip(ours, sizes, (PART, 0.0), strict=True):
         other = next(theirs, None)
         if other is None:
@@ -183,6 +196,7 @@ def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> V
         kinds = zip(own[:3], other[:3], (energy, virial / own.length, virial), strict=True)
         rows.append([whole, *(_largest(b - a) / most for a, b, most in kinds)])
         atoms.append(longest(other.forces - own.forces)[0])
+
     energy, energies, forces, virials = np.max(rows, axis=0).tolist()
     atom = int(atoms[np.argmax(rows, axis=0)[2]])
     scale = max(sizes[0], PART * sizes[1])

@@ -77,7 +77,8 @@ class Frames:
     Attributes
     ----------
     system : System, a copy made with the first frame; None before.
-    conserves_momentum : whether the simulation does.  moves_freely : whether nothing holds its center of mass.
+    conserves_momentum : whether the simulation does.
+    moves_freely : whether nothing holds its center of mass.
     turn : Turn of a cell in an orientation that MDAnalysis does not hold; positions and velocities are kept turned.
         Else None.
     """
@@ -97,7 +98,8 @@ class Frames:
         return len(self._rows)
 
     def __call__(self, simulation: Simulation) -> None:
-        """Keep the present state.  Raises ValueError for another number of atoms than before."""
+        """Keep the present state.
+        Raises ValueError for another number of atoms than before."""
         system = simulation.system
         units = system.units
         angstrom = units.to_angstrom
@@ -131,7 +133,8 @@ class Frames:
         return np.array([row[name] for row in self._rows])
 
     def reader_arguments(self, dt: float) -> dict[str, Any]:
-        """Arguments for RecordedReader.  dt : time between frames [ps, or τ]."""
+        """Arguments for RecordedReader.
+        dt : time between frames [ps, or τ]."""
         positions, velocities, dimensions = map(np.stack, zip(*self._moving, strict=True))
         return {
             "coordinate_array": positions,
@@ -143,7 +146,8 @@ class Frames:
 
 
 class RecordedReader(MemoryReader):
-    """MDAnalysis' reader of arrays, with the recorded times and observables.  rows : for each frame the entries of
+    """MDAnalysis' reader of arrays, with the recorded times and observables.
+    rows : for each frame the entries of
     ts.data, with its time."""
 
     def __init__(
@@ -160,7 +164,8 @@ class RecordedReader(MemoryReader):
 
 
 class RunReader(H5MDReader):
-    """Frames of a minimd file.  turn : of its cell, or None; a transformation, but one that is not the user's, who can
+    """Frames of a minimd file.
+    turn : of its cell, or None; a transformation, but one that is not the user's, who can
     set transformations only once."""
 
     @store_init_arguments
@@ -179,7 +184,9 @@ class RunReader(H5MDReader):
 
 
 class RunUniverse(MDAnalysis.Universe):
-    """The universe of a run.  system : System.  contents : of its file, apart from frames; a universe in memory has
+    """The universe of a run.
+    system : System.
+    contents : of its file, apart from frames; a universe in memory has
     none."""
 
     system: System
@@ -212,7 +219,8 @@ def universe(
 
     Raises
     ------
-    FileNotFoundError, OSError, ValueError : as read_file.  ValueError : for Frames that are
+    FileNotFoundError, OSError, ValueError : as read_file.
+    ValueError : for Frames that are
         empty.
     """
     spacing = {}
@@ -365,7 +373,9 @@ def universe_of(run: Run) -> Iterator[RunUniverse]:
 
 
 class RadialDistribution(NamedTuple):
-    """g(r) of all atoms.  r : (B,) [length of the file].  g : (B,) dimensionless."""
+    """g(r) of all atoms.
+    r : (B,) [length of the file].
+    g : (B,) dimensionless."""
 
     r: Array
     g: Array
@@ -384,7 +394,8 @@ def radial_distribution(
     """g(r) by the observer RadialDistribution, in the cell of each frame, without the first bin, from evenly chosen
     frames. Bonded pairs count like all others.
 
-    run : an argument of universe, or a universe.  r_max : as for the observer [length of the file].
+    run : an argument of universe, or a universe.
+    r_max : as for the observer [length of the file].
 
     Raises
     ------
@@ -448,7 +459,8 @@ class Diffusion(Displayed):
     error : standard error of D, from blocks of time.
     infinite, infinite_error : D in an infinite system, by the correction of Yeh and Hummer; None if no viscosity was
         given.
-    window : lags of D [ps or τ].  lags, displacements : (T,) [ps or τ], (T,) mean squares [Å² or σ²].
+    window : lags of D [ps or τ].
+    lags, displacements : (T,) [ps or τ], (T,) mean squares [Å² or σ²].
     """
 
     def __init__(self, result: DisplacementResult) -> None:
@@ -483,7 +495,9 @@ def mean_square_displacement(run: Run, of: str = "atoms") -> tuple[Array, Array]
     relative to the center of mass, and without the motion of the cell, as described there.
 
     If there are many frames or atoms, some of them are used, evenly chosen. Where frames are not evenly spaced, a new
-    series begins.  run : an argument of universe, or a universe.  of : "atoms" or "molecules", whose centers count.
+    series begins.
+    run : an argument of universe, or a universe.
+    of : "atoms" or "molecules", whose centers count.
 
     Raises
     ------

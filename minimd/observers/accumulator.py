@@ -64,7 +64,8 @@ class BlockedSums:
     All blocks have the same length, which grows with the run: they become longer than any correlation that the run is
     long enough to show.
 
-    total : (n,), to which entries are added in place.  n_entries : number of complete entries.
+    total : (n,), to which entries are added in place.
+    n_entries : number of complete entries.
     """
 
     def __init__(self, n: int) -> None:
@@ -122,8 +123,11 @@ class BlockedSums:
 class ObservedRun:
     """The properties of a run that results need; they do not change from the first observation to the last.
 
-    units : name of the unit system.  species : labels.  numbers : of atoms of each species.
-    spacing : time between observations [time].  n_dof : degrees of freedom.
+    units : name of the unit system.
+    species : labels.
+    numbers : of atoms of each species.
+    spacing : time between observations [time].
+    n_dof : degrees of freedom.
     bath_temperature, bath_pressure : of thermostat and barostat; None without them.
     """
 
@@ -243,7 +247,8 @@ class Result(Displayed):
     def draw_curves(self, panel: Axes, curves: dict[str, Array], symbol: str, label: str) -> None:
         """Draw curves over the abscissa, (T,), by name, with a legend if there are several.
 
-        symbol : of the abscissa.  label : of the other axis.
+        symbol : of the abscissa.
+        label : of the other axis.
         """
         x, unit = self.abscissa()
         for name, values in curves.items():
@@ -284,8 +289,11 @@ class Accumulator(StoredObserver, Displayed):
 
     Attributes
     ----------
-    every : steps between two looks.  name : its name in files.  scene : ObservedRun; None before the first run.
-    n_looks : number of looks.  last_step : the step of the last look, −1 if there is none.
+    every : steps between two looks.
+    name : its name in files.
+    scene : ObservedRun; None before the first run.
+    n_looks : number of looks.
+    last_step : the step of the last look, −1 if there is none.
     """
 
     convention: ClassVar[int] = 1  # of its sums; those of another cannot go on
@@ -342,7 +350,8 @@ class Accumulator(StoredObserver, Displayed):
         return arguments
 
     def prepare(self, engine: Engine) -> None:
-        """Prepare for a run, or a look.  Raises ValueError if the engine cannot be observed, or is another scene than
+        """Prepare for a run, or a look.
+        Raises ValueError if the engine cannot be observed, or is another scene than
         the one observed before."""
         scene = ObservedRun.of(engine, self.every)
         if self.scene is None:
@@ -382,7 +391,8 @@ class Accumulator(StoredObserver, Displayed):
         """The run of an engine has ended."""
 
     def answered(self) -> ObservedRun:
-        """The scene, which a result needs.  Raises ValueError before the first look."""
+        """The scene, which a result needs.
+        Raises ValueError before the first look."""
         if self.scene is None or not self.n_looks:
             raise ValueError(
                 f"{self!r} has not observed any state yet; "
@@ -403,7 +413,8 @@ class Accumulator(StoredObserver, Displayed):
 
     @abstractmethod
     def result(self) -> Any:
-        """The result.  Raises ValueError before the first look."""
+        """The result.
+        Raises ValueError before the first look."""
 
     def _parts(self) -> list[Any]:
         """What is kept from look to look: each has state and restore, with names of its own for its arrays."""
@@ -446,10 +457,12 @@ class Accumulator(StoredObserver, Displayed):
                 f"(convention {convention}, not {self.convention}); "
                 "leave this observer out, or give it another name, under which it begins anew"
             )
+
         for name in self.settled:  # no other attribute, whatever a file says
             setattr(self, name, about["settled"][name])
         self.scene = ObservedRun(**about["scene"])
         self.last_step = about["last_step"]
+
         for part, names in ((self, (*self.settled, "last_step")), (self.scene, vars(self.scene))):
             kinds = get_type_hints(type(part))
             for name in names:
@@ -457,6 +470,7 @@ class Accumulator(StoredObserver, Displayed):
                     raise ValueError(
                         f"{name} of the observer {self.name} is not of type {kinds[name]}"
                     )
+
         self._laid_out(self.scene)
         for part in self._parts():
             part.restore(state)

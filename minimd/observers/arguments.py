@@ -15,7 +15,9 @@ PARTICLES = ATOMS, MOLECULES = "atoms", "molecules"
 
 
 class Argument(NamedTuple):
-    """What is declared of an argument.  words : what it is.  dimension : of its numbers; empty without one.
+    """What is declared of an argument.
+    words : what it is.
+    dimension : of its numbers; empty without one.
 
     check : checked_count, or one of the functions below; it returns the value that is kept, or raises ValueError.
     """

@@ -59,8 +59,10 @@ def _of_both_compiled(law, a, b):
 def add_correlations(law, ring, slot, first, n_kept, starts, sums):
     """sums[j, g, c] += Σ law(a(t), a(t − j)), over the particles of group g, for lags j from first to n_kept − 1.
 
-    law : Product() or SquaredDifference().  ring : (p, C, n), the last p entries, the newest at index slot.
-    starts : (G + 1,) int, first particle of each group.  sums : (p, G, C).
+    law : Product() or SquaredDifference().
+    ring : (p, C, n), the last p entries, the newest at index slot.
+    starts : (G + 1,) int, first particle of each group.
+    sums : (p, G, C).
     """
     p = ring.shape[0]
     for j in range(first, n_kept):
@@ -78,8 +80,11 @@ def add_correlations(law, ring, slot, first, n_kept, starts, sums):
 class MultipleTau:
     """Correlations of C components of n particles in G groups.
 
-    law : Product() or SquaredDifference().  starts : (G + 1,) int, first particle of each group.  n_components : C.
-    points : p, number of entries on a level, even.  n_levels : L, the largest number of levels.
+    law : Product() or SquaredDifference().
+    starts : (G + 1,) int, first particle of each group.
+    n_components : C.
+    points : p, number of entries on a level, even.
+    n_levels : L, the largest number of levels.
     averages : True for averaged levels, else thinned.
 
     size : of the sums, which the caller keeps: counts (L, p), then sums (L, p, G, C).
@@ -121,6 +126,7 @@ class MultipleTau:
         """Take the next entry, (C, n), and add its correlations to the sums, (size,)."""
         counts = sums[: self._n_counts].reshape(self._n_levels, self._points)
         products = sums[self._n_counts :].reshape(self._sums_shape)
+
         for level in range(self._n_levels):
             if level == len(self._rings):
                 self._add_level()
@@ -136,6 +142,7 @@ class MultipleTau:
                     self._law, ring, slot, first, n_kept, self._starts, products[level]
                 )
                 counts[level, first:n_kept] += 1.0
+
             if self._averages:
                 mean = self._means[level]
                 mean += entry / RATIO

@@ -136,8 +136,10 @@ def diffusivity(
 ) -> Diffusivity:
     """D by the rule of this module, or why there is none.
 
-    times : (T,) lags [time], with nearly all halves of the longest.  mean : (T,) mean square displacements [length²].
-    without : (K, T), its replicas, each without one block of time.  longest : lag, a quarter of the run [time].
+    times : (T,) lags [time], with nearly all halves of the longest.
+    mean : (T,) mean square displacements [length²].
+    without : (K, T), its replicas, each without one block of time.
+    longest : lag, a quarter of the run [time].
     window : lags; D is then the level over all of its octaves, whether atoms diffuse there or not [time].
 
     Raises ValueError for a window without an octave of lags.
@@ -151,8 +153,10 @@ def diffusivity(
             raise ValueError(
                 f"the window must hold a lag and its double; window = {window}, lags = {span}"
             )
+
         used = (lags[0], lags[n])
         return Diffusivity(DIFFUSIVE, *octaves.level(0, n), used, *octaves.trend(0, n))
+
     if n < OCTAVES:
         return Diffusivity(SHORT)
     end = n
@@ -161,6 +165,7 @@ def diffusivity(
     late = end - OCTAVES
     trend, trend_error = octaves.trend(late, end)
     begin = end
+
     for first in range(late, -1, -1):
         change, its_error = octaves.trend(first, end)
         if not (abs(change) < SURE * its_error and its_error < SHARP):
@@ -169,6 +174,7 @@ def diffusivity(
             begin = first
             trend = change
             trend_error = its_error
+
     start = 1 + min(begin, late)
     stop = min(start + SPAN, end)
     value, scatter = octaves.level(start, stop)

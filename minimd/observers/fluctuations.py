@@ -66,7 +66,8 @@ class Fluctuations(Accumulator):
         self.sums.total += np.concatenate([[1.0], change, np.outer(change, change).ravel()])
 
     def result(self) -> FluctuationResult:
-        """The coefficients so far, with standard errors.  Raises ValueError before the first look."""
+        """The coefficients so far, with standard errors.
+        Raises ValueError before the first look."""
         scene = self.answered()
         reference = np.array(self.reference)
         times = correlation_times(self.sums)
@@ -134,6 +135,7 @@ def _coefficients(sums: Array, reference: Array, scene: ObservedRun, grown: Arra
         c_v = 0.5 * f * k_B / (1.0 - 2.0 * covariance[KINETIC, KINETIC] / (f * k_B**2 * T**2))
     else:
         c_v = covariance[ENERGY, ENERGY] / (k_B * T**2)
+
     return np.array([mean_temperature, c_v, c_p, compressibility, expansion])
 
 
@@ -141,7 +143,8 @@ def _coefficients(sums: Array, reference: Array, scene: ObservedRun, grown: Arra
 class FluctuationResult(Result):
     """Coefficients from fluctuations; each has its name and, with _error, its standard error.
 
-    ensemble : in words.  n_looks : number of looks.
+    ensemble : in words.
+    n_looks : number of looks.
     values, errors : (5,) mean temperature, C_V and C_P of the whole system [energy/temperature], κ_T [length³/energy],
         α_P [1/temperature], and their standard errors; NaN for those that do not follow from the ensemble.
     correlation_times : length of the run in correlation times of the slowest fluctuation; NaN if unknown.
@@ -172,6 +175,7 @@ class FluctuationResult(Result):
         temperature = f"{with_error(self.temperature, self.temperature_error)} {units.temperature}"
         frames = f"at {self.ensemble}, {self.n_looks} frames, T = {temperature}"
         rows = [("fluctuations", frames)]
+
         for symbol, k, size, unit in (
             ("C_V", 1, per_atom, "k_B per atom"),
             ("C_P", 2, per_atom, "k_B per atom"),
@@ -180,9 +184,11 @@ class FluctuationResult(Result):
             if np.isfinite(self.values[k]):
                 value = with_error(self.values[k] / size, self.errors[k] / size)
                 rows.append(("", f"{symbol} = {value} {unit}"))
+
         if self.correlation_times < ENOUGH:
             slowest = "volume or energy" if np.isfinite(self.compressibility) else "energy"
             n_times = f"{max(1.0, self.correlation_times):.0f} correlation times"
             short = f"the run is only {n_times} of the {slowest} long"
             rows.append(("", f"{short}: THE ERROR BARS ARE LOWER BOUNDS"))
+
         return rows

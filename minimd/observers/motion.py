@@ -59,7 +59,9 @@ def finite_size_correction(thermal_energy: float, viscosity: float, edge: float)
 
         D∞ = D + ξ k_B T / (6π η L),   ξ = 2.837297
 
-    thermal_energy : k_B T [energy].  viscosity : η [energy time/length³].  edge : L [length].
+    thermal_energy : k_B T [energy].
+    viscosity : η [energy time/length³].
+    edge : L [length].
     I.-C. Yeh, G. Hummer, J. Phys. Chem. B 108, 15873 (2004); B. Dünweg, K. Kremer, J. Chem. Phys. 99, 6983 (1993).
     Raises ValueError for a number out of range."""
     checked_number("thermal_energy", thermal_energy, "finite and not negative")
@@ -166,7 +168,8 @@ class CellMotion:
     """The displacements of atoms that are due to the motion of the cell, which looks take off their positions.
 
     From one look to the next each atom is moved with the cell; of a molecule with lengths held fixed the center is, and
-    the molecule turns as the cell does.  n_atoms : N.
+    the molecule turns as the cell does.
+    n_atoms : N.
     """
 
     def __init__(self, n_atoms: int) -> None:
@@ -188,7 +191,8 @@ class CellMotion:
         return positions if self._carried is None else positions - self._carried
 
     def _moved(self, engine: Engine, was: Cell, old: Array) -> Array:
-        """Displacements since the last look, (N, 3).  was, old : cell and positions at that look."""
+        """Displacements since the last look, (N, 3).
+        was, old : cell and positions at that look."""
         cell = engine.system.cell
         bonds = engine.constraint_set.bonds
         # vectors that span space: those of the cell, and unit vectors in open directions
@@ -384,7 +388,8 @@ class DisplacementResult(MotionResult):
     diffusivity, of_species : Diffusivity of all atoms in this cell, and of those of each species, (S,).
     n_atoms : see MotionResult.
     diffusion, diffusion_error : D, and its standard error [length²/time]; NaN unless the slope has stopped to change.
-        diffusion_of_species : D of each, (S,).  window : lags of D [time].
+        diffusion_of_species : D of each, (S,).
+    window : lags of D [time].
     infinite, infinite_error : D of an infinite system by Yeh and Hummer; NaN without a viscosity. The error includes
         that of the viscosity, if it is known.
     temperature, volume : means.
@@ -415,7 +420,8 @@ class DisplacementResult(MotionResult):
         return self.diffusivity.window
 
     def corrected(self, viscosity: float | ViscosityResult) -> DisplacementResult:
-        """This result with D of an infinite system.  Raises ValueError."""
+        """This result with D of an infinite system.
+        Raises ValueError."""
         if not self.is_cubic:
             raise ValueError(
                 "the correction of Yeh and Hummer needs a cubic cell that is periodic in all directions; "

@@ -83,6 +83,7 @@ class Profile(Accumulator):
             lower, upper = self.extent
             height = upper - lower
             layers = np.floor((heights - lower) / height * n_bins)
+
         inside = (layers >= 0) & (layers < n_bins)
         layers = layers[inside].astype(np.int64)
         places = system.species_index[inside] * n_bins + layers
@@ -100,7 +101,8 @@ class Profile(Accumulator):
         )
 
     def result(self) -> ProfileResult:
-        """The profiles so far, with standard errors.  Raises ValueError before the first look."""
+        """The profiles so far, with standard errors.
+        Raises ValueError before the first look."""
         scene = self.answered()
         n = self.n_bins
 
@@ -121,9 +123,11 @@ class Profile(Accumulator):
 class ProfileResult(Result):
     """Profiles along an axis.
 
-    axis : its name.  z : (B,) middles of the layers [length].
+    axis : its name.
+    z : (B,) middles of the layers [length].
     densities, density_errors : (S, B) of each species [1/length³].
-    temperature, temperature_error : (B,); NaN in layers where no atom moves.  n_frames : number of looks.
+    temperature, temperature_error : (B,); NaN in layers where no atom moves.
+    n_frames : number of looks.
     """
 
     axis: str

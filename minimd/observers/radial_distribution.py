@@ -46,8 +46,10 @@ R_MAX = "largest distance; if not given, the smaller of 4 (V/N)^(1/3) and half t
 class PairCounting(
     ByAddress, namedtuple("PairCounting", "arrays species kinds per_width beyond counts")
 ):
-    """arrays : ClusterArrays of a list whose cutoff is r_max.  species : (slots,) int, of the atoms in clusters.
-    kinds : (S, S) int, the number of each pair of species.  per_width : 1/Δr [1/length].
+    """arrays : ClusterArrays of a list whose cutoff is r_max.
+    species : (slots,) int, of the atoms in clusters.
+    kinds : (S, S) int, the number of each pair of species.
+    per_width : 1/Δr [1/length].
     beyond : (n,) columns, one for each lane, of pairs farther away: a single one would wait for itself at each of them.
     counts : (K, P, columns) int, its numbers of pairs by kind and bin."""
 
@@ -67,22 +69,26 @@ def count_pairs(counting, domain):
     n_lanes = count(lanes)
     columns = load(beyond, 0, lanes)
     coordinates = memory.coordinates[first * DIMENSIONS * n_lanes :]
+
     for slot in range(
         arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes
     ):
         place = (ghosts.home[slot // n_lanes] - first) * DIMENSIONS * n_lanes + slot % n_lanes
         at = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
         kinds_of_pairs = kinds[species[slot]]
+
         for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stops[LAYERS - 1, slot])):
             now = rows.entries[entry]
             _, _, _, r2 = separations(coordinates, memory.far, now, at, lanes)
             places = min(np.sqrt(r2) * per_width, columns)
             other = np.uintp(ghosts.owner[first + np.intp(now & GHOST_BITS)]) * np.uintp(n_lanes)
+
             for k in range(np.uintp(n_lanes)):
                 counts[
                     np.uintp(kinds_of_pairs[np.uintp(species[other + k])]),
                     np.uintp(lane(places, k)),
                 ] += 1
+
     return GO_ON
 
 
@@ -147,6 +153,7 @@ class RadialDistribution(Accumulator):
             positions = (steps @ cell.lattice + positions).reshape(-1, 3)
             species = np.tile(species, n.prod())
             cell = Cell.of(n[:, None] * cell.lattice)
+
         if self._list is None or self._list[0] != len(positions):
             clusters = ClusterList(len(positions), self.reach, 0.0, NO_PAIRS, False, pool)
             self._list = (len(positions), clusters, DirectCalls())
@@ -167,7 +174,8 @@ class RadialDistribution(Accumulator):
         return counting.counts.sum(axis=0) / n.prod()
 
     def result(self) -> RadialDistributionResult:
-        """g(r) so far, with standard errors.  Raises ValueError before the first look."""
+        """g(r) so far, with standard errors.
+        Raises ValueError before the first look."""
         scene = self.answered()
         edges = np.linspace(0.0, self.reach, self.n_bins + 1)
         shells = 4.0 / 3.0 * np.pi * np.diff(edges**3)
@@ -191,8 +199,10 @@ class RadialDistribution(Accumulator):
 class RadialDistributionResult(Result):
     """g(r).
 
-    r : (B,) middles of the bins [length].  g, error : (B,) of all atoms, and its standard error.
-    pairs : names of the pairs of species, P of them.  g_of_pairs, errors_of_pairs : (P, B).
+    r : (B,) middles of the bins [length].
+    g, error : (B,) of all atoms, and its standard error.
+    pairs : names of the pairs of species, P of them.
+    g_of_pairs, errors_of_pairs : (P, B).
     n_frames : number of looks.
     """
 

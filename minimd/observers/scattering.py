@@ -47,7 +47,8 @@ PER_SHELL = "number of directions for which wave vectors are chosen in each shel
 
 
 def peak_of(system: System, what: str) -> float:
-    """q of the main peak of a simple liquid of this density [1/length].  Raises ValueError without a volume."""
+    """q of the main peak of a simple liquid of this density [1/length].
+    Raises ValueError without a volume."""
     if system.volume is None:
         raise ValueError(
             f"{what} needs a cell that is periodic in all directions; this run has {system!r}"
@@ -57,7 +58,8 @@ def peak_of(system: System, what: str) -> float:
 
 def waves_near(lengths: Array, cell: Cell, n_directions: int) -> NDArray[np.int64]:
     """(M, 3) whole numbers k of the wave vectors of the cell that are nearest to those of given lengths [1/length] in
-    directions spread evenly over a hemisphere; not 0, and only one of k and −k.  Raises ValueError for large ones."""
+    directions spread evenly over a hemisphere; not 0, and only one of k and −k.
+    Raises ValueError for large ones."""
     n_lengths = len(lengths)
     z = np.broadcast_to((np.arange(n_directions) + 0.5) / n_directions, (n_lengths, n_directions))
     flat = np.sqrt(1.0 - z * z)
@@ -85,7 +87,8 @@ def add_densities(tables, waves, sums):
 
     tables : (3, K + 1, 2, N), cos and sin of 2π k s for whole numbers k and fractional coordinates s; those of k = 0
         and 1 are given, the others are found here.
-    waves : (M, 3) int.  sums : (2, M).
+    waves : (M, 3) int.
+    sums : (2, M).
     """
     for d in range(3):
         once = tables[d, 1]
@@ -95,12 +98,14 @@ def add_densities(tables, waves, sums):
             for i in range(tables.shape[3]):
                 to[0, i] = before[0, i] * once[0, i] - before[1, i] * once[1, i]
                 to[1, i] = before[1, i] * once[0, i] + before[0, i] * once[1, i]
+
     for w in range(waves.shape[0]):
         kx, ky, kz = waves[w, 0], waves[w, 1], waves[w, 2]
         x, y, z = tables[0, abs(kx)], tables[1, abs(ky)], tables[2, abs(kz)]
         sign_x, sign_y, sign_z = np.sign(kx), np.sign(ky), np.sign(kz)
         real = 0.0
         imaginary = 0.0
+
         for i in range(tables.shape[3]):
             cx = x[0, i]
             sx = sign_x * x[1, i]
@@ -112,6 +117,7 @@ def add_densities(tables, waves, sums):
             s = cx * sy + sx * cy
             real += c * cz - s * sz
             imaginary += c * sz + s * cz
+
         sums[0, w] += real
         sums[1, w] += imaginary
 
@@ -148,6 +154,7 @@ class StructureFactor(Accumulator):
             raise ValueError(
                 f"n_bins · n_waves must be at most {MOST_WAVES}; {n_bins} · {self.n_waves} = {n}"
             )
+
         waves = waves_near((np.arange(n_bins) + 0.5) * q_max / n_bins, cell, self.n_waves)
         lengths = np.linalg.norm(vectors_of(waves, cell), axis=1)
         shells = (lengths / q_max * n_bins).astype(np.int64)
@@ -156,6 +163,7 @@ class StructureFactor(Accumulator):
             raise ValueError(
                 f"no wave vector of this cell is shorter than q_max = {q_max:.6g}; raise q_max"
             )
+
         self.waves = waves[inside].tolist()
         self.shells = np.unique(shells[inside], return_inverse=True)[1].tolist()
 
@@ -185,7 +193,8 @@ class StructureFactor(Accumulator):
         self.sums.total[1:] += (of_shells / self._of_shell).ravel()
 
     def result(self) -> StructureFactorResult:
-        """S(q) so far, with standard errors.  Raises ValueError before the first look."""
+        """S(q) so far, with standard errors.
+        Raises ValueError before the first look."""
         scene = self.answered()
         values, errors = self.sums.estimate(lambda sums: sums[1:] / sums[0])
         q, s = np.split(values, 2)
@@ -196,7 +205,8 @@ class StructureFactor(Accumulator):
 class StructureFactorResult(Result):
     """S(q).
 
-    q : (B,) mean length of the wave vectors of each shell [1/length].  s, error : (B,) S(q), and its standard error.
+    q : (B,) mean length of the wave vectors of each shell [1/length].
+    s, error : (B,) S(q), and its standard error.
     n_frames : number of looks.
     """
 
@@ -259,7 +269,8 @@ class SelfScattering(MeanSquareDisplacement):
         return np.concatenate([np.cos(phases), np.sin(phases)])
 
     def result(self) -> SelfScatteringResult:  # type: ignore[override]
-        """F_s so far, and the time in which it falls to 1/e, with standard errors.  Raises ValueError before the first
+        """F_s so far, and the time in which it falls to 1/e, with standard errors.
+        Raises ValueError before the first
         look."""
         scene = self.answered()
         seen, times, longest = self._seen()
@@ -285,7 +296,8 @@ def fall_time(times: Array, values: Array) -> float:
 class SelfScatteringResult(Result):
     """F_s(q, t).
 
-    q : mean length of the wave vectors [1/length].  times : (T,) lags [time].
+    q : mean length of the wave vectors [1/length].
+    times : (T,) lags [time].
     means, errors : (1 + S, T), of all atoms, and of those of each species.
     relaxation_time, relaxation_time_error : where F_s of all atoms falls to 1/e [time]; NaN if it does not.
     """

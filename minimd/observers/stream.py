@@ -53,7 +53,8 @@ class Stream(PeriodicObserver):
 
     Parameters
     ----------
-    port : of TCP; 0 for any that is free, see address.  every : steps between two frames.
+    port : of TCP; 0 for any that is free, see address.
+    every : steps between two frames.
     host : the name or address at which it listens. Whoever reaches it can pause and end the run, without a password.
     wait : whether the run waits until a reader has come, and again when it has gone; a reader may change it.
 
@@ -93,11 +94,13 @@ class Stream(PeriodicObserver):
         return self._has_gone
 
     def prepare(self, engine: Engine) -> None:
-        """Listen, and wait for a reader if asked to.  Raises OSError without a port, ValueError in a second run."""
+        """Listen, and wait for a reader if asked to.
+        Raises OSError without a port, ValueError in a second run."""
         if self._engine is not None:
             raise ValueError(
                 f"{self!r} is in another run, or twice in this one: give each run a Stream of its own"
             )
+
         try:
             self._listener = socket.create_server((self.host, self.port), backlog=1)
         except (OSError, TypeError) as error:  # a name that is too long is a TypeError
@@ -105,6 +108,7 @@ class Stream(PeriodicObserver):
             where = f"port {self.port} of {shown(self.host)}"
             advice = "pass host=, or port=, 0 for any that is free"
             raise OSError(f"{where} cannot be opened: {reason}; {advice}") from error
+
         self._engine = engine
         self._listener.setblocking(False)
         cell = engine.system.cell
@@ -125,6 +129,7 @@ class Stream(PeriodicObserver):
         self._fill(engine)
         rest = memoryview(self._frame.view(np.uint8).data)
         since = monotonic()
+
         while rest and self._reader is not None:
             try:
                 rest = rest[self._reader.send(rest) :]
@@ -136,6 +141,7 @@ class Stream(PeriodicObserver):
                     self._part_with_reader()
                 elif monotonic() - since > PATIENCE:
                     self._part_with_reader(f"has taken nothing for {PATIENCE:.0f} s")
+
                 sleep(NAP)
             except OSError:
                 self._hear(engine)  # its last message
@@ -180,12 +186,15 @@ class Stream(PeriodicObserver):
                 self._reader.setblocking(False)
                 # its machine may vanish
                 self._reader.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+
                 for name in ("TCP_KEEPIDLE", "TCP_KEEPINTVL", "TCP_KEEPCNT"):
                     option = getattr(socket, name, None)
                     if option is not None:  # not every system can be told
                         self._reader.setsockopt(socket.IPPROTO_TCP, option, KEEP_ALIVE)
+
                 self._reader.sendall(self._greeting)
                 self._go_until = monotonic() + SECONDS_TO_GO
+
             heard = b"" if self._reader is None else self._reader.recv(READ)
             if not heard:
                 return self._part_with_reader()
@@ -194,10 +203,12 @@ class Stream(PeriodicObserver):
             pass
         except OSError:
             return self._part_with_reader()
+
         while self._reader is not None and len(self._heard) >= HEADER.size:
             kind, value = HEADER.unpack_from(self._heard)
             self._heard = self._heard[HEADER.size :]
             self._obey(kind, value, engine)
+
         if self._reader is not None and not self._has_gone and monotonic() > self._go_until:
             self._part_with_reader("has not asked for frames")
 
@@ -223,7 +234,8 @@ class Stream(PeriodicObserver):
             self._part_with_reader("does not speak IMDv3")
 
     def _part_with_reader(self, reason: str = "") -> None:
-        """Close the connection, if there is one, and be ready for the next.  reason : to be told, if there is one."""
+        """Close the connection, if there is one, and be ready for the next.
+        reason : to be told, if there is one."""
         if self._reader is not None:
             self._reader.close()
             self._reader = None
@@ -251,6 +263,7 @@ class Stream(PeriodicObserver):
         frame["step"] = engine.step
         frame["step_of_energies"] = min(engine.step, MOST_STEPS)
         energies = (look.temperature, look.total_energy * energy, look.potential_energy * energy)
+
         with np.errstate(over="ignore"):  # infinite where float32 is too small
             frame["energies"][0, :3] = energies
             for name, array, factor in (

@@ -25,7 +25,8 @@ FEWEST_LAGS = 3  # in a plateau
 
 
 class Plateau(NamedTuple):
-    """value, error : of the integral, in its units.  window : (start, end) [time].
+    """value, error : of the integral, in its units.
+    window : (start, end) [time].
     is_reached : whether the integral has a plateau."""
 
     value: float
@@ -62,7 +63,8 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
     proportion to its share of the integral. If there is no such t, the last octave is used. A slow correlation whose
     whole share of the integral is below the error bar is not noticed, and is missing from the result.
 
-    times, integral : (T,), from time 0.  without : (K, T), replicas of the integral.
+    times, integral : (T,), from time 0.
+    without : (K, T), replicas of the integral.
 
     U. Wolff, Comput. Phys. Commun. 156, 143 (2004), on the window and S, with τ from the whole integral instead of
     C(0); N. Madras, A. D. Sokal, J. Stat. Phys. 50, 109 (1988), on windows that are multiples of τ.
@@ -71,6 +73,7 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
     largest = np.maximum.accumulate(np.abs(integral))
     inside = times >= times[-1] / OCTAVE
     is_reached = False
+
     for i in range(1, int((OCTAVE * times <= times[-1]).sum())):
         start = times[i]
         octave = (times >= start) & (times <= OCTAVE * start)
@@ -82,6 +85,7 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
             inside = octave
             is_reached = True
             break
+
     t = times[inside]
     duration = t[-1] - t[0]
 
@@ -116,7 +120,8 @@ class TimeCorrelation(Accumulator):
         self.sums = BlockedSums(HEAD + correlator.size)
 
     def _add(self, look: Look, entry: Array) -> None:
-        """Add a look to the sums.  entry : (C, n), for the correlator."""
+        """Add a look to the sums.
+        entry : (C, n), for the correlator."""
         sums = self.sums.total
         sums[:HEAD] += 1.0, look.temperature, look.system.volume or np.nan
         self._correlator.add(entry, sums[HEAD:])
@@ -144,7 +149,8 @@ class TimeCorrelation(Accumulator):
     def _integral(
         self, times: Array, longest: float, law: Callable[[Array], Array]
     ) -> tuple[Array, Array, Plateau]:
-        """The running integral of a correlation, (T,), its standard errors, and its plateau.  law : of the sums."""
+        """The running integral of a correlation, (T,), its standard errors, and its plateau.
+        law : of the sums."""
 
         def integral(sums: Array) -> Array:
             return running_integral(times, law(sums))

@@ -69,7 +69,8 @@ class Viscosity(TimeCorrelation):
         self._add(look, traceless(-look.stress)[:, None])
 
     def result(self) -> ViscosityResult:
-        """η so far, with its standard error.  Raises ValueError before the first look."""
+        """η so far, with its standard error.
+        Raises ValueError before the first look."""
         scene = self.answered()
         seen, times, longest = self._seen()
         k_B = scene.unit_system.k_B
@@ -99,8 +100,10 @@ def traceless(tensor: Array) -> Array:
 class ViscosityResult(Result):
     """A stress autocorrelation, its integral, and the viscosity.
 
-    times : (T,) lags [time].  autocorrelation, autocorrelation_error : C, (T,) [pressure²].
-    integral, integral_error : V/(k_B T) ∫₀ᵗ C, (T,) [pressure time].  plateau : of the integral, with η.
+    times : (T,) lags [time].
+    autocorrelation, autocorrelation_error : C, (T,) [pressure²].
+    integral, integral_error : V/(k_B T) ∫₀ᵗ C, (T,) [pressure time].
+    plateau : of the integral, with η.
     duration : of the run [time].
     """
 

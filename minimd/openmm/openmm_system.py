@@ -51,7 +51,8 @@ IMPROPERS = (
 
 
 def _improper(factor: float, law: str, atoms: Any, k: Array, angle: Array) -> HarmonicImproper:
-    """Warns if the law jumps at φ = π, which minimd's does not.  factor : of k, in minimd's law ½ k φ²."""
+    """Warns if the law jumps at φ = π, which minimd's does not.
+    factor : of k, in minimd's law ½ k φ²."""
     if "pi" not in law and angle.any():
         warn(
             "OpenMM's k*(theta-theta0)^2 jumps at theta = pi, where theta0 is not 0; in minimd theta - theta0 is taken "
@@ -61,7 +62,8 @@ def _improper(factor: float, law: str, atoms: Any, k: Array, angle: Array) -> Ha
 
 
 def _well(a: Array, c: Array) -> tuple[Array, Array]:
-    """ε and σ of A/r¹² − C/r⁶; 0 where both are 0.  Raises ValueError where only one is."""
+    """ε and σ of A/r¹² − C/r⁶; 0 where both are 0.
+    Raises ValueError where only one is."""
     for pair in np.column_stack([a, c])[np.sign(a) != np.sign(c)].tolist():
         raise ValueError(
             f"A, C in a law A/r^12 - C/r^6 of OpenMM must be of one sign or both 0; A, C = {pair}: minimd has "
@@ -147,12 +149,14 @@ def from_openmm(
 
     Parameters
     ----------
-    openmm_system : openmm.System.  topology : openmm.app.Topology.
+    openmm_system : openmm.System.
+    topology : openmm.app.Topology.
     positions : (N, 3) of OpenMM, with a unit, or in nm.
 
     Raises
     ------
-    TypeError : for anything but a system of OpenMM.  ValueError : for other forces (other custom ones, with their
+    TypeError : for anything but a system of OpenMM.
+    ValueError : for other forces (other custom ones, with their
         expressions, baths, barostats), virtual sites, LJPME and parameter offsets, by name; for a particle without
         mass and element; for another number of atoms; as System and potentials.
     """
@@ -160,6 +164,7 @@ def from_openmm(
         raise TypeError(
             f"openmm_system must be an openmm.System; openmm_system = {shown(openmm_system)}"
         )
+
     forces = [force for force in openmm_system.getForces() if _has_terms(force)]
     places = np.array(_plain(positions), float)
     n = openmm_system.getNumParticles()
@@ -169,6 +174,7 @@ def from_openmm(
             f"OpenMM's system, topology and positions must have the same number of atoms; they have {n}, "
             f"{len(atoms)} and {len(places)}"
         )
+
     masses = [_plain(openmm_system.getParticleMass(k)) for k in range(n)]
     _check(openmm_system, forces, atoms, masses)
     fixed = [k for k, mass in enumerate(masses) if mass == 0.0]
@@ -178,6 +184,7 @@ def from_openmm(
     numbers = np.zeros((n, 2))
     potentials: list[OwnPotential] = []
     wells = nonbonded = None
+
     for force in forces:
         kind, order = _kind(force)
         if kind in BONDED:
@@ -193,9 +200,11 @@ def from_openmm(
                     raise ValueError(TWICE)
                 wells = force
                 numbers = np.column_stack([epsilon, sigma])
+
             if kind == "NonbondedForce":
                 nonbonded = force
                 charges = parameters[0]
+
     names = [*map(_names, atoms)]
     kinds = [*map(tuple, numbers.tolist())]
     species = _labels([(row[1] or "X", kind) for row, kind in zip(names, kinds, strict=True)])
@@ -274,13 +283,16 @@ def _check(
 ) -> None:
     """Raise ValueError for what minimd does not have, in words."""
     strange = []
+
     for k, atom in enumerate(atoms):
         is_massless = not (atom.element or masses[k])
         if is_massless or openmm_system.isVirtualSite(k):
             strange = [
                 f"virtual sites, or sites of mass 0 that have no element, such as particle {k}"
             ]
+
     names = [type(force).__name__ for force in forces]
+
     for force, name in zip(forces, names, strict=True):
         kind, _ = _kind(force)
         if kind not in KNOWN:
@@ -294,6 +306,7 @@ def _check(
                 strange.append("parameter offsets of NonbondedForce")
             if not force.getIncludeDirectSpace():
                 strange.append("NonbondedForce without its direct space")
+
     if names.count("NonbondedForce") > 1:
         strange.append("a second NonbondedForce")
     if strange:
@@ -304,7 +317,8 @@ def _check(
 
 
 def _lennard_jones(force: Any, kinds: Mapping[Any, Any]) -> LennardJones:
-    """The wells of a NonbondedForce, or of a CustomNonbondedForce.  kinds : (ε, σ) of each species."""
+    """The wells of a NonbondedForce, or of a CustomNonbondedForce.
+    kinds : (ε, σ) of each species."""
     mixing: Any = "lorentz-berthelot"
     truncation: Any = "truncated"
     switch_start = None
@@ -315,6 +329,7 @@ def _lennard_jones(force: Any, kinds: Mapping[Any, Any]) -> LennardJones:
     else:
         has_tail = force.getUseDispersionCorrection()
         pairs = _rows(force, "Exception")
+
     cutoff = _cutoff(force)
     if cutoff is not None and force.getUseSwitchingFunction():
         truncation = "switched"
@@ -351,6 +366,7 @@ def _charged(force: openmm.NonbondedForce, charges: Array) -> list[OwnPotential]
         potentials.append(
             Coulomb(_cutoff(force), accuracy, bonded_scale=UNSCALED, exclusions=pairs, **options)
         )
+
     product = ASE.coulomb * rows[:, 2]
     no_cutoff = np.full(len(rows), LARGEST)
     numbers = np.array([product, no_cutoff, *_in_ase_units(rows[:, 4], rows[:, 3])])

@@ -14,7 +14,9 @@ from minimd.past.past import Past, go_to
 
 @dataclass(frozen=True)
 class Archive(Displayed):
-    """The result of archiving a file.  n_frames, n_bytes : before and after.  every : steps between kept frames."""
+    """The result of archiving a file.
+    n_frames, n_bytes : before and after.
+    every : steps between kept frames."""
 
     file: Path
     every: int
@@ -44,7 +46,8 @@ def archive(
     As a test, the forces of each kept frame are evaluated again, and the steps from the first to the second kept frame
     are made again: energies must be those in the file, to the last bit.
 
-    every : the first frame is kept, and those whose step is a multiple of it.  potentials : see Simulation.resume.
+    every : the first frame is kept, and those whose step is a multiple of it.
+    potentials : see Simulation.resume.
 
     Raises ValueError as Past, and if energies differ.
     OSError as open_trajectories.

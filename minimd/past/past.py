@@ -52,8 +52,11 @@ class Past(Displayed):
 
     Attributes
     ----------
-    steps : (A,) int, steps that cost nothing: those of the frames, and the last one.  goes_back : whether steps are
-        also made backwards.  worst : the largest cost of a step, in steps.  contents : H5MDContents.
+    steps : (A,) int, steps that cost nothing: those of the frames, and the last one.
+    goes_back : whether steps are
+        also made backwards.
+    worst : the largest cost of a step, in steps.
+    contents : H5MDContents.
 
     Raises
     ------
@@ -158,7 +161,8 @@ class Past(Displayed):
             other.run(10_000, trajectory="other.h5md")
 
         The file of the past stays as it is. If nothing is changed, the branch is the run, also with the noise of its
-        bath: for other noise give other.method another seed.  Raises as at.
+        bath: for other noise give other.method another seed.
+        Raises as at.
         """
         simulation = self.at(step, progress=progress)
         simulation.engine.notes["title"] += f", branched from step {step} of {self.file.name}"
@@ -176,7 +180,8 @@ class Past(Displayed):
         """Let observers look at the steps from start to stop, as if they had been attached then, and return the record.
 
         The numbers are those of a run in which they were attached, to the last bit. It costs at(start), and the steps
-        from start to stop.  every : as for Simulation.run; observers of minimd.observers have their own steps.
+        from start to stop.
+        every : as for Simulation.run; observers of minimd.observers have their own steps.
 
         Raises
         ------

@@ -31,8 +31,12 @@ WIDE = 50.0  # ratio of the largest to the smallest value above which an axis is
 
 
 class ReplayedStep(NamedTuple):
-    """One step.  time : [time].  energy : total [energy].  first, second, distance : the closest pair [length]; −1, −1
-    and NaN if there is none.  pushed, force : the atom with the largest force, and this force [energy/length].
+    """One step.
+    time : [time].
+    energy : total [energy].
+    first, second, distance : the closest pair [length]; −1, −1
+    and NaN if there is none.
+    pushed, force : the atom with the largest force, and this force [energy/length].
     fastest, speed : the fastest atom [length/time].
     """
 
@@ -72,8 +76,12 @@ class ReplayedStep(NamedTuple):
 class Replay:
     """The result of a replay. str() gives a table.
 
-    rows : a ReplayedStep for each step that succeeded.  ending : why it ended, as text.  failed_at : step, or None if
-    it did not fail again.  findings : CrashReport of the original failure.  trajectory, picture : paths of the files,
+    rows : a ReplayedStep for each step that succeeded.
+    ending : why it ended, as text.
+    failed_at : step, or None if
+    it did not fail again.
+    findings : CrashReport of the original failure.
+    trajectory, picture : paths of the files,
     or None if not written.
     """
 

@@ -36,7 +36,8 @@ DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+\s*\.\s*){64}")
 @dataclass(frozen=True)
 class Document:
     """A checked scene file.
-    path : the file; paths of structure files are relative to its folder.  text : of the file.
+    path : the file; paths of structure files are relative to its folder.
+    text : of the file.
     sections : its content, checked, in the units of the engine."""
 
     path: Path
@@ -80,7 +81,8 @@ class Document:
         return potentials
 
     def tables(self) -> dict[str, Numbers]:
-        """The numbers of all tables of tabulated laws, by name.  Raises ValueError as potentials."""
+        """The numbers of all tables of tabulated laws, by name.
+        Raises ValueError as potentials."""
         tables: dict[str, Numbers] = {}
         for place, section in self._sections():
             if isinstance(section, TabulatedSection):
@@ -100,7 +102,8 @@ class Document:
         return self.text + as_sections(files, self.sections.units)
 
     def method(self) -> Splitting:
-        """The integrator with its time step and its bath.  Raises ValueError, with the name of the file."""
+        """The integrator with its time step and its bath.
+        Raises ValueError, with the name of the file."""
         with blamed_on(f"{self.path}: dynamics"):
             return self.sections.dynamics.integrator()
 
@@ -111,7 +114,8 @@ class Document:
         return None if section is None or temperature is None else section.barostat(temperature)
 
     def observers(self) -> list[Accumulator]:
-        """New observers as described in the scene.  Raises ValueError, with the file, if two have the same name."""
+        """New observers as described in the scene.
+        Raises ValueError, with the file, if two have the same name."""
         made = [section.observer() for section in self.sections.observer]  # type: ignore[attr-defined]
         if len({one.name for one in made}) < len(made):
             raise ValueError(
@@ -120,7 +124,8 @@ class Document:
         return made
 
     def trajectories(self, instead: Path | None = None) -> list[Path]:
-        """The trajectory files, relative to the current folder.  instead : one file in place of those of the scene."""
+        """The trajectory files, relative to the current folder.
+        instead : one file in place of those of the scene."""
         names = self.sections.output.trajectory
         if instead is not None:
             return [instead]
@@ -153,7 +158,8 @@ class Document:
         return drawn[0].with_suffix(picture.suffix) if beside else picture
 
     def _table(self, name: str) -> Numbers:
-        """The numbers of a table.  Raises ValueError as read_table."""
+        """The numbers of a table.
+        Raises ValueError as read_table."""
         table = self.sections.tables.get(name)
         if table is None:
             return read_table(self.path.parent / name)
@@ -177,6 +183,7 @@ class Document:
             from minimd.core.structure.elements import atomic_mass
 
             mass = atomic_mass(element or "")
+
         density = structure.density or 0.0
         edge = structure.lattice_constant or constant_from_density(lattice, density, mass)
         positions, edges = crystal(lattice, structure.repeat or [], edge)
@@ -222,8 +229,10 @@ def stored(kind: type[D], text: str, file: Path) -> D:
 
 
 def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Any]:
-    """The potentials of a scene, given as its text.  words, file : the potentials of the run in words, and its file,
-    for the messages.  Raises ValueError if there is no scene, or as stored."""
+    """The potentials of a scene, given as its text.
+    words, file : the potentials of the run in words, and its file,
+    for the messages.
+    Raises ValueError if there is no scene, or as stored."""
     if scene:
         return stored(Document, scene, file).potentials()
     raise ValueError(
@@ -233,7 +242,9 @@ def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[An
 
 
 def parsed(kind: type[D], text: str, path: Path) -> D:
-    """Check the text of a scene file; a byte order mark is left out.  kind : Document, or Scene.  path : see Document.
+    """Check the text of a scene file; a byte order mark is left out.
+    kind : Document, or Scene.
+    path : see Document.
     Raises ValueError, with one line for each problem: the file, the place, the value and what is expected."""
     text = text.removeprefix(BYTE_ORDER_MARK)
     try:

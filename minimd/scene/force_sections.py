@@ -63,11 +63,13 @@ def key(argument: Any, potential: type[law.Declared]) -> tuple[Any, Any]:
         text = "atoms on which the potential acts; all if not given"
     elif parameter.kind is law.choice:
         kind = Literal[tuple(parameter.of)]
+
     if default in (None, inf):
         kind = kind | None
         default = None
     elif default is MISSING or (parameter.dimension and default != 0.0):
         default = ...
+
     marks = [Field(description=text)]
     if parameter.dimension:
         marks.append(Dimension(parameter.dimension))

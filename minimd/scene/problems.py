@@ -40,17 +40,21 @@ def problems(reading: Reading, error: ValidationError) -> list[str]:
     unknown = [details["loc"] for details in errors if details["type"] == "extra_forbidden"]
     meant = {(*loc[:-1], _near(loc, reading)[1]) for loc in unknown}
     wrong: dict[str, list[str]] = {}
+
     for details in errors:
         if details["type"] != "missing" or details["loc"] not in meant:
             place, sentence = _problem(details, reading)
             wrong.setdefault(place, []).append(sentence)
+
     if "units" in wrong:  # then all other keys seem wrong, too
         wrong = {"units": wrong["units"]}
     lines = []
+
     for place, sentences in wrong.items():
         inside = (f"{place}[", f"{place}.")
         if not any(other.startswith(inside) for other in wrong):
             lines.append(_joined(sentences))
+
     if n_more > 0:
         lines.append(f"there are {n_more} other problems")
     return lines
@@ -67,12 +71,14 @@ def _problem(details: Any, reading: Reading) -> tuple[str, str]:
         keys = _keys_of(loc[-1], known)
         path = f"{place}.{keys[0]}".removeprefix(".")
         return path, " or ".join([f"{path} is missing; give it", *keys[1:]])
+
     if kind == "union_tag_not_found":
         fields = [section.model_fields for section in sections_below(Section)]
         tags = [get_args(keys["type"].annotation)[0] for keys in fields if "type" in keys]
         *kinds, last = map(repr, tags)
         sentence = f"is missing; give the kind of the potential: {', '.join(kinds)} or {last}"
         return place, f"{place}.type {sentence}"
+
     if kind == "union_tag_invalid":
         sentence = f"must be one of {details['ctx']['expected_tags']}"
         return place, f"{place}.type {sentence}; {place}.type = {_shown(value['type'])}"
@@ -81,11 +87,13 @@ def _problem(details: Any, reading: Reading) -> tuple[str, str]:
         keys_of_section = ", ".join(sections[details["ctx"]["class_name"]].keys(reading.units))
         sentence = f"must be a table with the keys {keys_of_section}"
         return place, f"{place} {sentence}; {place} = {_shown(value)}"
+
     if place == "potential" and isinstance(value, dict):
         return (
             place,
             "potential must be written [[potential]], because a scene can have several; it is [potential]",
         )
+
     sentence = details["msg"]
     for theirs, ours in PLAIN.items():
         sentence = sentence.replace(theirs, ours)

@@ -45,13 +45,15 @@ def run_scene(
 
     Parameters
     ----------
-    steps : in place of those of the scene.  trajectory : one file in place of those of the scene;
+    steps : in place of those of the scene.
+    trajectory : one file in place of those of the scene;
         the picture is written beside it.
     overwrite : replace files that exist. Without it, an error is raised at the start if a trajectory exists, or a
         picture whose name the scene gives; a picture without a name in the scene is not drawn if it exists.
     max_seconds : of wall time, in place of those of the scene, as for Simulation.run; minimization and equilibration
         do not count.
-    progress : as for Simulation.run.  tell : called with each line about the run.
+    progress : as for Simulation.run.
+    tell : called with each line about the run.
 
     Raises
     ------
@@ -72,6 +74,7 @@ def run_scene(
     observers = scene.observers()
     if max_seconds is None:
         max_seconds = scene.sections.dynamics.max_seconds
+
     with kept(scene, files, n_steps):
         simulation.run(
             n_steps,
@@ -83,6 +86,7 @@ def run_scene(
             max_seconds=max_seconds,
             progress=progress,
         )
+
     tell_results(simulation, observers, tell)
     written = list(files)
     if picture is not None and picture.exists() and not overwrite:
@@ -93,6 +97,7 @@ def run_scene(
         tell(f"drawing        {picture} ...")
         with kept(scene, files, n_steps):
             written.append(plot_file(h5md_files(files)[0], picture))
+
     tell(f"written        {', '.join(map(str, written))}{_how_to_go_on(files, n_steps)}")
     return simulation
 
@@ -135,12 +140,14 @@ def resume_run(
             f"sim = minimd.Simulation.resume({str(file)!r}, potentials); "
             f"sim.run(n_steps, trajectory={str(file)!r}, append=True)"
         )
+
     end = _end(scene, contents, steps, str(file))
     changes = [] if own_scene is None else differences(own_scene, scene)
     if changes:
         tell(
             "NOTE           the scene given replaces the one of the run so far; the keys that differ are:"
         )
+
     for change in changes:
         tell(f"               {change}")
     if contents.repaired:
@@ -151,6 +158,7 @@ def resume_run(
         _tell_changes(simulation, contents, tell)
     elif not _is_method_of(simulation, contents):
         simulation.engine.changed()
+
     for line in description(scene, simulation, end - contents.step):
         tell(line)
     when = scene.units.shown(contents.time)
@@ -159,9 +167,11 @@ def resume_run(
         tell(
             f"               only {file} is continued; the other trajectories keep their frames up to this step"
         )
+
     observers = scene.observers()
     if max_seconds is None:
         max_seconds = scene.sections.dynamics.max_seconds
+
     with kept(scene, [path], end):
         simulation.run(
             until_step=end,
@@ -172,13 +182,15 @@ def resume_run(
             max_seconds=max_seconds,
             progress=progress,
         )
+
     tell_results(simulation, observers, tell)
     tell(f"written        {file}{_how_to_go_on([path], end)}")
     return simulation
 
 
 def _end(scene: Scene, contents: H5MDContents, steps: int | None, file: str) -> int:
-    """The step at which a resumed run ends.  Raises ValueError if it has reached the end of its scene."""
+    """The step at which a resumed run ends.
+    Raises ValueError if it has reached the end of its scene."""
     step = contents.step
     if steps is not None:
         return step + steps
@@ -302,7 +314,8 @@ def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]
 def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = "") -> Iterator[None]:
     """If a run fails, add to the message which files are kept and, if it was interrupted, how to go on.
 
-    files : of the run; none for a preparation.  end : the step at which it was to end, for the command that goes on.
+    files : of the run; none for a preparation.
+    end : the step at which it was to end, for the command that goes on.
     where : words on what was interrupted, such as " of the equilibration".
     """
     begun = time() - CLOCK
@@ -318,6 +331,7 @@ def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = ""
             ending = f"{where}; nothing was written"
         else:
             raise
+
         if is_interrupted:
             ending += _how_to_go_on(written, end)
         if isinstance(error, Terminated):
@@ -349,7 +363,8 @@ def hand_over_scene(
 ) -> "HandOver":
     """Build a scene, minimize and equilibrate it, and let LAMMPS run it.
 
-    folder : for all files.  steps : in place of those of the scene.
+    folder : for all files.
+    steps : in place of those of the scene.
         Other arguments and errors are those of minimd.lammps.hand_over.
     Raises ValueError, OSError also for a scene that cannot be built.
     """
@@ -372,6 +387,7 @@ def hand_over_scene(
             "NOTE           the observers of the scene are not used: they work in runs of minimd only, and LAMMPS "
             "makes this run"
         )
+
     minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell)
     options |= {"store_forces": output.forces, "progress": progress, "tell": tell}

@@ -21,6 +21,7 @@ class Scene(Document):
         start = self.system() if system is None else self.constrained(system.copy())
         potentials = self.potentials()
         method = self.method()
+
         with blamed_on(str(self.path)):
             simulation = Simulation(
                 start,
@@ -30,6 +31,7 @@ class Scene(Document):
                 precision=dynamics.precision,
                 barostat=self.barostat(),
             )
+
         simulation.engine.notes.update(title=self.sections.title, scene=self.whole_text())
         for name in self.sections.output.extra_observables:
             with blamed_on(f"{self.path}: output.{name}"):
@@ -44,7 +46,8 @@ def load_scene(path: str | Path) -> Scene:
 
     Raises
     ------
-    OSError : if it cannot be read.  ValueError : if it is not valid TOML, or wrong: one line for each problem, with the
+    OSError : if it cannot be read.
+    ValueError : if it is not valid TOML, or wrong: one line for each problem, with the
         file, the place, the value and what is expected.
     """
     file = checked_path("path", path)
@@ -55,6 +58,7 @@ def load_scene(path: str | Path) -> Scene:
                 f"{file} is not a scene file (TOML), but the file of a run: minimd resume continues it; in a script, "
                 "md.Simulation.resume(file) has its state"
             )
+
         return parse_scene(content.decode("utf-8"), file)
     except FileNotFoundError:
         raise FileNotFoundError(f"scene file {str(file)!r} does not exist") from None
@@ -67,6 +71,7 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def parse_scene(text: str, path: Path) -> Scene:
-    """Check the text of a scene file.  path : the file; paths in it are relative to its folder.
+    """Check the text of a scene file.
+    path : the file; paths in it are relative to its folder.
     Raises ValueError as load_scene."""
     return parsed(Scene, text, path)

@@ -104,7 +104,8 @@ class Section(BaseModel):
         return next(key for key, (field, _) in cls.keys(units).items() if field == name)
 
     def faults(self, units: str) -> Iterator[str]:
-        """What is wrong with its values together, in words that follow its name.  units : of the document."""
+        """What is wrong with its values together, in words that follow its name.
+        units : of the document."""
         yield from ()
 
     @model_validator(mode="after")
@@ -148,7 +149,8 @@ def _multiplied(value: Any, size: float | None) -> Any:
 
 
 def one_of(allowed: Collection[str]) -> AfterValidator:
-    """A check that a text is one of the allowed names.  allowed : read at each check,
+    """A check that a text is one of the allowed names.
+    allowed : read at each check,
     so that names registered later are included."""
 
     def check(value: str) -> str:

@@ -56,7 +56,8 @@ PairOfSpecies = Annotated[list[str], Field(min_length=2, max_length=2)]
 
 
 class Numbers(NamedTuple):
-    """r : distances [length].  u : energies [energy], one for each distance."""
+    """r : distances [length].
+    u : energies [energy], one for each distance."""
 
     r: list[float]
     u: list[float]
@@ -87,16 +88,19 @@ def read_table(path: Path) -> Numbers:
         raise ValueError(
             f"table {str(path)!r} must hold two numbers on each line, r and u: {error}"
         ) from None
+
     n_lines, n_columns = columns.shape
     if n_columns != 2 or n_lines == 0:
         raise ValueError(
             f"table {str(path)!r} must hold two numbers on each line, r and u; it has {n_lines} lines of {n_columns}"
         )
+
     return Numbers(*columns.T.tolist())
 
 
 def as_sections(tables: Mapping[str, Numbers], units: str) -> str:
-    """The text that adds these tables to a scene, to the last bit.  units : of the scene, "ASE" or "LJ"."""
+    """The text that adds these tables to a scene, to the last bit.
+    units : of the scene, "ASE" or "LJ"."""
     # the units of the engine, of size 1: the first of lengths, the last of energies
     (length, *_) = KEY_UNITS[units]["length"]
     (*_, energy) = KEY_UNITS[units]["energy"]
@@ -116,7 +120,8 @@ OF_FILES = ("format", "masses", "elements", "atom_style", "lammps_units")  # of 
 
 class StructureSection(Section):
     """[structure]: a file that ASE or MDAnalysis reads, or a block of a cubic crystal.
-    format : name of the format, for a file whose suffix does not show it.  bonds : pairs of atoms; "file" for the
+    format : name of the format, for a file whose suffix does not show it.
+    bonds : pairs of atoms; "file" for the
         bonds, angles and dihedrals in the file; or the name of another file that holds them.
     masses, elements, atom_style, lammps_units : what the file does not state, see system_from_file."""
 
@@ -146,6 +151,7 @@ class StructureSection(Section):
                 if name in self.model_fields_set:
                     yield f"cannot have {name} together with file"
             return
+
         for name in ("cell", *OF_FILES):
             if name in self.model_fields_set:
                 yield f"cannot have {name} together with lattice"
@@ -172,7 +178,9 @@ class WaterSection(Section):
     seed: NonNegativeInt = 0
 
     def system(self, placed: System | None) -> System:
-        """The molecules, held rigid.  placed : the atoms of a file, or None.  Raises ValueError as water, water_of."""
+        """The molecules, held rigid.
+        placed : the atoms of a file, or None.
+        Raises ValueError as water, water_of."""
         if placed:
             system, _, rigid = water_of(placed, self.model)
         else:
@@ -184,7 +192,8 @@ class WaterSection(Section):
 
     def potentials(self) -> list[OwnPotential]:
         """Its potentials, also of a run in a file, without making molecules.  With atoms of a file, molecules and
-        density have their default values, and the default cutoff is 9 Å.  Raises ValueError as water."""
+        density have their default values, and the default cutoff is 9 Å.
+        Raises ValueError as water."""
         density = self.density / GRAM_PER_CM3
         return water_potentials(self.model, self.molecules, density, self.cutoff, self.accuracy)
 
@@ -212,7 +221,8 @@ class ConstraintsSection(Section):
         self, bonds: list[list[int]], known: Sequence[Constraint]
     ) -> tuple[Constraint, ...]:
         """The constraints of a system whose file, of structure or run, may hold some already.
-        bonds : of the structure.  known : constraints of the file; they hold where the section says nothing,
+        bonds : of the structure.
+        known : constraints of the file; they hold where the section says nothing,
             lengths only if the pairs are the same.
         Raises ValueError for impossible constraints."""
         fixed: list[Constraint] = [held for held in known if isinstance(held, FixedAtoms)]
@@ -229,6 +239,7 @@ class ConstraintsSection(Section):
                     "solver out"
                 )
             return tuple(fixed)
+
         if rigid is None or rigid.pairs.tolist() != pairs:
             rigid = DistanceConstraints(pairs)
         lengths = rigid.lengths if self.lengths is None else self.lengths
@@ -316,7 +327,8 @@ class TabulatedSection(Section):
         return list(dict.fromkeys(pair.file for pair in self.pairs or ()))
 
     def potential(self, table_of: Callable[[str], Numbers]) -> Tabulated:
-        """The potential that the section describes.  table_of : returns the numbers of a table.
+        """The potential that the section describes.
+        table_of : returns the numbers of a table.
         Raises ValueError for tables that do not fit."""
         tables = {name: table_of(name) for name in self.files}
         first = self.files[0]
@@ -421,7 +433,8 @@ class OfObservers(Section):
         return {name: value for name, value in self if name != "kind" and value is not None}
 
     def observer(self) -> Accumulator:
-        """A new observer of this kind.  Raises ValueError if it refuses the arguments."""
+        """A new observer of this kind.
+        Raises ValueError if it refuses the arguments."""
         return KINDS[self.kind](**self._given())  # type: ignore[attr-defined]
 
 
@@ -517,12 +530,14 @@ class SceneSections(Section):
                 yield "constraints.pairs would replace those of water; leave them out"
             if units != "ASE":
                 yield f'water needs units = "ASE"; units = "{units}"'
+
         if self.dynamics.temperature is None:
             temperature = f"dynamics.{DynamicsSection.key('temperature', units)}"
             if self.equilibration:
                 yield f"equilibration needs {temperature}, at which first velocities are drawn"
             if self.barostat:
                 yield f"barostat needs {temperature}, the temperature of its noise"
+
         if pairs == "bonds" and not self.structure.bonds:
             yield 'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs'
         used = set[str]()

@@ -25,7 +25,10 @@ RigidWater = tuple[System, list[OwnPotential], DistanceConstraints]
 
 
 class Model(NamedTuple):
-    """length : of O-H [Å].  angle : H-O-H [degrees].  charge : of H [e].  epsilon, sigma : of O [kJ/mol], [Å]."""
+    """length : of O-H [Å].
+    angle : H-O-H [degrees].
+    charge : of H [e].
+    epsilon, sigma : of O [kJ/mol], [Å]."""
 
     length: float
     angle: float
@@ -75,10 +78,12 @@ def water(
     Parameters
     ----------
     model : "SPC/E", "TIP3P" or "OPC3"; the numbers and their sources are in MODELS.
-    n : of molecules, each an O and two H, in this order.  density : [g/cm³].
+    n : of molecules, each an O and two H, in this order.
+    density : [g/cm³].
     cutoff : of Lennard-Jones and charges [Å]; if not given, 9, or 0.45 of the edge of the box if that is less, as for
         fewer than 267 molecules at the density of water; a warning then says so.
-    accuracy : see Coulomb.  seed : of the orientations.
+    accuracy : see Coulomb.
+    seed : of the orientations.
 
     Raises ValueError for an unknown model, a number of molecules below one, a density or cutoff that is not positive.
     """
@@ -90,12 +95,15 @@ def water(
             f"the cutoff of water is {longest:.3g} Å, not {CUTOFF:g} Å, because the box is only {edge:.3g} Å wide; "
             "take more molecules, or give cutoff to choose it"
         )
+
     # the lattice with the fewest empty places, from which some are left out evenly
     lattices = []
+
     for name in ("sc", "bcc", "fcc"):
         n_sites = len(BASES[name])
         repeat = ceil(round((n / n_sites) ** (1.0 / 3.0), 9))
         lattices.append((n_sites * repeat**3, name, repeat))
+
     n_places, name, repeat = min(lattices, key=lambda lattice: lattice[0])
     places, _ = crystal(name, [repeat] * 3, edge / repeat)
     centers = places[np.arange(n) * n_places // n]
@@ -126,7 +134,9 @@ def water_of(
     keep their order, velocities, cell, and those that are fixed; masses, charges, bonds and lengths become those of the
     model. As all constraints, the lengths are pulled to theirs when a run begins, and a warning says from how far.
 
-    system : in ASE's units.  cutoff : of Lennard-Jones and charges [Å].  model, accuracy : as for water.
+    system : in ASE's units.
+    cutoff : of Lennard-Jones and charges [Å].
+    model, accuracy : as for water.
 
     Raises ValueError with the first atom that is of no molecule of an O and two H, such as the fourth site of some
     models; and as water.
@@ -148,6 +158,7 @@ def water_of(
             f"molecules of water must be an O and two H within {OH:g} Å of it, and no fourth site; atom {k}, "
             f"{species[k]}, has {n_arms[k]} partners"
         )
+
     molecules = np.column_stack([oxygens[::2], hydrogens.reshape(-1, 2)])
     return _rigid(system, model, molecules, potentials)
 
@@ -155,7 +166,8 @@ def water_of(
 def _rigid(
     system: System, model: str, molecules: NDArray[np.int64], potentials: list[OwnPotential]
 ) -> RigidWater:
-    """What water returns, from atoms in their places.  molecules : (n, 3), indices of O, H, H."""
+    """What water returns, from atoms in their places.
+    molecules : (n, 3), indices of O, H, H."""
     length, angle, charge, *_ = MODELS[model]
     pairs = molecules[:, [[0, 1], [0, 2], [1, 2]]]
     base = 2.0 * length * sin(radians(0.5 * angle))
@@ -174,7 +186,9 @@ DENSEST = 3.0  # g/cm³, more than that of any ice
 
 
 def edge_of(n: int, density: float) -> float:
-    """Edge of the box [Å] of n molecules.  density : [g/cm³].  Raises ValueError if it or n is not positive."""
+    """Edge of the box [Å] of n molecules.
+    density : [g/cm³].
+    Raises ValueError if it or n is not positive."""
     density = checked_number("density", density, "positive and finite")
     if density > DENSEST:
         raise ValueError(f"density must be at most {DENSEST:g} g/cm³; density = {density:g}")

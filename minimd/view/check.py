@@ -42,7 +42,9 @@ OBSERVED = (*SERIES, "constraint_violation")
 
 @dataclass(frozen=True)
 class Comparison:
-    """One comparison.  figure : the largest difference in all frames, relative to a scale.  tolerance : its limit.
+    """One comparison.
+    figure : the largest difference in all frames, relative to a scale.
+    tolerance : its limit.
     meaning : what is compared."""
 
     name: str
@@ -112,7 +114,8 @@ def check_file(path: str | Path) -> FileCheck:
 
 
 def checked(run: RunUniverse, damaged: str = "") -> FileCheck:
-    """The check of a file with an open universe.  damaged : its damaged frames or restarts, see h5md_reader.damage."""
+    """The check of a file with an open universe.
+    damaged : its damaged frames or restarts, see h5md_reader.damage."""
     contents = run.contents
     system = run.system
     is_free = contents.conserves_momentum
@@ -255,7 +258,8 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
     """Lines about a liquid that is periodic in all directions: the first peak of g(r); D, or why it is not known, if
     there are enough frames.
 
-    run : a file, or its universe.  Raises as universe.
+    run : a file, or its universe.
+    Raises as universe.
     """
     with universe_of(run) as universe:
         contents = universe.contents

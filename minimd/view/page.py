@@ -56,9 +56,13 @@ OTHERS = "#4a7fc1", "#d98032", "#3f9f6f", "#b0599f", "#c9a227", "#7a6fc9", "#4fa
 class Motion(NamedTuple):
     """Some frames of a run.
 
-    contents : of its file.  frames : (T,) int, indices in the file.  atoms : (A,) int, indices in the system.
-    counts : (T, A, 3) uint16, q.  low, width : (T, 3), dimensionless along periodic directions, [length] along open
-    ones.  apart : for each species the distance to the nearest neighbor [length], the median in the first frame shown.
+    contents : of its file.
+    frames : (T,) int, indices in the file.
+    atoms : (A,) int, indices in the system.
+    counts : (T, A, 3) uint16, q.
+    low, width : (T, 3), dimensionless along periodic directions, [length] along open
+    ones.
+    apart : for each species the distance to the nearest neighbor [length], the median in the first frame shown.
     """
 
     contents: H5MDContents
@@ -78,9 +82,15 @@ class Motion(NamedTuple):
 
 
 class Story(NamedTuple):
-    """title, heading : texts.  contents : of the file.  motion : Motion.  marked : atoms that caused a failure.
-    cause : of a failure, with advice and fault; both are empty without one.  picture : MIME type and bytes.
-    alternative : the picture in words.  report : text.  notes : sentences about what is not shown.
+    """title, heading : texts.
+    contents : of the file.
+    motion : Motion.
+    marked : atoms that caused a failure.
+    cause : of a failure, with advice and fault; both are empty without one.
+    picture : MIME type and bytes.
+    alternative : the picture in words.
+    report : text.
+    notes : sentences about what is not shown.
     """
 
     title: str
@@ -96,7 +106,8 @@ class Story(NamedTuple):
 
 
 def run_story(path: Path, frames: int) -> Story:
-    """The check of a run as text, its picture, its atoms.  Raises as minimd.mdanalysis.universe."""
+    """The check of a run as text, its picture, its atoms.
+    Raises as minimd.mdanalysis.universe."""
     with universe_of(path) as run:
         motion = motion_of(run, frames)
         contents = run.contents
@@ -207,7 +218,8 @@ def motion_of(
 ) -> Motion:
     """The motion in a file whose universe is open.
 
-    most : largest number of frames; fewer are used if there are many atoms.  latest : the last frames, in place of
+    most : largest number of frames; fewer are used if there are many atoms.
+    latest : the last frames, in place of
         evenly chosen ones.
     marked : atoms that are always shown; all are shifted so that, in the last frame, the first of these is in the
         middle of the cell.

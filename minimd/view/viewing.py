@@ -18,7 +18,10 @@ HEIGHT = 720  # of the page in a notebook [pixels]
 class View:
     """An HTML page that contains everything: it makes no requests, and its policy forbids the browser to make any.
 
-    A notebook shows it.  html : the page.  file : the file of the run.  summary : what it shows, in words.
+    A notebook shows it.
+    html : the page.
+    file : the file of the run.
+    summary : what it shows, in words.
     """
 
     html: str
@@ -27,7 +30,8 @@ class View:
 
     def save(self, page: str | Path | None = None) -> Path:
         """Write the page and return its name; if not given, that of the run with .html. A file or link with this name
-        is replaced.  Raises OSError if it cannot be written."""
+        is replaced.
+        Raises OSError if it cannot be written."""
         path = self.file.with_suffix(".html") if page is None else Path(page)
         write_whole(path, self.html)
         return path

@@ -114,7 +114,8 @@ def as_force(f, steps):
 
 @by_type
 def is_too_large(size2, steps):
-    """Whether one of several forces may be too large for a grid.  size2 : sum of their squares [energy²/length²]."""
+    """Whether one of several forces may be too large for a grid.
+    size2 : sum of their squares [energy²/length²]."""
     if not is_fixed(steps):
         return lambda size2, steps: False
     if not isinstance(size2, Vector):

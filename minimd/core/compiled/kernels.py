@@ -110,7 +110,8 @@ def open_to_others(folder: Path) -> Path | None:
 
     Whoever can write to a folder can exchange the folders in it, unless it is sticky, as /tmp is: then only their
     owners can. Folders that do not exist yet belong to nobody. Windows keeps the folders of users apart by other means.
-    None if there is no such folder.  Raises OSError if the permissions cannot be read."""
+    None if there is no such folder.
+    Raises OSError if the permissions cannot be read."""
     if not hasattr(os, "getuid"):
         return None
     folder = Path(os.path.realpath(folder))

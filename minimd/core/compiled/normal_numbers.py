@@ -37,7 +37,9 @@ UNIT = 2.0**-53
 
 
 class NoiseStream(namedtuple("NoiseStream", "key counter words place")):
-    """Random words.  key : (2,), counter : (4,), words : (4,) uint64, of it.  place : (1,) int, how many are used."""
+    """Random words.
+    key : (2,), counter : (4,), words : (4,) uint64, of it.
+    place : (1,) int, how many are used."""
 
 
 @inlined

@@ -23,7 +23,8 @@ IN_A_CHUNK = 512
 
 class Operation(NamedTuple):
     """An operation of a program.
-    code : address of a kernel (data, chunk) → answer, see operation; 0 where Python is wanted.  data : its data.
+    code : address of a kernel (data, chunk) → answer, see operation; 0 where Python is wanted.
+    data : its data.
     n_chunks : that it is cut into.
     then, otherwise : the operations to go on with if it answers GO_ON or JUMP, counted from this one.
     python : what Python does at an operation of its own, called without arguments; or, called with an answer above 0,
@@ -44,7 +45,8 @@ class Operation(NamedTuple):
 def operation(
     calls: DirectCalls, kernel: Callable, data: ByAddress, n_chunks: int = 1, **more: Any
 ) -> Operation:
-    """An operation of compiled code.  calls : of a caller who always gives this kernel data of one type."""
+    """An operation of compiled code.
+    calls : of a caller who always gives this kernel data of one type."""
     return Operation(calls.address(kernel, data, 0), data, n_chunks, **more)
 
 
@@ -60,7 +62,9 @@ def n_chunks_of(n: int) -> int:
 
 class Program:
     """Operations that are made anew when the memory of their data was replaced.
-    make : returns them: always as many, in the same order.  version : of that memory.  pool : the threads."""
+    make : returns them: always as many, in the same order.
+    version : of that memory.
+    pool : the threads."""
 
     def __init__(
         self, make: Callable[[], Iterable[Operation]], version: Callable[[], Any], pool: ThreadPool

@@ -54,7 +54,10 @@ _let_others_run = types.ExternalFunction(
 
 
 class Worker(namedtuple("Worker", "counters thread n_threads")):
-    """One thread of a pool.  counters : shared.  thread : its number, 0 of the caller.  n_threads : of the pool."""
+    """One thread of a pool.
+    counters : shared.
+    thread : its number, 0 of the caller.
+    n_threads : of the pool."""
 
 
 def no_counts() -> NDArray[np.int64]:

@@ -12,6 +12,7 @@ def provide(what: str, place: str) -> None:
 
 
 def from_annex(what: str) -> Any:
-    """The object, whose module is loaded if it is not yet.  Raises KeyError for what the face does not provide."""
+    """The object, whose module is loaded if it is not yet.
+    Raises KeyError for what the face does not provide."""
     module, _, name = _PLACES[what].partition(":")
     return getattr(import_module(module), name)

@@ -55,7 +55,8 @@ class LazyNames:
         self.places = places_of(package)
 
     def load(self, name: str) -> Any:
-        """A public name, or a module in the package.  Raises AttributeError if it is neither."""
+        """A public name, or a module in the package.
+        Raises AttributeError if it is neither."""
         with _LOADING:
             value = self._defined(name) if name in self.places else submodule(self.package, name)
         if value is None:

@@ -16,7 +16,9 @@ def progress_of(
     n_steps: int, label: str, show: bool | None = None, unit: str = "step"
 ) -> Iterator[Callable[[int], Any]]:
     """Show on standard error, or in a notebook, how much of n_steps is done; yields a function to be called with the
-    number of steps made.  unit : what is counted, if not steps.  show : True for a bar on a terminal or in a notebook,
+    number of steps made.
+    unit : what is counted, if not steps.
+    show : True for a bar on a terminal or in a notebook,
     and ten lines elsewhere; False for nothing; None for a bar where one is possible. ValueError for anything else."""
     if not (show is None or isinstance(show, bool)):
         raise ValueError(f"progress must be True or False; progress = {shown(show)}")

@@ -176,7 +176,8 @@ def _kept(stopped: BaseException) -> str:
 
 class Terminated(SystemExit):
     """A run was ended by SIGTERM or SIGHUP, after a whole step. The exit code is 128 + the number of the signal, as in
-    shells.  kept : files of the run."""
+    shells.
+    kept : files of the run."""
 
     def __init__(self, number: int, words: str, kept: Sequence[Path] = ()) -> None:
         super().__init__(128 + number)

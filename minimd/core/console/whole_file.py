@@ -36,14 +36,16 @@ def temporary(path: Path) -> Path:
 
 
 def locked(path: Path, create: bool = False) -> int:
-    """A descriptor of a regular file, locked: no other run can lock the file while it is open.  Raises OSError if
+    """A descriptor of a regular file, locked: no other run can lock the file while it is open.
+    Raises OSError if
     another run holds the lock, or it is not a regular file; a link is none."""
     return _locked(regular(path, os.O_RDWR | (os.O_CREAT if create else 0)), path)
 
 
 def new_file(path: Path) -> int:
     """A descriptor of a new and empty regular file, locked. A link in its place is removed, and so is a file that a
-    killed run has left.  Raises OSError as locked, and if another run is faster."""
+    killed run has left.
+    Raises OSError as locked, and if another run is faster."""
     with suppress(FileNotFoundError), ExitStack() as left:
         if HAS_LOCKS and not path.is_symlink():
             left.callback(os.close, locked(path))
@@ -56,7 +58,8 @@ def new_file(path: Path) -> int:
 
 def write_whole(file: Path, content: str | bytes, overwrite: bool = True) -> None:
     """Write a file under another name, then rename it: nobody sees it half written, and a link is replaced,
-    not followed.  Raises FileExistsError if it may not replace a file, OSError with a message."""
+    not followed.
+    Raises FileExistsError if it may not replace a file, OSError with a message."""
     part = temporary(file)
     try:
         if file.exists() and not file.is_file():
@@ -84,7 +87,8 @@ def write_whole(file: Path, content: str | bytes, overwrite: bool = True) -> Non
 
 
 def text_of(path: Path) -> str:
-    """The text of a file, which may be compressed (gzip, bzip2).  Raises OSError if it cannot be read."""
+    """The text of a file, which may be compressed (gzip, bzip2).
+    Raises OSError if it cannot be read."""
     content = path.read_bytes()
     for magic, unpacked in ((b"\x1f\x8b", gzip.decompress), (b"BZh", bz2.decompress)):
         if content.startswith(magic):
@@ -93,7 +97,9 @@ def text_of(path: Path) -> str:
 
 
 def rendered(figure: Any, kind: str | None) -> bytes:
-    """The contents of the file of a picture.  figure : of Matplotlib.  kind : its format, as png or svg."""
+    """The contents of the file of a picture.
+    figure : of Matplotlib.
+    kind : its format, as png or svg."""
     content = BytesIO()
     figure.savefig(content, format=kind)
     return content.getvalue()
@@ -106,7 +112,8 @@ def write_picture(figure: Any, picture: Path) -> Path:
 
 
 def regular(path: str | Path, flags: int) -> int:
-    """A descriptor of a regular file, also for open(path, opener=regular).  Raises OSError if it is anything else:
+    """A descriptor of a regular file, also for open(path, opener=regular).
+    Raises OSError if it is anything else:
     a link is not followed, and a pipe is not waited for."""
     with suppress(FileNotFoundError):
         if not stat.S_ISREG(os.lstat(path).st_mode):
@@ -137,7 +144,8 @@ def _locked(descriptor: int, path: Path) -> int:
 
 
 def is_locked(path: Path, otherwise: bool = True) -> bool:
-    """Whether a process holds the lock of a file.  otherwise : the answer where this cannot be found out.  Raises
+    """Whether a process holds the lock of a file.
+    otherwise : the answer where this cannot be found out.  Raises
     OSError if the file cannot be opened."""
     descriptor = os.open(path, os.O_RDONLY | NO_LINK)
     try:

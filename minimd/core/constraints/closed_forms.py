@@ -219,6 +219,7 @@ def drift_pairs(block, atoms, bonds, duration):
         put_rows(velocities, j, block, v)
         put_rows(positions, i, block, combined(1.0, x, duration, u))
         put_rows(positions, j, block, combined(1.0, y, duration, v))
+
     return n_kept
 
 
@@ -351,6 +352,7 @@ def drift_linear(block, atoms, molecules, duration):
         push = times(scale / duration, s)
         velocities = pushed(velocities, masses, alpha, beta, mu, push)
         put_corners(atoms.vectors, abc, block, velocities)
+
     return n_kept
 
 
@@ -454,6 +456,7 @@ def drift_triangles(block, atoms, triangles, duration):
         w = combined(1.0, w, push, combined(ac, c0, 1.0, on_bc))
         put_corners(atoms.vectors, abc, block, (u, v, w))
         put_corners(atoms.positions, abc, block, moved(before, duration, (u, v, w)))
+
     return n_kept
 
 
@@ -494,6 +497,7 @@ def project_triangles(block, atoms, triangles, targets, multipliers):
     of_ab, of_ac, of_bc = three(targets, sides, block)
     a, b, c = corners(atoms.vectors, abc, block)
     sum_ab = sum_ac = sum_bc = 0.0 * scale
+
     for _ in range(2):
         x = of_ab - dot(ab, minus(b, a))
         y = of_ac - dot(ac, minus(c, a))
@@ -507,6 +511,7 @@ def project_triangles(block, atoms, triangles, targets, multipliers):
         sum_ab = sum_ab + on_ab
         sum_ac = sum_ac + on_ac
         sum_bc = sum_bc + on_bc
+
     put_corners(atoms.vectors, abc, block, (a, b, c))
 
     put_numbers(multipliers, sides[0], block, sum_ab)

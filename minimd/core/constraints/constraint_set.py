@@ -49,6 +49,7 @@ class ConstraintSet:
         self.inverse_masses = 1.0 / system.masses
 
         distances = []
+
         for constraint in all_kinds:
             if isinstance(constraint, FixedAtoms):
                 constraint.check_size(len(system))
@@ -58,6 +59,7 @@ class ConstraintSet:
                 distances.append(
                     checked_kind("constraints", constraint, DistanceConstraints, kinds)
                 )
+
         if len(distances) > 1:
             raise ValueError(
                 f"constraints must hold all pairs in one DistanceConstraints; {len(distances)} are given"
@@ -80,6 +82,7 @@ class ConstraintSet:
                 images = nearest_images(system.positions, system.cell, pairs)
             else:
                 images = images_of_length(system.positions, system.cell, pairs, lengths)
+
             bonds = ConstraintSolver(rigid, system.positions, self.inverse_masses, images, threads)
             check_resolution(system, float(bonds.lengths.min()), "the shortest rigid length")
             self.bonds = bonds
@@ -112,11 +115,13 @@ class ConstraintSet:
         while left.size:
             _, first = np.unique(body[left], return_index=True)
             atoms = left[first]
+
             for axis in range(3):
                 velocities = np.zeros((n_atoms, 3))
                 velocities[atoms, axis] = 1.0
                 self.project(velocities, positions)
                 shares[atoms] += velocities[atoms, axis]
+
             left = np.delete(left, first)
 
         shares[shares < NO_SHARE] = 0.0

@@ -212,7 +212,8 @@ class Networks:
         self.known = self._known(positions)
 
     def _known(self, positions: Floats) -> tuple:
-        """The arguments of solvers.  Raises ValueError if a constraint depends on the others."""
+        """The arguments of solvers.
+        Raises ValueError if a constraint depends on the others."""
         graph = self.graph
         k = dependent_constraint(positions, graph.components, self.bonds, self.memory)
         if k >= 0:
@@ -394,9 +395,11 @@ def _corners(
     apex = sums.sum(axis=1) // 2 - b - c
     arms = []
     shifts = []
+
     for end in (b, c):
         arm = starts + np.argmax(sums == (apex + end)[:, None], axis=1)
         sign = np.where(graph.first[arm] == apex, 1.0, -1.0)
         arms.append(arm)
         shifts.append(sign[:, None] * offsets[arm])
+
     return (apex, b, c), tuple(shifts), tuple(arms)

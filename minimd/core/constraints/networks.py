@@ -59,8 +59,10 @@ def factorize(components, start, end, r, s, lower, upper):
     origins = components.origins
     lowest = components.lowest
     coupling = components.coupling
+
     for k in range(start, end):
         at_k = origins[k]
+
         for l in range(lowest[k], k):
             at_l = origins[l]
             c = coupling[at_k + l]
@@ -71,12 +73,14 @@ def factorize(components, start, end, r, s, lower, upper):
                 in_row -= lower[at_k + m] * upper[at_l + m]
             upper[at_k + l] = in_column
             lower[at_k + l] = in_row / upper[at_l + l]
+
         pivot = coupling[at_k + k] * dot(r[k], s[k])
         for m in range(lowest[k], k):
             pivot -= lower[at_k + m] * upper[at_k + m]
         if not abs(pivot) > 0.0:
             return k
         upper[at_k + k] = pivot
+
     return NOTHING
 
 
@@ -105,16 +109,19 @@ def restore_lengths(atoms, components, bonds, start, end, memory):
     memory : NetworkScratch; λ is added to its total.
     Returns the iterations, or −1 − the constraint that could not be kept."""
     r, s, x, total, lower, upper = memory
+
     for iteration in range(MAX_ITERATIONS):
         find_separations(atoms.positions, bonds, start, end, r)
         worst = 0.0
         where = start
+
         for k in range(start, end):
             x[k] = 0.5 * (bonds.lengths2[k] - dot(r[k], r[k]))
             violation = abs(2.0 * x[k]) / bonds.lengths2[k]
             if not violation <= worst:
                 worst = violation
                 where = k
+
         if worst <= ROUNDING:
             return iteration
         singular = factorize(components, start, end, r, s, lower, upper)
@@ -126,6 +133,7 @@ def restore_lengths(atoms, components, bonds, start, end, memory):
             add_opposite(atoms.positions, atoms.inverse_masses, bonds, k, x[k], s[k])
         if worst < LAST:
             return iteration + 1
+
     return NOTHING - where
 
 
@@ -136,8 +144,10 @@ def sweep_lengths(atoms, _components, bonds, start, end, memory):
     inverse_masses = atoms.inverse_masses
     s = memory.s
     where = start
+
     for sweep in range(1, MAX_SWEEPS + 1):
         worst = 0.0
+
         for k in range(start, end):
             i, j = bonds.first[k], bonds.second[k]
             r = separation(positions, i, j, bonds.offsets[k])
@@ -148,8 +158,10 @@ def sweep_lengths(atoms, _components, bonds, start, end, memory):
             scale = gap / (2.0 * (inverse_masses[i] + inverse_masses[j]) * dot(r, s[k]))
             memory.total[k] += scale
             add_opposite(positions, inverse_masses, bonds, k, scale, s[k])
+
         if worst <= bonds.tolerance:
             return sweep
+
     return NOTHING - where
 
 
@@ -169,6 +181,7 @@ def drift_with(restore):
         s = memory.s
         total = memory.total
         most = 0
+
         for c in range(first, last):
             start = components.starts[c]
             end = components.starts[c + 1]
@@ -182,11 +195,14 @@ def drift_with(restore):
             n_iterations = restore(atoms, components, bonds, start, end, memory)
             if n_iterations < 0:
                 return n_iterations
+
             for k in range(start, end):
                 add_opposite(
                     atoms.vectors, atoms.inverse_masses, bonds, k, total[k] / duration, s[k]
                 )
+
             most = max(most, n_iterations)
+
         return most
 
     return drift_components
@@ -201,6 +217,7 @@ def project_components(first, last, atoms, components, bonds, memory, targets, t
     Returns 1, or −1 − the constraint that depends on others."""
     vectors = atoms.vectors
     r, _, x, _, lower, upper = memory
+
     for c in range(first, last):
         start = components.starts[c]
         end = components.starts[c + 1]
@@ -208,16 +225,19 @@ def project_components(first, last, atoms, components, bonds, memory, targets, t
         singular = factorize(components, start, end, r, r, lower, upper)
         if singular >= 0:
             return NOTHING - singular
+
         for correction in range(2):
             for k in range(start, end):
                 i, j = bonds.first[k], bonds.second[k]
                 x[k] = targets[k]
                 for d in range(3):
                     x[k] -= r[k, d] * (vectors[j, d] - vectors[i, d])
+
             solve(components, start, end, lower, upper, x)
             for k in range(start, end):
                 total[k] = x[k] + (total[k] if correction else 0.0)
                 add_opposite(vectors, atoms.inverse_masses, bonds, k, x[k], r[k])
+
     return 1
 
 
@@ -230,6 +250,7 @@ def dependent_constraint(positions, components, bonds, memory):
     bonds : Bonds.
     memory : NetworkScratch."""
     r, _, _, _, lower, upper = memory
+
     for c in range(components.starts.size - 1):
         start = components.starts[c]
         end = components.starts[c + 1]
@@ -237,10 +258,12 @@ def dependent_constraint(positions, components, bonds, memory):
         singular = factorize(components, start, end, r, r, lower, upper)
         if singular >= 0:
             return singular
+
         for k in range(start, end):
             at = components.origins[k] + k
             if not upper[at] > DEPENDENT * (components.coupling[at] * dot(r[k], r[k])):
                 return k
+
     return NOTHING
 
 
@@ -250,8 +273,10 @@ def sweep_component(atoms, bonds, start, end):
     velocities = atoms.vectors
     inverse_masses = atoms.inverse_masses
     where = start
+
     for sweep in range(1, MAX_SWEEPS + 1):
         worst = 0.0
+
         for k in range(start, end):
             i, j = bonds.first[k], bonds.second[k]
             r = separation(atoms.positions, i, j, bonds.offsets[k])
@@ -264,8 +289,10 @@ def sweep_component(atoms, bonds, start, end):
                 where = k
             scale = -along / ((inverse_masses[i] + inverse_masses[j]) * r2)
             add_opposite(velocities, inverse_masses, bonds, k, scale, r)
+
         if worst <= bonds.tolerance:
             return sweep
+
     return NOTHING - where
 
 

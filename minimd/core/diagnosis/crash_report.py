@@ -14,11 +14,16 @@ from minimd.core.structure.units import LJ, SYSTEMS
 @dataclass(frozen=True)
 class CrashReport:
     """The findings about a failed run. str() puts them into lines.
-    fault : what went wrong.  step : in which step.  last_good_step : of the state described.
-    first_step : from which it can be replayed.  kind, pair, cause, advice : as Verdict.
+    fault : what went wrong.
+    step : in which step.
+    last_good_step : of the state described.
+    first_step : from which it can be replayed.
+    kind, pair, cause, advice : as Verdict.
     closest : two atoms and their distance [length], or None.
     pushed, largest_force : the atom on which the largest force acts, and its size [energy/length].
-    fastest, displacement : the fastest atom, and its way in a step [length].  timestep : [time].  units : name."""
+    fastest, displacement : the fastest atom, and its way in a step [length].
+    timestep : [time].
+    units : name."""
 
     fault: str
     step: int
@@ -58,7 +63,8 @@ class CrashReport:
 
 
 def examine(engine: Engine, failure: Failure) -> CrashReport:
-    """Find the likely cause of a failure.  engine : in the last good state, with energies of single atoms."""
+    """Find the likely cause of a failure.
+    engine : in the last good state, with energies of single atoms."""
     evidence = Evidence(engine, failure)
     pushed, force = longest(engine.forces)
     fastest, speed = longest(engine.velocities)

@@ -27,9 +27,14 @@ HALVE = "halve the timestep until the energy is conserved"
 
 
 class Failure(NamedTuple):
-    """How a run failed.  fault : in words.  step : in which.  constraint : atoms of one that could not be kept.
-    at : (N, 3), positions at that moment, or None.  start : the earlier state that is known.
-    is_first : whether no step led to it.  first_volume : when the simulation was made [length³], or None.
+    """How a run failed.
+    fault : in words.
+    step : in which.
+    constraint : atoms of one that could not be kept.
+    at : (N, 3), positions at that moment, or None.
+    start : the earlier state that is known.
+    is_first : whether no step led to it.
+    first_volume : when the simulation was made [length³], or None.
     is_of_barostat : whether the barostat has refused to go on."""
 
     fault: str
@@ -43,7 +48,9 @@ class Failure(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """kind : for programs.  cause, advice : in words.  pair : to blame, or None."""
+    """kind : for programs.
+    cause, advice : in words.
+    pair : to blame, or None."""
 
     kind: str
     cause: str

@@ -45,7 +45,8 @@ def runaway(
 
         K + |U| > growth (K₀ + |U₀| + R)   and   |E − E₀| > (K + |U|) / 2,   R = Σ m (ulp(r)/Δt)²
 
-    first : observables of an earlier frame.  since : when that was, for the sentence.
+    first : observables of an earlier frame.
+    since : when that was, for the sentence.
     E is the total energy minus the reservoir energy and work, R the energy [energy] that the rounding of positions can
     make in a step."""
     system = engine.system

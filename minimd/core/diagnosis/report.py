@@ -48,7 +48,10 @@ DRIFTS = {None: "too short to judge", True: "none", False: "IT DRIFTS"}
 @dataclass(frozen=True)
 class Line:
     """The result of one check.
-    name : at most 14 letters.  summary : with figures.  verdict : in words.  is_good : whether it is as it should be.
+    name : at most 14 letters.
+    summary : with figures.
+    verdict : in words.
+    is_good : whether it is as it should be.
     misses_pressure : whether it says that the mean pressure is not that of the barostat."""
 
     name: str
@@ -208,7 +211,10 @@ class Report(Displayed):
     constraint_violation : largest |r² − d²|/d², or None without constraints.
     mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.
         temperature_error : standard error of the mean.
-    duration : [ps or τ].  n_frames : number of observations.  n_steps : from the first to the last.  cost : of the run,
+    duration : [ps or τ].
+    n_frames : number of observations.
+    n_steps : from the first to the last.
+    cost : of the run,
         if known.
     kinetic_energy : mean per atom [energy]: ½ n_dof k_B T / N, without a motion of the center of mass if n_dof is.
     energy_range : largest difference of two total energies per atom beyond rounding [energy].
@@ -442,7 +448,8 @@ def conservation_report(
 ) -> Report:
     """The report of a record.
     linear, angular : whether momentum is constant (see Engine.conserves_momentum), and angular momentum, too (then
-        nothing is periodic).  lines, cost, too_long_a_step : see Report.
+        nothing is periodic).
+    lines, cost, too_long_a_step : see Report.
     n_dof : degrees of freedom of the run; if not given, the kinetic energy includes a motion of the center of mass.
     With a thermostat or barostat, total energy minus reservoir energy is judged; with forces that depend on time, the
     total energy and the shadow energy minus their work."""

@@ -34,7 +34,8 @@ class Reversibility(Displayed):
 
     Attributes
     ----------
-    n_steps : in each direction.  distance, way : the largest of any atom from its start, at the end and at the reversal
+    n_steps : in each direction.
+    distance, way : the largest of any atom from its start, at the end and at the reversal
         [length].
     rounding : growth of one rounding error from the turning point to the end, times √(2 n_steps) [length]; infinite if
         too chaotic to tell. Not measured, and 0, if is_exact.

@@ -38,7 +38,8 @@ LEAST_REPLAY = 20
 
 class RunGuard:
     """Makes the steps of an engine, and finds out what went wrong when one fails.
-    seconds, n_steps : of the present run, without compilation.  observing : seconds of its observers.
+    seconds, n_steps : of the present run, without compilation.
+    observing : seconds of its observers.
     failed_from : Snapshot from which the last failure can be replayed."""
 
     _snapshots: list[Snapshot]  # at least SNAPSHOTS_APART steps apart
@@ -129,7 +130,9 @@ class RunGuard:
                 raise self._failure(fault, engine.step)
 
     def make_steps(self, n_steps: int, with_energy: bool = False) -> None:
-        """Make steps, in blocks.  with_energy : as for advance.  Raises as advance and observe."""
+        """Make steps, in blocks.
+        with_energy : as for advance.
+        Raises as advance and observe."""
         try:
             for done in range(0, n_steps, self.block):
                 n_left = n_steps - done

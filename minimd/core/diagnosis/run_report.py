@@ -118,7 +118,9 @@ def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[L
 
 
 class Jump(NamedTuple):
-    """What is cut off at cutoff [length].  energy, force : |u|, |u′| there.  size : of |u|, with which it is compared;
+    """What is cut off at cutoff [length].
+    energy, force : |u|, |u′| there.
+    size : of |u|, with which it is compared;
     that of |u′| is size/cutoff."""
 
     cutoff: float
@@ -173,7 +175,8 @@ def pressure_lines(
     record: Record, mass: float, barostat: StochasticCellRescaling | None, is_free: bool
 ) -> Iterator[Line]:
     """Lines with the means of volume and density, and the mean pressure compared with the target of the barostat; none
-    without a barostat.  mass : of all atoms."""
+    without a barostat.
+    mass : of all atoms."""
     if barostat is None or len(record) < ENOUGH or not np.isfinite(record.pressure).all():
         return
     first = float(record.volume[0])

@@ -112,7 +112,8 @@ class Stiffness:
             ω² = u″(r_min)/μ · max(5², 15 + 12.2 T*^(7/6)),   T* = k_B T/ε of the velocities
 
         This is the largest ω of all pairs of species. An atom bonded to a heavier one moves with it, and does not
-        count.  at_rest : whether the velocities are left out."""
+        count.
+        at_rest : whether the velocities are left out."""
         system = self.system
         bonds = np.concatenate([system.bonds, self._held])
         masses = system.masses
@@ -182,7 +183,8 @@ class Curvature:
     g = ½ (r² − d²) of each constraint, and λ its multiplier at rest: the curvature of the constraints acts like springs
     of stiffness −λ. Vectors w are mass-weighted displacements, w = M^1/2 u; D w is the change of M^−1/2 times the
     forces, with the opposite sign, from central differences. Positions of the system are changed and put back.
-    is_finite : whether the forces of the state are finite.  displacement : of the atom that is moved most [length]."""
+    is_finite : whether the forces of the state are finite.
+    displacement : of the atom that is moved most [length]."""
 
     def __init__(self, forces: Forces, constraint_set: ConstraintSet) -> None:
         self._forces = forces
@@ -234,7 +236,8 @@ class Curvature:
         return weighted.ravel()
 
     def stiffest(self, guess: Array) -> tuple[float, Array]:
-        """The largest eigenvalue of D [1/time²] and its vector, (N, 3), of length one.  guess : (N, 3), of a start."""
+        """The largest eigenvalue of D [1/time²] and its vector, (N, 3), of length one.
+        guess : (N, 3), of a start."""
         if guess.size <= SMALL:
             matrix = np.stack([self.times(unit) for unit in np.eye(guess.size)])
             squares, modes = np.linalg.eigh(0.5 * (matrix + matrix.T))

@@ -37,17 +37,21 @@ class StepAdvice(Displayed):
 
     Attributes
     ----------
-    frequency : ω of the stiffest mode [1/time], angular; 0 if nothing oscillates.  period : 2π/ω [time].
+    frequency : ω of the stiffest mode [1/time], angular; 0 if nothing oscillates.
+    period : 2π/ω [time].
     limit : the longest stable step of the method [time].
     harmonic : the step at which the energy of this mode oscillates by ±1/80 of its mean, at most half the limit [time].
     collision : the same for Lennard-Jones atoms that collide in a liquid [time]; infinite without such atoms.
-    recommended : the smaller of the two [time].  temperature : of the velocities, for which it holds;
+    recommended : the smaller of the two [time].
+    temperature : of the velocities, for which it holds;
         0 at rest [temperature].
-    method : name of the method.  timestep : of the method, if it has one [time].
+    method : name of the method.
+    timestep : of the method, if it has one [time].
     atoms, shares : the atoms that move most in the mode, and the fraction of its kinetic energy that each of them has.
     n_moving : over how many atoms the mode is spread, 1/Σ share².
     bond : (i, j), if the mode is the stretching of one bond.
-    n_evaluations : of the forces.  units : of the system.
+    n_evaluations : of the forces.
+    units : of the system.
     """
 
     frequency: float
@@ -139,13 +143,15 @@ def advise_timestep(
 
     Parameters
     ----------
-    system : the state, System or ase.Atoms.  potentials : one or several.
+    system : the state, System or ase.Atoms.
+    potentials : one or several.
     constraints : as for Simulation; those of the system if not given.
     method : a splitting, such as VelocityVerlet; or one with its time step, which is then compared with the advice.
 
     Raises
     ------
-    NonFiniteError : if the forces are not finite.  TypeError, ValueError : as Simulation.
+    NonFiniteError : if the forces are not finite.
+    TypeError, ValueError : as Simulation.
     """
     kind = method if isinstance(method, type) else type(method)
     if not issubclass(kind, Splitting):
@@ -160,7 +166,8 @@ def advise_timestep(
 
 def advice_at(engine: Engine, seconds: float) -> StepAdvice | None:
     """advise_timestep for the present state of an engine, which is left as it is; None if that would take longer.
-    seconds : it may take at most.  Raises NonFiniteError as advise_timestep, and whatever a potential raises."""
+    seconds : it may take at most.
+    Raises NonFiniteError as advise_timestep, and whatever a potential raises."""
     system = engine.system.copy()
     forces = Forces(system, engine.interactions.potentials, engine.interactions.options)
     forces.compute()  # compiles

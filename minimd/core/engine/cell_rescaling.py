@@ -32,7 +32,8 @@ EVAPORATED = 8.0
 class StrainedBodies:
     """The bodies that move as a whole when the cell is strained: atoms tied by rigid lengths, and single atoms.
 
-    bodies : Bodies.  masses : (B,) of the bodies [mass].
+    bodies : Bodies.
+    masses : (B,) of the bodies [mass].
     """
 
     def __init__(self, system: System, constraints: ConstraintSet) -> None:
@@ -111,7 +112,8 @@ class CellRescaling:
         self._first_volume = float(system.volume or 0.0)
 
     def temperature(self, method: Splitting) -> float:
-        """T of the bath.  Raises ValueError if neither barostat nor thermostat has it, they differ, or timestep < 0."""
+        """T of the bath.
+        Raises ValueError if neither barostat nor thermostat has it, they differ, or timestep < 0."""
         own = self.barostat.temperature
         theirs = getattr(method, "temperature", None) if method.is_thermostat else None
         if method.timestep < 0.0:
@@ -141,7 +143,8 @@ class CellRescaling:
     ) -> None:
         """Strain the whole scene once.
 
-        noise_number : selects the noise.  sums : forces, energy and virial of the present state.
+        noise_number : selects the noise.
+        sums : forces, energy and virial of the present state.
         forces_follow : computes them after cell and positions changed.
 
         Raises RangeError for a strain too large, or a cell that nothing holds together; ValueError without a virial.
@@ -181,7 +184,8 @@ class CellRescaling:
     def _thermodynamic_state(
         self, thermal: float, bath: Bath, sums: ForceResult, back: Array | None = None
     ) -> ThermodynamicState:
-        """The present state.  back : (3, 3) rotation applied to its tensors.
+        """The present state.
+        back : (3, 3) rotation applied to its tensors.
 
         If the total momentum is constant, it is no thermal motion; its degrees of freedom add k_B T/V.
         """
@@ -275,7 +279,8 @@ def rescaling_of(
     method: Splitting,
     holds_center: bool,
 ) -> CellRescaling | None:
-    """A barostat on the parts of an engine, or None.  Raises TypeError for another object, ValueError as that."""
+    """A barostat on the parts of an engine, or None.
+    Raises TypeError for another object, ValueError as that."""
     if barostat is None:
         return None
     checked_kind("barostat", barostat, StochasticCellRescaling, "a StochasticCellRescaling")

@@ -32,10 +32,14 @@ from minimd.core.structure.system import AnySystem, System
 
 
 class Snapshot(NamedTuple):
-    """A stored state, see Engine.restore.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy].
+    """A stored state, see Engine.restore.
+    positions, velocities : (N, 3), copies.
+    reservoir_energy : [energy].
 
-    clock : a step and its time, from which the times of other steps are counted.  cell : with a barostat, else None.
-    work : done by forces that depend on time [energy].  memory : of the method, see Splitting, or None.
+    clock : a step and its time, from which the times of other steps are counted.
+    cell : with a barostat, else None.
+    work : done by forces that depend on time [energy].
+    memory : of the method, see Splitting, or None.
     """
 
     step: int
@@ -52,9 +56,11 @@ class Snapshot(NamedTuple):
 class Checkpoint(NamedTuple):
     """What determines the bits of the steps to come, besides system, potentials, method, constraints and options.
 
-    displacement : of the fastest atom in a step, for which skins were chosen [length].  lists : of neighbors.
+    displacement : of the fastest atom in a step, for which skins were chosen [length].
+    lists : of neighbors.
     images : (K, 3) lattice vectors of rigid bonds [length], and their tolerance; None without.
-    equilibrated : steps of equilibrations so far.  grid : of fixed-point arithmetic; None without.
+    equilibrated : steps of equilibrations so far.
+    grid : of fixed-point arithmetic; None without.
     """
 
     state: Snapshot
@@ -68,12 +74,19 @@ class Checkpoint(NamedTuple):
 class Engine:
     """One system, its forces, its constraints and one method; see Simulation for the parameters.
 
-    system : System, the state; its arrays can be changed.  step : number of steps made.  time : [time].
-    interactions : Forces, the sum of all terms.  constraint_set : ConstraintSet.  barostat : or None.
-    surroundings : of the method.  noise_shift : step n has the noise with number n + noise_shift.
-    extra_observables : names of additional observables.  notes : title and scene, texts for files.
+    system : System, the state; its arrays can be changed.
+    step : number of steps made.
+    time : [time].
+    interactions : Forces, the sum of all terms.
+    constraint_set : ConstraintSet.
+    barostat : or None.
+    surroundings : of the method.
+    noise_shift : step n has the noise with number n + noise_shift.
+    extra_observables : names of additional observables.
+    notes : title and scene, texts for files.
     is_whole : whether a checkpoint has the bits of the run; false after a state was restored without its lists, and
-        until steps that were made are counted.  sums : ForceResult, of the last evaluation.
+        until steps that were made are counted.
+    sums : ForceResult, of the last evaluation.
     holds_center : whether the center of mass must not move, because atoms with FixCom of ASE were given.
     counts_center : whether it counts as a degree of freedom although nothing moves it, as in ASE's dynamics.
     equilibrated : steps of equilibrations so far: none of them has the noise of another.
@@ -604,7 +617,8 @@ def scene_in_words(
     parameters: Mapping[str, Any],
     barostat: StochasticCellRescaling | None,
 ) -> Rows:
-    """What is simulated, the same for a simulation, a file, and the lines and the page of a run.  method : its name."""
+    """What is simulated, the same for a simulation, a file, and the lines and the page of a run.
+    method : its name."""
     units = system.units
     cell = "none, open in all directions"
     if system.cell.is_periodic:
@@ -658,7 +672,8 @@ def _copied(
 
 
 def _checked_method(method: Splitting) -> Any:
-    """The method.  Raises TypeError for anything but a splitting with its time step."""
+    """The method.
+    Raises TypeError for anything but a splitting with its time step."""
     needed = "an integrator with its time step, such as VelocityVerlet(0.005)"
     return checked_kind("method", method, Splitting, needed)
 

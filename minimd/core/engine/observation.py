@@ -63,7 +63,8 @@ class Look:
 
     @property
     def volume(self) -> float:
-        """[length³].  Raises ValueError if the cell has none."""
+        """[length³].
+        Raises ValueError if the cell has none."""
         check_has_volume(self.engine)
         return float(self.system.volume or 0.0)
 
@@ -78,7 +79,8 @@ class Look:
 
     @property
     def stress(self) -> Any:
-        """(3, 3) [energy/length³].  Raises ValueError if the cell has no volume."""
+        """(3, 3) [energy/length³].
+        Raises ValueError if the cell has no volume."""
         return observables.stress(
             self.motion[0] - self.drift, self.motion[1], self.virial, self.volume
         )
@@ -88,8 +90,10 @@ class Look:
 class Observable:
     """A number, or an array of numbers, that frames, records and files hold under a name.
 
-    name : in record and file.  unit : the attribute of UnitSystem that names its unit, empty for a pure number.
-    measure : its value, from a Look.  exists : whether it is defined for an engine; None for every engine.
+    name : in record and file.
+    unit : the attribute of UnitSystem that names its unit, empty for a pure number.
+    measure : its value, from a Look.
+    exists : whether it is defined for an engine; None for every engine.
     demand : for one recorded only if extra_observables names it: raises ValueError for an engine that cannot have it.
     """
 
@@ -211,7 +215,8 @@ def observe(engine: Engine) -> Frame:
 
 
 def measure(engine: Engine, name: str) -> Any:
-    """One observable of the present state, as in observe.  Raises ValueError for a stress without volume."""
+    """One observable of the present state, as in observe.
+    Raises ValueError for a stress without volume."""
     engine.evaluate()
     return OBSERVABLES[name].measure(Look(engine))
 

@@ -11,7 +11,8 @@ class PeriodicObserver(ABC):
 
     Attributes
     ----------
-    every : steps between two looks.  needs_energy : whether the next looks need energies or the virial.
+    every : steps between two looks.
+    needs_energy : whether the next looks need energies or the virial.
     """
 
     every: int
@@ -19,7 +20,8 @@ class PeriodicObserver(ABC):
 
     @abstractmethod
     def prepare(self, engine: Engine) -> None:
-        """A run begins.  Raises ValueError if it cannot be observed."""
+        """A run begins.
+        Raises ValueError if it cannot be observed."""
 
     @abstractmethod
     def observe(self, engine: Engine) -> None:
@@ -35,7 +37,8 @@ class StoredObserver(PeriodicObserver):
 
     Attributes
     ----------
-    kind : its name in scene files and H5MD files.  name : of this one among the observers of a run.
+    kind : its name in scene files and H5MD files.
+    name : of this one among the observers of a run.
     last_step : the step of the last look, −1 if there is none.
     """
 
@@ -74,4 +77,5 @@ class StoredObserver(PeriodicObserver):
 
     @abstractmethod
     def result(self) -> Any:
-        """The result of all looks.  Raises ValueError before the first."""
+        """The result of all looks.
+        Raises ValueError before the first."""

@@ -26,8 +26,11 @@ SERIES: dict[str, str] = {}
 class Frame(NamedTuple):
     """The observed state at one step. Arrays are those of the running simulation; copy them to keep their values.
 
-    step, time [time].  positions, velocities, forces : (N, 3).  observables : name in SERIES to number or (3,) array;
-    pressure only if the cell has a volume.  reservoir_energy : given by thermostat and barostat so far [energy].
+    step, time [time].
+    positions, velocities, forces : (N, 3).
+    observables : name in SERIES to number or (3,) array;
+    pressure only if the cell has a volume.
+    reservoir_energy : given by thermostat and barostat so far [energy].
     """
 
     step: int
@@ -45,8 +48,10 @@ class Record(Displayed):
 
     Attributes
     ----------
-    step : (T,) int.  time : (T,) [time].
-    potential_energy, kinetic_energy, total_energy : (T,) [energy].  temperature : (T,).
+    step : (T,) int.
+    time : (T,) [time].
+    potential_energy, kinetic_energy, total_energy : (T,) [energy].
+    temperature : (T,).
     conserved_energy : (T,) [energy], total energy minus reservoir energy and work, only with a bath.
     work : (T,) [energy], ∫ ∂U/∂t dt since the start, only with forces that depend on time.
     volume, cell : (T,) [length³], (T, 3, 3) lattice vectors as rows [length], only with a barostat.
@@ -54,9 +59,11 @@ class Record(Displayed):
     constraint_violation : (T,) largest |r² − d²|/d², only with lengths held fixed.
     pressure : (T,) [energy/length³], only if the cell has a volume.
     stress : (T, 3, 3) [energy/length³], positive under tension, only if asked for: see Simulation.extra_observables.
-    momentum, angular_momentum : (T, 3).  absolute_momentum : (T,) Σ |m v|.
+    momentum, angular_momentum : (T, 3).
+    absolute_momentum : (T,) Σ |m v|.
     absolute_angular_momentum : (T,) Σ m |r − r_cm| |v|.
-    units : the UnitSystem of all of them.  n_atoms : N.
+    units : the UnitSystem of all of them.
+    n_atoms : N.
     trajectory : the first .h5md file of the run, with the frames of these entries, or None.
     """
 

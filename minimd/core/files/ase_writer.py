@@ -16,7 +16,8 @@ from minimd.core.structure.ase_atoms import atoms_from_system, calculators_stres
 
 def atoms_of_frame(template: Atoms, frame: Frame, forces: Any, conserves_momentum: bool) -> Atoms:
     """A copy of ASE's atoms in the state of a frame, with step and time in info, and energy, forces and stress, where
-    they are known, as results of a calculator.  conserves_momentum : whether the run did."""
+    they are known, as results of a calculator.
+    conserves_momentum : whether the run did."""
     atoms = template.copy()
     observables = frame.observables
     atoms.positions[:] = frame.positions

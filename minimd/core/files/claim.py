@@ -45,9 +45,11 @@ Pieces = list[tuple[int, bytes]]  # place in the file, and the new bytes
 class Claim:
     """A file that only this run writes.
 
-    path : as the user gave it; links are followed.  is_new : begin a new file; false as soon as it has its name.
+    path : as the user gave it; links are followed.
+    is_new : begin a new file; false as soon as it has its name.
     overwrite : a new file may replace one that exists.
-    place : where to write: the path, or the temporary name of a new file.  descriptor : of the file, locked.
+    place : where to write: the path, or the temporary name of a new file.
+    descriptor : of the file, locked.
 
     Raises FileExistsError if a new file would replace one and may not.  BlockingIOError if another run writes it,
     OSError if it is not a regular file.
@@ -65,10 +67,12 @@ class Claim:
                 errno.ENOENT,
                 "it is a link to a file that does not exist; remove it, or choose another name",
             )
+
         if is_new and is_there and not overwrite:
             raise FileExistsError(
                 errno.EEXIST, "it exists; choose another name, or pass overwrite=True"
             )
+
         if is_new and HAS_LOCKS:
             self.place = temporary(self.path)
         self.descriptor = new_file(self.place) if is_new else locked(self.place)
@@ -80,7 +84,8 @@ class Claim:
             raise
 
     def appear(self, is_on_disk: bool = False) -> None:
-        """Give a new file its name, unless it has it already.  is_on_disk : after fsync, which then is not repeated.
+        """Give a new file its name, unless it has it already.
+        is_on_disk : after fsync, which then is not repeated.
         Raises FileExistsError if another file has taken it."""
         if not self.is_new:
             return
@@ -100,8 +105,10 @@ class Claim:
             if self._replaced >= 0 or self.path.exists():
                 raise
             os.rename(self.place, self.path)
+
         self.place = self.path
         self.is_new = False
+
         # not every system can write a folder to the disk, and with it new names of files
         with suppress(OSError):
             folder = os.open(self.path.parent, os.O_RDONLY)
@@ -109,6 +116,7 @@ class Claim:
                 os.fsync(folder)
             finally:
                 os.close(folder)
+
         self._unlock("_replaced")
 
     @property
@@ -154,7 +162,8 @@ def end_with(parent: int, number: int = signal.SIGKILL) -> None:
 
 
 class JournaledFile(io.RawIOBase):
-    """A file object for h5py on a claimed file.  size : of the file after the next commit [B]."""
+    """A file object for h5py on a claimed file.
+    size : of the file after the next commit [B]."""
 
     def __init__(self, claim: Claim) -> None:
         self._claim = claim
@@ -226,7 +235,9 @@ class JournaledFile(io.RawIOBase):
             raise OSError(
                 errno.EIO, f"it was cut to {n_bytes} of {before} bytes while the run was writing it"
             )
+
         is_changed = bool(pieces) or self.size < before
+
         with memoryview(self._tail)[: self._n_tail] as tail:
             # of the file, which HDF5 has not written
             rest = bytes(max(0, self.size - before - self._n_tail))
@@ -235,6 +246,7 @@ class JournaledFile(io.RawIOBase):
                     body = b"".join([PIECE.pack(place, len(data)) + data for place, data in pieces])
                     checksum = zlib.crc32(body, zlib.crc32(rest, zlib.crc32(tail)))
                     rest += body + _end(before, self.size, len(body), checksum)
+
                 _write_all(descriptor, tail, before)
                 _write_all(descriptor, rest, before + self._n_tail)
                 os.fsync(descriptor)
@@ -242,6 +254,7 @@ class JournaledFile(io.RawIOBase):
                 with suppress(OSError):
                     os.ftruncate(descriptor, before)
                 raise
+
         if is_changed:
             _apply(descriptor, self.size, pieces)
         self._claim.appear(is_on_disk=True)
@@ -251,7 +264,8 @@ class JournaledFile(io.RawIOBase):
 
 
 def repair(path: str | Path) -> None:
-    """Finish the last commit of a file, if it was interrupted.  Raises OSError if a run is writing the file, or this
+    """Finish the last commit of a file, if it was interrupted.
+    Raises OSError if a run is writing the file, or this
     process is not allowed to."""
     with open(path, "rb") as file:
         if _read_journal(file.fileno()) is None:
@@ -278,7 +292,8 @@ def _finish(descriptor: int) -> None:
 
 
 def _end(before: int, size: int, n_bytes: int, checksum: int) -> bytes:
-    """The end of a journal.  checksum : of the bytes from before on up to it."""
+    """The end of a journal.
+    checksum : of the bytes from before on up to it."""
     head = END.pack(before, size, n_bytes, 0, MAGIC)
     return END.pack(before, size, n_bytes, zlib.crc32(head, checksum), MAGIC)
 
@@ -301,6 +316,7 @@ def _read_journal(file: int) -> tuple[int, Pieces] | None:
     text = read_at(file, n_bytes, first)
     pieces = []
     start = 0
+
     while start < n_bytes:
         place, n = PIECE.unpack_from(text, start) if n_bytes - start >= PIECE.size else (-1, 0)
         start += PIECE.size + n
@@ -308,6 +324,7 @@ def _read_journal(file: int) -> tuple[int, Pieces] | None:
         if n < 0 or start > n_bytes or not 0 <= place <= before - n:
             return None
         pieces.append((place, text[start - n : start]))
+
     return size, pieces
 
 

@@ -38,8 +38,12 @@ ATOMS = ("first", "second", "pushed", "fastest")  # in findings, by index
 
 
 class CrashFile(NamedTuple):
-    """The contents of a crash file.  findings : CrashReport.  run : H5MDContents, with the system in the earlier state.
-    start : that state.  noise_shift : of the engine.  judgment : of the run guard."""
+    """The contents of a crash file.
+    findings : CrashReport.
+    run : H5MDContents, with the system in the earlier state.
+    start : that state.
+    noise_shift : of the engine.
+    judgment : of the run guard."""
 
     findings: CrashReport
     run: Any
@@ -50,7 +54,8 @@ class CrashFile(NamedTuple):
 
 def crash_file_place(crash_report: Any, trajectories: Paths) -> Path | None:
     """Where a run leaves its crash file: the path given, or for True beside its first trajectory; None if there is no
-    such place.  Raises ValueError for the path of a trajectory, which the crash file would replace."""
+    such place.
+    Raises ValueError for the path of a trajectory, which the crash file would replace."""
     files = named_files("trajectory", trajectories)
     if isinstance(crash_report, bool | None):
         return files[0].with_suffix(SUFFIX) if crash_report and files else None
@@ -84,6 +89,7 @@ def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iter
                 )
             except Exception as reason:  # of any kind: the error of the run itself must be raised
                 remark = f"No crash report was written: {reason}"
+
             error.args = (f"{error}. {remark}",)
         raise
 
@@ -127,6 +133,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
             for name, text in texts.items():
                 writer.description[f"{REPORT}/{name}"] = Item(data=np.array(text.encode(), TEXT))
             writer.description |= checked(f"{REPORT}/start", *flattened(last._replace(state=start)))
+
             for snapshot in (start, last.state):
                 engine.restore(snapshot)
                 engine.enter()
@@ -134,6 +141,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
         finally:
             engine.go_on_from(last)
             writer.close()
+
         os.replace(part, path)
     finally:
         claim.release()
@@ -141,7 +149,8 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
 
 
 def is_crash_file(path: str | Path) -> bool:
-    """Whether a file is a crash file.  Raises FileNotFoundError, OSError, ValueError as h5md_reader.opened."""
+    """Whether a file is a crash file.
+    Raises FileNotFoundError, OSError, ValueError as h5md_reader.opened."""
     from minimd.core.files.h5md_reader import opened
 
     with opened(path) as h5:
@@ -149,19 +158,23 @@ def is_crash_file(path: str | Path) -> bool:
 
 
 def read_crash_report(path: str | Path) -> CrashFile:
-    """The contents of a crash file.  Raises FileNotFoundError, OSError, ValueError as read_file,
+    """The contents of a crash file.
+    Raises FileNotFoundError, OSError, ValueError as read_file,
     and ValueError for another file of minimd."""
     from minimd.core.files.h5md_digest import read_group, unflattened
     from minimd.core.files.h5md_reader import damage_told, opened, read_file
 
     contents = read_file(path)
+
     with opened(path) as h5:
         if REPORT not in h5:
             raise ValueError(
                 f"file {str(path)!r} holds no crash report; give the {SUFFIX} file of a run that failed"
             )
+
         group = h5[REPORT]
         system = contents.system
+
         with damage_told(path):
             simulation, values = (
                 json.loads(group[name].asstr()[()], object_hook=_printable)

@@ -21,7 +21,8 @@ IN_NEW_GROUPS.set_char_encoding(h5t.CSET_UTF8)
 class Item(NamedTuple):
     """A group, a dataset, or a second name of one.
 
-    attributes : numbers and texts.  data : of a dataset; texts are bytes in an array of TEXT.
+    attributes : numbers and texts.
+    data : of a dataset; texts are bytes in an array of TEXT.
     rows : in a chunk of a dataset that can grow, else 0; data is then its end, which begins at the index `first`.
     other : path of the dataset of which this is a second name.
     """
@@ -36,11 +37,13 @@ class Item(NamedTuple):
 def put(h5: h5py.File, items: Mapping[str, Item]) -> None:
     """Write items, by their paths, in place of what is there, which must be of the same kind and shape."""
     file = h5.id
+
     for path, item in items.items():
         try:
             stored = h5o.open(file, path.encode())
         except KeyError:
             stored = _created(file, path.encode(), item)
+
         if item.data is not None:
             data = np.asarray(item.data, order="C")
             place = h5s.ALL
@@ -48,7 +51,9 @@ def put(h5: h5py.File, items: Mapping[str, Item]) -> None:
                 stored.set_extent((item.first + len(data), *data.shape[1:]))
                 place = stored.get_space()
                 place.select_hyperslab((item.first, *(0,) * (data.ndim - 1)), data.shape)
+
             stored.write(h5s.create_simple(data.shape), place, data)
+
         for name, value in item.attributes.items():
             key = name.encode()
             array = np.asarray(value)
@@ -56,6 +61,7 @@ def put(h5: h5py.File, items: Mapping[str, Item]) -> None:
                 array = np.array(h5r.create(file, value.encode(), h5r.OBJECT), h5py.ref_dtype)
             elif array.dtype.kind == "U":
                 array = array.astype(TEXT)
+
             if h5a.exists(stored, key):
                 h5a.delete(stored, key)
             kind = h5t.py_create(array.dtype, logical=True)

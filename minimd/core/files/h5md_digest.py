@@ -57,8 +57,11 @@ Numbers = dict[str, Any]
 
 
 class Restart(NamedTuple):
-    """A restart that is intact.  n_frames : in the file at that time.  arrays : all of it, with those that are kept
-    beside the checkpoint.  is_earlier : whether it is the earlier restart, because the newest is damaged."""
+    """A restart that is intact.
+    n_frames : in the file at that time.
+    arrays : all of it, with those that are kept
+    beside the checkpoint.
+    is_earlier : whether it is the earlier restart, because the newest is damaged."""
 
     checkpoint: Checkpoint
     n_frames: int
@@ -162,7 +165,8 @@ def write_restart(
     observers: Sequence[StoredObserver] = (),
     beside: Mapping[str, np.ndarray] = NOTHING,
 ) -> None:
-    """Write the newest restart; the one before becomes the earlier restart.  beside : arrays that are kept with it."""
+    """Write the newest restart; the one before becomes the earlier restart.
+    beside : arrays that are kept with it."""
     older = EARLIER if EARLIER in h5 else SPARE
     arrays, numbers = flattened(checkpoint)
     for observer in observers:
@@ -183,7 +187,8 @@ def write_restart(
 
 
 def read_restart(h5: h5py.File) -> Restart:
-    """The newest restart that is intact.  Raises ValueError if both are damaged."""
+    """The newest restart that is intact.
+    Raises ValueError if both are damaged."""
     for name in (RESTART, EARLIER):
         restart = _intact(h5, name)
         if restart is not None:
@@ -240,7 +245,8 @@ def checked(
 
 
 def read_group(group: h5py.Group) -> tuple[Arrays, Numbers]:
-    """Arrays and numbers of a restart, as in checked.  Raises ValueError if their digest is wrong, or if they are not
+    """Arrays and numbers of a restart, as in checked.
+    Raises ValueError if their digest is wrong, or if they are not
     of the kinds that are declared."""
     arrays = {name: group[name][()] for name in group}
     numbers = dict(group.attrs)
@@ -282,6 +288,7 @@ def restore_observers(
     """
     stored = h5.get(OBSERVERS, {})
     states = restart.states()
+
     for observer in observers:
         if observer.name not in stored:
             continue
@@ -293,6 +300,7 @@ def restore_observers(
                 f"file {str(file)!r} holds the observer {observer.name} with the arguments {was}; "
                 "use the same arguments, or pass another name="
             )
+
         if not observer.n_looks:
             observer.restore(state)
 
@@ -327,6 +335,7 @@ def observers_of(h5: h5py.File, restart: Restart) -> dict[str, StoredObserver]:
     states = restart.states()
     observers: dict[str, StoredObserver] = {}
     unknown: list[str] = []
+
     for name, group in stored.items():
         arguments: dict[str, Any] = json.loads(group.attrs["arguments"])
         kind = str(group.attrs["kind"])
@@ -342,6 +351,7 @@ def observers_of(h5: h5py.File, restart: Restart) -> dict[str, StoredObserver]:
             raise ValueError(
                 f"observer {name} asks for more memory than there is, by {shown(arguments)}"
             ) from None
+
         observers[name] = observer
 
     if unknown:
@@ -396,7 +406,8 @@ def n_whole_frames(h5: h5py.File) -> int:
 
 
 def sign(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> None:
-    """Store the digest of everything that does not change.  written : all of it, which then is not read."""
+    """Store the digest of everything that does not change.
+    written : all of it, which then is not read."""
     h5["minimd"].attrs[DIGEST] = np.uint32(_digest_of_description(h5, written))
 
 
@@ -418,8 +429,10 @@ def check_description(h5: h5py.File) -> None:
 
 
 def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING) -> int:
-    """CRC-32 of names, attributes and contents of everything that does not change, in order.  written : as in sign."""
+    """CRC-32 of names, attributes and contents of everything that does not change, in order.
+    written : as in sign."""
     names: dict[str, bool] = {}  # False for a second name of an item that is visited under another
+
     for path in FIXED:
         group = h5[path]
         names[path] = True
@@ -428,6 +441,7 @@ def _digest_of_description(h5: h5py.File, written: Mapping[str, Item] = NOTHING)
         group.visit(lambda name, path=path: names.update({f"{path}/{name}": True}))
 
     digest = 0
+
     for name, is_first in sorted(names.items()):
         if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):
             continue

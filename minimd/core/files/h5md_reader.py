@@ -87,6 +87,7 @@ def opened(path: str | Path) -> h5py.File:
             raise ValueError(
                 f"file {str(path)!r} is not an HDF5 file; give the .h5md file of a run"
             )
+
         h5 = h5py.File(path, "r")
     except (OSError, RuntimeError) as error:
         message = sentence(error)
@@ -105,7 +106,8 @@ def opened(path: str | Path) -> h5py.File:
 
 def admitted(h5: h5py.File, path: str | Path) -> h5py.File:
     """The file, if all of it is of the kinds that minimd writes, lies in the file, and is not larger than it.  path :
-    for messages.  Raises OSError, with the name of the first thing that is not, and closes the file."""
+    for messages.
+    Raises OSError, with the name of the first thing that is not, and closes the file."""
     try:
         with damage_told(path):
             problem = _strange_thing(h5)
@@ -125,6 +127,7 @@ def _strange_thing(h5: h5py.File) -> str:
     room = h5.id.get_filesize()
     seen = {h5o.get_info(h5.id).addr}
     groups = [("", h5.id)]
+
     while groups:
         path, group = groups.pop()
         links: list[tuple[bytes, int]] = []
@@ -132,6 +135,7 @@ def _strange_thing(h5: h5py.File) -> str:
         group.links.iterate(
             lambda key, info, links=links: links.append((key, info.type)), info=True
         )
+
         for key, kind in links:
             name = f"{path}{key.decode(errors='replace')}"
             if kind != h5l.TYPE_HARD:
@@ -143,6 +147,7 @@ def _strange_thing(h5: h5py.File) -> str:
                 if is_second or name.count("/") >= DEEPEST:
                     return f"{name!r} is a group that has a second name, or lies inside more than {DEEPEST} others"
                 groups.append((f"{name}/", item))
+
             if is_second:
                 continue
             seen.add(address)
@@ -164,6 +169,7 @@ def _strange_in(item: Any, name: str) -> tuple[str, int]:
     keys: list[bytes] = []
     h5a.iterate(item, keys.append)
     n_bytes = 0
+
     for key in keys:
         attribute = h5a.open(item, key)
         n = prod(attribute.shape)
@@ -268,12 +274,15 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
         with suppress(OSError):  # not every system tells how much memory a process has
             pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
             limits[resource.RLIMIT_AS] = pages * resource.getpagesize() + MEMORY + SIZES * n_bytes
+
         for which, limit in limits.items():
             hard = resource.getrlimit(which)[1]
             soft = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
             resource.setrlimit(which, (soft, hard))
+
         contents: Any = None
         problem: Exception | None = None
+
         with warnings.catch_warnings(record=True) as caught:
             try:
                 contents = look()
@@ -282,6 +291,7 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
                 problem = _damaged(path, reason)
             except Exception as error:
                 problem = error
+
         with open(pipe, "wb") as answer:
             pickle.dump((contents, problem, caught), answer)
         status = 0
@@ -295,16 +305,25 @@ class H5MDContents(Displayed):
 
     record : Record, one entry for each frame.
     system : System at the restart, to the last bit, with the constraints of the run.
-    restart : Checkpoint.  step, time : int, [time], of the restart.  timestep : [time].
-    method : its name in integrators.METHODS.  parameters : arguments with which it can be made again.
-    barostat : StochasticCellRescaling, or None.  precision, skin : of the options.  potentials : in words.
+    restart : Checkpoint.
+    step, time : int, [time], of the restart.
+    timestep : [time].
+    method : its name in integrators.METHODS.
+    parameters : arguments with which it can be made again.
+    barostat : StochasticCellRescaling, or None.
+    precision, skin : of the options.
+    potentials : in words.
     too_long_a_step : the warning of a Report that the time step is too long, or empty.
     thin_cell : that atoms are pushed by their own images, or empty.
     since : the first step from which on method, bath and state are those of one run; 0 for all of them.
     reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.
-    conserves_momentum : whether the run did.  moves_freely : whether nothing held its center; false in older files.
-    n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
-    observers : of minimd.observers, by name, in their state at the restart.  lacks_results : whether they have looked
+    conserves_momentum : whether the run did.
+    moves_freely : whether nothing held its center; false in older files.
+    n_frames : int.
+    has_forces : whether frames hold forces.
+    title, scene : texts, empty if none were stored.
+    observers : of minimd.observers, by name, in their state at the restart.
+    lacks_results : whether they have looked
         since their results were written, as in a killed run.
     repaired : a sentence if the newest restart is damaged and the one before it is used; else empty.
     """
@@ -356,7 +375,8 @@ class H5MDContents(Displayed):
         return scene_in_words(self.system, potentials, self.method, self.parameters, self.barostat)
 
     def integrator(self) -> Splitting:
-        """The method with its time step.  Raises ValueError if it is not a method of minimd."""
+        """The method with its time step.
+        Raises ValueError if it is not a method of minimd."""
         if self.method not in METHODS:
             raise ValueError(
                 f"the run was made with the method {self.method!r}, which minimd does not have; "
@@ -377,7 +397,9 @@ def read_file(path: str | Path) -> H5MDContents:
 
 
 def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
-    """Record, restart and description of an open minimd file.  path : for messages.  Raises as read_file."""
+    """Record, restart and description of an open minimd file.
+    path : for messages.
+    Raises as read_file."""
     with damage_told(path):
         digest.check_description(h5)
         n_frames = digest.n_whole_frames(h5)
@@ -418,8 +440,10 @@ def frames_of(
     path: str | Path, numbers: Iterable[int], units: UnitSystem, observables: Iterable[str] = ()
 ) -> Iterator[Frame]:
     """Frames of a minimd file in its units, converted to rounding; with forces (else None), cell and the observables of
-    these names if the file has them.  Raises as opened."""
+    these names if the file has them.
+    Raises as opened."""
     to = factors(units)
+
     with opened(path) as h5, damage_told(path):
         trajectory = h5[TRAJECTORY]
         arrays = {
@@ -432,6 +456,7 @@ def frames_of(
         series = {
             name: stored[f"{name}/value"] for name in ("cell", *observables) if name in stored
         }
+
         for k in numbers:
             frame: dict[str, Any] = {name: array[k] / to[name] for name, array in arrays.items()}
             frame.setdefault("forces", None)
@@ -447,13 +472,15 @@ def frames_of(
 
 def damage(path: str | Path) -> str:
     """The frames, or else the restart, of a minimd file that are not as they were written, in words; empty if there are
-    none. The whole file is read in a child process, which damaged bytes may crash.  Raises as read_file."""
+    none. The whole file is read in a child process, which damaged bytes may crash.
+    Raises as read_file."""
     frames, restart = looked_at(path, partial(_damage, path))
     return frames or restart
 
 
 def verify_frames(path: str | Path) -> None:
-    """Raise OSError unless all frames of a minimd file are as they were written.  Raises as read_file, too."""
+    """Raise OSError unless all frames of a minimd file are as they were written.
+    Raises as read_file, too."""
     frames, _ = looked_at(path, partial(_damage, path))
     if frames:
         raise _damaged(path, f"{frames} are not those that were written")
@@ -507,5 +534,6 @@ def read_observers(path: str | Path) -> dict[str, StoredObserver]:
 
 
 def read_record(path: str | Path) -> Record:
-    """The Record of all frames in an H5MD file, also of a run that was continued.  Raises as read_observers."""
+    """The Record of all frames in an H5MD file, also of a run that was continued.
+    Raises as read_observers."""
     return read_file(path).record

@@ -72,7 +72,8 @@ class Column(NamedTuple):
 def columns(
     system: System, observables: list[str], store_forces: bool, spacing: float | None
 ) -> list[Column]:
-    """All series of a file, positions last: for MDAnalysis their length is the number of frames.  spacing : time
+    """All series of a file, positions last: for MDAnalysis their length is the number of frames.
+    spacing : time
     between observations [time]; None for a file that does not hold it."""
     units = system.units
     to = factors(units)
@@ -120,7 +121,8 @@ def has_edges(cell: Cell) -> bool:
 
 
 def chunk_rows(entry: np.ndarray, n_frames: int | None = None) -> int:
-    """The number of entries in a chunk of a series; a chunk takes its full size on the disk.  n_frames : expected in
+    """The number of entries in a chunk of a series; a chunk takes its full size on the disk.
+    n_frames : expected in
     the file, if known."""
     expected = CHUNK_ROWS if n_frames is None else max(FEW_ROWS, n_frames)
     return max(1, min(CHUNK_BYTES // entry.nbytes, CHUNK_ROWS, expected))
@@ -130,7 +132,9 @@ def series(
     columns: list[Column], entries: dict[str, np.ndarray], first: int, n_frames: int | None
 ) -> dict[str, Item]:
     """Series of a file from the index `first` on; what was behind it is replaced.  Series of H5MD share one step and
-    one time.  entries : by path.  n_frames : as for chunk_rows."""
+    one time.
+    entries : by path.
+    n_frames : as for chunk_rows."""
     items: dict[str, Item] = {}
     for path, unit, _ in columns:
         attributes = {"unit": unit} if unit and first == 0 else NOTHING
@@ -176,6 +180,7 @@ def description(engine: Engine) -> dict[str, Item]:
         "minimd/species_index": Item(data=system.species_index),
     }
     per_atom = (("mass", "masses", "u"), ("charge", "charges", "e"))
+
     for name, own_name, unit in per_atom:
         values = getattr(system, own_name)
         if values.any():
@@ -185,12 +190,14 @@ def description(engine: Engine) -> dict[str, Item]:
     if len(system.topology):
         letters = system.topology.astype("S").view(np.uint8)
         items["minimd/topology"] = Item(data=letters.reshape(len(system), 5, -1))
+
     for name, members in system.groups().items():
         if len(members) or name == "bonds":
             items[f"connectivity/{name}"] = Item({REFERENCE: TRAJECTORY}, members)
             items[f"minimd/{name}"] = Item(other=f"connectivity/{name}")
 
     group = "minimd/constraints"
+
     for constraint in engine.constraints:
         if isinstance(constraint, FixedAtoms):
             items[f"{group}/fixed"] = Item(data=constraint.atoms)
@@ -320,6 +327,7 @@ def other_constraints(
     was = _held(file)
     now = _held(simulation)
     rounding = ROUNDINGS * EPS * float(np.abs(positions).max())
+
     for key in sorted(was | now):
         template, *atoms = key
         name = template.format(*atoms)
@@ -330,6 +338,7 @@ def other_constraints(
             is_same = abs(now[key] - was[key]) <= was[TOLERANCE] * was[key] + rounding
         if not is_same:
             return f"{name}: {was[key]!r} in the file and {now[key]!r} in the simulation"
+
     return ""
 
 

@@ -48,8 +48,11 @@ class H5MDWriter:
 
     Its restart is the state of the engine at the last flush, checkpoint or close.
 
-    claim : on the file.  engine : whose frames are written.  store_forces : also write forces.
-    every : steps between two frames.  n_frames : number of frames expected, None if it is not known.
+    claim : on the file.
+    engine : whose frames are written.
+    store_forces : also write forces.
+    every : steps between two frames.
+    n_frames : number of frames expected, None if it is not known.
     observers : of the run; their state is kept with each restart, and their results are written at the end of the run.
     bring_others : brings other trajectories to the disk before a restart;
         the marks that it returns are kept until the end of the run.
@@ -121,6 +124,7 @@ class H5MDWriter:
             claim = Claim(file, is_new=False)
         except OSError as error:
             raise OSError(f"file {str(file)!r} cannot be changed: {error.strerror}") from None
+
         try:
             looked_at(claim.path, partial(rehearse, claim))
             return cls(claim, engine, store_forces, every, observers)
@@ -129,7 +133,8 @@ class H5MDWriter:
             raise
 
     def _continue(self) -> None:
-        """Continue the file from its restart.  Raises as append_to."""
+        """Continue the file from its restart.
+        Raises as append_to."""
         h5 = self._h5
         file = self.claim.name
         contents = contents_of(h5, file)
@@ -150,6 +155,7 @@ class H5MDWriter:
         self._store_forces = contents.has_forces
         if f"observables/{layout.SPACING}" not in h5:
             self._every = None
+
         with self._telling("be continued"):
             steps = contents.record.step
             self._n_frames = int(np.searchsorted(steps, contents.step, side="right"))
@@ -206,7 +212,8 @@ class H5MDWriter:
             self.checkpoint()
 
     def checkpoint(self) -> None:
-        """Write all frames, and the present state of the engine as the restart, to the disk.  Raises as write."""
+        """Write all frames, and the present state of the engine as the restart, to the disk.
+        Raises as write."""
         started = monotonic()
         if self._h5 and self._n_frames + self._n_waiting:
             with self._taking():
@@ -225,6 +232,7 @@ class H5MDWriter:
         step = entries[layout.STEPS][0] if entries else self._engine.step
         is_restart = self._engine.is_whole or first == 0
         marks = self._bring_others(self.claim) if is_restart else []
+
         with self._telling(f"take the frame of step {step}"), uninterrupted():
             if entries:  # repeated after an error, this gives the same file
                 items = layout.series(self._columns, entries, first, self._n_expected)
@@ -234,6 +242,7 @@ class H5MDWriter:
                 digest.add_block(self._h5, n_frames, entries)
                 if first == 0:
                     digest.sign(self._h5, items)
+
             if layout.goes_on_otherwise(self._engine, self._h5["minimd"].attrs):
                 self._describe_method()
             if is_restart:
@@ -242,6 +251,7 @@ class H5MDWriter:
                     f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in enumerate(marks)
                 }
                 digest.write_restart(self._h5, checkpoint, n_frames, self._observers, beside)
+
             yield
             self._disk.commit()
             self._n_frames = n_frames
@@ -249,7 +259,8 @@ class H5MDWriter:
 
     def close(self) -> None:
         """Write the remaining frames, the restart of the present state and results of observers; close the file.
-        Nothing if it is closed or failed.  Raises OSError if they cannot be written."""
+        Nothing if it is closed or failed.
+        Raises OSError if they cannot be written."""
         if not self._h5:
             return
         # whole files have no marks: nothing is to be cut off
@@ -313,10 +324,12 @@ def rehearse(claim: Claim) -> None:
     and two restarts. Nothing is committed.
 
     To be called in a child process, as looked_at does: damage that is not noticed in reading, such as a wrong count of
-    links, can crash HDF5 when it writes.  Raises as read_file if the file cannot be continued.
+    links, can crash HDF5 when it writes.
+    Raises as read_file if the file cannot be continued.
     """
     with admitted(h5py.File(JournaledFile(claim), "r+"), claim.name) as h5:
         contents_of(h5, claim.name)
+
     with damage_told(claim.name), h5py.File(JournaledFile(claim), "r+") as h5:
         digest.set_aside_damaged(h5)
         restart, n_frames, _, _ = digest.read_restart(h5)

@@ -85,10 +85,16 @@ BOUNDARY = re.compile(r"\bboundary((?:\s+[pfsm]{1,2}){3})\b")
 class LammpsData(NamedTuple):
     """What a data file states. Atoms are in the order of their ids; what it does not state is None.
 
-    positions : (N, 3) [length], in the images that the file names.  types : (N,) their labels, or numbers as text.
-    cell : (3, 3) [length], rows; its origin is not kept.  groups : bonds, angles, dihedrals, impropers, (n, 2), (n, 3)
-        or (n, 4) int, from 0 on, by these names.  n_types : of these, how many types occur, where more than one.
-    masses, charges : (N,).  velocities : (N, 3).  units : LAMMPS' word.  pbc : three bools.
+    positions : (N, 3) [length], in the images that the file names.
+    types : (N,) their labels, or numbers as text.
+    cell : (3, 3) [length], rows; its origin is not kept.
+    groups : bonds, angles, dihedrals, impropers, (n, 2), (n, 3)
+        or (n, 4) int, from 0 on, by these names.
+    n_types : of these, how many types occur, where more than one.
+    masses, charges : (N,).
+    velocities : (N, 3).
+    units : LAMMPS' word.
+    pbc : three bools.
     skipped : names of sections that LAMMPS itself does not have.
     """
 
@@ -108,8 +114,11 @@ class LammpsData(NamedTuple):
 class DataFile:
     """The words of a data file, and what they mean.
 
-    title : the first line.  header : numbers by keyword, zeros for what is not there.  sections : by name, the words of
-    each line by its number, from the words behind that name on.  labels : number of a type by its label, by kind.
+    title : the first line.
+    header : numbers by keyword, zeros for what is not there.
+    sections : by name, the words of
+    each line by its number, from the words behind that name on.
+    labels : number of a type by its label, by kind.
     places : of atoms by their ids.
     """
 
@@ -121,6 +130,7 @@ class DataFile:
         self.labels: dict[str, dict[str, int]] = defaultdict(dict)
         self.places: dict[int, int] = {}
         section = None
+
         for place, line in enumerate(lines, start=2):
             content, _, comment = line.partition("#")
             words = content.split()
@@ -154,7 +164,8 @@ class DataFile:
         return ValueError(f"file {str(self.path)!r}, line {place}: {reason}")
 
     def rules(self, layout: str, kind: str) -> list[Rule]:
-        """Those of the letters of a layout.  kind : of what the types, "t", are: atom, bond, ..."""
+        """Those of the letters of a layout.
+        kind : of what the types, "t", are: atom, bond, ..."""
         n_types = self.header[f"{kind} types"][0]
         labels = self.labels[kind]
         types: Rule = (
@@ -182,6 +193,7 @@ class DataFile:
         rules = self.rules(layout, kind)
         is_ordered = layout[0] != "w"
         rows = {}
+
         for place, words in lines:
             row = values_of(words, rules)
             key = row[0] if row and is_ordered else place
@@ -190,6 +202,7 @@ class DataFile:
                 once = ", the first in one line only" * is_ordered
                 line = shown(" ".join(words))
                 raise self.fault(place, f"a line of {title} must be {names}{once}; it is {line}")
+
             rows[key] = row
 
         return [row for _, row in sorted(rows.items())]
@@ -269,7 +282,8 @@ def read_lammps_data(path: str | Path, atom_style: str | None = None) -> LammpsD
     Raises
     ------
     ValueError : with the number of the line, if the file is not as LAMMPS' read_data expects it, or its style is not
-        read.  OSError : if it cannot be read.
+        read.
+    OSError : if it cannot be read.
     """
     if atom_style is not None:
         checked_choice("atom_style", atom_style, READ)
@@ -286,6 +300,7 @@ def read_lammps_data(path: str | Path, atom_style: str | None = None) -> LammpsD
         positions = positions + table[:, -3:] @ cell
     groups = {}
     n_types = {}
+
     for name, size in GROUPS.items():
         rows = file.rows(name.capitalize(), name, "wt" + size * "a", name[:-1])
         groups[name] = np.array([row[2:] for row in rows], np.int64).reshape(-1, size)

@@ -22,8 +22,10 @@ MOST_STEPS = 2.0**62  # so that steps can still be added
 class Stored(NamedTuple):
     """What an array or a number must be.
 
-    shape : with N for atoms, K for rigid bonds, and * for any length.  least, most : of its elements, all of them
-    finite.  kind : its type; a single number may be of either type of NumPy's numbers.
+    shape : with N for atoms, K for rigid bonds, and * for any length.
+    least, most : of its elements, all of them
+    finite.
+    kind : its type; a single number may be of either type of NumPy's numbers.
     """
 
     shape: tuple[Any, ...] = ()
@@ -97,6 +99,7 @@ def check_fields(values: Iterable[tuple[str, Any]], scene: h5py.Group) -> None:
     """Raise ValueError unless arrays and numbers, by name, are as declared; observers look at their own.
     scene : the group of minimd."""
     sizes = {"N": len(scene["species_index"]), "K": len(scene.get("constraints/pairs", ()))}
+
     for name, value in values:
         if name.startswith("observer."):
             continue

@@ -78,7 +78,9 @@ PDB_LINE = 54  # columns up to the end of z
 
 
 class Structure(NamedTuple):
-    """What a file holds.  arguments : of System.  stated : of names, elements and masses.
+    """What a file holds.
+    arguments : of System.
+    stated : of names, elements and masses.
     n_types : of bonds and so on, see Joined."""
 
     arguments: dict[str, Any]
@@ -162,6 +164,7 @@ def system_from_file(
                     f'{door.source} has {own}, which are not used; use them with bonds = "file", in a scene under '
                     "[structure], or leave them out with bonds = []"
                 )
+
             n_types = {}
             arguments |= dict.fromkeys(GROUPS) | {"bonds": bonds}
 
@@ -195,7 +198,8 @@ def _form(path: Path, format: str | None) -> str | None:
 
 
 class Door(NamedTuple):
-    """One file and how it is to be read; see system_from_file.  form : see _form.
+    """One file and how it is to be read; see system_from_file.
+    form : see _form.
     takes_bonds : whether it matters if bonds cannot be read."""
 
     path: Path
@@ -240,7 +244,8 @@ class Door(NamedTuple):
         return structure
 
     def _form_of_content(self) -> str:
-        """The format that ASE finds, or mmCIF.  Raises UnknownFileTypeError."""
+        """The format that ASE finds, or mmCIF.
+        Raises UnknownFileTypeError."""
         if ".cif" in self.path.name.lower() and "_atom_site." in text_of(self.path):
             return "MMCIF"
         form = filetype(str(self.path))
@@ -305,7 +310,8 @@ class Door(NamedTuple):
         return Structure(arguments, stated, data.n_types)
 
     def _lammps_units(self, stated: str | None, has_velocities: bool) -> tuple[str, UnitSystem]:
-        """LAMMPS' name of the units of a file, and minimd's units for it.  Raises ValueError if they are not known."""
+        """LAMMPS' name of the units of a file, and minimd's units for it.
+        Raises ValueError if they are not known."""
         if stated and self.lammps_units and stated != self.lammps_units:
             raise ValueError(
                 f"{self.source} states units = {stated}; lammps_units = {self.lammps_units!r}"
@@ -529,12 +535,14 @@ def _beside(path: Path, door: Door) -> Structure:
     """Bonds, charges and masses in a file other than that of the atoms; masses of LAMMPS data in units real and metal.
     Raises ValueError if it cannot be read."""
     source = f"file {str(path)!r}"
+
     with _read_as(path, "bonds", None):
         if _form(path, None) == LAMMPS:
             data = read_lammps_data(path, door.atom_style)
             masses = data.masses if (data.units or door.lammps_units) in PER_PICOSECOND else None
             stated = Stated(source, data.types, data.positions, None, masses)
             return Structure({**data.groups, "charges": data.charges}, stated, data.n_types)
+
         from minimd.core.structure.mdanalysis_atoms import (
             charges_of as charges_of_group,
             stated_of as stated_of_group,
@@ -563,6 +571,7 @@ def _check_same_atoms(path: Path, structure: Structure, beside: Structure) -> No
     of_residue: dict[int, set[str]] = {}
     for number, name in zip(numbers, first.names, strict=True):
         of_residue.setdefault(number, set()).add(name)
+
     for k, (name, other) in enumerate(zip(first.names, second.names, strict=True)):
         if name in (other, "X"):
             continue
@@ -616,4 +625,5 @@ def _read_as(path: Path, what: str, form: str | None) -> Iterator[None]:
             reason = f"its reader needs another package: {reason}"
         elif not isinstance(error, ValueError | OSError) or not reason:
             reason = f"its reader gives up with {type(error).__name__}: {reason or 'no reason'}; is it in its format?"
+
         raise ValueError(f"{source} cannot be read as {what}: {reason}") from None

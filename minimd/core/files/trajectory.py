@@ -80,7 +80,8 @@ def open_trajectories(
     """Writers for several files: all are checked before the first is opened, and closed at the end;
     if one cannot be opened, none is left behind.
 
-    every : steps between two frames.  n_steps : of the run, None if it is not known.
+    every : steps between two frames.
+    n_steps : of the run, None if it is not known.
     observers : .h5md files hold their state and results; with append,
         those that have not looked yet go on from their state in the file.
     Raises ValueError for a suffix without a writer, a file that is named twice, is not a regular file, or cannot be
@@ -89,6 +90,7 @@ def open_trajectories(
     """
     files = named_files("trajectory", paths)
     known: dict[str, Path] = {}
+
     for path in files:
         place = os.path.realpath(path)
         if place in known:
@@ -96,6 +98,7 @@ def open_trajectories(
                 f"each trajectory must be a file of its own; {str(known[place])!r} and {str(path)!r} are the same "
                 "file: name it once"
             )
+
         known[place] = path
 
     for path in files:
@@ -115,6 +118,7 @@ def open_trajectories(
         "n_frames": None if n_steps is None else n_steps // every + 2,
         "bring_others": partial(_brought_to_disk, writers),
     }
+
     with ExitStack() as closing:
         for file in sorted(files, key=_is_h5md):  # last: it tells how far the others are
             if append:
@@ -123,6 +127,7 @@ def open_trajectories(
                 writer: Writer = H5MDWriter.append_to(file, engine, store_forces, every, observers)
             else:
                 writer = _new_writer(file, engine, options, overwrite)
+
             writers.append(writer)
             closing.callback(writer.close)
             if append:
@@ -159,6 +164,7 @@ def _brought_to_disk(writers: list[Writer], claim: Claim) -> list[bytes]:
     """
     marks = []
     own = os.fstat(claim.descriptor).st_ino
+
     for writer in [writer for writer in writers if not _is_h5md(writer.claim.path)]:
         path = writer.claim.path
         file = writer.claim.descriptor
@@ -167,12 +173,14 @@ def _brought_to_disk(writers: list[Writer], claim: Claim) -> list[bytes]:
         except OSError:
             writers.remove(writer)
             raise
+
         if path.parent == claim.path.parent:
             now = os.fstat(file)
             first = read_at(file, N_FIRST, 0)
             last = read_at(file, *_last_bytes(now.st_size))
             mark = MARK.pack(own, now.st_ino, now.st_size, first, last)
             marks.append(mark + os.fsencode(path.name))
+
     return marks
 
 
@@ -181,6 +189,7 @@ def _cut_others_back(writer: Any) -> None:
     and what could not be."""
     outcomes = []
     are_of_one_file = len({mark[:SLOT] for mark in writer.marks}) == 1  # not guesses
+
     for mark in writer.marks if are_of_one_file else ():
         path = writer.claim.path.parent / Path(os.fsdecode(mark[MARK.size :])).name
         try:
@@ -193,8 +202,10 @@ def _cut_others_back(writer: Any) -> None:
                 "is left as it is, and may hold frames later than the state from which the run goes on: "
                 f"{reason}"
             )
+
         if outcome:
             outcomes.append(f"trajectory {str(path)!r} {outcome}")
+
     for outcome in outcomes:
         warn(outcome)
 
@@ -204,13 +215,15 @@ def _cut_back(
 ) -> str:
     """Cut a trajectory to what it was at a restart; returns what was done, in words, empty if it has not grown since.
 
-    h5md : descriptor of the file with the restart.  own, inode, size, first, last : as in MARK.
+    h5md : descriptor of the file with the restart.
+    own, inode, size, first, last : as in MARK.
     Raises OSError, ValueError unless it is certain that the run has written both files: whoever wrote the .h5md file
     may have meant another file of the user.
     """
     suffix = path.suffix.lower()
     if suffix not in set(FORMATS) - {".h5md"}:
         raise ValueError("its suffix is not that of a trajectory")
+
     with open(locked(path), "r+b") as file:
         descriptor = file.fileno()
         now = os.fstat(descriptor)
@@ -227,6 +240,7 @@ def _cut_back(
             raise ValueError(
                 "this trajectory was changed, or had too few bytes to tell whether the run has written it"
             )
+
         file.write(first)
         file.truncate(size)
 
@@ -263,19 +277,22 @@ def _is_h5md(file: Path) -> bool:
 
 
 def named_files(name: str, paths: Paths) -> list[Path]:
-    """The paths of one file or several.  name : of the argument, for messages.
+    """The paths of one file or several.
+    name : of the argument, for messages.
     Raises ValueError for anything that is not a path."""
     several = paths if isinstance(paths, list | tuple) else [paths]
     return [checked_path(name, path) for path in several]
 
 
 def first_h5md(paths: Paths) -> Path | None:
-    """The first H5MD file among the trajectories of a run, or None.  Raises ValueError as named_files."""
+    """The first H5MD file among the trajectories of a run, or None.
+    Raises ValueError as named_files."""
     return next((file for file in named_files("trajectory", paths) if _is_h5md(file)), None)
 
 
 def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:
-    """The path, if a new file with one of the suffixes can be written there; no file is created.  Raises as
+    """The path, if a new file with one of the suffixes can be written there; no file is created.
+    Raises as
     open_trajectories."""
     file = checked_path("output", path)
     overwrite = checked_flag("overwrite", overwrite)

@@ -48,7 +48,8 @@ class Turn:
     ts.data, such as momenta, are not changed. If the cell changes, in a run with a barostat,
     the cell of a frame is ts.data["cell"], and R is that of the frame.
 
-    cell : of the run; its vectors must be independent.  to_angstrom : factor for its lengths.
+    cell : of the run; its vectors must be independent.
+    to_angstrom : factor for its lengths.
 
     Attributes
     ----------
@@ -158,7 +159,8 @@ class MDAnalysisWriter(Writer):
     between all frames. Therefore a first frame between two multiples of every is left out, with a warning, if a second
     one comes.
 
-    claim : on the file, which gets its name with its first frame.  every : steps between frames.
+    claim : on the file, which gets its name with its first frame.
+    every : steps between frames.
 
     Raises OSError if the file cannot be written, or positions are beyond LARGEST_XTC in an XTC file.
     """
@@ -175,6 +177,7 @@ class MDAnalysisWriter(Writer):
         self._cell = system.cell
         self._waiting: list[Frame] = []
         self._writer: Any = None
+
         with quiet():  # MDAnalysis warns of attributes that are missing on purpose
             self._universe = MDAnalysis.Universe.empty(
                 len(system), trajectory=True, velocities=True
@@ -216,12 +219,14 @@ class MDAnalysisWriter(Writer):
                 if disk_usage(self.claim.place.parent).free < frame.positions.nbytes + ROOM:
                     # not every format notices that writing failed
                     raise OSError(ENOSPC, "no room on the disk")
+
                 with quiet():
                     if self._writer is None:
                         self._writer = self._opened(frame)
                     self._place(frame)
                     self._check_range()
                     self._writer.write(self._universe)
+
                 if os.name == "posix":
                     # MDAnalysis keeps buffers; a killed run leaves whole frames
                     ctypes.CDLL(None).fflush(None)

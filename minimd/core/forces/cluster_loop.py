@@ -40,15 +40,18 @@ class ByLane(ByAddress, namedtuple("ByLane", "columns species slots table of_ato
     """Parameters by species, laid out for lanes.
 
     columns : tuple of (S · slots,) arrays; element a · slots + s is the parameter of the atom in slot s with species a.
-    species : (slots,) int.  slots : number of slots, ghosts included, for which there is room.
-    table : (S, S, 1 + P) parameters of pairs of species.  of_atoms : (N,) int, species of the atoms.
+    species : (slots,) int.
+    slots : number of slots, ghosts included, for which there is room.
+    table : (S, S, 1 + P) parameters of pairs of species.
+    of_atoms : (N,) int, species of the atoms.
     """
 
 
 class ChargesByLane(ByAddress, namedtuple("ChargesByLane", "of_slots of_atoms source")):
     """The product of charges, and what another source has.
 
-    of_slots : (slots,), those of of_atoms (N,) [√(energy · length)].  source : SameForAll or ByLane.
+    of_slots : (slots,), those of of_atoms (N,) [√(energy · length)].
+    source : SameForAll or ByLane.
     """
 
 
@@ -114,7 +117,8 @@ def looks_ahead(vector):
 class LoopWork(ByAddress, namedtuple("LoopWork", "laws sums")):
     """What the loop does.
 
-    laws : tuple of (law type, SameForAll, ByLane or ChargesByLane).  sums : Sums, TotalSums or ForceSums.
+    laws : tuple of (law type, SameForAll, ByLane or ChargesByLane).
+    sums : Sums, TotalSums or ForceSums.
     """
 
 
@@ -153,6 +157,7 @@ def add_virial(domain, arrays, sums, steps):
         y0 = memory.coordinates[at + n_lanes]
         z0 = memory.coordinates[at + 2 * n_lanes]
         xx = yy = zz = yz = xz = xy = zeros(lanes)
+
         for k in range(domains.window[domain + 1] - domains.window[domain]):
             x, y, z = loaded(memory.coordinates, (first + k) * block, lanes)
             fx, fy, fz = loaded(sums.forces, (place + k) * block, lanes)
@@ -165,6 +170,7 @@ def add_virial(domain, arrays, sums, steps):
             yz = fma(fy, z, yz)
             xz = fma(fx, z, xz)
             xy = fma(fx, y, xy)
+
         for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
             sums.of_rows[APART * domain, 1 + c] += total(w)
 
@@ -211,7 +217,9 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
 
         r_ij = r_j − r_i,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= Σ f r_ij,   W += f r_ij ⊗ r_ij
 
-    arrays : ClusterArrays.  law : law type.  parameters : SameForAll or ByLane.
+    arrays : ClusterArrays.
+    law : law type.
+    parameters : SameForAll or ByLane.
     sums : with TOTALS each pair is added to the domain, with PER_ATOM half of it to each atom.
     steps : () or, in fixed-point arithmetic, Steps.
     Indices in the inner loop are unsigned: the compiler need not check for those that count from the end.
@@ -234,6 +242,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
     energy = xx = yy = zz = yz = xz = xy = zero
     first_slot = arrays.domain_start[domain] * n_lanes
     last_slot = arrays.domain_start[domain + 1] * n_lanes
+
     for slot in range(first_slot, last_slot):
         # in a gas many rows are empty
         if rows.start[slot] == stops[slot] and not with_energy(sums):
@@ -251,6 +260,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
         fy = nothing
         fz = nothing
         size2 = zero
+
         for entry in range(np.uintp(rows.start[slot]), np.uintp(stops[slot])):
             if looks_ahead(nothing):
                 now = after
@@ -260,6 +270,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
             else:
                 now = rows.entries[entry]
                 dx, dy, dz, r2 = separations(coordinates, memory.far, now, at, lanes)
+
             ghost = np.uintp(now & GHOST_BITS)
             own_slot = (first + home) * n_lanes + lane
             cluster = first + np.intp(ghost)
@@ -290,6 +301,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
                         at_c = ((window + np.intp(ghost)) * SUMS + c) * n_lanes
                         share = load(sums.of_lanes, at_c, lanes) + 0.5 * in_steps(w, steps)
                         store(sums.of_lanes, at_c, share)
+
         n_entries = stops[slot] - rows.start[slot]
         forces[place] -= without_bias(total(fx), n_entries, lanes)
         forces[place + n_lanes] -= without_bias(total(fy), n_entries, lanes)
@@ -309,7 +321,8 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
 def separations(coordinates, far, entry, at, lanes):
     """r_j − r_i = (dx, dy, dz) and r² from a position to the lanes of an entry, ∞ for those that do not count [length].
 
-    coordinates : of the ghosts in the window.  far : of Memory.
+    coordinates : of the ghosts in the window.
+    far : of Memory.
     """
     n_lanes = np.uintp(count(lanes))
     x = np.uintp(entry & GHOST_BITS) * np.uintp(DIMENSIONS) * n_lanes
@@ -430,10 +443,12 @@ def start_sums(arrays, n_laws, first_sum, forces):
         n_lanes = count(arrays.clusters.lanes)
         stops = rows.stops[rows.layers[0] - 1]
         first_sum[:] = 0
+
         for domain in range(arrays.domains.first.size):
             window = arrays.domains.window[domain]
             first_slot = arrays.domain_start[domain] * n_lanes
             last_slot = arrays.domain_start[domain + 1] * n_lanes
+
             for slot in range(first_slot, last_slot):
                 for entry in range(rows.start[slot], stops[slot]):
                     ghost = np.intp(rows.entries[entry] & GHOST_BITS)
@@ -469,7 +484,8 @@ def lanes_beyond(size2, steps):
 
 @scalar
 def push(forces, ghost, f, separation):
-    """F_j += f r_ij on the lanes of a ghost.  separation : (dx, dy, dz) of r_ij."""
+    """F_j += f r_ij on the lanes of a ghost.
+    separation : (dx, dy, dz) of r_ij."""
     dx, dy, dz = separation
     n_lanes = np.uintp(count(f))
     x = ghost * np.uintp(DIMENSIONS) * n_lanes

@@ -96,6 +96,7 @@ def _collect(domain, evaluation):
     forces = evaluation.forces
     clusters = evaluation.arrays.clusters
     n_lanes = count(clusters.lanes)
+
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
         x, y, z = collected(k, arrays)
         for k_lane in range(n_lanes):
@@ -253,6 +254,7 @@ class ClusterTerm(ListTerm):
             species = self._memory.array(f"species of law {k}", np.int64, slots)
             columns = tuple(numbers.reshape(n_numbers, -1))
             source = ByLane(columns, species, slots, law.table, system.species_index)
+
         if law.charges is None:
             return source
         charges = self._memory.array(f"charges of law {k}", np.float64, slots)

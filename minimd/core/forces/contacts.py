@@ -38,8 +38,11 @@ STEP = 1e-5  # of a central difference, relative to the distance
 class Contact:
     """What one law does to one pair.
 
-    first, second : atoms.  law : name of the potential.  is_bond : whether the pair is bonded.
-    is_users : whether the law is a user's, or a table.  distance : r [length], of the nearest image.
+    first, second : atoms.
+    law : name of the potential.
+    is_bond : whether the pair is bonded.
+    is_users : whether the law is a user's, or a table.
+    distance : r [length], of the nearest image.
     ratio : r/σ, or r/r₀ of a harmonic bond; None if the law has no length of its own.
     energy, force : u(r), −u′(r) [energy], [energy/length]; positive where the pair repels.
     frequency : √(u″/μ) [1/time], None where u″ ≤ 0.
@@ -73,14 +76,16 @@ class Contact:
         return f"atoms {self.first} and {self.second}"
 
     def apart(self, length: str) -> str:
-        """The distance as text.  length : its unit."""
+        """The distance as text.
+        length : its unit."""
         rest = "r₀" if self.is_bond else "σ"
         ratio = "" if self.ratio is None else f" (r/{rest} = {self.ratio:.3g})"
         limit = "" if self.longest is None else f" (longest = {self.longest:.4g} {length})"
         return f"{self.distance:.3g} {length} apart{ratio}{limit}"
 
     def without_number(self, length: str) -> str:
-        """That the law gives no finite number here, as a clause.  length : as for apart."""
+        """That the law gives no finite number here, as a clause.
+        length : as for apart."""
         return (
             f"the law of {self.law} gives no finite number for {self.atoms}, {self.apart(length)}"
         )
@@ -110,6 +115,7 @@ def why_not_finite(system: System, potentials: Sequence[Any]) -> str:
                 if not contact.is_finite:
                     return f"{contact.without_number(system.units.length)}; {contact.cure}"
             return f"{shown(potential)} gives no finite number for atom {bad[0]}"
+
     return "each potential alone is finite, but not their sum"
 
 
@@ -149,10 +155,12 @@ def contacts(
 ) -> list[Contact]:
     """The contacts of some atoms with their nearest neighbors, by pair potentials and bonds; others have none.
 
-    inverse_masses : (N,) [1/mass], zero for atoms held fixed.  atoms : finite in their positions.
+    inverse_masses : (N,) [1/mass], zero for atoms held fixed.
+    atoms : finite in their positions.
     """
     examined: list[Contact] = []
     known = sorted(set(atoms))
+
     for potential in potentials:
         if isinstance(potential, Nonbonded):
             pairs = _near_pairs(potential, system, known)
@@ -163,6 +171,7 @@ def contacts(
         for pair in pairs:
             inverse_mass = float(inverse_masses[list(pair[:2])].sum())
             examined.append(_contact(potential, pair, inverse_mass))
+
     return examined
 
 
@@ -182,10 +191,12 @@ def _near_pairs(potential: Nonbonded, system: System, atoms: list[int]) -> Itera
     index = system.species_index
     seen = set()
     scales = bonded_scales(potential, system)
+
     for atom in atoms:
         others = np.delete(np.arange(len(system)), atom)
         pairs = np.column_stack([np.full_like(others, atom), others])
         distances = np.linalg.norm(nearest_vectors(system.positions, system.cell, pairs), axis=1)
+
         for k in np.argsort(distances)[:NEAREST]:
             other = int(others[k])
             r = float(distances[k])
@@ -222,6 +233,7 @@ def _contact(potential: Nonbonded | Bond, pair: Pair, inverse_mass: float) -> Co
         rest = curvature_at_minimum(epsilon, length)
     elif isinstance(potential.law, HarmonicLaw):
         rest, length = numbers
+
     is_bond = isinstance(potential, Bond)
     is_users = is_user_law(potential.law) or reads_table(potential.law)
     frequency, at_rest = (

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(Displayed):
-    """potential_energy : U [energy].  forces : (N, 3) [energy/length].  virial : (3, 3) W = Σ f r_ij ⊗ r_ij [energy].
+    """potential_energy : U [energy].
+    forces : (N, 3) [energy/length].
+    virial : (3, 3) W = Σ f r_ij ⊗ r_ij [energy].
 
     energies : (N,) each atom's share of U [energy].
     """
@@ -72,4 +74,5 @@ def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potent
         raise NonFiniteError(
             f"forces or energies are not finite: {why_not_finite(system, forces.potentials)}"
         )
+
     return result

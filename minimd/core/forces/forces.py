@@ -65,7 +65,8 @@ def plan(
     """The terms to run: those that add their forces themselves, one with a list for all pair laws, others for what
     the list leaves out, and for sums over waves.
 
-    terms_bound : the terms that the potentials were bound to.  displacement : of the fastest atom in a step [length],
+    terms_bound : the terms that the potentials were bound to.
+    displacement : of the fastest atom in a step [length],
         0 if unknown.
     skins : of the lists [length], if they are known.
     """
@@ -77,13 +78,16 @@ def plan(
         with_list = ClusterTerm if laws.fit_clusters(system, known, displacement) else PairListTerm
         terms.append(with_list(system, laws, known, displacement))
         terms.extend(special_terms(system, pair_laws, laws))
+
     is_fixed = options.precision == FIXED_POINT
     n_threads = pool_for(options, len(system)).n_threads
+
     for law in pair_laws:
         if law.split is not None and law.charges is not None:
             terms.append(
                 charge_sum(system, law.charges, law.split, law.method, is_fixed, n_threads)
             )
+
     return terms
 
 
@@ -104,6 +108,7 @@ def special_terms(system: System, members: Sequence[PairLaw], laws: PairLaws) ->
         else:
             columns = [np.full(len(pairs), np.inf), *products, factors, rows[:, 0]]
             law = SpecialLaw(member.split.numbers)
+
         yield FixedPairs(pairs, law, from_table(np.column_stack(columns)))
 
 
@@ -133,8 +138,10 @@ class ForceResult:
     """What one evaluation of the forces has given; energies and virials only if they were asked for.
 
     forces : (N, 3) [energy/length], in the memory of Forces, which the next evaluation overwrites.
-    potential_energy : U [energy].  virial : W = Σ f r_ij ⊗ r_ij [energy], (3, 3).
-    energies : (N,) each atom's share of U [energy].  virials : (N, 6) of W, as xx yy zz yz xz xy. Tail corrections are
+    potential_energy : U [energy].
+    virial : W = Σ f r_ij ⊗ r_ij [energy], (3, 3).
+    energies : (N,) each atom's share of U [energy].
+    virials : (N, 6) of W, as xx yy zz yz xz xy. Tail corrections are
     included, for atoms in equal shares.
     """
 
@@ -152,17 +159,21 @@ class Forces:
     Parameters
     ----------
     system : the System whose positions and cell each call reads.
-    potentials : one potential or several.  options : threads, precision and skin.
+    potentials : one potential or several.
+    options : threads, precision and skin.
 
     Attributes
     ----------
-    forces : (N, 3) [energy/length], of the last compute.  terms : those that compute adds up.
+    forces : (N, 3) [energy/length], of the last compute.
+    terms : those that compute adds up.
     displacement : of the fastest atom in a step, for which skins were chosen [length]; 0 if unknown.
     n_evaluations : calls of compute since the last reset_counts.
-    grid : of fixed-point arithmetic, see lay_grid; None in float64.  impulses : (N, 3) int64 in its steps of momentum,
+    grid : of fixed-point arithmetic, see lay_grid; None in float64.
+    impulses : (N, 3) int64 in its steps of momentum,
         of the last compute.
     unit : of time, over which they are computed if compute is given no other [time].
-    time : at which forces that depend on it are evaluated [time].  pool : the threads for this scene.
+    time : at which forces that depend on it are evaluated [time].
+    pool : the threads for this scene.
     depend_on_time, act_from_outside : whether a term does, so that energy, or total momentum, is not constant.
     largest_cutoff : the largest finite one [length]: an atom that moves farther in a step may pass another without
         interacting.
@@ -197,12 +208,14 @@ class Forces:
         self._calls = DirectCalls()
         self._n_plans = 0
         self._bind()
+
         for term in self._bound if self.options.skin else ():
             if term.list is not None and term.list.skin != self.options.skin:
                 raise ValueError(
                     f"skin must be that of the list of neighbors of {type(term).__name__}, which it made itself: "
                     f"{term.list.skin:g}; skin = {self.options.skin:g}: give it where the list is made"
                 )
+
         self.check_resolution()
         for term in self._bound:
             if term.warning:
@@ -277,7 +290,8 @@ class Forces:
             self._n_plans += 1
 
     def lay_grid(self, grid: Grid) -> None:
-        """Compute impulses on a grid from now on.  Raises ValueError for a term that cannot."""
+        """Compute impulses on a grid from now on.
+        Raises ValueError for a term that cannot."""
         self._grid = grid
         self.impulses = np.zeros(self.forces.shape, dtype=np.int64)
         self._plan(self._bound)
@@ -366,7 +380,8 @@ class Forces:
 
         Raises
         ------
-        NonFiniteError : if a position is not finite.  RangeError : if an impulse leaves the range of a grid.
+        NonFiniteError : if a position is not finite.
+        RangeError : if an impulse leaves the range of a grid.
         ValueError : as Forces, if the cell has changed and no longer fits.
         """
         self.follow_cell()
@@ -376,6 +391,7 @@ class Forces:
             program = Program(lambda: self.operations(target), self.version, self.pool)
             if detail != PER_ATOM:
                 self._programs[id(target)] = program
+
         with self.running(program):
             program.run()
         self.n_evaluations += 1
@@ -475,7 +491,8 @@ class Forces:
 
     @contextmanager
     def _compiling(self) -> Iterator[None]:
-        """Context of a compilation.  Raises TypeError if a user's law does not compile."""
+        """Context of a compilation.
+        Raises TypeError if a user's law does not compile."""
         try:
             with announce_compilation():
                 yield

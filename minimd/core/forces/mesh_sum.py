@@ -52,13 +52,19 @@ class Mesh(
 ):
     """What the sum works on.
 
-    positions : (N, 3) [length].  charges : (N,) [√(energy · length)].  shares : (N,), masses over their sum.
+    positions : (N, 3) [length].
+    charges : (N,) [√(energy · length)].
+    shares : (N,), masses over their sum.
     inverse : (3, 3) of the lattice [1/length].
     shape : (5,) int, points in each direction; in a row, with those that repeat its beginning; that an atom sees.
-    pieces : (D, width) of the window.  starts : (N, 3) int, the first points that atoms see.
+    pieces : (D, width) of the window.
+    starts : (N, 3) int, the first points that atoms see.
     seen : (N · 6 · width,) φ and dφ/dt of each atom in the three directions.
-    order : (N,) int, atoms by the plane where they start.  begins : (planes + 1,) int, of each plane in order.
-    points : of the mesh, row by row.  sums : (chunks, 3) of forces.  forces : (N, 3) output.
+    order : (N,) int, atoms by the plane where they start.
+    begins : (planes + 1,) int, of each plane in order.
+    points : of the mesh, row by row.
+    sums : (chunks, 3) of forces.
+    forces : (N, 3) output.
     width : points of a row that are added at once.
     """
 
@@ -70,6 +76,7 @@ def see_points(mesh, chunk):
     n_chunks = mesh.sums.shape[0]
     shape = mesh.shape
     width = np.uintp(count(mesh.width))
+
     for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
         x, y, z = mesh.positions[i, 0], mesh.positions[i, 1], mesh.positions[i, 2]
         for d in range(3):
@@ -85,6 +92,7 @@ def see_points(mesh, chunk):
             store(mesh.seen, at, value)
             store(mesh.seen, at + width, slope)
             mesh.starts[i, d] = int(first) % shape[d]
+
     return GO_ON
 
 
@@ -98,10 +106,12 @@ def sort_atoms(mesh, _chunk):
         begins[mesh.starts[i, 0] + 1] += 1
     for k in range(begins.size - 1):
         begins[k + 1] += begins[k]
+
     for i in range(mesh.order.size):
         plane = mesh.starts[i, 0]
         mesh.order[begins[plane]] = i
         begins[plane] += 1
+
     for k in range(begins.size - 1, 0, -1):
         begins[k] = begins[k - 1]
     begins[0] = 0
@@ -120,16 +130,19 @@ def put_charges(mesh, chunk):
     for k in range(first * size, last * size):
         mesh.points[k] = 0.0
     is_alone = n_chunks == 1
+
     for start in range(first if is_alone else first - shape[4] + 1, last):
         plane = start if start >= 0 else start + n_planes
         begin = max(0, first - start)
         end = shape[4] if is_alone else min(shape[4], last - start)
         for k in range(mesh.begins[plane], mesh.begins[plane + 1]):
             _put_one(mesh, mesh.order[k], begin, end)
+
     for row in range(first * shape[1], last * shape[1]):
         at = row * shape[3]
         for k in range(shape[2], shape[3]):
             mesh.points[at + k % shape[2]] += mesh.points[at + k]
+
     return GO_ON
 
 
@@ -147,10 +160,12 @@ def _put_one(mesh, i, begin, end):
     seen = mesh.seen
     at = np.uintp(6 * i) * width
     window = mesh.charges[i] * load(seen, at + np.uintp(4) * width, mesh.width)
+
     for k in range(begin, end):
         plane = (mesh.starts[i, 0] + k) % shape[0]
         on_plane = seen[at + np.uintp(k)] * window
         row = mesh.starts[i, 1]
+
         for j in range(shape[4]):
             place = np.uintp((plane * shape[1] + row) * shape[3] + mesh.starts[i, 2])
             weight = seen[at + np.uintp(j) + width + width]
@@ -170,38 +185,45 @@ def push_from_points(mesh, chunk):
     nothing = zeros(mesh.width)
     for d in range(3):
         mesh.sums[chunk, d] = 0.0
+
     for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
         at = np.uintp(6 * i) * width
         at_y = at + width + width
         along_x = nothing
         along_y = nothing
         along_z = nothing
+
         for k in range(shape[4]):
             plane = (mesh.starts[i, 0] + k) % shape[0]
             row = mesh.starts[i, 1]
             value = nothing
             slope = nothing
+
             for j in range(shape[4]):
                 place = np.uintp((plane * shape[1] + row) * shape[3] + mesh.starts[i, 2])
                 points = load(mesh.points, place, mesh.width)
                 value = fma(points, seen[at_y + np.uintp(j)], value)
                 slope = fma(points, seen[at_y + width + np.uintp(j)], slope)
                 row = row + 1 if row + 1 < shape[1] else 0
+
             on_plane = seen[at + np.uintp(k)]
             across_plane = seen[at + width + np.uintp(k)]
             along_x = fma(value, across_plane, along_x)
             along_y = fma(slope, on_plane, along_y)
             along_z = fma(value, on_plane, along_z)
+
         window = load(seen, at_y + width + width, mesh.width)
         bend = load(seen, at_y + width + width + width, mesh.width)
         q2 = 2.0 * mesh.charges[i]  # the slope of t is −2
         fa = q2 * shape[0] * total(along_x * window)
         fb = q2 * shape[1] * total(along_y * window)
         fc = q2 * shape[2] * total(along_z * bend)
+
         for d in range(3):
             f = inverse[d, 0] * fa + inverse[d, 1] * fb + inverse[d, 2] * fc
             mesh.forces[np.uintp(i), d] += f
             mesh.sums[chunk, d] += f
+
     return GO_ON
 
 
@@ -241,6 +263,7 @@ def charge_sum(
             n_vectors = window.points**2 * -(-window.points // Lanes8.size)
             of_atoms = len(system) * (PER_ATOM + PER_ROW * n_vectors)
             times[window] = PER_SUM + PER_POINT * prod(shape_for(system, window)) + of_atoms
+
     best = min(times, key=times.__getitem__, default=None)
     if best is not None:
         shape = shape_for(system, best)
@@ -249,6 +272,7 @@ def charge_sum(
                 f"cutoff of Coulomb must be larger; {split.cutoff:.3g} needs a mesh of "
                 f"{' x '.join(map(str, shape))} points; at most {MOST_POINTS} are allowed"
             )
+
     if method == "mesh" and (best is None or is_fixed):
         limit = "in fixed-point arithmetic" if is_fixed else f"at an accuracy of {split.bound:.1g}"
         raise ValueError(f'method of Coulomb must be "waves" or "ewald" {limit}; method = "mesh"')
@@ -269,7 +293,9 @@ def shape_for(system: System, window: Window) -> tuple[int, int, int]:
 
 
 class MeshSum(ChargeSum):
-    """The sum of the charges of a system on a mesh.  window : one of windows(split).  n_threads : for transforms."""
+    """The sum of the charges of a system on a mesh.
+    window : one of windows(split).
+    n_threads : for transforms."""
 
     def __init__(
         self,
@@ -360,6 +386,7 @@ class MeshSum(ChargeSum):
             half = 0.5 * self._twice * np.abs(self._kept) ** 2
             self._totals[0, 0] = half @ self._weights[self._used]
             self._totals[0, 1:] = half @ self._virials
+
         self._amplitudes *= self._weights
         self._fill()
 

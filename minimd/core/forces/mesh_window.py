@@ -34,7 +34,9 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(64)
 
 
 class Window(NamedTuple):
-    """points : P.  bandwidth : of ψ₀.  spacing : h, the largest that does [length]."""
+    """points : P.
+    bandwidth : of ψ₀.
+    spacing : h, the largest that does [length]."""
 
     points: int
     bandwidth: float
@@ -58,11 +60,13 @@ class Window(NamedTuple):
             return self(x * 2.0 / self.points - 1.0)
 
         t = np.linspace(-1.0, 1.0, 33)
+
         for degree in range(4, 24):
             places = np.cos(pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
             series = chebyshev.chebfit(places, at(places), degree)
             if np.abs(chebyshev.chebval(t, series).T - at(t)).max() < max(FITTED * accuracy, 1e-15):
                 break
+
         values = np.zeros((degree + 1, width))
         polynomials = [chebyshev.cheb2poly(column) for column in series.T]
         values[:, : self.points] = np.stack(polynomials, axis=1)
@@ -108,10 +112,12 @@ def _error(split: Split, window: Window) -> float:
     transform = window.transform(table)
     f = window.spacing / (2.0 * pi) * k * u
     of_pairs = of_itself = 0.0
+
     for sign in (-1.0, 1.0):
         of_alias = np.interp(np.abs(f + sign), table, transform)
         ratio = of_alias / np.interp(np.abs(f), table, transform)
         aliased = k**2 + 2.0 * sign * step * k * u + step**2
         of_pairs += 3.0 * float((part * (spectrum * ratio) ** 2 * (k**2 + aliased)).sum())
         of_itself += step * float((part * spectrum * ratio).sum())
+
     return float(np.sqrt(DENSITY / split.cutoff**3 * of_pairs + 1.5 * of_itself**2))

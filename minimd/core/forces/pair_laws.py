@@ -33,10 +33,12 @@ class PairLaws:
         exclusions = [law.exclusions for law in members]
         pairs = np.unique(np.sort(np.concatenate([*by_bonds, *exclusions])), axis=0)
         factors = np.ones((len(members), len(pairs)))
+
         for row, law in zip(factors, members, strict=True):
             for factor, bonded in zip(law.bonded_scale, by_bonds, strict=True):
                 row[among(pairs, bonded)] = factor
             row[among(pairs, law.exclusions)] = 0.0
+
         is_special = (factors != 1.0).any(axis=0)
         self.excluded = pairs[is_special]
         self.factors = factors[:, is_special]
@@ -122,7 +124,8 @@ def skin_for(
 ) -> float:
     """The skin that the user gave, or the best one, but not more than fits into the cell [length].
 
-    displacement : of the fastest atom in a step [length], 0 if unknown.  layers : of the list.
+    displacement : of the fastest atom in a step [length], 0 if unknown.
+    layers : of the list.
     """
     cutoff = laws.cutoff
     cell = system.cell
@@ -133,6 +136,7 @@ def skin_for(
         skin = best_skin(cutoff, density, displacement, len(system), layers)
         room = ROUNDED_DOWN * (cell.heights[cell.pbc].min(initial=np.inf) - cutoff)
         skin = min(skin, room) if room > LEAST_SKIN * cutoff else skin
+
     return min(skin, widest)
 
 

@@ -22,9 +22,12 @@ ALL_PAIRS_UP_TO = 100
 
 
 class Local(ByAddress, namedtuple("Local", "positions forces order offsets own_positions sums")):
-    """Atoms in the order of the list.  positions, forces : (N, 3).  order, offsets : see PairList.
+    """Atoms in the order of the list.
+    positions, forces : (N, 3).
+    order, offsets : see PairList.
 
-    own_positions : (N, 3) = positions[order] + offsets.  sums : forces (N, 3), energies (N,) and virials (N, 6).
+    own_positions : (N, 3) = positions[order] + offsets.
+    sums : forces (N, 3), energies (N,) and virials (N, 6).
     """
 
 

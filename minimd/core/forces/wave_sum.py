@@ -63,13 +63,21 @@ class Waves(
 ):
     """What the sum works on.
 
-    positions : (N, 3) [length].  charges : (N,) [√(energy · length)].  rounder : see rounder_for; () without a grid.
-    lattice, inverse : (3, 3) [length], [1/length].  chosen : (1,) int, see choose_atom.
-    sizes : (7,) int, see N_ROWS.  rows : (R, 4) int, cells of the same a and b.
+    positions : (N, 3) [length].
+    charges : (N,) [√(energy · length)].
+    rounder : see rounder_for; () without a grid.
+    lattice, inverse : (3, 3) [length], [1/length].
+    chosen : (1,) int, see choose_atom.
+    sizes : (7,) int, see N_ROWS.
+    rows : (R, 4) int, cells of the same a and b.
     weights, bends : (C, 4) of L̂ and dL̂/dk², for the four waves of a cell.
-    tables : (chunks, …) of the atoms of a block.  sums : (chunks, C · 8 · lanes).  amplitudes : (C, 8).
-    totals : (1, 7) output: energy and virial.  rest : (chunks, 3), the sums of forces.
-    forces : (N, 3) output; int64 impulses in fixed-point arithmetic, where steps : Steps, else ().  detail : see term.
+    tables : (chunks, …) of the atoms of a block.
+    sums : (chunks, C · 8 · lanes).
+    amplitudes : (C, 8).
+    totals : (1, 7) output: energy and virial.
+    rest : (chunks, 3), the sums of forces.
+    forces : (N, 3) output; int64 impulses in fixed-point arithmetic, where steps : Steps, else ().
+    detail : see term.
     """
 
 
@@ -99,12 +107,14 @@ def sum_waves(waves, chunk):
         store(sums, k * n_lanes, zeros(lanes))
     first = chunk * n // n_chunks
     last = (chunk + 1) * n // n_chunks
+
     for start in range(first, last, BLOCK):
         _fill_tables(waves, table, start, min(start + BLOCK, last))
         for row in range(waves.sizes[N_ROWS]):
             _multiply(waves, table, row)
             for cell in range(waves.rows[row, N_CELLS]):
                 _add_cell(waves, table, sums, waves.rows[row, FIRST] + cell, cell)
+
     return GO_ON
 
 
@@ -118,59 +128,74 @@ def _fill_tables(waves, table, first, last):
     place = np.uintp(sizes[F])
     r = waves.positions
     o = np.uintp(waves.chosen[0])
+
     for k in range(BLOCK):
         i = np.uintp(min(first + k, last - 1))
         x = r[i, 0] - r[o, 0]
         y = r[i, 1] - r[o, 1]
         z = r[i, 2] - r[o, 2]
+
         for d in range(3):
             cells = np.floor(x * inverse[0, d] + y * inverse[1, d] + z * inverse[2, d] + CUT)
             x = x - cells * lattice[d, 0]
             y = y - cells * lattice[d, 1]
             z = z - cells * lattice[d, 2]
+
         for d in range(3):
             s = x * inverse[0, d] + y * inverse[1, d] + z * inverse[2, d]
             table[place + np.uintp(d * BLOCK + k)] = 2.0 * pi * s
         table[np.uintp(sizes[X] + k)] = waves.charges[i] if first + k < last else 0.0
+
     for d in range(3):
         begin = sizes[X + d]
         end = sizes[X + d + 1]
+
         for k in range(np.uintp(0), np.uintp(BLOCK), n_lanes):
             angle = load(table, place + np.uintp(d * BLOCK) + k, waves.lanes)
             c = np.cos(angle)
             s = np.sin(angle)
             x = load(table, np.uintp(begin) + k, waves.lanes) if d == 0 else broadcast(1.0, c)
             y = 0.0 * x
+
             for at in range(np.uintp(begin), np.uintp(end), np.uintp(2 * BLOCK)):
-                store(table, at + k, x)
-                store(table, at + k + np.uintp(BLOCK), y)
+                _store_complex(table, at + k, x, y)
                 turned = fma(x, c, -(y * s))
                 y = fma(x, s, y * c)
                 x = turned
 
 
 @scalar
+def _complex_at(table, at, lanes):
+    """Real and imaginary parts of as many atoms as a vector has lanes; both lie in blocks, one behind the other."""
+    return load(table, at, lanes), load(table, at + np.uintp(BLOCK), lanes)
+
+
+@scalar
+def _store_complex(table, at, real, imaginary):
+    """The reverse of _complex_at."""
+    store(table, at, real)
+    store(table, at + np.uintp(BLOCK), imaginary)
+
+
+@scalar
 def _multiply(waves, table, row):
     """X_a Y_b and X_a Y_b* of a row."""
     sizes = waves.sizes
-    n_lanes = np.uintp(count(waves.lanes))
+    lanes = waves.lanes
     block = np.uintp(BLOCK)
     at_x = np.uintp(sizes[X] + 2 * BLOCK * waves.rows[row, A])
     at_y = np.uintp(sizes[Y] + 2 * BLOCK * waves.rows[row, B])
     at = np.uintp(sizes[XY])
-    for k in range(np.uintp(0), block, n_lanes):
-        xr = load(table, at_x + k, waves.lanes)
-        xi = load(table, at_x + block + k, waves.lanes)
-        yr = load(table, at_y + k, waves.lanes)
-        yi = load(table, at_y + block + k, waves.lanes)
+
+    for k in range(np.uintp(0), block, np.uintp(count(lanes))):
+        xr, xi = _complex_at(table, at_x + k, lanes)
+        yr, yi = _complex_at(table, at_y + k, lanes)
         rr = xr * yr
         ii = xi * yi
         ri = xr * yi
         ir = xi * yr
-        store(table, at + k, rr - ii)
-        store(table, at + block + k, ri + ir)
-        store(table, at + block + block + k, rr + ii)
-        store(table, at + block + block + block + k, ir - ri)
+        _store_complex(table, at + k, rr - ii, ri + ir)
+        _store_complex(table, at + block + block + k, rr + ii, ir - ri)
 
 
 @scalar
@@ -191,13 +216,11 @@ def _add_cell(waves, table, sums, cell, c):
     m_is = load(sums, place + np.uintp(5) * n_lanes, lanes)
     m_rs = load(sums, place + np.uintp(6) * n_lanes, lanes)
     m_ic = load(sums, place + np.uintp(7) * n_lanes, lanes)
+
     for k in range(np.uintp(0), block, n_lanes):
-        zc = load(table, at_z + k, lanes)
-        zs = load(table, at_z + block + k, lanes)
-        pr = load(table, at + k, lanes)
-        pi_ = load(table, at + block + k, lanes)
-        mr = load(table, at + block + block + k, lanes)
-        mi = load(table, at + block + block + block + k, lanes)
+        zc, zs = _complex_at(table, at_z + k, lanes)
+        pr, pi_ = _complex_at(table, at + k, lanes)
+        mr, mi = _complex_at(table, at + block + block + k, lanes)
         p_rc = plus_rounded(pr, zc, p_rc, rounder)
         p_is = plus_rounded(pi_, zs, p_is, rounder)
         p_rs = plus_rounded(pr, zs, p_rs, rounder)
@@ -206,6 +229,7 @@ def _add_cell(waves, table, sums, cell, c):
         m_is = plus_rounded(mi, zs, m_is, rounder)
         m_rs = plus_rounded(mr, zs, m_rs, rounder)
         m_ic = plus_rounded(mi, zc, m_ic, rounder)
+
     for part in (p_rc, p_is, p_rs, p_ic, m_rc, m_is, m_rs, m_ic):
         store(sums, place, part)
         place += n_lanes
@@ -219,6 +243,7 @@ def weigh_waves(waves, _chunk):
     """
     for c in range(7):
         waves.totals[0, c] = 0.0
+
     for row in range(waves.sizes[N_ROWS]):
         for c in range(waves.rows[row, N_CELLS]):
             cell = waves.rows[row, FIRST] + c
@@ -246,6 +271,7 @@ def weigh_waves(waves, _chunk):
                     _count(waves, (a, b, c), up, bend, ur * ur + ui * ui)
                     bend = waves.bends[cell, 2 * side + 1]
                     _count(waves, (a, b, -c), down, bend, dr * dr + di * di)
+
     return GO_ON
 
 
@@ -293,24 +319,29 @@ def push_atoms(waves, chunk):
     last = (chunk + 1) * n // n_chunks
     for d in range(3):
         waves.rest[chunk, d] = 0
+
     for start in range(first, last, BLOCK):
         stop = min(start + BLOCK, last)
         _fill_tables(waves, table, start, stop)
         for k in range(np.uintp(0), np.uintp(3 * BLOCK), n_lanes):
             store(table, at + k, zeros(lanes))
+
         for row in range(waves.sizes[N_ROWS]):
             _multiply(waves, table, row)
             for k in range(np.uintp(0), block, n_lanes):
                 _add_row(waves, table, row, k)
+
         for i in range(start, stop):
             k = at + np.uintp(i - start)
             inverse = waves.inverse
             fa, fb, fc = table[k], table[k + block], table[k + block + block]
+
             for d in range(3):
                 f = 4.0 * pi * (inverse[d, 0] * fa + inverse[d, 1] * fb + inverse[d, 2] * fc)
                 g = force_along(f, 1.0, waves.steps)
                 waves.forces[np.uintp(i), d] += g
                 waves.rest[chunk, d] += g
+
     return GO_ON
 
 
@@ -325,10 +356,10 @@ def _add_row(waves, table, row, k):
     pr = pi_ = mr = mi = pzr = pzi = mzr = mzi = zeros(lanes)  # Σ A Z, and Σ c A Z
     n = zeros(lanes)
     first = np.uintp(waves.rows[row, FIRST])
+
     for cell in range(first, first + np.uintp(waves.rows[row, N_CELLS])):
         a = waves.amplitudes[cell]
-        zc = load(table, at_z, lanes)
-        zs = load(table, at_z + block, lanes)
+        zc, zs = _complex_at(table, at_z, lanes)
         nc = n * zc
         ns = n * zs
         pr = fma(zc, a[0], fma(zs, -a[3], pr))
@@ -341,10 +372,9 @@ def _add_row(waves, table, row, k):
         mzi = fma(nc, a[7], fma(ns, a[4], mzi))
         n = n + 1.0
         at_z = at_z + block + block
-    xr = load(table, at, lanes)
-    xi = load(table, at + block, lanes)
-    yr = load(table, at + block + block, lanes)
-    yi = load(table, at + block + block + block, lanes)
+
+    xr, xi = _complex_at(table, at, lanes)
+    yr, yi = _complex_at(table, at + block + block, lanes)
     of_p = fma(xr, pi_, xi * pr)
     of_m = fma(yr, mi, yi * mr)
     fa = load(table, at_f, lanes)
@@ -374,7 +404,9 @@ def virials_of(
 
 
 class ChargeSum(OwnTerm):
-    """A sum over the waves of the charges of a system.  charges : (N,) [√(energy · length)].  split : of 1/r."""
+    """A sum over the waves of the charges of a system.
+    charges : (N,) [√(energy · length)].
+    split : of 1/r."""
 
     def __init__(self, system: System, charges: NDArray[np.float64], split: Split) -> None:
         self._charges = charges
@@ -510,6 +542,7 @@ class WaveSum(ChargeSum):
                 f"cutoff of Coulomb must be larger; {self._split.cutoff:.3g} needs some {2.0 * needed:.1g} waves "
                 f"in this cell, but at most {2 * MOST_CELLS} are allowed"
             )
+
         most = ends.astype(np.int64)
         axes = [np.arange(n + 1) for n in most]
         cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -560,10 +593,12 @@ class WaveSum(ChargeSum):
         conjugate = np.conj(sum(self._phases(block, k).sum(axis=0) for block in blocks))
         energies = []
         virials = []
+
         for block in blocks:
             share = (self._phases(block, k) * conjugate).real
             energies.append(share @ weights)
             virials.append(share @ virials_of(k, weights, bends))
+
         return np.concatenate(energies), np.concatenate(virials)
 
     def _phases(self, atoms: NDArray[np.int64], k: NDArray[np.float64]) -> NDArray:

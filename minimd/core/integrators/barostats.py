@@ -27,7 +27,9 @@ OWN_STREAM = 1  # of random numbers; the stream of thermostats is 0
 @dataclass(frozen=True)
 class ThermodynamicState:
     """What a barostat needs to know about a state.
-    pressure : P, (3, 3) [energy/length³], kinetic part included.  volume : V [length³].  energy : E = K + U [energy].
+    pressure : P, (3, 3) [energy/length³], kinetic part included.
+    volume : V [length³].
+    energy : E = K + U [energy].
         thermal : k_B T [energy]."""
 
     pressure: Array
@@ -124,7 +126,9 @@ class StochasticCellRescaling(Displayed):
         return [(name, value) for name, value in self.parameters.items() if value is not None]
 
     def strain(self, state: ThermodynamicState, duration: float, number: int) -> Array:
-        """ε, (3, 3).  duration : h [time].  number : of the step; it selects the noise."""
+        """ε, (3, 3).
+        duration : h [time].
+        number : of the step; it selects the noise."""
         white = philox(self.seed, 0, number, OWN_STREAM).standard_normal((3, 3))
         if self.coupling == "isotropic":
             variance = 0.5 * state.thermal * self.compressibility * duration / self.relaxation_time

@@ -48,7 +48,9 @@ def velocity_of(momentum, inverse_mass, steps):
 
 @scalar
 def kicked_on_grid(momentum, impulse, inverse_mass, times):
-    """p + times · impulse, in steps, exact; p if inverse_mass is 0.  momentum : float64 whole.  impulse : int64."""
+    """p + times · impulse, in steps, exact; p if inverse_mass is 0.
+    momentum : float64 whole.
+    impulse : int64."""
     return momentum + times * select(inverse_mass > 0.0, as_float(impulse), 0.0)
 
 
@@ -70,7 +72,8 @@ class Moving(
 ):
     """What kicks and drifts work on.
     positions, velocities, forces : (3 N,) flat [length], [length/time], [energy/length].
-    inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.  are_alike : whether all are the same.
+    inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
+    are_alike : whether all are the same.
     flows : (F, 3), one after the other: KICK or DRIFT, its duration, and, on a grid, the unit [time] of which the
         duration is a whole multiple: the change over one unit is rounded.
     steps : Steps in fixed-point arithmetic, where forces are int64 impulses over the unit; else ()."""

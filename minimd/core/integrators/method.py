@@ -19,7 +19,8 @@ Array = NDArray[np.float64]
 
 class Problem(Protocol):
     """y′ = f(t, y) or F(t, y, y′) = 0, with initial values. States are one-dimensional arrays.
-    solver : Newton() or FixedPoint(), for implicit steps.  shape : of q and of v, None for problems without them.
+    solver : Newton() or FixedPoint(), for implicit steps.
+    shape : of q and of v, None for problems without them.
     remark : what limits the accuracy of solutions beyond method and rounding, if anything does; known after begin."""
 
     solver: Any
@@ -69,8 +70,10 @@ class Method(Displayed):
     Attributes of each method
     -------------------------
     name, source : key in METHODS; literature.
-    order : p of the global error O(Δtᵖ).  stages : evaluations of the force, or systems of stage equations, per step.
-    is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1.  is_symplectic : for Hamiltonian problems.
+    order : p of the global error O(Δtᵖ).
+    stages : evaluations of the force, or systems of stage equations, per step.
+    is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1.
+    is_symplectic : for Hamiltonian problems.
     is_explicit : whether separable problems are stepped without solving equations.
 
     Raises
@@ -128,7 +131,8 @@ class Method(Displayed):
 
 
 def check_class(method: Any, kind: type[Method] = Method) -> None:
-    """TypeError for anything but the class of a method.  kind : its base class."""
+    """TypeError for anything but the class of a method.
+    kind : its base class."""
     if not (isinstance(method, type) and issubclass(method, kind)):
         raise TypeError(
             f"method must be a class, such as VelocityVerlet, not an object; method = {shown(method)}"

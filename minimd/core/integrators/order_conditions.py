@@ -162,7 +162,8 @@ BISECTIONS = 50  # halvings of an interval, down to rounding
 
 
 def propagation(substeps: Substeps, h: float) -> Array:
-    """M(h) of one step, (2, 2), on (q, v/ω).  h : ωΔt.  Substeps Thermalize are left out."""
+    """M(h) of one step, (2, 2), on (q, v/ω).
+    h : ωΔt.  Substeps Thermalize are left out."""
     matrix = np.eye(2)
     for substep in mechanical(substeps):
         c = substep.coefficient * h
@@ -209,7 +210,8 @@ def energy_oscillation(substeps: Substeps, h: float) -> float:
 
     A stable step M = (a b; c d) conserves the quadratic form −c q² + (a − d) q v + b v². States lie on an ellipse; on
     its axes the energy (q² + v²)/2 is largest and smallest. Velocity Verlet has h²/(8 − h²):
-    1/80 at 20 steps per period.  h : ωΔt."""
+    1/80 at 20 steps per period.
+    h : ωΔt."""
     h = checked_number("h", h)
     (a, b), (c, d) = propagation(checked_substeps(substeps), h)
     if abs(a + d) >= 2.0:

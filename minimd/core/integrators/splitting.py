@@ -44,15 +44,18 @@ class Splitting(Method):
     Attributes of each method
     -------------------------
     name, substeps, source : key in METHODS; kicks and drifts of one step; literature.
-    conserves_momentum : true unless a bath acts on each atom separately.  is_thermostat : whether a bath acts at all.
+    conserves_momentum : true unless a bath acts on each atom separately.
+    is_thermostat : whether a bath acts at all.
     memory : (M,) float64, what a bath of yours remembers between steps, such as ξ of Nosé and Hoover, changed in place;
         None without. It is undone with a step that is undone, and stored with each restart. Give each simulation a
         method of its own.
 
     Attributes computed from them
     -----------------------------
-    order : p of the global error O(Δtᵖ) for H = p²/2m + V(q).  stages : force evaluations per step of a long run.
-    is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1; the method is then also reversible.  is_symplectic : true without a bath.
+    order : p of the global error O(Δtᵖ) for H = p²/2m + V(q).
+    stages : force evaluations per step of a long run.
+    is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1; the method is then also reversible.
+    is_symplectic : true without a bath.
     """
 
     substeps: ClassVar[Substeps]
@@ -72,7 +75,8 @@ class Splitting(Method):
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
-        """The step on a problem with q and v, see Partitioned.sequence_step.  Raises TypeError for other problems."""
+        """The step on a problem with q and v, see Partitioned.sequence_step.
+        Raises TypeError for other problems."""
         if not hasattr(problem, "sequence_step"):
             raise TypeError(
                 f"{cls.name} needs a problem with q and v, SecondOrder or Partitioned; got {type(problem).__name__}"
@@ -98,11 +102,13 @@ class Splitting(Method):
         return how many were made.
 
         compute_forces : fills state.forces; if called with True, evaluates the energy, too.
-        with_energy : evaluate the energy, too, with the last forces.  surroundings : constraints and bath, if any.
+        with_energy : evaluate the energy, too, with the last forces.
+        surroundings : constraints and bath, if any.
 
         Raises
         ------
-        ConstraintError : if a constrained length cannot be kept.  ValueError : from a thermostat without a bath.
+        ConstraintError : if a constrained length cannot be kept.
+        ValueError : from a thermostat without a bath.
         """
 
         # Numba is slow to load, and who names a method needs none

@@ -75,7 +75,8 @@ class State:
 class GridState(State):
     """A state in fixed-point arithmetic.
     impulses : (N, 3) int64 in steps of momentum: forces times the unit of time.
-    grid : Grid.  bodies : groups of atoms that constraints tie together, or None."""
+    grid : Grid.
+    bodies : groups of atoms that constraints tie together, or None."""
 
     impulses: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
     grid: Grid = Grid(1.0, 1.0, 1.0)  # noqa: RUF009 - frozen
@@ -124,7 +125,9 @@ class GridState(State):
 
 
 class Place:
-    """A number that is an element of an array, which kernels read.  array : its name.  kind : of the number."""
+    """A number that is an element of an array, which kernels read.
+    array : its name.
+    kind : of the number."""
 
     def __init__(self, array: str, index: int, kind: type) -> None:
         self._array = array
@@ -141,7 +144,8 @@ class Place:
 class Bath:
     """What a thermostat needs to know about its system, and the energy it has given to the system.
 
-    k_B : [energy/temperature].  n_dof : degrees of freedom that share the kinetic energy.
+    k_B : [energy/temperature].
+    n_dof : degrees of freedom that share the kinetic energy.
     conserves_momentum : of all atoms; then the motion of the center of mass is not a thermal degree of freedom.
     step, contact : the number of the step, and of the contact within it; both select the noise.
     energy : given to the system since the start, the reservoir energy [energy].
@@ -165,7 +169,8 @@ class Bath:
 class Surroundings:
     """What acts on a state besides the forces.
 
-    constraints : solver for the lengths that drifts keep, or None.  bath : of a thermostat, or None.
+    constraints : solver for the lengths that drifts keep, or None.
+    bath : of a thermostat, or None.
     stop_requested : set it to True to end a run of steps after the present one.
     power : ∂U/∂t with the forces of the next kick [energy/time].
     work : its integral, Σ duration · power over all kicks [energy]. Time is treated as a coordinate with momentum

@@ -45,7 +45,8 @@ DIGITS_OF_PHASE = 12  # so that coefficients that add up to one are one
 
 class Moment(NamedTuple):
     """A moment of a program.
-    counts : see Counting.  begun : how many steps have begun before the present one: counts[MADE] + begun.
+    counts : see Counting.
+    begun : how many steps have begun before the present one: counts[MADE] + begun.
     phase : time since the beginning of that step, in time steps; only drifts advance it.
     contact : number of contacts with a bath in that step before."""
 
@@ -89,7 +90,8 @@ class ForceSource(NamedTuple):
     """Where forces come from.
 
     operations : those that evaluate them, with the energy or without, over a unit of time [time], at a moment.
-    version : of the memory that they work on.  pool : the threads.
+    version : of the memory that they work on.
+    pool : the threads.
     running : context for the run of a program with such operations.
     power : ∂U/∂t of the last evaluation [energy/time], if forces depend on time.
     taken : called after a run, with whether the last evaluation had the energy, and its unit [time]."""
@@ -103,7 +105,9 @@ class ForceSource(NamedTuple):
 
 
 class Force(NamedTuple):
-    """New forces.  unit : of the kicks that follow, see unit_of.  with_energy : and the energy."""
+    """New forces.
+    unit : of the kicks that follow, see unit_of.
+    with_energy : and the energy."""
 
     unit: float
     with_energy: bool = False
@@ -148,7 +152,8 @@ def unit_of(row: Substeps, flow: Kick | Drift) -> float:
 
 
 def first_unit(method: Row) -> float:
-    """Of the first kick of a step [time].  Errors : see merged_row."""
+    """Of the first kick of a step [time].
+    Errors : see merged_row."""
     row = merged_row(method)
     kicks = [substep for substep in row if isinstance(substep, Kick)]
     return unit_of(row, kicks[0] if kicks else Kick(1.0)) * method.timestep
@@ -172,7 +177,9 @@ def _first_place(kind: Any, events: Events) -> int:
 
 
 class Steps:
-    """The steps of a method on a state.  around : Surroundings.  forces : where they come from.
+    """The steps of a method on a state.
+    around : Surroundings.
+    forces : where they come from.
     Raises ValueError for arrays that kernels cannot write; TypeError, ValueError for substeps, see merged_row."""
 
     def __init__(
@@ -269,7 +276,8 @@ class Steps:
         return self._programs[key]
 
     def _operations(self, needs_forces: bool, with_energy: bool) -> Iterator[Operation]:
-        """Head, loop, and the rest of the last step.  needs_forces : whether the first kick needs new forces.
+        """Head, loop, and the rest of the last step.
+        needs_forces : whether the first kick needs new forces.
         with_energy : whether the last forces come with the energy."""
         start = Moment(self.counts)
         in_rest = Moment(self.counts, -1)

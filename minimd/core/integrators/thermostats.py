@@ -50,7 +50,9 @@ def philox(seed: int, contact: int, step: int, stream: int = 0) -> np.random.Gen
 
 
 class Noise(ByAddress, namedtuple("Noise", "key counts begun contact")):
-    """What selects noise.  key : (2,) uint64 of Philox.  counts, begun, contact : of a Moment."""
+    """What selects noise.
+    key : (2,) uint64 of Philox.
+    counts, begun, contact : of a Moment."""
 
 
 @scalar
@@ -61,7 +63,9 @@ def step_of(noise):
 
 class Thermostat(Splitting):
     """A splitting with a bath.
-    timestep : Δt [time], positive.  temperature : of the bath, ≥ 0.  seed : int ≥ 0, of the noise, below 2¹²⁸.
+    timestep : Δt [time], positive.
+    temperature : of the bath, ≥ 0.
+    seed : int ≥ 0, of the noise, below 2¹²⁸.
     Raises ValueError for a time step that is not positive, a temperature or a rate below zero, or a seed out of range.
     """
 
@@ -148,8 +152,10 @@ class LangevinBAOAB(Thermostat):
 
     Parameters
     ----------
-    timestep : Δt > 0 [time].  temperature : T ≥ 0, of the bath.
-    friction : γ ≥ 0 [1/time].  seed : int ≥ 0 of the noise, below 2¹²⁸.
+    timestep : Δt > 0 [time].
+    temperature : T ≥ 0, of the bath.
+    friction : γ ≥ 0 [1/time].
+    seed : int ≥ 0 of the noise, below 2¹²⁸.
 
     B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013); J. Chem. Phys. 138, 174102 (2013), eq. 7.
     With constraints: B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 20160138 (2016).
@@ -212,10 +218,14 @@ class Touch(
     ),
 ):
     """The contact of atoms with a bath, see LangevinBAOAB.
-    velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
-    kept, spread : e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy].  noise : Noise.
-    parts : (chunks,) output, heat of each chunk [energy].  heat : (1,), to which it is added.
-    is_held : whether constraints follow, before the kinetic energy afterwards is known.  steps : of a grid, or ()."""
+    velocities : (N, 3).
+    inverse_masses, masses : (N,), zero for atoms that are held fixed.
+    kept, spread : e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy].
+    noise : Noise.
+    parts : (chunks,) output, heat of each chunk [energy].
+    heat : (1,), to which it is added.
+    is_held : whether constraints follow, before the kinetic energy afterwards is known.
+    steps : of a grid, or ()."""
 
 
 @filling_kernel
@@ -302,8 +312,10 @@ class StochasticVelocityRescaling(Thermostat):
 
     Parameters
     ----------
-    timestep : Δt > 0 [time].  temperature : T ≥ 0, of the bath.
-    relaxation_time : τ > 0 [time].  seed : int ≥ 0 of the noise, below 2¹²⁸.
+    timestep : Δt > 0 [time].
+    temperature : T ≥ 0, of the bath.
+    relaxation_time : τ > 0 [time].
+    seed : int ≥ 0 of the noise, below 2¹²⁸.
 
     G. Bussi, D. Donadio, M. Parrinello, J. Chem. Phys. 126, 014101 (2007), eq. A7.
     """
@@ -363,10 +375,17 @@ class Rescaling(
     ),
 ):
     """The contact of all atoms with a bath, see StochasticVelocityRescaling.
-    velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
-    kept : e^(−Δt/τ).  thermal_energy : k_B T [energy].  mass : of all atoms.  thermal : of Bath.  noise : Noise.
+    velocities : (N, 3).
+    inverse_masses, masses : (N,), zero for atoms that are held fixed.
+    kept : e^(−Δt/τ).
+    thermal_energy : k_B T [energy].
+    mass : of all atoms.
+    thermal : of Bath.
+    noise : Noise.
     parts : (chunks, 4) output, momentum and kinetic energy of each chunk.
-    motion : (4,) output, V, and √(K′/K) with its sign.  heat : (1,), to which the heat is added.  steps : of a grid."""
+    motion : (4,) output, V, and √(K′/K) with its sign.
+    heat : (1,), to which the heat is added.
+    steps : of a grid."""
 
 
 @called_kernel
@@ -434,7 +453,8 @@ def rescale_atoms(rescaling, chunk):
 
 
 def bath_of(around: Surroundings) -> Bath:
-    """The bath that a thermostat needs.  Raises ValueError if there is none."""
+    """The bath that a thermostat needs.
+    Raises ValueError if there is none."""
     if around.bath is None:
         raise ValueError(
             "a thermostat needs a bath to count the energy it gives: "

@@ -68,8 +68,10 @@ class Minimization(Displayed):
 
     Attributes
     ----------
-    system : System, the final state.  converged : whether largest_force is within the tolerance.
-    n_steps : number of steps.  n_evaluations : number of force evaluations.
+    system : System, the final state.
+    converged : whether largest_force is within the tolerance.
+    n_steps : number of steps.
+    n_evaluations : number of force evaluations.
     largest_force, largest_force_before : the largest force on an atom, projected onto the constraints [energy/length].
     potential_energy, potential_energy_before : U [energy]; infinity also where it is NaN.
     force_tolerance : as given [energy/length].
@@ -130,7 +132,8 @@ def minimize(
     ------
     NonFiniteError : for an energy or forces that are not finite although no atoms are close;
         it names the law and its atoms.
-    ConstraintError : if constraints cannot be kept.  TypeError, ValueError : as Simulation.
+    ConstraintError : if constraints cannot be kept.
+    TypeError, ValueError : as Simulation.
     KeyboardInterrupt : after Ctrl-C; its attribute result is the Minimization so far.
 
     E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006); J. Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020).
@@ -229,8 +232,10 @@ def steer(velocities, forces, timestep, mixing, most):
 class Descent:
     """A descent, made in place on the positions of the system of some forces.
 
-    n_steps : made so far.  largest_force : the largest force on an atom, projected onto the constraints
-    [energy/length].  stop_requested : set it to True to end after the present step.
+    n_steps : made so far.
+    largest_force : the largest force on an atom, projected onto the constraints
+    [energy/length].
+    stop_requested : set it to True to end after the present step.
     """
 
     def __init__(
@@ -265,7 +270,8 @@ class Descent:
     def run(self, tell: Callable[[int], Any]) -> float:
         """Correct the constrained lengths, and descend until no force exceeds the tolerance, or for max_steps steps.
 
-        Return the largest force at the start, infinite if atoms had to be pushed apart first.  tell : called with the
+        Return the largest force at the start, infinite if atoms had to be pushed apart first.
+        tell : called with the
         number of steps made.
 
         Raises NonFiniteError if energy or forces are not finite for another reason than overlaps.  ConstraintError if

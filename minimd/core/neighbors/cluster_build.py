@@ -74,6 +74,7 @@ def place_atoms(building, domain):
         while n_layers <= LAYERS and bits_from_mask(moved2 <= limits2[n_layers - 1]) != all_lanes:
             n_layers += 1
         place(k, arrays, at)
+
     arrays.memory.layers[domain] = n_layers
     return GO_ON
 

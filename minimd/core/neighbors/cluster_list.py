@@ -94,6 +94,7 @@ class ClusterList(VerletList):
         refuse = lambda _answer: raise_not_finite(self._positions)  # noqa: E731
         yield of_list(cluster_build.place_atoms, n_chunks=n)
         yield of_list(cluster_build.is_valid, otherwise=after, python=refuse)
+
         for k, (kernel, n_chunks, remedy) in enumerate(build, start=2):
             # in the end to place_atoms; after a remedy to sort_atoms
             then = 1 if k < after else -k

@@ -113,17 +113,21 @@ def find_rows(domain, arrays, room, work):
     for x in range(domains.column[domain], domains.column[domain + 1]):
         for y in range(n_across):
             n_ahead = 0
+
             for run_x in range(columns.reach[0] + 1):
                 for run_y in range(-depth if run_x > 0 else 0, depth + 1):
                     run = first_run(x + run_x, columns) + y + run_y + depth
                     ahead[n_ahead, 0] = domains.ghost[run]
                     ahead[n_ahead, 1] = domains.ghost[run + 1]
                     n_ahead += ahead[n_ahead, 0] < ahead[n_ahead, 1]
+
             column = x * n_across + y
+
             for k in range(column_start[column], column_start[column + 1]):
                 ahead[0, 0] = arrays.ghosts.home[k] + 1
                 n = _candidates(k, n_ahead, arrays, work)
                 n_entries = _prune(k, n, domain, arrays, (n_entries, last), work)
+
     if n_entries < last:
         arrays.rows.entries[n_entries] = 0  # see Rows
     return n_entries + 1 - first
@@ -163,6 +167,7 @@ def _candidates(k, n_ahead, arrays, work):
         while j < last and top[j] < low:
             j += 1
         ahead[run, 0] = j
+
         while j < last and bottom[j] <= high:
             x = _gap(boxes, j, stride, x_low, x_high)
             y = _gap(boxes, j + stride, stride, y_low, y_high)
@@ -173,6 +178,7 @@ def _candidates(k, n_ahead, arrays, work):
             store(candidates, n, numbers + j)
             n += HOW_MANY[near]
             j += BOXES
+
     return n
 
 
@@ -214,11 +220,13 @@ def _prune(k, n, domain, arrays, room, work):
         later &= _own_lanes_near(home, lane, arrays)
         end += np.uintp(later != 0)
         n_listed = n if lane < arrays.clusters.filled[k] else 0
+
         for layer in range(LAYERS):
             for first in range(0, n_listed, WORD):
                 near = work.near[(first // WORD * LAYERS + layer) * n_lanes + lane]
                 end = _append(work, first, near, rows.entries, end)
             rows.stops[layer, slot] = end
+
     return np.int64(end)
 
 
@@ -271,9 +279,11 @@ def _find_near(k, n, domain, arrays, work):
         bit = broadcast(1, none)
         inner = none
         both = none
+
         for p in range(np.uintp(first), np.uintp(min(first + WORD, n))):
             ghost = np.uintp(work.candidates[p])
             nearest2 = broadcast(np.inf, x)
+
             # all atoms of k at a time against one of the candidate's
             for lane in range(np.uintp(n_lanes)):
                 at = ghost * block + lane
@@ -281,6 +291,7 @@ def _find_near(k, n, domain, arrays, work):
                 dy = y - coordinates[at + np.uintp(n_lanes)]
                 dz = z - coordinates[at + np.uintp(2 * n_lanes)]
                 nearest2 = min(nearest2, _length2(dx, dy, dz))
+
             within = nearest2 < reaches2[1]
             inner = inner | select(nearest2 < reaches2[0], bit, none)
             both = both | select(within, bit, none)

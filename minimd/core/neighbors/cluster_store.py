@@ -82,6 +82,7 @@ class ClusterStore:
                 f"cluster lists hold up to {most} entries, this scene needs {start[-1]}: reduce cutoff or skin, or "
                 "simulate fewer atoms"
             )
+
         self.entry_start = start
         self._lay_out(columns, is_strained)
 

@@ -115,6 +115,7 @@ def region_of(cell: Cell, positions: Array, reach: float) -> Array:
     origin = np.zeros(3)
     extent = np.ones(3)
     margin = WIDER * reach / cell.heights
+
     # not @: see observables
     for k, coordinates in enumerate(np.einsum("ij,jk->ki", positions, cell.inverse)):
         if cell.pbc[k]:
@@ -182,14 +183,17 @@ def columns_fit(positions, columns):
         origin = columns.origin[d]
         extent = columns.extent[d]
         margin = columns.along[d]
+
         for i in range(positions.shape[0]):
             s, _ = into_cell(positions, i, columns.inverse, columns.pbc, columns.origin, d)
             low = min(low, s - origin)
             high = max(high, s - origin)
+
         if not (0.0 <= low <= margin and extent - margin <= high <= extent):
             return False
         if columns.pbc[d] and extent + margin > 1.0:
             return False
+
     return True
 
 
@@ -237,6 +241,7 @@ def fill_column(column, positions, columns, binned, clusters):
     n_lanes = count(clusters.lanes)
     first = binned.bin_start[column * counts[2]]
     last = binned.bin_start[(column + 1) * counts[2]]
+
     for p in range(first, last):
         i = order[p]
         q = p
@@ -246,6 +251,7 @@ def fill_column(column, positions, columns, binned, clusters):
         order[q] = i
 
     cluster = clusters.column_start[column]
+
     for p in range(first, last, n_lanes):
         n = min(n_lanes, last - p)
         clusters.filled[cluster] = n
@@ -258,6 +264,7 @@ def fill_column(column, positions, columns, binned, clusters):
         stored(clusters.positions, start, at)
         stored(clusters.origins, start, at)
         wrapped = plus(at, offsets_of(start, clusters))
+
         for c, x in enumerate(wrapped):
             low = high = lane(x, 0)
             for k in range(1, n_lanes):
@@ -265,4 +272,5 @@ def fill_column(column, positions, columns, binned, clusters):
                 high = max(high, lane(x, k))
             clusters.boxes[cluster, c] = low
             clusters.boxes[cluster, c + 3] = high
+
         cluster += 1

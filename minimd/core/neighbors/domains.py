@@ -137,6 +137,7 @@ def cut_into_domains(clusters, columns, domains, goes_along):
     n_clusters = column_start[counts[0] * n_across]
 
     x = 0
+
     for d in range(1, n_domains):
         # to the border nearest to d equal shares
         while x < counts[0]:
@@ -144,12 +145,15 @@ def cut_into_domains(clusters, columns, domains, goes_along):
             if middle * n_domains > 2 * d * n_clusters:
                 break
             x += 1
+
         domains.column[d] = x
         domains.cluster[d] = column_start[x * n_across]
+
     domains.column[n_domains] = counts[0]
     domains.cluster[n_domains] = n_clusters
 
     run = 0
+
     for run_x in range(counts[0] + reach[0]):
         for run_y in range(-reach[1], counts[1] + reach[1]):
             domains.ghost[run + 1] = domains.ghost[run]
@@ -163,6 +167,7 @@ def cut_into_domains(clusters, columns, domains, goes_along):
         domains.first[d] = domains.ghost[first_run(domains.column[d], columns)]
         last = domains.ghost[first_run(domains.column[d + 1] + reach[0], columns)]
         domains.window[d + 1] = domains.window[d] + last - domains.first[d]
+
     domains.numbers[GHOSTS] = domains.ghost[run]
     _place_windows(columns, domains, goes_along)
 
@@ -217,6 +222,7 @@ def _seen(run_x, run_y, image_z, clusters, columns):
         or (image_z and not is_crossed[2])
     ):
         return 0, 0, image
+
     x, y = run_x - image_x * counts[0], run_y - image_y * counts[1]
     column = x * counts[1] + y
     first = clusters.column_start[column]
@@ -251,12 +257,14 @@ def fill_ghosts(domain, arrays):
         last_x += columns.reach[0]
 
     run = first_run(domains.column[domain], columns)
+
     for run_x in range(domains.column[domain], last_x):
         for run_y in range(-depth, columns.counts[1] + depth):
             ghost = domains.ghost[run]
             run += 1
             if ghost == domains.ghost[run]:
                 continue
+
             for image_z in range(-1, 2):
                 first, last, image = _seen(run_x, run_y, image_z, clusters, columns)
                 for k in range(first, last):
@@ -267,6 +275,7 @@ def fill_ghosts(domain, arrays):
                     ghosts.top[ghost] = clusters.top[k] + image_z
                     start = k * DIMENSIONS * n_lanes
                     positions = loaded(clusters.positions, start, lanes)
+
                     for d, x in enumerate(plus(positions, offsets_of(start, clusters))):
                         shift = shifts[image, d]
                         low = (clusters.boxes[k, d] + shift) / unit
@@ -276,6 +285,7 @@ def fill_ghosts(domain, arrays):
                         store(
                             arrays.memory.coordinates, (ghost * DIMENSIONS + d) * n_lanes, x + shift
                         )
+
                     if image == HOME:
                         ghosts.home[k] = ghost
                         ghosts.is_used[first_used + ghost - domains.first[domain]] = True
@@ -333,6 +343,7 @@ def sort_ghosts(domains, ghosts):
             k = owner[m]
             start[k] -= 1
             ghosts.of[start[k]] = m
+
     for d in range(n_domains - 1, -1, -1):
         for place in range(window[d + 1] - 1, window[d] - 1, -1):
             if is_used[place]:

@@ -109,6 +109,7 @@ class PairList(VerletList):
         bins = bins_of(cell, grid, bin_start)
 
         start = np.empty(len(positions) + 1, dtype=np.int64)
+
         while True:
             pairs = Pairs(start, self._second, self._image, bins.translations)
             n_pairs = find_pairs(local, self.order, bins, reach**2, self._excluded, pairs)
@@ -143,6 +144,7 @@ def check_size(system: System, cutoff: float, skin: float) -> None:
 
     n_images = np.prod(2.0 * np.ceil(reach / cell.heights[cell.pbc]) + 1.0)
     name, length = ("cutoff", cutoff) if skin < cutoff else ("skin", skin)
+
     for objects, number, most in (
         ("images of the cell", float(n_images), MOST_IMAGES),
         ("pairs of an atom", n_pairs / max(n_atoms, 1), MOST_OF_AN_ATOM),

@@ -35,6 +35,7 @@ def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArr
         raise ValueError(
             f"quantities must be letters of {QUANTITIES!r}; quantities = {shown(quantities)}"
         )
+
     checked_kind("system", system, System, "a minimd System")
     cutoff = checked_number("cutoff", cutoff, "positive and finite")
     check_size(system, cutoff, 0.0)
@@ -114,4 +115,5 @@ def closest_pair(system: System) -> ClosestPair | None:
         if d.min(initial=np.inf) < best.distance:
             p = np.argmin(d)
             best = ClosestPair(near[first[p]], near[second[p]], d[p])
+
     return ClosestPair(int(known[best.first]), int(known[best.second]), float(best.distance))

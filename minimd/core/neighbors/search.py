@@ -98,12 +98,14 @@ def counting_sort(positions, inverse, pbc, grid, binned):
     for i in range(positions.shape[0]):
         index = 0
         s = 0.0
+
         for d in range(3):
             s, cells = into_cell(positions, i, inverse, pbc, origin, d)
             if binned.cells.shape[0] > 0:
                 binned.cells[i, d] = cells
             along = (s - origin[d]) * per_bin[d]
             index = index * counts[d] + int(max(0.0, min(counts[d] - 1.0, along)))
+
         bins[i] = index
         binned.height[i] = s
         bin_start[index + 1] += 1
@@ -190,6 +192,7 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
         if bin_start[own] == bin_start[own + 1]:
             continue
         n_ranges = atoms_in_reach(own, bins, ranges)
+
         for i in range(bin_start[own], bin_start[own + 1]):
             pairs.start[i] = n_pairs
             for k in range(n_ranges):
@@ -198,6 +201,7 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
                 tx = ty = tz = 0.0
                 if shifted:
                     tx, ty, tz = translations[row, 0], translations[row, 1], translations[row, 2]
+
                 for j in range(first_atom, ranges[k, 1]):
                     dx, dy, dz = separation(positions, i, j, (tx, ty, tz))
                     if not dx * dx + dy * dy + dz * dz < reach2:
@@ -206,11 +210,14 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
                         a, b, c = minimum_image(dx - tx, dy - ty, dz - tz, *bins.image)
                         if _row_of(int(a), int(b), int(c), crossed) == row:
                             continue
+
                     if n_pairs < room:
                         pairs.second[n_pairs] = j
                         if shifted:
                             pairs.image[n_pairs] = row
+
                     n_pairs += 1
+
     pairs.start[positions.shape[0]] = n_pairs
     return n_pairs
 
@@ -237,6 +244,7 @@ def atoms_in_reach(own, bins, ranges):
     ranges[0, 2] = _row_of(0, 0, 0, crossed)
 
     n = 0
+
     for k in range(forward.shape[0]):
         to_x, to_y, to_z = bin_x + forward[k, 0], bin_y + forward[k, 1], bin_z + forward[k, 2]
         cell_x, cell_y, cell_z = to_x // n_x, to_y // n_y, to_z // n_z
@@ -249,7 +257,9 @@ def atoms_in_reach(own, bins, ranges):
             n += 1
             ranges[n, 0] = bin_start[neighbor]
             ranges[n, 2] = row
+
         ranges[n, 1] = bin_start[neighbor + 1]
+
     return n + 1
 
 

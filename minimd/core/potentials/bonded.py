@@ -34,7 +34,9 @@ QUADRUPLES = declared(kind.groups, of=4, default=None)
 
 
 class Bonded(Declared):
-    """Base class.  acts_on : the groups of a System on which it acts if none are given.  law : law type.
+    """Base class.
+    acts_on : the groups of a System on which it acts if none are given.
+    law : law type.
     term : makes the term of groups (G, n), from the columns of their numbers."""
 
     acts_on: ClassVar[str]
@@ -42,7 +44,8 @@ class Bonded(Declared):
     term: ClassVar[Callable[..., Term]]
 
     def groups_in(self, system: System) -> Indices:
-        """(G, n) int, those on which it acts in a system.  Raises ValueError if they name atoms that do not exist."""
+        """(G, n) int, those on which it acts in a system.
+        Raises ValueError if they name atoms that do not exist."""
         size = GROUPS[self.acts_on]
         name = ARGUMENTS[size]
         groups: Indices | None = getattr(self, name)
@@ -64,7 +67,8 @@ class Bonded(Declared):
         return NoTerm(no_bonds(repr(self), self.acts_on) if is_of_system else "")
 
     def check_law(self, system: System, group: Indices, numbers: tuple[float, ...]) -> None:
-        """Compare a user's law with its slope, for the first group.  Raises ValueError if it is wrong."""
+        """Compare a user's law with its slope, for the first group.
+        Raises ValueError if it is wrong."""
 
 
 class Bond(Bonded):

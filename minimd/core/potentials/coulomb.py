@@ -46,7 +46,8 @@ def coulomb(r2, split, parameters):
         u(r)     = q (1/r − L(r))
         −u′(r)/r = q (1/r³ + L′(r)/r)
 
-    split : numbers of a Split.  parameters : (q, …), the product of two charges [energy · length].
+    split : numbers of a Split.
+    parameters : (q, …), the product of two charges [energy · length].
     """
     scale, values, slopes = split
     t = scale * r2 - 1.0
@@ -60,7 +61,8 @@ def coulomb(r2, split, parameters):
 def shifted_force(r2, cutoff, parameters):
     """Coulomb's law less its tangent at the cutoff: u = q (1/r − 2/r_c + r/r_c²).
 
-    S. Toxvaerd, J. C. Dyre, J. Chem. Phys. 134, 081102 (2011).  parameters : (q, …), as of coulomb.
+    S. Toxvaerd, J. C. Dyre, J. Chem. Phys. 134, 081102 (2011).
+    parameters : (q, …), as of coulomb.
     """
     inverse2 = 1.0 / r2
     inverse = sqrt(inverse2)
@@ -158,7 +160,8 @@ class Coulomb(Declared):
             )
 
     def bind(self, system: System) -> CoulombTerm:
-        """The term of this potential in a system.  Raises ValueError as the class."""
+        """The term of this potential in a system.
+        Raises ValueError as the class."""
         if not system.charges.any():
             raise ValueError(
                 "Coulomb needs charges; those of the system are all zero: give them as System(..., charges=q), "
@@ -196,6 +199,7 @@ class CoulombTerm(OwnTerm):
         else:
             cutoff = inf
             law = CoulombLaw(NO_REST)
+
         self.cutoff = cutoff
         self.shortest_length = cutoff
         self.pair_law = PairLaw(

@@ -63,7 +63,8 @@ MOST_COEFFICIENTS = 6  # of the polynomial of Ryckaert and Bellemans
 
 
 class Kind(NamedTuple):
-    """What an argument may be.  words : for its docstring and messages, {of} is that of its Parameter.
+    """What an argument may be.
+    words : for its docstring and messages, {of} is that of its Parameter.
     check : (name, value, Parameter) → the value that is kept; raises ValueError or TypeError."""
 
     words: str
@@ -71,7 +72,10 @@ class Kind(NamedTuple):
 
 
 class Parameter(NamedTuple):
-    """What is declared of an argument.  words : what it is.  dimension : a key of UNITS.  demand : one of DEMANDS.
+    """What is declared of an argument.
+    words : what it is.
+    dimension : a key of UNITS.
+    demand : one of DEMANDS.
     of : atoms in a group, names to choose from, or, of a number, its default, which may be none."""
 
     kind: Kind
@@ -91,7 +95,8 @@ class Parameter(NamedTuple):
 
 
 class LammpsStyle(NamedTuple):
-    """The style of LAMMPS for a law.  numbers : those of LAMMPS, from the parameters of the law."""
+    """The style of LAMMPS for a law.
+    numbers : those of LAMMPS, from the parameters of the law."""
 
     name: str
     numbers: Callable[..., tuple[float, ...]] = lambda *same: same
@@ -115,7 +120,8 @@ def declared(
 
 @dataclass_transform(field_specifiers=(declared,))
 class Declared(OwnPotential):
-    """Base class of potentials that are declared.  lammps : None if LAMMPS has no such style."""
+    """Base class of potentials that are declared.
+    lammps : None if LAMMPS has no such style."""
 
     lammps: ClassVar[LammpsStyle | None] = None
 
@@ -172,7 +178,9 @@ class Declared(OwnPotential):
 def checked_values(
     name: str, values: Any, words: str, fits: Callable[[tuple], bool], demand: str = FINITE
 ) -> Array:
-    """Numbers of a shape that fits.  words : what they must be.  demand : one of DEMANDS.
+    """Numbers of a shape that fits.
+    words : what they must be.
+    demand : one of DEMANDS.
     Raises ValueError for anything else."""
     array = checked_numbers(name, values, words)
     if not fits(array.shape):
@@ -189,7 +197,8 @@ def shaped(
     fits: Callable[[tuple], bool],
     become: Callable[[str, Array], Any] = lambda _, same: same,
 ) -> Kind:
-    """The kind of arrays with a shape that fits.  become : makes what is kept, from the name and the array."""
+    """The kind of arrays with a shape that fits.
+    become : makes what is kept, from the name and the array."""
     return Kind(
         words,
         lambda name, values, asked: become(

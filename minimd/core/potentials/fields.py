@@ -71,10 +71,16 @@ class Sites(
 ):
     """Where a field acts, and what on.
 
-    positions : (N, 3) [length].  images : Images.  atoms : (n,) int, all different.
+    positions : (N, 3) [length].
+    images : Images.
+    atoms : (n,) int, all different.
     anchors : (n, 3) points from which positions are counted, to the nearest image [length]; or (0, 3).
-    law : law type.  columns : (n,) numbers for each parameter.  time : (1,) t [time].  forces, steps, detail : see
-    Target.  sums : Σ u [energy] and Σ ∂u/∂t [energy/time], (chunks,) output, and energies (N,), to which PER_ATOM adds.
+    law : law type.
+    columns : (n,) numbers for each parameter.
+    time : (1,) t [time].
+    forces, steps, detail : see
+    Target.
+    sums : Σ u [energy] and Σ ∂u/∂t [energy/time], (chunks,) output, and energies (N,), to which PER_ATOM adds.
     """
 
 
@@ -94,6 +100,7 @@ def add_field(sites, chunk):
     total = 0.0
     power = 0.0
     is_out = False
+
     for n in range(chunk * atoms.size // n_chunks, (chunk + 1) * atoms.size // n_chunks):
         i = atoms[n]
         x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
@@ -101,6 +108,7 @@ def add_field(sites, chunk):
             x, y, z = x - anchors[n, 0], y - anchors[n, 1], z - anchors[n, 2]
             dx, dy, dz = nearest_translation((x, y, z), images)
             x, y, z = x + dx, y + dy, z + dz
+
         returned = evaluate_law(law, x, (y, z, time[0]) + row_of(columns, n))
         u, fx, fy, fz = returned[:4]
         forces[i, 0] += force_along(fx, 1.0, steps)
@@ -112,14 +120,17 @@ def add_field(sites, chunk):
             total += in_steps(u, steps)
         if detail == PER_ATOM:
             energies[i] += in_steps(u, steps)
+
     totals[chunk] = total
     powers[chunk] = power
     return OUT_OF_RANGE if is_out else GO_ON
 
 
 class FieldTerm(OwnTerm):
-    """A field on atoms, (n,) int, all different.  columns : (n,) numbers of each, for each parameter of the law.
-    anchors : see Sites.  prepare : called before each evaluation, if given."""
+    """A field on atoms, (n,) int, all different.
+    columns : (n,) numbers of each, for each parameter of the law.
+    anchors : see Sites.
+    prepare : called before each evaluation, if given."""
 
     acts_from_outside = fits_grid = True
     prepare: Callable[[], None] | None = None
@@ -181,7 +192,8 @@ class OnAtoms(Declared):
     """Base class of fields, which act on some atoms."""
 
     def atoms_in(self, system: System) -> Indices:
-        """(n,) int, those on which it acts in a system.  Raises ValueError if they name missing atoms."""
+        """(n,) int, those on which it acts in a system.
+        Raises ValueError if they name missing atoms."""
         atoms: Indices | None = getattr(self, "atoms", None)
         n_atoms = len(system)
         if atoms is None:
@@ -194,7 +206,8 @@ class OnAtoms(Declared):
 
 
 def rows_of(name: str, vectors: Any, n: int) -> Array:
-    """Vectors for each of n atoms, (n, 3).  Raises ValueError for another number of vectors."""
+    """Vectors for each of n atoms, (n, 3).
+    Raises ValueError for another number of vectors."""
     if vectors.shape not in ((3,), (n, 3)):
         raise ValueError(
             f"{name} must be three numbers or ({n}, 3), one row for each atom; its shape is {vectors.shape}"
@@ -209,7 +222,8 @@ class ConstantForce(OnAtoms):
     atoms: ArrayLike | None = ATOMS
 
     def bind(self, system: System) -> Term:
-        """The term of this force in a system.  Raises ValueError if atoms, or their forces, are missing."""
+        """The term of this force in a system.
+        Raises ValueError if atoms, or their forces, are missing."""
         acting = self.atoms_in(system)
         forces = rows_of("force", self.force, len(acting))
         return FieldTerm(acting, ConstantLaw(), tuple(forces.T))
@@ -222,7 +236,8 @@ class Gravity(OnAtoms):
     atoms: ArrayLike | None = ATOMS
 
     def bind(self, system: System) -> Term:
-        """The term of the weight of a system.  Raises ValueError if atoms do not exist."""
+        """The term of the weight of a system.
+        Raises ValueError if atoms do not exist."""
         acting = self.atoms_in(system)
         weights = np.outer(np.asarray(self.acceleration), system.masses[acting])
         return FieldTerm(acting, ConstantLaw(), tuple(weights))
@@ -232,7 +247,8 @@ class Springs(OnAtoms):
     """Base class of harmonic springs from atoms to points."""
 
     def bind(self, system: System) -> FieldTerm:
-        """The term of these springs in a system.  Raises ValueError if atoms, or their points, are missing."""
+        """The term of these springs in a system.
+        Raises ValueError if atoms, or their points, are missing."""
         acting = self.atoms_in(system)
         arguments = self.arguments()
         numbers = (*np.broadcast_to(arguments["k"], 3), 0.0, 0.0, 0.0)  # the points are at rest
@@ -320,7 +336,8 @@ class Field(OnAtoms):
     atoms: ArrayLike | None = ATOMS
 
     def bind(self, system: System) -> Term:
-        """The term of this field in a system.  Raises ValueError, TypeError as the class says."""
+        """The term of this field in a system.
+        Raises ValueError, TypeError as the class says."""
         acting = self.atoms_in(system)
         columns = self.columns("atoms", len(acting))
         trials = []
@@ -344,7 +361,8 @@ class _Trial(NamedTuple):
     numbers: tuple[float, ...]
 
     def at(self, time: float, shift: Array | float = 0.0) -> tuple[float, ...]:
-        """What the law returns, at a time or (4,) away.  Raises TypeError unless that is four or five numbers."""
+        """What the law returns, at a time or (4,) away.
+        Raises TypeError unless that is four or five numbers."""
         name = type(self.law).python.__name__
         x, *others = (np.array([*self.position, time]) + shift).tolist()
         try:
@@ -369,6 +387,7 @@ class _Trial(NamedTuple):
         position = ", ".join(f"{c:.4g}" for c in self.position)
         where = f"at ({position}), t = {time:g}"
         compared = []
+
         for k, step in enumerate(STEP * np.eye(len(SLOPES))):
             slope = (self.at(time, step)[0] - self.at(time, -step)[0]) / (2.0 * STEP)
             if k < 3:
@@ -389,7 +408,9 @@ class _Trial(NamedTuple):
                     "the law must return ∂u/∂t as its fifth number, because u depends on t; "
                     f"{where} it is {slope:.6g}"
                 )
+
             compared.append((k, fault))
+
         return compared
 
     def repeats(self, system: System) -> str:
@@ -432,7 +453,8 @@ class OwnWall(OnAtoms):
     place: ClassVar[Callable[..., tuple[Any, float, Array]]]
 
     def bind(self, system: System) -> Term:
-        """The term of this wall in a system.  Raises ValueError if atoms are missing or lie on the wall or behind it,
+        """The term of this wall in a system.
+        Raises ValueError if atoms are missing or lie on the wall or behind it,
         or if the wall crosses a periodic direction."""
         acting = self.atoms_in(system)
         arguments = self.arguments()
@@ -447,6 +469,7 @@ class OwnWall(OnAtoms):
                 f"atoms must be {side} a {type(self).__name__}; "
                 f"atom {acting[behind[0]]} lies {how} the wall{others}: move the atom or the wall"
             )
+
         numbers = self.columns("atoms", len(acting))
         law = WALL_LAWS[arguments["law"]]
         reach = arguments["cutoff"] or inf

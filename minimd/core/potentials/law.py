@@ -51,7 +51,9 @@ def law_type(name: str, formula: Callable) -> Any:
 
 def evaluate_law(law, r2, parameters):
     """u(r) [energy] and −u′(r)/r [energy/length²] of one pair at r² = r2.
-    law : law type.  r2 : [length²].  parameters : tuple of numbers, those of the truncation first."""
+    law : law type.
+    r2 : [length²].
+    parameters : tuple of numbers, those of the truncation first."""
     formula = type(law).python  # type: ignore[attr-defined]
     return formula(r2, *law, parameters) if law else formula(r2, *parameters)
 
@@ -123,6 +125,7 @@ def user_law(function: Callable) -> UserLaw:
         if not isinstance(formula, Dispatcher):
             formula = scalar(formula)
         type_of(formula, snapshot.python)(named)
+
     if not snapshot.digest:
         named.is_recognized = False
         _unrecognized[named.formula] = named  # type: ignore[attr-defined]
@@ -130,7 +133,8 @@ def user_law(function: Callable) -> UserLaw:
 
 
 def checked_law(law: Any) -> Any:
-    """The law type of a law: that of a user's function, or the law type itself.  Raises TypeError for anything else."""
+    """The law type of a law: that of a user's function, or the law type itself.
+    Raises TypeError for anything else."""
     return law if isinstance(law, tuple) and hasattr(type(law), "formula") else user_law(law)
 
 
@@ -171,7 +175,8 @@ def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, 
 def _two_numbers(
     law: tuple, parameters: tuple[float, ...], variable: str, slope: str, x: float
 ) -> tuple[float, float]:
-    """What a law returns at x, see law_at.  variable, slope : what it takes and returns, for messages."""
+    """What a law returns at x, see law_at.
+    variable, slope : what it takes and returns, for messages."""
     name = type(law).python.__name__ if isinstance(law, UserLaw) else type(law).__name__
     try:
         u, f = evaluate_law(law, x, parameters)
@@ -206,7 +211,8 @@ def check_law_of_angles(law: tuple, parameters: tuple[float, ...]) -> None:
 def _compare(
     at: Callable, factor: Callable, places: Iterable[float], symbol: str, name: str
 ) -> None:
-    """Raise ValueError unless at(x) returns u and factor(x) u′ at most places.  symbol, name : of x and the latter."""
+    """Raise ValueError unless at(x) returns u and factor(x) u′ at most places.
+    symbol, name : of x and the latter."""
     n_compared = 0
     n_wrong = 0
     for x in places:
@@ -225,13 +231,15 @@ def _compare(
 
 def agree(said: float, slope: float, u: float, rough: float = 0.0) -> bool:
     """Whether a force is a slope by central difference; also if they cannot be compared, because one is not finite.
-    u : the energy, in the unit of the slope.  rough : by how much the slope may be wrong besides."""
+    u : the energy, in the unit of the slope.
+    rough : by how much the slope may be wrong besides."""
     return not abs(said - slope) > ACCURACY * max(abs(said), abs(slope)) + BESIDE_U * abs(u) + rough
 
 
 @scalar
 def each_lane(x, law, parameters):
-    """A law of numbers on a vector of them.  parameters : tuple of vectors."""
+    """A law of numbers on a vector of them.
+    parameters : tuple of vectors."""
     u = f = x
     for k in range(count(x)):
         v, g = evaluate_law(law, lane(x, k), _in_lane(parameters, k))

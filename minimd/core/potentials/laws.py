@@ -24,7 +24,8 @@ def lennard_jones(r2, epsilon, sigma):
         u(r)     = 4ε [(σ/r)¹² − (σ/r)⁶]
         −u′(r)/r = 24ε/r² [2(σ/r)¹² − (σ/r)⁶]
 
-    epsilon : depth of the well, at r = 2^(1/6) σ [energy].  sigma : distance where u = 0 [length].
+    epsilon : depth of the well, at r = 2^(1/6) σ [energy].
+    sigma : distance where u = 0 [length].
     J. E. Lennard-Jones, Proc. Phys. Soc. 43, 461 (1931).
     """
     s2 = sigma * sigma / r2
@@ -40,7 +41,9 @@ def harmonic(r2, k, length):
         u(r)     = ½ k (r − r₀)²
         −u′(r)/r = −k (r − r₀)/r, and −k for r₀ = 0, where two atoms may be at the same place
 
-    r2 : may be 0 for r₀ = 0.  k : stiffness [energy/length²].  length : r₀, at the minimum [length].
+    r2 : may be 0 for r₀ = 0.
+    k : stiffness [energy/length²].
+    length : r₀, at the minimum [length].
     """
     r = sqrt(r2)
     stretch = r - length
@@ -54,7 +57,8 @@ def morse(r2, depth, a, length):
         u(r)     = D (1 − x)²,  x = exp[−a (r − r₀)]
         −u′(r)/r = −2 a D (1 − x) x / r
 
-    depth : D, energy that breaks the bond [energy].  a : its inverse width [1/length]; the stiffness at rest is 2 a² D.
+    depth : D, energy that breaks the bond [energy].
+    a : its inverse width [1/length]; the stiffness at rest is 2 a² D.
     length : r₀, distance of the minimum [length].  P. M. Morse, Phys. Rev. 34, 57 (1929).
     """
     r = sqrt(r2)
@@ -69,7 +73,8 @@ def fene(r2, k, longest, epsilon, sigma):
         u(r)     = −½ k R² ln(1 − (r/R)²) + [4ε ((σ/r)¹² − (σ/r)⁶) + ε below r = 2^(1/6) σ]
         −u′(r)/r = −k / (1 − (r/R)²)      + [24ε/r² (2(σ/r)¹² − (σ/r)⁶)          likewise]
 
-    k : stiffness [energy/length²].  longest : R, which the bond cannot reach [length]; NaN from R on.
+    k : stiffness [energy/length²].
+    longest : R, which the bond cannot reach [length]; NaN from R on.
     epsilon, sigma : of the repulsion [energy], [length].  K. Kremer, G. S. Grest, J. Chem. Phys. 92, 5057 (1990).
     """
     rest = 1.0 - r2 / (longest * longest)
@@ -87,7 +92,8 @@ def lennard_jones_93(r2, epsilon, sigma):
         u(r)     = ε [2/15 (σ/r)⁹ − (σ/r)³]
         −u′(r)/r = ε/r² [6/5 (σ/r)⁹ − 3 (σ/r)³]
 
-    epsilon : ε; the well is √10/3 ε deep, at r = (2/5)^(1/6) σ [energy].  sigma : [length].
+    epsilon : ε; the well is √10/3 ε deep, at r = (2/5)^(1/6) σ [energy].
+    sigma : [length].
     W. A. Steele, Surf. Sci. 36, 317 (1973).
     """
     s2 = sigma * sigma / r2
@@ -111,7 +117,9 @@ def periodic(phi, k, n, phase):
         u(φ)  = k [1 + cos(nφ − φ₀)]
         u′(φ) = −n k sin(nφ − φ₀)
 
-    k : half the barrier [energy].  n : number of minima in a turn.  phase : φ₀ [rad].
+    k : half the barrier [energy].
+    n : number of minima in a turn.
+    phase : φ₀ [rad].
     """
     x = n * phi - phase
     return k * (1.0 + cos(x)), -n * k * sin(x)
@@ -139,7 +147,8 @@ def harmonic_torsion(phi, k, angle):
         u(φ)  = ½ k x²,  x = φ − φ₀ minus the nearest multiple of 2π
         u′(φ) = k x
 
-    k : stiffness [energy/rad²].  angle : φ₀ [rad].
+    k : stiffness [energy/rad²].
+    angle : φ₀ [rad].
     """
     x = phi - angle
     x -= 2.0 * pi * np.floor(x / (2.0 * pi) + 0.5)
@@ -148,7 +157,9 @@ def harmonic_torsion(phi, k, angle):
 
 @scalar
 def constant(x, y, z, _t, fx, fy, fz):
-    """Constant force: u = −F·r.  x, y, z : position [length].  fx, fy, fz : F [energy/length]."""
+    """Constant force: u = −F·r.
+    x, y, z : position [length].
+    fx, fy, fz : F [energy/length]."""
     return -(fx * x + fy * y + fz * z), fx, fy, fz, 0.0
 
 
@@ -179,7 +190,8 @@ def _in_front(d, law, reach, parameters):
 def planar(x, law, parameters):
     """Wall in a plane: u(d) of the distance d = n·r − p, see _in_front.
 
-    x : first coordinate [length].  law : of d.
+    x : first coordinate [length].
+    law : of d.
     parameters : (y, z, t, n, p, reach, *parameters of law); n is a unit vector, three numbers.
     """
     y, z, _, nx, ny, nz, place, reach = parameters[:8]
@@ -194,7 +206,8 @@ def curved(x, law, parameters):
     ρ = |r − (a·r) a| with r relative to a point on the axis; a = 0 makes it a sphere. The force points inwards,
     along −(r − (a·r) a)/ρ.
 
-    x : first coordinate relative to the point [length].  law : of d.
+    x : first coordinate relative to the point [length].
+    law : of d.
     parameters : (y, z, t, a, R, reach, *parameters of law); a is a unit vector or 0.
     """
     y, z, _, ax, ay, az, radius, reach = parameters[:8]

@@ -60,17 +60,24 @@ class Links(
 ):
     """What the loop over T terms of L links, in B blocks of n lanes, works on.
 
-    positions : (N, 3) [length].  images : Images.  first, second : (L, B n) int32, atoms.  sites : (T, L + 1) int.
+    positions : (N, 3) [length].
+    images : Images.
+    first, second : (L, B n) int32, atoms.
+    sites : (T, L + 1) int.
     translations : (3 L B n,) [length], kept.
-    shape : how the links make a force, see link_shape.  law : law type.  columns : (B n,) numbers for each parameter.
+    shape : how the links make a force, see link_shape.
+    law : law type.
+    columns : (B n,) numbers for each parameter.
     slots : (3 L B n,) output, f_l; int64 impulses in fixed-point arithmetic, where steps : Steps, else ().
-    detail : see term.  totals : (chunks, 1 + 6) output of TOTALS, energies and virials of each chunk.
+    detail : see term.
+    totals : (chunks, 1 + 6) output of TOTALS, energies and virials of each chunk.
     each : energies (N,) and virials (N, 6), to which PER_ATOM adds equal shares of the atoms of a term; in one chunk.
     """
 
 
 def link_shape(name: str, formula: Any, *ends: tuple[int, int]) -> Any:
-    """The shape of terms, by the name of its variable.  ends : columns of the sites between which each link leads.
+    """The shape of terms, by the name of its variable.
+    ends : columns of the sites between which each link leads.
     formula(links, b, law, numbers) takes each arm of block b, pushes its end, and returns u [energy] and whether a
     force is beyond the range of a grid."""
     shape: Any = type_of(formula)(namedtuple(name, (), module=__name__))
@@ -233,6 +240,7 @@ def _count(links, b, total, u):
     n_lanes = count(links.lanes)
     n_sites = sites.shape[1] if links.detail == PER_ATOM else 0
     xx = yy = zz = yz = xz = xy = 0.0 * u
+
     for l in range(links.first.shape[0]):
         (x, y, z), _ = arm(links, l, b)
         gx, gy, gz = loaded(links.slots, block_of(links, l, b), links.lanes)
@@ -245,11 +253,14 @@ def _count(links, b, total, u):
         yz = yz + z * fy
         xz = xz + z * fx
         xy = xy + y * fx
+
     start = b * n_lanes
+
     for k in range(min(n_lanes, sites.shape[0] - start)):
         total[0] += in_steps(lane(u, k), steps)
         for s in range(n_sites):
             energies[sites[start + k, s]] += in_steps(lane(u, k) / n_sites, steps)
+
         for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
             total[1 + c] += in_steps(lane(w, k), steps)
             for s in range(n_sites):
@@ -280,7 +291,8 @@ def _component(x, y, translation):
 
 @scalar
 def _find_image(links, l, t, at):
-    """The translation of link l of term t, in place: that of the nearest image.  at : of its x in the translations."""
+    """The translation of link l of term t, in place: that of the nearest image.
+    at : of its x in the translations."""
     begin = links.positions[links.first[l, t]]
     end = links.positions[links.second[l, t]]
     n = np.uintp(count(links.lanes))
@@ -290,7 +302,8 @@ def _find_image(links, l, t, at):
 
 @scalar
 def nearest_translation(separation, images):
-    """The translation (x, y, z) that makes a separation (x, y, z) + translation shortest [length].  images : Images."""
+    """The translation (x, y, z) that makes a separation (x, y, z) + translation shortest [length].
+    images : Images."""
     lattice, inverse, pbc, safe_distance2 = images
     x, y, z = separation
     a, b, c = minimum_image(x, y, z, lattice, inverse, pbc, safe_distance2[0])
@@ -298,10 +311,14 @@ def nearest_translation(separation, images):
 
 
 class LinkedTerm(OwnTerm):
-    """Terms of one shape, each link taken at its nearest image.  sites : (T, L + 1) int, atoms of each term.
+    """Terms of one shape, each link taken at its nearest image.
+    sites : (T, L + 1) int, atoms of each term.
 
-    shape : from link_shape.  law : law type, which runs on vectors.  columns : (T,) numbers of each term, for each
-    parameter.  first_slot : where its slots begin, see Slots.
+    shape : from link_shape.
+    law : law type, which runs on vectors.
+    columns : (T,) numbers of each term, for each
+    parameter.
+    first_slot : where its slots begin, see Slots.
     """
 
     fits_grid = True
@@ -363,7 +380,9 @@ class LinkedTerm(OwnTerm):
 
 
 class FixedPairs(LinkedTerm):
-    """A law on pairs that never change.  pairs : (P, 2) int.  law : law type.
+    """A law on pairs that never change.
+    pairs : (P, 2) int.
+    law : law type.
     columns : (P,) numbers of each pair, the squared cutoff first."""
 
     ingredient = BOND_LOOP
@@ -375,10 +394,13 @@ class FixedPairs(LinkedTerm):
 class Gathering(
     ByAddress, namedtuple("Gathering", "atoms start place slots forces n_chunks lanes")
 ):
-    """The sums of slots.  atoms : (A,) int32, that have any.  start : (A + 1,) int32, where those of each begin.
+    """The sums of slots.
+    atoms : (A,) int32, that have any.
+    start : (A + 1,) int32, where those of each begin.
 
     place : where in slots the x of a force is that acts on the atom, or −1 − that, if its opposite does.
-        slots : (3 S,).  forces : (N, 3).
+        slots : (3 S,).
+    forces : (N, 3).
     """
 
 
@@ -390,9 +412,11 @@ def sum_slots(gathering, chunk):
     z_after_x = np.uintp(2 * count(lanes))
     begin = np.uintp(chunk * atoms.size // n_chunks)
     end = np.uintp((chunk + 1) * atoms.size // n_chunks)
+
     for a in range(begin, end):
         i = np.uintp(atoms[a])
         x, y, z = forces[i, 0], forces[i, 1], forces[i, 2]
+
         for p in range(np.uintp(start[a]), np.uintp(start[a + np.uintp(1)])):
             at = place[p]
             if at >= 0:
@@ -401,14 +425,17 @@ def sum_slots(gathering, chunk):
             else:
                 k = np.uintp(-1 - at)
                 x, y, z = x - slots[k], y - slots[k + y_after_x], z - slots[k + z_after_x]
+
         forces[i, 0] = x
         forces[i, 1] = y
         forces[i, 2] = z
+
     return GO_ON
 
 
 class Slots:
-    """The slots of the terms of a scene.  size : their number."""
+    """The slots of the terms of a scene.
+    size : their number."""
 
     def __init__(self, terms: list[LinkedTerm]) -> None:
         self._lanes = lanes_for()
@@ -416,6 +443,7 @@ class Slots:
         self.size = 0
         ends = [np.zeros((2, 0), dtype=np.int64)]
         n_lanes = self._lanes.size
+
         for term in terms:
             term.first_slot = self.size
             slots = self.size + np.arange(term.first.size).reshape(term.first.shape)
@@ -425,6 +453,7 @@ class Slots:
             signed = np.stack([places, -1 - places])[..., : term.n_terms]
             ends.append(np.stack([atoms.ravel(), signed.ravel()]))
             self.size += term.first.size
+
         atom, place = np.concatenate(ends, axis=1)
         order = np.argsort(atom, kind="stable")
         atoms, start = np.unique(atom[order], return_index=True)

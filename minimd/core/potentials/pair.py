@@ -86,7 +86,8 @@ TRUNCATION = declared(kind.choice, SEE, of=TRUNCATIONS, default="shifted")
 class Nonbonded(Declared, metaclass=ABCMeta):
     """Base class of laws u(r) between all pairs of atoms closer than a cutoff.
 
-    plain_law, law : law type, without and with the truncation.  cutoff : the largest [length], infinite without one.
+    plain_law, law : law type, without and with the truncation.
+    cutoff : the largest [length], infinite without one.
     """
 
     _: KW_ONLY
@@ -126,14 +127,17 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         return {name: own.get(name, value) for name, value in super().arguments().items()}
 
     def bind(self, system: System) -> PairTerm:
-        """The term of this potential in a system.  Raises ValueError as table; for a periodic cell without a cutoff,
+        """The term of this potential in a system.
+        Raises ValueError as table; for a periodic cell without a cutoff,
         an open one with a tail correction, or pairs of species that are neither in the parameters nor in the system."""
         if self.cutoff == inf and system.cell.is_periodic:
             raise ValueError(
                 f"cutoff must be given in a periodic cell; that of {type(self).__name__} is None"
             )
+
         own = self.parameters if isinstance(self.parameters, dict) else {}
         known = [*own, *(name for name in system.species_names if name not in own)]
+
         for pair in self._by_pair if own else ():
             for name in pair:
                 if name not in known:
@@ -141,10 +145,12 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                         f"pairs of {type(self).__name__} must be of known species, {listed(known)}; "
                         f"they name {name!r}{near(name, known)}"
                     )
+
         if self.tail_correction and system.volume is None:
             raise ValueError(
                 "tail_correction needs a density: a cell that is periodic in all three directions"
             )
+
         return PairTerm(self, system)
 
     def table(self, species_names: Sequence[Label]) -> Array:
@@ -206,11 +212,13 @@ class Nonbonded(Declared, metaclass=ABCMeta):
             raise ValueError(
                 f"cutoff has no entry for the species {a!r}, {b!r}; it has {listed(self._cutoffs)}"
             )
+
         parameters = self._parameters_of(a, b)
         if not self._is_tried:
             length = cutoff if isfinite(cutoff) else 1.0
             check_user_law(self.plain_law, parameters, [x * length for x in TRIED_AT])
             self._is_tried = True
+
         extra = TRUNCATIONS[self.truncation].numbers(
             self.plain_law, parameters, cutoff, self._switch_start_for(cutoff)
         )
@@ -219,6 +227,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                 f"the law is {extra[0]} at the cutoff {cutoff:g}, where it must be finite to be {self.truncation}: "
                 "give another cutoff, or truncation='truncated'"
             )
+
         return (cutoff * cutoff, *extra, *parameters)
 
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
@@ -227,11 +236,13 @@ class Nonbonded(Declared, metaclass=ABCMeta):
             return own
         if (a, b) in self._by_pair:
             return self._by_pair[a, b]
+
         for name in (a, b):
             if name not in own:
                 raise ValueError(
                     f"{type(self).__name__} has no parameters for species {name!r}; it has {listed(own)}"
                 )
+
         if a == b:
             return own[a]
         if self.mixing is None:
@@ -239,6 +250,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                 f"{type(self).__name__} has no parameters for the pair {a!r}, {b!r}; "
                 "give pairs={...}, or a mixing rule"
             )
+
         rule = MIXING[self.mixing] if isinstance(self.mixing, str) else self.mixing
         mixed = self._checked_numbers(rule(own[a], own[b]), (a, b))
         reverse = self._checked_numbers(rule(own[b], own[a]), (b, a))
@@ -248,6 +260,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                 f"mixing must give all parameters, the same for ({a!r}, {b!r}) as for ({b!r}, {a!r}); "
                 f"it gives {mixed} for the first and {reverse} for the second"
             )
+
         return mixed
 
     def _checked_parameters(
@@ -271,7 +284,9 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         return own, by_pair
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
-        """Parameters of one law.  of : a species, a pair; None for all.  Raises ValueError unless they are finite."""
+        """Parameters of one law.
+        of : a species, a pair; None for all.
+        Raises ValueError unless they are finite."""
         values = checked_numbers("parameters", numbers, "a tuple of finite numbers")
         if values.ndim != 1 or not np.isfinite(values).all():
             whose = "of all atoms" if of is None else f"of {of!r}"
@@ -300,6 +315,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
             return cutoff * difference * r ** (2 + 2 * k)
 
         integrals = np.zeros(2)
+
         for k in (0, 1):
             for low, high in limits:
                 value, error = quad(
@@ -310,7 +326,9 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                         "tail_correction needs a law that falls off faster than 1/r³; "
                         f"its integral is {value:.3g} ± {error:.1g}"
                     )
+
                 integrals[k] += value
+
         return integrals
 
     def _switch_start_for(self, cutoff: float) -> float:
@@ -497,7 +515,8 @@ def tabulated(r2, table, parameters):
         u(r)     = S(r), a polynomial of degree 5 between two knots
         −u′(r)/r = −S′(r)/r
 
-    r2 : squared distance [length²].  parameters : (k,) number of the spline.
+    r2 : squared distance [length²].
+    parameters : (k,) number of the spline.
     Returns u [energy], −u′/r [energy/length²]; NaN closer than the first knot, where nothing is known;
     the last piece continues beyond the last knot.
     """
@@ -515,6 +534,7 @@ def tabulated(r2, table, parameters):
                 high = middle
             else:
                 low = middle
+
     k = int(parameters[0])
     x = r - table.knots[low]
     u = slope = 0.0
@@ -561,6 +581,7 @@ class Tabulated(Nonbonded):
             raise ValueError(
                 "u must be energies, or a mapping with an entry for each pair of species; it is empty"
             )
+
         self.r = r
         self.u = energies if is_by_pair else energies[None]
         if self.cutoff is None:
@@ -574,6 +595,7 @@ class Tabulated(Nonbonded):
                 f"cutoff must lie within the table, which goes from r = {r[0]:g} to {r[-1]:g}; "
                 f"cutoff = {wrong:g}: give another cutoff, or a longer table"
             )
+
         law = TabulatedLaw(_table(r, [*energies.values()]))
         if not is_by_pair:
             return law, (0.0,), {}
@@ -594,11 +616,13 @@ def _checked_distances(r: Any) -> Array:
             f"r must be at least {FEWEST} distances, for a spline of degree {DEGREE}; "
             f"its shape is {distances.shape}"
         )
+
     wrong = np.flatnonzero(~(np.isfinite(distances) & (distances >= 0.0)))
     if wrong.size:
         raise ValueError(
             f"r must be finite and not negative; r[{wrong[0]}] = {distances[wrong[0]]:g}"
         )
+
     steps = np.diff(distances)
     if not steps.min() > 0.0:
         k = np.argmin(steps > 0.0)
@@ -606,11 +630,13 @@ def _checked_distances(r: Any) -> Array:
             f"r must increase; r[{k + 1}] = {distances[k + 1]:g} follows r[{k}] = {distances[k]:g}: "
             "sort the table, each r once"
         )
+
     return distances
 
 
 def _checked_energies(u: Any, r: Array, pair: Any) -> Array:
-    """The energies of a table.  pair : of species; None for all."""
+    """The energies of a table.
+    pair : of species; None for all."""
     name = "u" if pair is None else f"u of {pair!r}"
     energies = checked_numbers(name, u, "one energy for each r")
     if energies.shape != r.shape:

@@ -20,11 +20,13 @@ class SameForAll(namedtuple("SameForAll", "numbers")):
 
 
 class BySpecies(namedtuple("BySpecies", "columns species")):
-    """columns : tuple of (S, S) arrays, one for each parameter.  species : (N,) int."""
+    """columns : tuple of (S, S) arrays, one for each parameter.
+    species : (N,) int."""
 
 
 class Charges(namedtuple("Charges", "of_atoms source")):
-    """The product of charges, and what another source has.  of_atoms : (N,) [√(energy · length)]."""
+    """The product of charges, and what another source has.
+    of_atoms : (N,) [√(energy · length)]."""
 
 
 @by_type
@@ -74,7 +76,10 @@ class PairWork(
 ):
     """What the loop works on.
 
-    positions : (N, 3) [length].  pairs : Pairs.  law : law type.  parameters : see parameters_of_pair.
+    positions : (N, 3) [length].
+    pairs : Pairs.
+    law : law type.
+    parameters : see parameters_of_pair.
     steps : Steps, or ().
     detail : with FORCES only forces are changed. TOTALS adds each pair to energies and virials of its first atom, so
         that their sums are right; PER_ATOM adds half of it to both atoms.
@@ -92,10 +97,12 @@ def add_pair_forces(work, _chunk):
     shifted = pairs.translations.shape[0] > 0
     own_share = 0.5 if detail == PER_ATOM else 1.0
     is_out = False
+
     for i in range(pairs.start.size - 1):
         x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
         fx = fy = fz = no_force(steps)
         energy = xx = yy = zz = yz = xz = xy = size2 = 0.0
+
         # unsigned: no check for indices that count from the end
         for p in range(np.uintp(pairs.start[i]), np.uintp(pairs.start[i + 1])):
             j = np.uintp(pairs.second[p])
@@ -105,6 +112,7 @@ def add_pair_forces(work, _chunk):
                 dx = dx + pairs.translations[t, 0]
                 dy = dy + pairs.translations[t, 1]
                 dz = dz + pairs.translations[t, 2]
+
             r2 = fma(dx, dx, fma(dy, dy, dz * dz))
             numbers = parameters_of_pair(parameters, i, j)
             if r2 < numbers[0]:
@@ -137,6 +145,7 @@ def add_pair_forces(work, _chunk):
                         energies[j] += 0.5 * u
                         for c, w in enumerate((wxx, wyy, wzz, wyz, wxz, wxy)):
                             virials[j, c] += 0.5 * w
+
         for c, g in enumerate((fx, fy, fz)):
             forces[i, c] += g
         is_out |= is_too_large(size2, steps)
@@ -144,4 +153,5 @@ def add_pair_forces(work, _chunk):
             energies[i] += own_share * energy
             for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
                 virials[i, c] += own_share * w
+
     return OUT_OF_RANGE if is_out else GO_ON

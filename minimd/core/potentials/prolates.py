@@ -40,10 +40,13 @@ MOST_ACCURATE = 1e-13
 class Split(NamedTuple):
     """1/r = S(r) + L(r) with numbers.
 
-    cutoff : r_c [length].  bandwidth : c.  bound : of the rms error of forces over the rms force.
+    cutoff : r_c [length].
+    bandwidth : c.
+    bound : of the rms error of forces over the rms force.
     numbers : (2/r_c², values, slopes) for the laws of coulomb.py: with t = 2 r²/r_c² − 1, L(r) = Σ valuesₖ tᵏ
         [1/length] and L′(r)/r = Σ slopesₖ tᵏ [1/length³].
-    at_zero : L(0) [1/length].  moment : ∫ S(r) d³r [length²].
+    at_zero : L(0) [1/length].
+    moment : ∫ S(r) d³r [length²].
     """
 
     cutoff: float
@@ -74,7 +77,8 @@ class Split(NamedTuple):
 
 
 class Prolate(NamedTuple):
-    """ψ₀ of a bandwidth c on [−1, 1], with ∫₀¹ ψ₀ = 1.  series : in Legendre polynomials.
+    """ψ₀ of a bandwidth c on [−1, 1], with ∫₀¹ ψ₀ = 1.
+    series : in Legendre polynomials.
     at_zero, at_end : ψ₀(0), ψ₀(1)."""
 
     bandwidth: float
@@ -96,6 +100,7 @@ def prolate(bandwidth: float) -> Prolate:
     norms = (2.0 * k + 3.0) * np.sqrt((2.0 * k + 1.0) * (2.0 * k + 5.0))
     beside = (k + 2.0) * (k + 1.0) / norms * c2
     eigenvalue = bandwidth - 0.75  # nearly
+
     for _ in range(ITERATIONS):
         upwards = [1.0, 0.0]  # the vector, from its end, where it is smallest
         for i in range(len(k) - 1, 0, -1):
@@ -103,6 +108,7 @@ def prolate(bandwidth: float) -> Prolate:
             upwards.insert(0, below / beside[i - 1])
         vector = np.array(upwards[:-1]) / upwards[0]
         eigenvalue += (diagonal[0] + beside[0] * vector[1] - eigenvalue) / (vector**2).sum()
+
     series = np.zeros(2 * len(k))
     series[::2] = vector * np.sqrt(k + 0.5)
     series /= series[0]  # ∫₀¹ of all others vanishes
@@ -121,10 +127,12 @@ def split_for(cutoff: float, accuracy: float) -> Split:
     """The split with the smallest bandwidth whose bound is at most the accuracy."""
     bandwidth = WIDEST
     step = WIDEST - NARROWEST
+
     while step > 1e-3:
         step *= 0.5
         if error_of(bandwidth - step) <= accuracy:
             bandwidth -= step
+
     wave = prolate(bandwidth)
     integral = legendre.legint(wave.series)
 
@@ -137,6 +145,7 @@ def split_for(cutoff: float, accuracy: float) -> Split:
     t = np.linspace(-1.0, 1.0, 1001)[1:-1]
     exact = smooth(t)
     enough = max(FITTED * accuracy, 1e-15) * exact.max()
+
     for degree in DEGREES:
         zeros = cosine(pi * (np.arange(degree + 1.0) + 0.5) / (degree + 1.0))
         products = chebyshev.chebvander(zeros, degree) * smooth(zeros)[:, None]
@@ -144,6 +153,7 @@ def split_for(cutoff: float, accuracy: float) -> Split:
         series[0] *= 0.5
         if np.abs(chebyshev.chebval(t, series) - exact).max() < enough:
             break
+
     values = chebyshev.cheb2poly(series) / cutoff
     slopes = 4.0 / cutoff**2 * polynomial.polyder(values)
     numbers = 2.0 / cutoff**2, tuple(values.tolist()), tuple(slopes.tolist())

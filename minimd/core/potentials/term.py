@@ -40,12 +40,15 @@ CLOSE = 1e-2  # the closest distance that counts, relative to the mean spacing o
 class PairLaw(NamedTuple):
     """A law on all pairs within a cutoff, as the planner needs it to find a list of neighbors.
 
-    name : of the potential, for messages.  law : law type, truncation included.  cutoff : the largest [length].
+    name : of the potential, for messages.
+    law : law type, truncation included.
+    cutoff : the largest [length].
     table : (S, S, 1 + P) numbers of each pair of species, the squared cutoff first; S = 1 if all atoms are alike.
     bonded_scale : factors for pairs one, two and three bonds apart; all laws share one list.
     charges : (N,) of atoms [√(energy · length)], whose product is then the first parameter of the law, and not in the
         table; None for laws without.
-    split : how 1/r is split, if a sum over waves belongs to the law.  method : of that sum, see Coulomb.
+    split : how 1/r is split, if a sum over waves belongs to the law.
+    method : of that sum, see Coulomb.
     exclusions : (P, 2) int, pairs on which it does not act, whatever bonded_scale says.
     """
 
@@ -68,10 +71,12 @@ class PairLaw(NamedTuple):
 class Target(NamedTuple):
     """What the operations of an evaluation work on.
 
-    detail : FORCES, TOTALS or PER_ATOM.  forces : (N, 3) output [energy/length].
+    detail : FORCES, TOTALS or PER_ATOM.
+    forces : (N, 3) output [energy/length].
     energies, virials : to which TOTALS and PER_ATOM add, (N,) and (N, 6); or (1,) and (1, 6) if that is enough for all
         terms and TOTALS.
-    slots : (3 S,), of LinkedTerm.  images : Images of the cell.
+    slots : (3 S,), of LinkedTerm.
+    images : Images of the cell.
     steps : Steps, in fixed-point arithmetic, where forces and slots are impulses, int64 in steps of momentum; else ().
     """
 
@@ -111,9 +116,11 @@ class Term:
     pair_law : a PairLaw for the planner to run on a list of neighbors; None for a term that adds its forces itself.
     cutoff : an atom that moves farther in one step may pass another without interacting [length].
     shortest_length : rounding errors of separations must be small compared with it [length].
-    list : the list of neighbors, if the term keeps one.  widest_skin : that the list can have [length].  summary :
+    list : the list of neighbors, if the term keeps one.
+    widest_skin : that the list can have [length].  summary :
         of the list, for the report.
-    ingredient : name of what this term adds to a scene; the report lists it if absent.  warning : for the user,
+    ingredient : name of what this term adds to a scene; the report lists it if absent.
+    warning : for the user,
         given once.
     acts_from_outside : whether its forces need not add up to zero, as those of fields and walls:
         the total momentum is then not constant.
@@ -234,6 +241,7 @@ def bound(potential: Any, system: System) -> Term:
             "a law of your own is passed as PairPotential(law, parameters, cutoff): see docs/own-laws.md; "
             f"got {shown(potential)}"
         )
+
     term = potential.bind(system)
     if isinstance(term, Term):
         return term
@@ -242,6 +250,7 @@ def bound(potential: Any, system: System) -> Term:
             "bind must return a term, an object with add(system, detail, forces, energies, virials); "
             f"that of {shown(potential)} is {shown(term)}"
         )
+
     completed = Term()  # what the object has, and the defaults of a Term
     for name in ("add", "skipped", "acts_from_outside", "is_checked"):
         if hasattr(term, name):
@@ -261,6 +270,7 @@ def check_force(potential: Any, system: System, time: float) -> None:
         potential, system = deepcopy((potential, system))
     except Exception:  # whatever an object of the user's raises
         return
+
     term = bound(potential, system)
     term.time = time
     rng = np.random.default_rng(1)
@@ -285,6 +295,7 @@ def check_force(potential: Any, system: System, time: float) -> None:
         return
     n_compared = 0
     faults = []
+
     for way in rng.standard_normal((TRIES, *positions.shape)):
         force = float((forces * way).sum())
         slope = slope_along(way, STEP * length)
@@ -292,6 +303,7 @@ def check_force(potential: Any, system: System, time: float) -> None:
         n_compared += bool(np.isfinite([force, slope, coarse]).all())
         if not agree(force, slope, np.abs(energies).sum() / length, ROUGH * abs(slope - coarse)):
             faults.append(f"F·w = {force:.6g}, but -dU/dw = {slope:.6g}")
+
     if 2 * len(faults) > n_compared:
         raise ValueError(
             f"the force of {shown(potential)} must be minus the gradient of its energy; "
@@ -363,7 +375,8 @@ class ForcesFromCalculator(OwnPotential):
     calculator gives no stress that is needed, virial and pressure are NaN, and a warning says so. The units of the
     system should be those of the calculator (Å, eV).
 
-    calculator : of ase.calculators, such as EMT().  Raises TypeError for anything else."""
+    calculator : of ase.calculators, such as EMT().
+    Raises TypeError for anything else."""
 
     def __init__(self, calculator: Any) -> None:
         if not is_calculator(calculator):

@@ -24,14 +24,16 @@ from minimd.core.potentials.law import evaluate_law, law_at, law_type
 
 @scalar
 def shifted(r2, law, parameters):
-    """u(r) − u(r_c); the force is that of the law.  parameters : (u(r_c), *parameters of law)."""
+    """u(r) − u(r_c); the force is that of the law.
+    parameters : (u(r_c), *parameters of law)."""
     u, f = evaluate_law(law, r2, parameters[1:])
     return u - parameters[0], f
 
 
 @scalar
 def force_shifted(r2, law, parameters):
-    """u(r) − u(r_c) − (r − r_c) u′(r_c).  parameters : (u(r_c), u′(r_c), r_c, *parameters of law).
+    """u(r) − u(r_c) − (r − r_c) u′(r_c).
+    parameters : (u(r_c), u′(r_c), r_c, *parameters of law).
     M. P. Allen, D. J. Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), eq. 5.6-5.8."""
     u, f = evaluate_law(law, r2, parameters[3:])
     r = sqrt(r2)
@@ -73,7 +75,8 @@ def smooth(r2, law, parameters):
         S(y) = (1 − y)⁸ Σₖ C(7 + k, k) yᵏ, k = 0 … 7,   S′(y) = −15!/(7!)² y⁷ (1 − y)⁷
 
     so that seven derivatives vanish at both ends: the incomplete beta function I₁₋ᵧ(8, 8), NIST DLMF 8.17.
-    All terms are positive.  parameters : (r_on², r_c², *parameters of law).
+    All terms are positive.
+    parameters : (r_on², r_c², *parameters of law).
     """
     u, f = evaluate_law(law, r2, parameters[2:])
     scale = 1.0 / (parameters[1] - parameters[0])

@@ -17,7 +17,9 @@ from minimd.core.structure.errors import ConstraintError, NonFiniteError
 class Attached:
     """The observers of a run on one engine, each with its own steps.
 
-    observers : as passed to a run.  functions : the plain functions among them.  accumulators : those with results.
+    observers : as passed to a run.
+    functions : the plain functions among them.
+    accumulators : those with results.
 
     Raises TypeError for anything but a list of observers, ValueError if two have the same name.
     """
@@ -55,7 +57,8 @@ class Attached:
             accumulator.interrupt()
 
     def begin(self) -> None:
-        """Look at the first state.  Raises ValueError if something cannot be observed."""
+        """Look at the first state.
+        Raises ValueError if something cannot be observed."""
         for observer in self._with_steps:
             observer.prepare(self._engine)
         self.look()

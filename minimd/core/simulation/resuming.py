@@ -26,7 +26,8 @@ def resumed(
     method: Splitting | None,
     threads: int | None,
 ) -> Any:
-    """See Simulation.resume.  kind : Simulation."""
+    """See Simulation.resume.
+    kind : Simulation."""
     from minimd.core.files.h5md_reader import read_file, verify_frames  # h5py is slow to load
     from minimd.core.files.h5md_schema import other_potentials
 
@@ -55,12 +56,14 @@ def resumed(
 
 
 def stored_potentials(contents: H5MDContents, file: str | Path) -> Any:
-    """The potentials of the scene in a file.  Raises ValueError if it has no scene."""
+    """The potentials of the scene in a file.
+    Raises ValueError if it has no scene."""
     return from_annex("potentials of a scene")(contents.scene, contents.potentials, Path(file))
 
 
 def last_step(step: int, n_steps: int | None, until_step: int | None) -> int:
-    """The step at which a run ends.  Raises ValueError unless exactly one of n_steps and until_step is given."""
+    """The step at which a run ends.
+    Raises ValueError unless exactly one of n_steps and until_step is given."""
     if (n_steps is None) == (until_step is None):
         raise ValueError(
             "a run needs either n_steps or until_step; "

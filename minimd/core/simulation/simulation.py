@@ -63,14 +63,17 @@ class Simulation(Closed, Displayed):
     threads : their largest number; all cores of the process if not given. Results are the same, to the last bit,
         for any number.
     precision : "double", or "fixed-point": all sums exact, see docs/fixed-point.md.
-    skin : of neighbor lists [length]; the best one if not given.  grid : Grid of fixed-point arithmetic;
+    skin : of neighbor lists [length]; the best one if not given.
+    grid : Grid of fixed-point arithmetic;
         chosen from the scene if not given.
     barostat : StochasticCellRescaling, which keeps the pressure; None for a constant cell.
 
     Attributes
     ----------
-    engine : Engine, which holds state, forces, constraints and method.  guard : RunGuard, which makes its steps.
-    record : Record of the last run, None before.  reversibility : Reversibility that was probed last, or None.
+    engine : Engine, which holds state, forces, constraints and method.
+    guard : RunGuard, which makes its steps.
+    record : Record of the last run, None before.
+    reversibility : Reversibility that was probed last, or None.
 
     Raises
     ------
@@ -234,7 +237,8 @@ class Simulation(Closed, Displayed):
         every : steps between observations, for record, trajectory and observers alike.
         trajectory : one file or several; the suffix gives the format, see minimd.core.files.trajectory.
         store_forces : write forces into formats that can hold them.
-        overwrite : replace files that exist.  append : continue the trajectory,
+        overwrite : replace files that exist.
+        append : continue the trajectory,
             an H5MD file whose restart is the state of this simulation; "auto" does so if it exists, else begins it.
         observers : functions called with this simulation at each observation; and those of minimd.observers, which have
             their own steps and give results at the end. An H5MD file keeps them for a run that continues it.
@@ -355,7 +359,8 @@ class Simulation(Closed, Displayed):
                 engine.begin()
 
     def make_steps(self, n_steps: int) -> None:
-        """Make steps without observations.  Raises ValueError for a negative count, and as run."""
+        """Make steps without observations.
+        Raises ValueError for a negative count, and as run."""
         n_steps = checked_count("n_steps", n_steps, 0)
         if not self.engine.begin():
             self.guard.forget()
@@ -376,7 +381,8 @@ class Simulation(Closed, Displayed):
 
         Raises
         ------
-        NonFiniteError, KeyboardInterrupt : as run does.  ValueError : for counts or a temperature out of range.
+        NonFiniteError, KeyboardInterrupt : as run does.
+        ValueError : for counts or a temperature out of range.
         """
         engine = self.engine
         guard = self.guard
@@ -448,13 +454,16 @@ class Simulation(Closed, Displayed):
 
         Raises
         ------
-        ValueError : for another precision, a method that is not symmetric, or a negative count.  RangeError : as run.
+        ValueError : for another precision, a method that is not symmetric, or a negative count.
+        RangeError : as run.
         """
         make_steps_back(self.guard, checked_count("n_steps", n_steps, 0))
 
     @contextmanager
     def _running(self, noise_shift: int) -> Iterator[None]:
-        """Context of a run.  noise_shift : of the engine in it.  Raises RuntimeError for a run inside a run."""
+        """Context of a run.
+        noise_shift : of the engine in it.
+        Raises RuntimeError for a run inside a run."""
         if self._is_running:
             may = "an observer may read and change its state, but not run or equilibrate it"
             raise RuntimeError(f"this simulation is running: {may}")
@@ -468,7 +477,8 @@ class Simulation(Closed, Displayed):
             self.engine.noise_shift = before
 
     def report(self) -> Report:
-        """How well the last call of run conserved what it should, and how fast it was.  Raises ValueError before it."""
+        """How well the last call of run conserved what it should, and how fast it was.
+        Raises ValueError before it."""
         if self.record is None:
             others = "equilibrate, make_steps, minimize and resume do not observe the simulation"
             raise ValueError(
@@ -483,7 +493,8 @@ class Simulation(Closed, Displayed):
 
     def set_temperature(self, temperature: float, seed: int | None = None) -> None:
         """Draw Maxwell-Boltzmann velocities: kinetic temperature exactly this one, total momentum zero (of several free
-        atoms).  Raises ValueError if the temperature is negative or not finite."""
+        atoms).
+        Raises ValueError if the temperature is negative or not finite."""
         system = self.system
         constraint_set = self.engine.constraint_set
         system.velocities[:] = maxwell_boltzmann(system.masses, temperature, system.units.k_B, seed)
@@ -506,7 +517,8 @@ class Simulation(Closed, Displayed):
         return self.engine.snapshot()
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Restore the state of a snapshot.  Raises TypeError for anything else."""
+        """Restore the state of a snapshot.
+        Raises TypeError for anything else."""
         self.engine.restore(
             checked_kind("snapshot", snapshot, Snapshot, "what sim.snapshot() has returned")
         )
@@ -515,7 +527,8 @@ class Simulation(Closed, Displayed):
 def _copied(
     kind: type[Simulation], engine: Engine, seconds: float, n_steps: int, *results: Any
 ) -> Simulation:
-    """The simulation that __reduce__ has described.  results : record, reversibility."""
+    """The simulation that __reduce__ has described.
+    results : record, reversibility."""
     simulation = kind.__new__(kind)
     simulation._hold(copy.deepcopy(engine))
     simulation.guard.seconds = seconds

@@ -58,7 +58,8 @@ def system_arguments(
     bonds, others : bonds, angles, dihedrals and impropers, as for System; without bonds,
         what the arrays of the atoms name: see joined_in.
     constraints : True to take those of the atoms; False if the caller handles them.
-    stated : what stated_of has told, if it was asked.  masses, elements : given by the user, see elements.identified.
+    stated : what stated_of has told, if it was asked.
+    masses, elements : given by the user, see elements.identified.
     units : ASE's; or reduced units, in which numbers are unchanged, and velocities without masses are left out.
 
     Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, for sites
@@ -75,6 +76,7 @@ def system_arguments(
             f"the file of {source} states units = {title[1]}; if these were not given to ase.io.read, its numbers are "
             "wrong: minimd.ase.system_from_file reads them as stated"
         )
+
     groups = joined_in(atoms).groups if bonds is None else {"bonds": bonds}
     groups = groups | {name: rows for name, rows in others.items() if rows is not None}
     weights, symbols = identified(stated, masses, elements, is_reduced=units is not ASE)
@@ -101,7 +103,8 @@ def stated_of(atoms: Atoms, source: str = "this ase.Atoms") -> Stated:
     """What atoms state. Types of LAMMPS and X are no elements; names of atoms, which ASE keeps from PDB and GRO files,
     must agree with the elements that it has made of them.
 
-    source : in words, for messages.  Raises ValueError if they do not agree."""
+    source : in words, for messages.
+    Raises ValueError if they do not agree."""
     arrays = atoms.arrays
     symbols = [symbol if symbol != "X" else "" for symbol in atoms.get_chemical_symbols()]
     masses = atoms.get_masses() if atoms.has("masses") else arrays.get("mass")
@@ -189,6 +192,7 @@ def atoms_from_system(system: Any) -> Atoms:
     if joined:
         atoms.arrays.update(joined, id=np.arange(1, len(atoms) + 1))
     constraints: list[FixConstraint] = []
+
     for constraint in system.constraints:
         if isinstance(constraint, FixedAtoms):
             constraints.append(FixAtoms(indices=constraint.atoms))
@@ -196,6 +200,7 @@ def atoms_from_system(system: Any) -> Atoms:
             pairs = constraint.pairs.copy()
             lengths = lengths_of(system.positions, cell, constraint).copy()
             constraints.append(FixBondLengths(pairs, constraint.tolerance, lengths))
+
     atoms.set_constraint(constraints)
     return atoms
 
@@ -241,7 +246,8 @@ def same_scene(one: Atoms, other: Atoms) -> bool:
 
 def calculators_stress(stress: Array, atoms: Atoms, conserves_momentum: bool) -> Array:
     """What ASE calls the stress, (6,) as xx yy zz yz xz xy [eV/Å³]: without the kinetic part, which
-    get_stress(include_ideal_gas=True) adds.  stress : (3, 3), of an engine with the atoms in their present motion.
+    get_stress(include_ideal_gas=True) adds.
+    stress : (3, 3), of an engine with the atoms in their present motion.
     conserves_momentum : of that engine."""
     velocities = atoms.get_velocities()
     masses = atoms.get_masses()
@@ -263,6 +269,7 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
     lengths: list[Array] = []
     tolerances: list[float] = []
     fixed: list[int] = []
+
     for constraint in atoms.constraints:
         if isinstance(constraint, FixBondLengths):
             bonds = _counted_from_front(constraint.pairs, n)
@@ -288,16 +295,19 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
                 f"atoms.constraints may hold {UNDERSTOOD}; it holds {type(constraint).__name__}: remove it, or use "
                 "ASE's dynamics"
             )
+
     if fixed and fixes_center(atoms):
         raise ValueError(
             "atoms.constraints holds FixCom and FixAtoms: with fixed atoms the center of mass does not stay by itself; "
             "remove FixCom or FixAtoms"
         )
+
     constraints: list[Constraint] = [FixedAtoms(np.unique(fixed))] if fixed else []
     if pairs:
         tolerance = min(tolerances, default=TOLERANCE)
         distances = np.concatenate(lengths)
         constraints.append(DistanceConstraints(np.concatenate(pairs), distances, tolerance))
+
     return tuple(constraints)
 
 

@@ -25,7 +25,8 @@ GROUPS = {"bonds": 2, "angles": 3, "dihedrals": 4, "impropers": 4}
 
 def pairs_by_bonds_apart(bonds: Indices) -> list[Indices]:
     """Pairs i < j whose shortest path along the bonds has one, two and three bonds: three (P, 2) int arrays, each
-    sorted by (i, j). Rings and cages are no exception: the shortest path decides.  bonds : (B, 2) int."""
+    sorted by (i, j). Rings and cages are no exception: the shortest path decides.
+    bonds : (B, 2) int."""
     # of bonded atoms alone: most scenes have none
     neighbors: defaultdict[int, set[int]] = defaultdict(set)
     for i, j in bonds.tolist():
@@ -52,7 +53,8 @@ def connected(pairs: Indices, n_atoms: int) -> Indices:
 
 
 def checked_pairs(name: str, pairs: ArrayLike | None, n_atoms: int | None = None) -> Indices:
-    """Pairs of atoms as a (P, 2) int array, (0, 2) if there are none.  n_atoms : None for any number of atoms.
+    """Pairs of atoms as a (P, 2) int array, (0, 2) if there are none.
+    n_atoms : None for any number of atoms.
     Raises ValueError as checked_groups, or if a pair is given twice, in either order."""
     array = checked_groups(name, pairs, 2, n_atoms)
     ordered = np.sort(array, axis=1)
@@ -109,7 +111,8 @@ INSTEAD = "give the bonds as bonds=[[0, 1], ...], or bonds=() for none"
 
 class Joined(NamedTuple):
     """groups : bonds (B, 2), angles (A, 3), the middle atom second, dihedrals (D, 4), impropers (I, 4), int, by these
-    names.  n_types : how many types of each there are, by these names; left out where all are of one type."""
+    names.
+    n_types : how many types of each there are, by these names; left out where all are of one type."""
 
     groups: dict[str, Indices]
     n_types: dict[str, int] = {}  # noqa: RUF012 - never changed
@@ -136,11 +139,14 @@ def joined_in(atoms: Any) -> Joined:
             "the bonds of these atoms cannot be trusted: their array 'id' does not count from 1 to N, so atoms may "
             f"have been cut out, repeated or sorted since they were read; {INSTEAD}"
         )
+
     joined: dict[str, Indices] = {}
     n_types: dict[str, int] = {}
+
     for name, size in GROUPS.items():
         rows = []
         kinds = set()
+
         for i, text in enumerate(map(str, arrays.get(name, ()))):
             entries = () if text in NONE else text.split(",")
             for entry in entries:
@@ -153,13 +159,16 @@ def joined_in(atoms: Any) -> Joined:
                         "ase.io.read writes it for format='lammps-data', with indices of atoms from 0 to "
                         f"{n - 1}: {INSTEAD}"
                     )
+
                 row.insert(PLACE[name], i)
                 rows.append(row)
                 kinds.add(kind)
+
         joined[name] = np.array(rows, np.int64).reshape(-1, size)
         kinds.discard(None)
         if len(kinds) > 1:
             n_types[name] = len(kinds)
+
     return Joined(joined, n_types)
 
 

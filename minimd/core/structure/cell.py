@@ -177,6 +177,7 @@ def minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2):
     if shortest2 <= safe_distance2:
         return a, b, c
     best = (a, b, c)
+
     for i in range(-int(pbc[0]), int(pbc[0]) + 1):
         for j in range(-int(pbc[1]), int(pbc[1]) + 1):
             for k in range(-int(pbc[2]), int(pbc[2]) + 1):
@@ -184,6 +185,7 @@ def minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2):
                 if length2 < shortest2:
                     shortest2 = length2
                     best = (a + i, b + j, c + k)
+
     return best
 
 
@@ -201,7 +203,8 @@ def minimum_image_translations(
 ):
     """translations[p] = the lattice vector that makes r_j − r_i + translation shortest, for fixed pairs (i, j)
     = (first, second)[p].
-    positions : (N, 3) [length].  first, second : (P,) int.
+    positions : (N, 3) [length].
+    first, second : (P,) int.
     translations : (P, 3) [length], lattice vectors, such as zeros or the previous ones;
         kept where they are still certainly right."""
     for p in range(np.uintp(first.size)):  # unsigned: no check for indices that count from the end
@@ -239,6 +242,7 @@ def images_of_length(
     """(K, 3) lattice vectors [length] for which |r_j − r_i| of each pair is closest to its length. Up to half the cell
     these are the nearest images. Raises ValueError for a length that reaches over more than MOST_IMAGES."""
     translations = nearest_images(positions, cell, pairs)
+
     for k in np.flatnonzero(lengths**2 >= cell.safe_distance2):
         nearest = positions[pairs[k, 1]] - positions[pairs[k, 0]] + translations[k]
         reach = np.where(cell.pbc, (lengths[k] + np.linalg.norm(nearest)) // cell.heights + 1, 0)
@@ -248,10 +252,12 @@ def images_of_length(
                 f"lengths[{k}] = {lengths[k]:g} reaches over {n_images:.1e} images of the cell, which is only "
                 f"{cell.heights[cell.pbc].min():.3g} high; at most {MOST_IMAGES} images are possible: reduce the length"
             )
+
         steps = np.meshgrid(*(np.arange(-n, n + 1) for n in reach), indexing="ij")
         others = np.stack(steps, axis=-1).reshape(-1, 3) @ cell.lattice
         distances = np.linalg.norm(nearest + others, axis=1)
         translations[k] += others[np.argmin(np.abs(distances - lengths[k]))]
+
     return translations
 
 
@@ -283,11 +289,13 @@ def _as_flags(pbc: ArrayLike) -> NDArray[np.bool_]:
 
 def _check_independent(vectors: Array, pbc: NDArray[np.bool_]) -> None:
     has_vector = vectors.any(axis=1)
+
     for k in np.flatnonzero(pbc & ~has_vector):
         raise ValueError(
             f"pbc[{k}] is True but cell[{k}] is zero; give a lattice vector there, or leave it open: "
             f"pbc={tuple((pbc & has_vector).tolist())}"
         )
+
     rows = vectors[pbc]
     if rows.size == 0:
         return
@@ -297,11 +305,13 @@ def _check_independent(vectors: Array, pbc: NDArray[np.bool_]) -> None:
             f"lattice vectors must be between {SMALLEST:g} and {LARGEST:g} long; take other units: they are "
             f"{rows.tolist()}"
         )
+
     if EPS * largest.max() > largest.min():
         raise ValueError(
             f"lengths of lattice vectors must not differ by more than a factor of {1.0 / EPS:.1g}; they are "
             f"{rows.tolist()}"
         )
+
     unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     if np.linalg.svd(unit, compute_uv=False).min() < FLAT:
         raise ValueError(

@@ -43,13 +43,15 @@ def checked_count(name: str, value: Any, least: int = 1, limit: int = COUNTS) ->
 def checked_number(
     name: str, value: Any, demand: str = "finite", smallest: float = SMALLEST
 ) -> float:
-    """The value as a float.  demand : one of DEMANDS.
+    """The value as a float.
+    demand : one of DEMANDS.
     Raises ValueError for anything that is not a real number, such as a text or a bool, for what the demand excludes,
     and for numbers whose powers could overflow: above LARGEST or, if they must not be 0, below the smallest."""
     try:
         number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan
     except OverflowError:
         number = inf
+
     is_right = DEMANDS[demand]
     if not is_right(number):
         raise ValueError(f"{name} must be {demand}; {name} = {shown(value)}")
@@ -59,18 +61,21 @@ def checked_number(
             f"{name} must be {demand}, between {smallest:g} and {LARGEST:g} in size; {name} = {shown(value)}: "
             "take other units"
         )
+
     return number
 
 
 def checked_flag(name: str, value: Any) -> bool:
-    """The value as a bool.  Raises ValueError unless it is True or False, of Python or of NumPy."""
+    """The value as a bool.
+    Raises ValueError unless it is True or False, of Python or of NumPy."""
     if not isinstance(value, bool | np.bool_):
         raise ValueError(f"{name} must be True or False; {name} = {shown(value)}")
     return bool(value)
 
 
 def checked_kind(name: str, value: Any, kind: Any, wanted: str) -> Any:
-    """The value, if it is an object of a kind, a class or several.  wanted : the kind in words.
+    """The value, if it is an object of a kind, a class or several.
+    wanted : the kind in words.
     Raises TypeError otherwise."""
     if not isinstance(value, kind):
         raise TypeError(f"{name} must be {wanted}; {name} = {shown(value)}")
@@ -78,7 +83,8 @@ def checked_kind(name: str, value: Any, kind: Any, wanted: str) -> Any:
 
 
 def checked_path(name: str, value: Any) -> Path:
-    """The value as a Path.  Raises ValueError unless it is a text, or a path, that can name a file."""
+    """The value as a Path.
+    Raises ValueError unless it is a text, or a path, that can name a file."""
     try:
         path = Path(value or None)  # type: ignore[arg-type]  # an empty text names nothing
         path.lstat()
@@ -92,7 +98,8 @@ def checked_path(name: str, value: Any) -> Path:
 
 
 def checked_choice(name: str, value: Any, allowed: Collection[str]) -> Any:
-    """The value, if it is one of the allowed texts.  Raises ValueError otherwise."""
+    """The value, if it is one of the allowed texts.
+    Raises ValueError otherwise."""
     if not (isinstance(value, str) and value in allowed):
         raise ValueError(f"{name} must be one of {listed(allowed)}; {name} = {shown(value)}")
     return value
@@ -124,7 +131,8 @@ def checked_sizes(name: str, values: Any, n: int, each: str) -> NDArray[np.float
 
 
 def check_rows(name: str, demand: str, is_good: Any, array: NDArray[Any]) -> None:
-    """Raise ValueError with the first row of an array that is not good, (n,) bool.  demand : what it must be."""
+    """Raise ValueError with the first row of an array that is not good, (n,) bool.
+    demand : what it must be."""
     bad = np.flatnonzero(~is_good)
     if bad.size:
         k = bad[0]
@@ -145,8 +153,11 @@ def checked_indices(name: str, values: Any, expected: str) -> NDArray[np.int64]:
 
 
 def checked_array(name: str, values: Any, expected: str, kinds: str) -> NDArray[Any]:
-    """The values as an array, the same one if they are one.  expected : words for the message.  kinds : which of KINDS
-    may be in it.  Raises ValueError for anything else, for masked values, for bools among numbers, for ragged lists,
+    """The values as an array, the same one if they are one.
+    expected : words for the message.
+    kinds : which of KINDS
+    may be in it.
+    Raises ValueError for anything else, for masked values, for bools among numbers, for ragged lists,
     and for more than MOST_NUMBERS values."""
     present: set[str] = set()
     try:
@@ -160,7 +171,8 @@ def checked_array(name: str, values: Any, expected: str, kinds: str) -> NDArray[
 
 
 def _find_kinds(values: Any, kinds: set[str]) -> None:
-    """Add the kinds of numbers among the values.  Raises ValueError for values that are no numbers, masked, or too
+    """Add the kinds of numbers among the values.
+    Raises ValueError for values that are no numbers, masked, or too
     many."""
     if type(values) in PLAIN:
         kinds.add(PLAIN[type(values)])
@@ -169,6 +181,7 @@ def _find_kinds(values: Any, kinds: set[str]) -> None:
         for value in values:
             _find_kinds(value, kinds)
         return
+
     is_list = isinstance(values, Sequence) and not isinstance(values, str)
     size = len(values) if is_list else 0
     array = np.empty(0) if size > MOST_NUMBERS else np.asanyarray(values)

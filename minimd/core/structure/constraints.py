@@ -49,12 +49,14 @@ class DistanceConstraints:
             raise ValueError(
                 "pairs of DistanceConstraints must name at least one pair; there is none"
             )
+
         self.lengths: Array | None = None
         if lengths is not None:
             numbers = checked_numbers("lengths", lengths, "one number, or one for each pair")
             if numbers.shape == (1,):
                 numbers = numbers.reshape(())
             self.lengths = checked_sizes("lengths", numbers, len(self.pairs), "pair")
+
         self.tolerance = checked_number("tolerance", tolerance)
         self.solver = checked_choice("solver", solver, get_args(SolverName))
         if not 0.0 < self.tolerance < 1.0:

@@ -55,9 +55,14 @@ REMEDY = (
 class Stated(NamedTuple):
     """What is stated of N atoms; None where nothing is.
 
-    source : the file or object, in words.  names : (N,) of atoms.  residues : (N,) names of residues; residue_of : (N,)
-    their numbers, from 0 on.  elements : (N,) chemical symbols, "" for atoms without.  masses : (N,) [u], NaN for atoms
-    without.  positions : (N, 3) [Å].
+    source : the file or object, in words.
+    names : (N,) of atoms.
+    residues : (N,) names of residues; residue_of : (N,)
+    their numbers, from 0 on.
+    elements : (N,) chemical symbols, "" for atoms without.
+    masses : (N,) [u], NaN for atoms
+    without.
+    positions : (N, 3) [Å].
     """
 
     source: str
@@ -105,7 +110,8 @@ def identified(
         file states of the same atoms.
     is_reduced : masses that are not stated are 1, whatever the element.
 
-    Warns of elements that are guessed.  Raises ValueError for atoms that have neither mass nor element, for massless
+    Warns of elements that are guessed.
+    Raises ValueError for atoms that have neither mass nor element, for massless
     sites, and for names and lengths that do not fit.
     """
     n = len(stated.names)
@@ -113,10 +119,12 @@ def identified(
     weights = np.full(n, np.nan)
     if stated.masses is not None:
         weights[:] = stated.masses
+
     for k, symbol in _by_atom("elements", elements, stated).items():
         atomic_mass(symbol)
         symbols[k] = symbol
         weights[k] = np.nan
+
     source = stated.source
     if isinstance(masses, Stated):
         source = masses.source
@@ -125,12 +133,14 @@ def identified(
     else:
         for k, mass in _by_atom("masses", masses, stated).items():
             weights[k] = checked_number("masses", mass, "positive and finite")
+
     massless = np.flatnonzero(weights == 0.0)
     if massless.size:
         raise ValueError(
             f"the mass of atom {massless[0]}, {stated.names[massless[0]]!r}, is 0 in {source}: it is a massless site, "
             "which minimd does not have; take a model without such sites, or remove them from the file"
         )
+
     missing = np.flatnonzero(np.isnan(weights)).tolist()
     nameless = [k for k in missing if not symbols[k]]
     if nameless and not is_reduced:
@@ -141,6 +151,7 @@ def identified(
         kinds = zip(stated.names, stated.residues, strict=True)
         for k, kind in enumerate(kinds):
             symbols[k] = symbols[k] or certain_element(*kind) or ""
+
     return weights, symbols
 
 
@@ -187,26 +198,32 @@ def _by_atom(name: str, values: Any, stated: Stated) -> dict[int, Any]:
     if isinstance(values, Mapping):
         of_label = {str(label): value for label, value in values.items()}
         known = set(labels)
+
         for label in of_label:
             if label not in known:
                 raise ValueError(
                     f"{name} names {label!r}, but the atoms of {stated.source} are called "
                     f"{', '.join(sorted(known)[:8])}"
                 )
+
         return {k: of_label[label] for k, label in enumerate(labels) if label in of_label}
+
     array = np.asarray(values)
     if array.shape not in ((), (n,)):
         raise ValueError(
             f"{name} must be one for each of the {n} atoms of {stated.source}, or by their names; "
             f"{name} = {shown(values)}"
         )
+
     return dict(enumerate(np.broadcast_to(array, n).tolist()))
 
 
 def _guess(stated: Stated, atoms: Sequence[int], symbols: list[str]) -> None:
-    """Fill the symbols of atoms by their names.  Raises and warns as identified."""
+    """Fill the symbols of atoms by their names.
+    Raises and warns as identified."""
     residues = stated.residues or [""] * len(symbols)
     known: dict[tuple[str, str], str] = {}
+
     for k in atoms:
         name = stated.names[k]
         residue = residues[k]
@@ -217,6 +234,7 @@ def _guess(stated: Stated, atoms: Sequence[int], symbols: list[str]) -> None:
                 f"{stated.source} states neither mass nor element of atom {k}, {name!r}{of_residue}, and its name "
                 f"does not tell them; {REMEDY}"
             )
+
     _check_distance(stated, atoms, symbols)
     first = atoms[0]
     others = []
@@ -241,6 +259,7 @@ def _check_distance(stated: Stated, atoms: Sequence[int], symbols: Sequence[str]
         if is_shared[k] and symbols[k] in LETTERS:
             of_name.setdefault(stated.residues[k], []).append(k)
     tree = cKDTree(stated.positions)
+
     for residue, members in of_name.items():
         nearest = tree.query(stated.positions[members], k=2)[0][:, 1]
         apart = np.median(nearest)

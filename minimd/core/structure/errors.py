@@ -18,7 +18,8 @@ TELLING = (
 class NonFiniteError(ArithmeticError):
     """A position, velocity, force or energy is no longer a finite number.
 
-    solution : of a small system, up to the failure.  crash_report : CrashReport of a simulation.  file :
+    solution : of a small system, up to the failure.
+    crash_report : CrashReport of a simulation.  file :
         to which it was written, or None."""
 
     solution: Any = None
@@ -32,7 +33,8 @@ class RangeError(NonFiniteError):
 
 
 class ConstraintError(ArithmeticError):
-    """A constraint solver did not reach its tolerance.  atoms : the two of the constraint.  crash_report, file :
+    """A constraint solver did not reach its tolerance.
+    atoms : the two of the constraint.  crash_report, file :
     as for NonFiniteError."""
 
     atoms: Any = None
@@ -41,7 +43,8 @@ class ConstraintError(ArithmeticError):
 
 
 class ConvergenceError(ArithmeticError):
-    """The equations of an implicit step could not be solved.  solution : up to this step."""
+    """The equations of an implicit step could not be solved.
+    solution : up to this step."""
 
     solution: Any = None
 
@@ -55,7 +58,8 @@ class EnsembleError(RuntimeError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C in a computation that has a partial result.  result : that result."""
+    """Ctrl-C in a computation that has a partial result.
+    result : that result."""
 
     def __init__(self, message: str, result: Any = None) -> None:
         super().__init__(message)

@@ -97,7 +97,8 @@ class Grid(Displayed):
 
     def take(self, system: System, inverse_masses: Array) -> None:
         """Round positions, lattice vectors and momenta of a system to the grid, in place.
-        inverse_masses : (N,), zero for fixed atoms.  Raises RangeError if one of them is beyond its range."""
+        inverse_masses : (N,), zero for fixed atoms.
+        Raises RangeError if one of them is beyond its range."""
         vectors = np.rint(system.cell.vectors / self.length) * self.length
         if not np.array_equal(vectors, system.cell.vectors):
             system.cell = Cell(vectors, system.cell.pbc)
@@ -150,7 +151,8 @@ class Grid(Displayed):
 
 
 def steps_of(grid: Grid, units: ArrayLike) -> GridSteps:
-    """Steps for a kernel.  units : the time over which impulses are computed [time]."""
+    """Steps for a kernel.
+    units : the time over which impulses are computed [time]."""
     return GridSteps(
         np.asarray(units) / grid.momentum, grid.length, grid.momentum, grid.energy, 0.0
     )

@@ -20,7 +20,9 @@ class Box:
 
     Parameters
     ----------
-    cell : Cell.  positions : (N, 3) [length].  lattice : (3, 3) [length], rows that span the lattice of the cell, as
+    cell : Cell.
+    positions : (N, 3) [length].
+    lattice : (3, 3) [length], rows that span the lattice of the cell, as
         cell.lattice, which is taken if it is not given; the row of an open direction is perpendicular to the others.
 
     Attributes
@@ -28,8 +30,10 @@ class Box:
     turn : (3, 3) rotation; a vector r of minimd is r @ turn in LAMMPS.
     edges : (3, 3) [length], lower triangle; rows are the vectors of the lattice, turned. If the lattice is
         left-handed, all are negated, which gives the same lattice: a reflection would turn dihedral angles around.
-    low, high : (3,) bounds along the diagonal [length].  open : (3,) bool.
-    positions : (N, 3) [length], turned and wrapped.  images : (N, 3) int, in cells, from which they were wrapped.
+    low, high : (3,) bounds along the diagonal [length].
+    open : (3,) bool.
+    positions : (N, 3) [length], turned and wrapped.
+    images : (N, 3) int, in cells, from which they were wrapped.
     most_images : LAMMPS counts images with ten bits.
 
     Periodic directions begin at 0. Atoms are wrapped here and their images are remembered.
@@ -89,15 +93,18 @@ class Box:
         """The lines of a data file: a title, the header, and sections by their name. A line of a section is its number,
         from 1 on, and the entries of its columns, (n,) or (n, k). Those of bonds, angles, ... begin with the types."""
         yield f"{title}\n\n{len(self.positions)} atoms\n{len(sections['Masses'][0])} atom types\n"
+
         for name in GROUPS:
             types = sections.get(name.capitalize(), [np.zeros(0)])[0]
             if types.size:
                 yield f"{types.size} {name}\n{types.max()} {name[:-1]} types\n"
+
         for k, axis in enumerate("xyz"):
             yield f"{self.low[k]:.17g} {self.high[k]:.17g} {axis}lo {axis}hi\n"
         tilts = self.edges[[1, 2, 2], [0, 0, 1]]
         if tilts.any():
             yield "{:.17g} {:.17g} {:.17g} xy xz yz\n".format(*tilts)
+
         for name, columns in sections.items():
             table = [entries for column in columns for entries in np.atleast_2d(column.T)]
             forms = [FORMS[entries.dtype.kind] for entries in table]

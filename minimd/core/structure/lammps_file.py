@@ -28,6 +28,7 @@ def write_lammps_data(file: Any, system: Any, overwrite: bool = False) -> None:
             f"file must be LAMMPS data, .data or .lmp; file = {str(path)!r}: ase.io.write(file, system.to_ase()) "
             "writes other formats, Simulation.run(trajectory=) those of runs, such as .h5md"
         )
+
     cell = system.cell
     box = Box(cell, system.positions, np.where(cell.pbc[:, None], cell.vectors, cell.lattice))
     box.make_room(ROOM)
@@ -42,6 +43,7 @@ def write_lammps_data(file: Any, system: Any, overwrite: bool = False) -> None:
         units = "metal"
         charges = system.charges
         velocities /= ASE.to_picosecond
+
     numbers = [molecules_of(system) + 1, types.reshape(-1) + 1]
     sections: dict[str, Columns] = {}
     if not labels[0].isdecimal():
@@ -59,6 +61,7 @@ def write_lammps_data(file: Any, system: Any, overwrite: bool = False) -> None:
             f"positions and velocities in {str(path)!r} are turned, because a lies along x and b in the xy plane in "
             f"LAMMPS: those of the system are r @ R, R = {box.turn.T.tolist()}"
         )
+
     if labels != names:
         warn(
             f"species {listed(names)} are {listed(labels)} in {str(path)!r}: one type for each species and mass, with "

@@ -34,7 +34,8 @@ def universe_arguments(
 
     groups : bonds, angles, dihedrals and impropers by these names; None for those of the universe.
     The topology is None where names, numbers or chains of residues are missing, or a text is not ASCII.
-    source : in words, for messages.  masses, elements : given by the user, see elements.identified.
+    source : in words, for messages.
+    masses, elements : given by the user, see elements.identified.
 
     Raises TypeError for anything else.  ValueError for atoms whose masses are neither stated nor known by their
     elements, where the units have no default, and for velocities in unknown units.
@@ -74,7 +75,8 @@ def universe_arguments(
 
 def _scales(trajectory: Any, units: UnitSystem, source: str) -> tuple[float, float]:
     """Factors from the numbers of a trajectory to lengths and velocities in units; 1 for reduced units, in which
-    numbers are those of the file.  Raises ValueError for velocities of LAMMPS files that state neither real nor metal
+    numbers are those of the file.
+    Raises ValueError for velocities of LAMMPS files that state neither real nor metal
     units."""
     native = trajectory.units
     length = native.get("length") or "Angstrom"
@@ -95,7 +97,9 @@ def _scales(trajectory: Any, units: UnitSystem, source: str) -> tuple[float, flo
                 f"the velocities of {source} are in units that its LAMMPS file does not state as real or metal; "
                 "read it with minimd.ase.system_from_file and lammps_units="
             )
+
         scale *= 1.0 if name == "real" else 1.0 / to_speed
+
     to_length = 1.0 if is_converted else get_conversion_factor("length", length, "Angstrom")
     return to_length / units.to_angstrom, scale * units.to_picosecond / units.to_angstrom
 

@@ -28,7 +28,8 @@ def kinetic_energy_of(mass, vx, vy, vz):
 
 @kernel
 def kinetic_energy(velocities, masses, step=0.0):
-    """K = Σ ½ m v² [energy].  step : each atom's share is rounded to a multiple of it, so that their order does not
+    """K = Σ ½ m v² [energy].
+    step : each atom's share is rounded to a multiple of it, so that their order does not
     matter; 0 for no rounding."""
     total = 0.0
     for i in range(velocities.shape[0]):
@@ -48,7 +49,8 @@ def leaves_out_center(n_atoms: int, conserves_momentum: bool) -> bool:
 def degrees_of_freedom(
     n_atoms: int, n_constraints: int = 0, conserves_momentum: bool = True
 ) -> int:
-    """3N − 3 − n_constraints if leaves_out_center, else 3N − n_constraints.  n_atoms : without those held fixed.
+    """3N − 3 − n_constraints if leaves_out_center, else 3N − n_constraints.
+    n_atoms : without those held fixed.
     Raises ValueError if none is left."""
     n_dof = (
         3 * n_atoms - (3 if leaves_out_center(n_atoms, conserves_momentum) else 0) - n_constraints
@@ -68,14 +70,16 @@ def center(vectors: Array, masses: Array, conserves_momentum: bool = True) -> Ar
 
 
 def thermal_energy(kinetic: float, drift: Array, masses: Array) -> float:
-    """½ Σ m (v − V)² = K − ½ V² Σ m [energy]; 0 if what is left of K is only rounding.  drift : V,
+    """½ Σ m (v − V)² = K − ½ V² Σ m [energy]; 0 if what is left of K is only rounding.
+    drift : V,
     center of velocities."""
     left = kinetic - 0.5 * float(sum_in_any_order(masses)) * float((drift * drift).sum())
     return 0.0 if left <= AT_REST * kinetic else left
 
 
 def temperature(kinetic: Numbers, n_dof: Numbers, k_B: float = 1.0) -> Numbers:
-    """Kinetic temperature T = 2K / (n_dof k_B), of numbers or arrays.  kinetic : see thermal_energy.
+    """Kinetic temperature T = 2K / (n_dof k_B), of numbers or arrays.
+    kinetic : see thermal_energy.
     n_dof : see degrees_of_freedom."""
     return 2.0 * kinetic / (n_dof * k_B)
 
@@ -94,7 +98,8 @@ def stress(velocities: Array, masses: Array, virial: Array, volume: float) -> Ar
 
 @kernel
 def momentum(velocities, masses, step=0.0):
-    """P = Σ m v [mass length/time], (3,).  step : as for kinetic_energy; with that of a Grid, the sum is exact."""
+    """P = Σ m v [mass length/time], (3,).
+    step : as for kinetic_energy; with that of a Grid, the sum is exact."""
     px = py = pz = 0.0
     for i in range(masses.size):
         px += on_grid(masses[i] * velocities[i, 0], step)
@@ -186,7 +191,9 @@ def maxwell_boltzmann(
     """Normally distributed velocities, (N, 3), with total momentum zero and kinetic temperature exactly the target.
 
     Each component has variance k_B T/m before the mean motion is removed and the rest rescaled.
-    masses : (N,).  target : T ≥ 0 [temperature].  seed : of numpy's PCG64; None for a new draw each time.
+    masses : (N,).
+    target : T ≥ 0 [temperature].
+    seed : of numpy's PCG64; None for a new draw each time.
     Raises ValueError if the target is negative or not finite, or the seed is not a whole number."""
     target = checked_number("temperature", target, "finite and not negative")
     generator = np.random.default_rng(
@@ -207,7 +214,8 @@ def maxwell_boltzmann(
 def rescaled(
     velocities: Array, masses: Array, target: float, k_B: float, n_dof: int, drift: Array
 ) -> Array:
-    """V + √(T_target/T) (v − V): kinetic temperature exactly the target, (N, 3).  drift : V; scaled, too, if only
+    """V + √(T_target/T) (v − V): kinetic temperature exactly the target, (N, 3).
+    drift : V; scaled, too, if only
     rounding. Raises ValueError if the target is negative or not finite, or nothing moves, except all atoms alike."""
     target = checked_number("temperature", target, "finite and not negative")
     kinetic = kinetic_energy(velocities, masses)

@@ -69,6 +69,7 @@ def standard_error(parts: Array, weighted: Weighted | None = None) -> Array:
         return np.full(parts.shape[1:], np.nan)
     columns = zip(*_forms(weighted or correlated, n), strict=True)
     logs, variances, forms = map(np.array, columns)
+
     with np.errstate(all="ignore"):
         # equal numbers give 0, whatever the rounding of their mean
         rest = (parts - parts[0]).reshape(n, -1)
@@ -80,6 +81,7 @@ def standard_error(parts: Array, weighted: Weighted | None = None) -> Array:
         weights = np.exp(log_weights - log_weights.max(axis=0))
         errors = np.sqrt(variances[:, None] * q)
         error = size * (weights * errors).sum(axis=0) / weights.sum(axis=0)
+
     return np.where(size == 0.0, 0.0, error).reshape(parts.shape[1:])
 
 
@@ -152,7 +154,9 @@ def block_means(series: Array, blocks: int) -> Array:
 
 def replicas(estimate: Callable[[Array], Any], total: Array, parts: Array) -> Array:
     """Estimates from the sums over a run without one of its blocks, (K, ...), for each of K blocks; see spread.
-    estimate : function of sums (n,), linear or not; returns a number or an array.  total : (n,).  parts : (K, n),
+    estimate : function of sums (n,), linear or not; returns a number or an array.
+    total : (n,).
+    parts : (K, n),
         of blocks of equal length.
     This is the jackknife: B. Efron, C. Stein, Ann. Statist. 9, 586 (1981)."""
     # (0, ...) without blocks

@@ -53,7 +53,8 @@ class System(Displayed):
     cell : one length, three lengths, or (3, 3) rows = lattice vectors [length]; None for no cell.
     pbc : one bool or three; by default True where a lattice vector is given.
     species : N labels (str or int), or one str for all atoms, as "Ar"; all alike if not given.
-    bonds : (B, 2) int, pairs of bonded atoms.  angles : (A, 3) int, triples of atoms with an angle at the second one.
+    bonds : (B, 2) int, pairs of bonded atoms.
+    angles : (A, 3) int, triples of atoms with an angle at the second one.
     dihedrals, impropers : (D, 4), (I, 4) int, quadruples of atoms with an angle between
         the planes through the first and the last three.
     units : minimd.units.LJ (reduced, default) or minimd.units.ASE (eV, Å, u).
@@ -101,15 +102,18 @@ class System(Displayed):
                 "constraints of a System must be a list of DistanceConstraints and FixedAtoms; got "
                 f"{shown(constraints)}"
             )
+
         if masses is None and units is not unit_systems.LJ:
             raise ValueError(
                 f"masses are missing: give one number or one per atom; {units.name} units have no default"
             )
+
         if isinstance(cell, Cell) and pbc is not None:
             raise ValueError(
                 "pbc is part of the Cell given: Cell.of(vectors, pbc); give pbc to System only together with lattice "
                 "vectors"
             )
+
         self.units = units
         self.constraints = tuple(constraints)
         self.positions = _checked_vectors("positions", positions)
@@ -186,11 +190,13 @@ class System(Displayed):
             if units is unit_systems.ASE:
                 of_mass = f"{density / unit_systems.GRAM_PER_CM3:.6g} g/cm³"
             table["density"] = f"{len(self) / self.volume:.6g} atoms/{length}³, {of_mass}"
+
         if self.charges.any():
             largest = np.abs(self.charges).max()
             table["charges"] = (
                 f"net charge {self.net_charge:.6g} e, at most {largest:.6g} e on an atom"
             )
+
         for name, groups in self.groups().items():
             if len(groups):
                 table[name] = str(len(groups))
@@ -264,7 +270,8 @@ class System(Displayed):
 
         Raises
         ------
-        TypeError : for anything but a universe or a group.  ValueError : as System; for atoms whose mass is neither
+        TypeError : for anything but a universe or a group.
+        ValueError : as System; for atoms whose mass is neither
             stated nor told by their names, or 0; for velocities of LAMMPS data that does not state its units.
         """
         from minimd.core.structure.mdanalysis_atoms import universe_arguments
@@ -287,7 +294,8 @@ class System(Displayed):
 
         Raises
         ------
-        ValueError : for another suffix.  FileExistsError : if the file exists, unless overwrite=True.
+        ValueError : for another suffix.
+        FileExistsError : if the file exists, unless overwrite=True.
         """
         from minimd.core.structure.lammps_file import write_lammps_data
 
@@ -335,14 +343,17 @@ def _checked_charges(charges: Any, species_names: tuple, species_index: Indices)
                 f"charges must have a number for each species, {listed(species_names)}; they have one for "
                 f"{listed(charges)}"
             )
+
         of_species = [charges[name] for name in species_names]
         numbers = checked_numbers("charges", of_species, "one number for each species")
         charges = numbers[species_index]
+
     checked = checked_numbers("charges", charges, "one number for each atom")
     if checked.shape != (n_atoms,):
         raise ValueError(
             f"charges must be {n_atoms} numbers, one for each atom; their shape is {checked.shape}"
         )
+
     check_rows("charges", f"finite and below {LARGEST:g}", np.abs(checked) <= LARGEST, checked)
     return checked
 
@@ -371,6 +382,7 @@ def _checked_species(species: Any, n_atoms: int) -> tuple[tuple, Indices]:
         labels = species if isinstance(species, np.ndarray) else np.asarray(species, object)
     except ValueError as error:
         raise ValueError(f"{expected}: {error}") from None
+
     if labels.shape != (n_atoms,):
         raise ValueError(f"{expected}; their shape is {labels.shape}")
     labels = labels.tolist()
@@ -382,13 +394,16 @@ def _checked_species(species: Any, n_atoms: int) -> tuple[tuple, Indices]:
         raise ValueError(
             f"species must be all strings or all whole numbers; they are {shown(labels[:3])} ..."
         )
+
     names, index = np.unique(labels, return_inverse=True)
     species_names = tuple(names.tolist())
+
     for name in species_names:
         if not str(name).isprintable():
             raise ValueError(
                 f"species must be labels of printable characters; one is {shown(name)}"
             )
+
     return species_names, alike if len(names) == 1 else index.astype(np.int64)
 
 
@@ -410,7 +425,8 @@ def local_density(positions: Array, cell: Cell, width: float) -> float:
 
         ρ = Σ n (n − 1) / (N V_b)   over bins of volume V_b with n atoms: −1, because no atom is its own neighbor
 
-    positions : (N, 3) [length].  width : of a bin, or somewhat less than that of it [length].
+    positions : (N, 3) [length].
+    width : of a bin, or somewhat less than that of it [length].
     Open directions count as far as there are atoms, or with the width if that is more."""
     s = np.einsum("ij,jk->ik", positions, cell.inverse)  # not @: see observables
     s -= np.where(cell.pbc, np.floor(s), s.min(axis=0))

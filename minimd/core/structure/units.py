@@ -22,10 +22,12 @@ DEGREE = math.pi / 180.0  # rad
 class UnitSystem:
     """A consistent set of units, and the factors that convert its numbers to Å, ps and kJ/mol; default: reduced units.
     name : "ASE" or "LJ".
-    k_B : Boltzmann constant [energy/temperature].  coulomb : k_e = 1/(4π ε₀) [energy · length/e²].
+    k_B : Boltzmann constant [energy/temperature].
+    coulomb : k_e = 1/(4π ε₀) [energy · length/e²].
     to_angstrom, to_picosecond, to_kj_per_mol : factors for files that must have these units. Reduced numbers are
         written unchanged (1 σ as 1 Å, 1 τ as 1 ps, 1 ε as 1 kJ/mol), as most tools do.
-    shown_time : name of the unit of time · to_picosecond, as it is shown.  small_time : the same for time steps, of
+    shown_time : name of the unit of time · to_picosecond, as it is shown.
+    small_time : the same for time steps, of
         which shown_small_time make one.
     length, volume, time, energy, temperature, pressure, momentum, angular_momentum : names of the units, for files,
         plots and reports."""

@@ -67,7 +67,9 @@ NOWHERE = np.zeros(3)
 
 
 def strained(vectors: Array, matrix: Array, out: Array, shift: Array = NOWHERE) -> None:
-    """out = vectors @ matrix + shift; both may be one array.  vectors, out : (n, 3) or (n, 3, m).  matrix : (3, 3).
+    """out = vectors @ matrix + shift; both may be one array.
+    vectors, out : (n, 3) or (n, 3, m).
+    matrix : (3, 3).
     shift : (3,)."""
     multiply_blocks(as_blocks(vectors), np.ascontiguousarray(matrix), shift, as_blocks(out))
 

@@ -43,7 +43,8 @@ REFUSED = 1e-8
 
 class Hessenberg(DifferentialAlgebraic):
     """What the forms have in common: parts of the state, and a chain of constraints, each of which determines one of
-    the last parts.  functions : of the user, in the order in which they are named, each of t and of its first parts."""
+    the last parts.
+    functions : of the user, in the order in which they are named, each of t and of its first parts."""
 
     names: ClassVar[tuple[str, ...]]  # of the parts
     # one for each part: its name, of how many parts it is a function
@@ -107,10 +108,12 @@ class Hessenberg(DifferentialAlgebraic):
         return np.diag(is_differential.astype(float))
 
     def _consistent(self, start: Any, t: float, kept: float, refused: float) -> Array:
-        """The state whose parts are roots of the constraints that determine them.  kept, refused : moves of a part,
+        """The state whose parts are roots of the constraints that determine them.
+        kept, refused : moves of a part,
         relative to its size, up to which it stays as it is, and above which the start is refused."""
         parts = self._begun(start, t)
         n_fixed = len(parts) - len(self.chain)
+
         for i, equation in enumerate(self.chain, n_fixed):
             k = i - n_fixed
             is_last = i == len(parts) - 1
@@ -128,11 +131,13 @@ class Hessenberg(DifferentialAlgebraic):
                 largest = max(np.abs(other).max() for other in parts)
                 if own <= KEPT * largest:  # it is only rounding
                     own = largest
+
             if not are_independent(violation, part, step, own):
                 raise ValueError(
                     f"{self.regular} must have full rank at the start, t = {t:g}, or the index is higher than "
                     f"{self.index}: the constraints 0 = {equation} do not determine {name}"
                 )
+
             root = nearest_root(violation, part, step, size=own)
             move = np.abs(root - part).max()
             size = max(own, np.abs(root).max())
@@ -144,8 +149,10 @@ class Hessenberg(DifferentialAlgebraic):
                     f"the start violates the {kind} 0 = {equation}: its element {worst} is {defect[worst]:.2e} "
                     f"at t = {t:g}, and {name} would have to move by {move:.1e}; {ADVICE}"
                 )
+
             if is_last or move > kept * size:
                 parts[i] = root
+
         return np.concatenate(parts)
 
     def _size_of_algebraic(self, t: float, parts: list[Array]) -> float:
@@ -171,28 +178,33 @@ class Hessenberg(DifferentialAlgebraic):
             raise ValueError(
                 f"the start must be a tuple of {', '.join(names)} ({names[-1]} {option}); got {shown(start)}"
             )
+
         parts = []
         for name, part in zip(names, start, strict=False):
             numbers = checked_numbers(f"{name} of the start", part, "numbers")
             parts.append(numbers.reshape(-1))
         if len(parts) < n:
             parts.append(np.zeros(self.constraint(0, t, *parts).size))
+
         for name, part in zip(names, parts, strict=True):
             if part.size == 0 or not np.isfinite(part).all():
                 raise ValueError(
                     f"{name} of the start must have at least one element, and finite ones; got {part}"
                 )
+
         sizes = [part.size for part in parts]
         ends = list(accumulate(sizes, initial=0))
         self._slices = tuple(map(slice, ends, ends[1:]))
         self.levels = np.repeat(np.maximum(np.arange(n) + self.index - n, 0), sizes)
         answers = self._answers(t, *parts)
+
         for (name, _), answer, part in zip(self.functions, answers, parts, strict=True):
             if answer.size != part.size:
                 raise ValueError(
                     f"{name} must answer with as many numbers as it has variables, {part.size} as in the start; got "
                     f"{answer.size}"
                 )
+
         return parts
 
     def _answers(self, t: float, *parts: Array) -> Parts:
@@ -226,7 +238,8 @@ class Hessenberg2(Hessenberg):
 
     Parameters
     ----------
-    f : function of t, y, z.  g : of t, y; or of some of them under these names.
+    f : function of t, y, z.
+    g : of t, y; or of some of them under these names.
 
     The start is (y,), or (y, z) with a guess of z.
     """
@@ -249,7 +262,9 @@ class Hessenberg3(Hessenberg):
 
     Parameters
     ----------
-    f : function of t, y, z.  k : of t, y, z, u.  g : of t, y; or of some of them under these names.
+    f : function of t, y, z.
+    k : of t, y, z, u.
+    g : of t, y; or of some of them under these names.
 
     The start is (y, z), or (y, z, u) with a guess of u.
     """
@@ -289,7 +304,8 @@ class Mechanical(Hessenberg):
     ----------
     mass : number, (n,) diagonal, (n, n) matrix, or a function of q that answers with one of them [mass].
     force : function of t, q, v, or of some of them under these names [force].
-    g : (m,) constraints, function of t, q.  jacobian : (m, n) G = ∂g/∂q, a function of the same; by differences of
+    g : (m,) constraints, function of t, q.
+    jacobian : (m, n) G = ∂g/∂q, a function of the same; by differences of
         order 6 if not given.
 
     The start is (q, v), or (q, v, λ) with a guess of λ; the force of the constraints is −Gᵀ λ. An error of G is one of

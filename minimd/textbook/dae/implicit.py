@@ -102,11 +102,13 @@ class Implicit(DifferentialAlgebraic):
                 "the start must be y, or (y, y′), one-dimensional arrays of the same length with finite elements; "
                 f"got {shown(start)}"
             )
+
         n_equations = self.residual(t, y, slope).size
         if n_equations != y.size:
             raise ValueError(
                 f"there must be as many equations as variables; F has {n_equations}, y has {y.size}"
             )
+
         self._slope = slope
         derivatives = np.abs(self.slope_jacobian(t, y, slope))
         mobility = np.where(derivatives.max(axis=0) <= ABSENT * derivatives.max(), 1.0, least)
@@ -119,10 +121,12 @@ class Implicit(DifferentialAlgebraic):
                 f"the index must be at most {HIGHEST_INDEX}; that of F_y′ y′ + F_y y at the start is {self.index}; "
                 "differentiate constraints"
             )
+
         if self.index > 1:
             jet = [slope, *np.zeros((self.index - 1, y.size))]
             unit = unit_of_time(np.append(y, size), slope)
             y, slope = self._solved(t, y, jet, mobility, unit, size)
+
         # the larger levels of those at the start and at a random point near it, where no derivative vanishes by chance
         aside = 0.01 * (np.abs(y).max() or 1.0) * np.random.default_rng(0).uniform(0.5, 1.0, y.size)
         levels = [_levels(*self._pencil(t, state, slope)) for state in (y, y + aside)]
@@ -139,7 +143,9 @@ class Implicit(DifferentialAlgebraic):
         self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float, size: float
     ) -> tuple[Array, Array]:
         """y and y′ with F = 0 and dᵏF/dtᵏ = 0 for k below the number of derivatives in the jet (y′, y″, …).
-        mobility : (n,) how easily variables move, 0 for fixed ones.  unit : of time.  size : of the largest variable.
+        mobility : (n,) how easily variables move, 0 for fixed ones.
+        unit : of time.
+        size : of the largest variable.
         """
         order = len(jet)
         scales = unit ** np.arange(1, order + 1)
@@ -177,6 +183,7 @@ class Implicit(DifferentialAlgebraic):
                 f"{rest[k] / unit**n:.2e} at t = {t:g} for every choice of y′ and of the variables that have no "
                 f"derivative in F; {ADVICE}"
             )
+
         state, slope, *_ = series(x)
         return state, slope
 
@@ -215,7 +222,8 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
 
     Parameters
     ----------
-    M, A : (n, n).  tolerance : singular values below this part of the largest one are zero; rows and time are scaled.
+    M, A : (n, n).
+    tolerance : singular values below this part of the largest one are zero; rows and time are scaled.
 
     Raises
     ------
@@ -230,6 +238,7 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
         raise ValueError(
             f"M and A must be square matrices of the same size; got shapes {m.shape} and {a.shape}"
         )
+
     if not (np.isfinite(m).all() and np.isfinite(a).all()):
         raise ValueError("M and A must be finite")
     n = len(m)
@@ -237,6 +246,7 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
     # in a unit of time of its own, on which the index does not depend
     m = m / (np.abs(m).max() or 1.0)
     a = a / (np.abs(a).max() or 1.0)
+
     while True:
         left, sizes, _ = np.linalg.svd(m)
         rank = int((sizes > tolerance * max(sizes[0], np.abs(a).max())).sum())
@@ -251,6 +261,7 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
                 f"equations without y′ depend on each other (singular values from {independent[0]:.1e} to "
                 f"{independent[-1]:.1e}), so that some variable is not determined"
             )
+
         m = np.vstack([regular @ m, constraints])
         a = np.vstack([regular @ a, np.zeros_like(constraints)])
         sizes = np.linalg.norm(m, axis=1)

@@ -104,6 +104,7 @@ class Holonomic(SecondOrder):
                 "the gradients of g must be independent at the start; singular values of G M^(-1/2) from "
                 f"{sizes[0]:.1e} to {sizes[-1]:.1e}"
             )
+
         violation = np.abs(self.violation(q)).max()
         q1 = projected(self, q, q) if violation > 0.0 else q
         v1 = tangent(self, q1, v)
@@ -115,6 +116,7 @@ class Holonomic(SecondOrder):
                 f"the start was projected onto the constraints: q by {move:.1e} (g was {violation:.1e}), v by "
                 f"{turn:.1e}"
             )
+
         self.remark = remark_on_differences(self.violation, self._jacobian, q1)
         return np.concatenate([q1, v1])
 
@@ -147,7 +149,8 @@ class Holonomic(SecondOrder):
 
 
 def projected(problem: Holonomic, q0: Array, q: Array, iteration: Iteration | None = None) -> Array:
-    """The point q + M⁻¹ G(q0)ᵀ λ with g = 0.  Raises ConvergenceError if there is none near q."""
+    """The point q + M⁻¹ G(q0)ᵀ λ with g = 0.
+    Raises ConvergenceError if there is none near q."""
     directions = problem.directions(problem.jacobian(q0))
     iteration = iteration or problem.solver.iteration()
     multipliers = iteration.solve(

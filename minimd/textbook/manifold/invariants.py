@@ -73,7 +73,8 @@ class Invariants:
 
     def through(self, y: Array, shape: Shape = None) -> "Manifold":
         """The manifold g = value, or g = g(y) if no value was given.
-        y : (n,) state.  shape : of q and v, None for problems without them.
+        y : (n,) state.
+        shape : of q and v, None for problems without them.
         Raises ValueError if the numbers of values, derivatives and unknowns do not fit, or values are not finite."""
         return Manifold(self, y, shape)
 
@@ -90,15 +91,18 @@ class Manifold:
             raise ValueError(
                 f"value must have one number per invariant; g has {answer.size}, value has {self.value.size}"
             )
+
         if not 0 < answer.size < y.size:
             raise ValueError(
                 f"there must be fewer invariants than unknowns, and at least one; got {answer.size} invariants of "
                 f"{y.size} unknowns"
             )
+
         if not (np.isfinite(answer).all() and np.isfinite(self.value).all()):
             raise ValueError(
                 f"g and its value must be finite at the start; g = {_brief(answer)}, value = {_brief(self.value)}"
             )
+
         if invariants.jacobian is None:
             return
         size = invariants.jacobian(y, shape).size
@@ -144,7 +148,8 @@ Begun = Callable[[Array, Shape], None]
 
 
 class Corrected(Problem):
-    """A problem with a correction of y′, a function of the state.  begun : called with each start and its shape."""
+    """A problem with a correction of y′, a function of the state.
+    begun : called with each start and its shape."""
 
     def __init__(self, problem: Any, correction: Map, begun: Begun, *functions: Function) -> None:
         super().__init__(*functions, solver=problem.solver)  # type: ignore[call-arg]
@@ -214,7 +219,8 @@ def stabilized(
 
     Raises
     ------
-    ValueError : if γ is not positive and finite.  TypeError : for problems of other kinds.
+    ValueError : if γ is not positive and finite.
+    TypeError : for problems of other kinds.
     ConvergenceError : from a run, where the gradients of the invariants are not independent.
     """
     check_invariants(invariants)
@@ -411,7 +417,8 @@ def index_two(problem: Problem, invariants: Invariants) -> IndexTwo:
 
 def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Array:
     """arrive(z) with g(arrive(z)) = g₀, to rounding: Newton's method from z = 0, the matrix updated as by Broyden.
-    arrive : (n,) state as a function of (m,) numbers z.  slope : answers with a guess of ∂g(arrive(z))/∂z, (m, m).
+    arrive : (n,) state as a function of (m,) numbers z.
+    slope : answers with a guess of ∂g(arrive(z))/∂z, (m, m).
     Raises ConvergenceError with the largest error of an invariant.
     C. G. Broyden, Math. Comput. 19, 577 (1965), eq. 4.2."""
     z = np.zeros(manifold.value.size)
@@ -423,6 +430,7 @@ def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Arra
     least = np.max(np.abs(defect) / scale)
     n_stalls = 0
     matrix = slope() if least > EPS else np.eye(z.size)
+
     for _ in range(MAX_CORRECTIONS):
         has_ended = least <= EPS or n_stalls > 1
         if has_ended or not np.isfinite(defect).all() or not np.linalg.det(matrix):
@@ -438,6 +446,7 @@ def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Arra
         if error < least:
             best = y
             least = error
+
     if least <= SMALL:
         return best
     k = np.argmax(np.abs(defect) / scale)
@@ -468,6 +477,7 @@ def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:
             raise TypeError(
                 f"{name} takes q and v, but the problem has none; write it as a function of y"
             )
+
         halves = y.reshape(2, *shape) if takes_halves and shape is not None else (y, y)
         return checked_values(call(0.0, y, *halves), None, name)
 

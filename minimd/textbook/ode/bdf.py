@@ -59,7 +59,8 @@ class BDFStep:
         return self._start.nfev + self._equations.nfev
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
-        """y(t+h).  Raises TypeError if y is not the last state, and k > 1."""
+        """y(t+h).
+        Raises TypeError if y is not the last state, and k > 1."""
         if not self._states or self._k == 1:
             self._states.appendleft(y)
         if self._states[0] is not y:

@@ -84,8 +84,11 @@ States = Iterable[tuple[float, Array]]
 class Solution(Displayed):
     """A path on a grid of times.
 
-    t : (n + 1,) times.  y : (n + 1, size) states.  q, v : (n + 1, …) positions and velocities, of problems with them.
-    nfev : evaluations of the right-hand side (of f, for problems with q and v).  n_rejected : steps tried in vain.
+    t : (n + 1,) times.
+    y : (n + 1, size) states.
+    q, v : (n + 1, …) positions and velocities, of problems with them.
+    nfev : evaluations of the right-hand side (of f, for problems with q and v).
+    n_rejected : steps tried in vain.
     success, message : whether the end was reached, and if not, why; if so, what limits the accuracy beside the method
         and rounding.
     density : of run_reversible, (n + 1,) values of ρ at its times, dimensionless, for a run on or back."""
@@ -134,7 +137,8 @@ class Solution(Displayed):
 
 class Path:
     """The states that are kept of a run: every so many, and the last one.
-    counts : what has counted evaluations, in nfev.  stopped : why a run ended early; empty if it did not.
+    counts : what has counted evaluations, in nfev.
+    stopped : why a run ended early; empty if it did not.
     densities : ρ at the times of reversible steps."""
 
     def __init__(self, problem: Problem, start: Any, t0: float, every: int = 1) -> None:
@@ -176,7 +180,9 @@ class Path:
                 self.stopped = f"{step}: {error}"
             else:
                 self.stopped = f"{step} with timestep {timestep:g}: {error}; reduce the timestep"
+
             raise failed(type(error), self.solution()) from None
+
         return self.solution()
 
     def solution(self) -> Solution:
@@ -214,7 +220,8 @@ def run_steps(
     ----------
     problem : SecondOrder, Partitioned, FirstOrder, or a differential-algebraic one.
     method : a method with its time step, such as VelocityVerlet(0.05).
-    start : (q, v), or y, at time t0.  every : steps between the states that are kept; the last one is kept too.
+    start : (q, v), or y, at time t0.
+    every : steps between the states that are kept; the last one is kept too.
 
     Raises
     ------
@@ -402,6 +409,7 @@ def run_adaptive(
         raise ValueError(
             f"atol must be a number, or an array of length {y.size}, one for each component of y; got shape {shape}"
         )
+
     return path.through(_adaptive(path, method, t_end, control))
 
 
@@ -418,6 +426,7 @@ def _adaptive(path: Path, method: type[Method], t_end: float, control: StepContr
     direction = copysign(1.0, t_end - t)
     span = abs(t_end - t)
     h = control.first(problem.field(t, y), y, span, control.shortest(t, span))
+
     while t != t_end:
         rest = abs(t_end - t)
         is_last = h >= rest * (1.0 - LEFTOVER)
@@ -436,6 +445,7 @@ def _adaptive(path: Path, method: type[Method], t_end: float, control: StepContr
                 difference = problem.error_weights(signed) * difference
             error = control.excess(difference / (2.0**order - 1.0), y, y_fine)
             why = f"its error is {error:.1e} times what is allowed"
+
         if error <= 1.0:
             t = t_end if is_last else t + signed
             y = y_fine
@@ -448,6 +458,7 @@ def _adaptive(path: Path, method: type[Method], t_end: float, control: StepContr
             return
         else:
             path.n_rejected += 1
+
         n += 1
         if n >= control.max_steps and t != t_end:
             path.stopped = (
@@ -455,6 +466,7 @@ def _adaptive(path: Path, method: type[Method], t_end: float, control: StepContr
                 "loosen rtol and atol, or raise max_steps"
             )
             return
+
         h = control.after(h, error, order)
 
 
@@ -465,7 +477,8 @@ class DensityControl:
     Parameters
     ----------
     rate : G(t, q, v) = d ln ρ/dt [1/time], odd in v; if not given, ρ follows |f|^¾, at two more evaluations per step.
-    density : ρ at the start, dimensionless.  max_steps : int, limit of the number of steps.
+    density : ρ at the start, dimensionless.
+    max_steps : int, limit of the number of steps.
 
     Raises
     ------
@@ -515,6 +528,7 @@ def run_reversible(
         raise ValueError(
             f"reversible steps need a symmetric method, such as VelocityVerlet; {method.name} is not"
         )
+
     path = Path(problem, start, t0, every)
     return path.through(_reversible(path, method, t_end, control), method.timestep)
 
@@ -532,6 +546,7 @@ def _reversible(path: Path, method: Method, t_end: float, control: DensityContro
     # between the density of the last step and that of the next one
     rho = path.densities[t] = control.density
     change = epsilon * float(rate(t, *problem.halves(y)))
+
     while (t_end - t) * copysign(1.0, epsilon) > 0.0 and n < control.max_steps:
         rho += 0.5 * change
         if not rho > 0.0 or t + epsilon / rho == t:
@@ -548,6 +563,7 @@ def _reversible(path: Path, method: Method, t_end: float, control: DensityContro
         change = epsilon * float(rate(t, *problem.halves(y)))
         rho = path.densities[t] = rho + 0.5 * change
         yield t, y
+
     if t != t_end:
         path.stopped = (
             f"stopped at t = {t:g} after {n} steps, where their density ρ is {rho:.1e}; "
@@ -585,8 +601,10 @@ def stormer_two_step(
 
     Parameters
     ----------
-    f : acceleration of positions, both of the shape of q0 [length/time²].  q0, v0 : start [length], [length/time].
-    timestep : Δt [time], negative to run backwards.  n_steps : at least 1.
+    f : acceleration of positions, both of the shape of q0 [length/time²].
+    q0, v0 : start [length], [length/time].
+    timestep : Δt [time], negative to run backwards.
+    n_steps : at least 1.
 
     Raises
     ------
@@ -633,6 +651,7 @@ def _stormer(
         raise ValueError(
             f"q0, v0 and f(q0) must have the same shape; got {q0.shape}, {v0.shape} and {a0.shape}"
         )
+
     n_states = n_steps + 1
     q = np.empty((n_states + 1, *q0.shape))
     increments = np.empty((n_states, *q0.shape))

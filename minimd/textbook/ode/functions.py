@@ -36,7 +36,8 @@ def arguments(
 ) -> list[str]:
     """Which of the named arguments a function takes: by their names and in their order, else by their number, if it
     takes all of them or the usual ones.
-    names, usual : separated by blanks; all are usual if none is.  unknown : what a function takes that cannot be
+    names, usual : separated by blanks; all are usual if none is.
+    unknown : what a function takes that cannot be
     asked, if not the usual.
     Raises TypeError for anything else; label is its name in the message, wanted what it should be."""
     checked_kind(label, function, Callable, wanted)
@@ -46,12 +47,15 @@ def arguments(
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):  # written in C, such as numpy.sin
         return unknown.split() or most
+
     taken = []
+
     for parameter in parameters:
         if parameter.kind is parameter.VAR_POSITIONAL:
             taken.append(f"*{parameter.name}")
         elif parameter.kind is not parameter.VAR_KEYWORD and parameter.default is parameter.empty:
             taken.append(parameter.name)
+
     if taken == [name for name in every if name in taken]:
         return taken
     places = every if len(taken) == len(every) else most
@@ -146,18 +150,21 @@ ENOUGH = 1e-9
 
 
 def forward_differences(function: Map, x: Array, at_x: Array) -> Array:
-    """∂function/∂x, one column per variable: half the evaluations of central differences.  at_x : function(x)."""
+    """∂function/∂x, one column per variable: half the evaluations of central differences.
+    at_x : function(x)."""
     return _differences(function, x, FORWARD * _sizes(x, LEAST), at_x)
 
 
 def central_differences(function: Map, x: Array, step: float = CENTRAL, size: float = 0.0) -> Array:
-    """∂function/∂x, one column per variable.  step : relative to each variable; wide for noisy functions.
+    """∂function/∂x, one column per variable.
+    step : relative to each variable; wide for noisy functions.
     size : of the largest variable, where x may be smaller by chance."""
     return _differences(function, x, step * _sizes(x, LEAST, size))
 
 
 def _sizes(x: Array, least: float, largest: float = 0.0) -> Array:
-    """(n,) sizes of variables.  least : relative to the largest, which is at least as large as given; none is zero."""
+    """(n,) sizes of variables.
+    least : relative to the largest, which is at least as large as given; none is zero."""
     return np.maximum(np.abs(x), least * (max(np.abs(x).max(), largest) or 1.0))
 
 
@@ -182,7 +189,8 @@ def accurate_differences(function: Map, x: Array, narrowed: float = 1.0) -> Arra
     """∂function/∂x, one column per variable, to some 1e-13, at worst 1e-12 of the terms of the function:
     six evaluations of it for a variable.
     Spacings are up to 1/256 of a variable, and are narrowed while the formulas of order 6 and 4 differ, or the function
-    has no value there.  narrowed : factor of all spacings.  The result is NaN where no spacing gives one."""
+    has no value there.
+    narrowed : factor of all spacings.  The result is NaN where no spacing gives one."""
     at_x = np.tile(function(x), (x.size, 1))
     units = narrowed * np.exp2(np.floor(np.log2(_sizes(x, LEAST_WIDE))))
 
@@ -225,7 +233,8 @@ def unit_of_time(y: Array, *derivatives: Array) -> float:
 
 
 def time_derivative(path: Path, order: int, unit: float) -> Array:
-    """The first or second derivative of a path at 0.  unit : time in which the path changes by its size [time]."""
+    """The first or second derivative of a path at 0.
+    unit : time in which the path changes by its size [time]."""
     return _derivative(path, path(0.0), order, (unit * SPACINGS).tolist())
 
 
@@ -233,16 +242,20 @@ def _derivative(
     path: Path, start: Array, order: int, spacings: list[float], enough: float = 0.0
 ) -> Array:
     """A derivative at 0, each element from the spacing with its least estimated error: |order 6 − order 4| + rounding.
-    start : path(0).  spacings : widest first.  enough : relative error with which an element is settled."""
+    start : path(0).
+    spacings : widest first.
+    enough : relative error with which an element is settled."""
     best = np.full(start.shape, np.nan)
     least = np.full(start.shape, np.inf)
     largest = np.zeros(start.shape)
+
     for spacing in spacings:
         try:
             with np.errstate(all="ignore"):
                 values = np.array([path(k * spacing) for k in OFFSETS]) - start
         except (ValueError, ArithmeticError):  # outside the domain of a function such as math.sqrt
             continue
+
         scale = spacing**order
         sixth, fourth = (np.tensordot(weights, values, 1) / scale for weights in WEIGHTS[order])
         changes = np.abs(values).max(axis=0)
@@ -255,4 +268,5 @@ def _derivative(
         least[is_noise | (error <= enough * changes / scale)] = 0.0
         if not least.any():
             break
+
     return best

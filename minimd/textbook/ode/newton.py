@@ -91,7 +91,8 @@ class Newton:
 
 
 class FixedPoint(Newton):
-    """Fixed-point iteration x ← φ(x), without a Jacobian; for short steps only.  Parameters, Raises : as Newton."""
+    """Fixed-point iteration x ← φ(x), without a Jacobian; for short steps only.
+    Parameters, Raises : as Newton."""
 
     slow = 1.0  # there is no Jacobian to renew
 
@@ -132,16 +133,20 @@ class Iteration:
         floor: Sizes | None = None,
         nothing: float = 0.0,
     ) -> Array:
-        """x with residual(x) = 0, to rounding, from a first guess.  Raises ConvergenceError with the largest residual.
-        jacobian : ∂residual/∂x, a function of x.  key : what J depends on beside x, such as the time step; J is renewed
+        """x with residual(x) = 0, to rounding, from a first guess.
+        Raises ConvergenceError with the largest residual.
+        jacobian : ∂residual/∂x, a function of x.
+        key : what J depends on beside x, such as the time step; J is renewed
             when it changes.
         scale : least sizes of the unknowns for relative errors, one number or an array; the equations are scaled by an
-            array too.  floor : the same for corrections that no longer shrink; scale if not given.
+            array too.
+        floor : the same for corrections that no longer shrink; scale if not given.
         nothing : corrections up to this size end the iteration, whatever the unknowns."""
         floor = scale if floor is None else floor
         before = np.inf
         last = np.inf
         slow = self.solver.slow
+
         for _ in range(self.solver.max_iterations):
             r = residual(x)
             if not r.any():
@@ -165,6 +170,7 @@ class Iteration:
                 self._factors = None
             else:
                 before = size
+
         self._factors = None
         residual_reached = "their residual is not finite"
         if np.isfinite(r).all():
@@ -189,6 +195,7 @@ def nearest_root(
     size : of the largest variable, where x may be smaller by chance."""
     least = np.inf
     size = max(size, np.abs(x).max())
+
     for _ in range(MAX_ITERATIONS):
         c = function(x)
         if not (c.any() and np.isfinite(c).all()):
@@ -203,6 +210,7 @@ def nearest_root(
         least = move
         if move <= EPS * largest:
             break
+
     return x
 
 

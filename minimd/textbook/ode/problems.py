@@ -56,8 +56,10 @@ class FirstOrder(Problem):
 
     Parameters
     ----------
-    f : function of t and y, or of y.  jacobian : (n, n) ∂f/∂y as a function of the same, by finite differences if not
-        given.  solver : Newton() or FixedPoint().
+    f : function of t and y, or of y.
+    jacobian : (n, n) ∂f/∂y as a function of the same, by finite differences if not
+        given.
+    solver : Newton() or FixedPoint().
     """
 
     shape = None
@@ -170,7 +172,9 @@ class Partitioned(Problem):
         return np.concatenate([self.g(t, q, v), self.f(t, q, v)])
 
     def drift(self, t: float, q: Array, v: Array, duration: float, _iteration: Iteration) -> None:
-        """q += duration · q′, in place.  q, v : (n,).  _iteration : of the step, for drifts that solve equations."""
+        """q += duration · q′, in place.
+        q, v : (n,).
+        _iteration : of the step, for drifts that solve equations."""
         push(q, duration, self.g(t, q.reshape(self.shape), v.reshape(self.shape)))
 
     def settle(self, q: Array, v: Array) -> None:
@@ -182,7 +186,8 @@ class SecondOrder(Partitioned):
 
     Parameters
     ----------
-    f : a function of q, of t and q, or of t, q and v.  f_v, solver : as for Partitioned.
+    f : a function of q, of t and q, or of t, q and v.
+    f_v, solver : as for Partitioned.
     """
 
     drifts_on_lines = True
@@ -266,6 +271,7 @@ class SequenceStep:
         q = y[:n]
         v = y[n:]
         q_shaped, v_shaped = problem.halves(y)
+
         for is_kick, coefficient in self._substeps:
             duration = coefficient * h
             if is_kick:
@@ -274,12 +280,15 @@ class SequenceStep:
                     self.nfev += 1
                 push(v, duration, force)
                 continue
+
             if problem.drifts_on_lines:
                 push(q, duration, v)
             else:
                 problem.drift(t, q, v, duration, self._iteration)
+
             t += duration
             force = None
+
         if not problem.drifts_on_lines:
             problem.settle(q, v)
         self._last = y
@@ -330,7 +339,8 @@ class EulerStep:
     def _solved(
         self, unknown: str, x0: Array, place: Place, duration: float, iteration: Iteration
     ) -> Array:
-        """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one is constant.  place : (t, q, v)
+        """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one is constant.
+        place : (t, q, v)
         with this x."""
         problem = self._problem
         field = problem.f if unknown == "v" else problem.g

@@ -55,7 +55,8 @@ VANISHING = 1e-30
 class Tableau(NamedTuple):
     """Coefficients of a Runge-Kutta method with s stages.
 
-    beta : (s, s).  weights, nodes : (s,).  All dimensionless; Σ_j β_ij = c_i."""
+    beta : (s, s).
+    weights, nodes : (s,).  All dimensionless; Σ_j β_ij = c_i."""
 
     beta: Array
     weights: Array
@@ -138,7 +139,8 @@ def collocation(nodes: ArrayLike) -> Tableau:
 def gauss(n_stages: int) -> Tableau:
     """Gauss-Legendre nodes, the zeros of P_s(2c − 1): order 2s, symplectic and symmetric.
 
-    J. C. Butcher, Math. Comput. 18, 50 (1964).  Raises ValueError for a number of stages below 1 or too large."""
+    J. C. Butcher, Math. Comput. 18, 50 (1964).
+    Raises ValueError for a number of stages below 1 or too large."""
     n_stages = checked_count("n_stages", n_stages, limit=MOST_STAGES)
     rounded = collocation((1.0 + np.polynomial.legendre.leggauss(n_stages)[0]) / 2.0)
     # else invariants drift with the rounding of M
@@ -215,7 +217,8 @@ class StageEquations:
 
     F is the residual of the problem. Slopes are found to the rounding of h K, which they add to the state, in each
     variable separately. In variables of index 2 and 3 rounding is amplified by 1/h and 1/h² (E. Hairer, G. Wanner,
-    Solving ODEs II (1996), VII.4).  nfev : number of evaluations of the right-hand side."""
+    Solving ODEs II (1996), VII.4).
+    nfev : number of evaluations of the right-hand side."""
 
     def __init__(self, problem: Problem) -> None:
         self.nfev = 0
@@ -223,8 +226,13 @@ class StageEquations:
         self._iteration = problem.solver.iteration()
 
     def slopes(self, times: Array, base: Array, weights: Array, guess: Array, h: float) -> Array:
-        """(s, n) K with F(t_i, b_i + Σ_j weights_ij K_j, K_i) = 0.  Raises ConvergenceError with the largest residual.
-        times : (s,).  base : (n,) b, the same for all stages.  weights : (s, s) h β.  guess : (s, n).  h : [time]."""
+        """(s, n) K with F(t_i, b_i + Σ_j weights_ij K_j, K_i) = 0.
+        Raises ConvergenceError with the largest residual.
+        times : (s,).
+        base : (n,) b, the same for all stages.
+        weights : (s, s) h β.
+        guess : (s, n).
+        h : [time]."""
 
         n = base.size
 
@@ -237,11 +245,13 @@ class StageEquations:
 
         def jacobian(unknowns: Array) -> Array:
             matrix = np.empty((unknowns.size, unknowns.size))
+
             for i, stage in enumerate(stages(unknowns)):
                 own = slice(i * n, (i + 1) * n)
                 of_state, of_slope = self._jacobians(*stage)
                 matrix[own] = np.kron(weights[i], of_state)
                 matrix[own, own] += of_slope
+
             return matrix
 
         key = (h, *weights[0])

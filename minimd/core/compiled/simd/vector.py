@@ -75,7 +75,8 @@ def broadcast(_context, number, like):
 
 @intrinsic
 def zeros(_context, lanes):
-    """Zeros in all lanes, float64.  lanes : one of simd.lanes."""
+    """Zeros in all lanes, float64.
+    lanes : one of simd.lanes."""
     kind = Vector(types.float64, n_lanes(lanes))
     return kind(lanes), lambda context, builder, _, values: context.get_value_type(kind)(None)
 
@@ -161,7 +162,8 @@ def with_lane(_context, vector, k, number):
 
 @intrinsic(prefer_literal=True)
 def load(_context, array, index, lanes):
-    """Contiguous elements of a one-dimensional array, from index.  lanes : literal, one of simd.lanes, or a vector."""
+    """Contiguous elements of a one-dimensional array, from index.
+    lanes : literal, one of simd.lanes, or a vector."""
     kind = Vector(array.dtype, n_lanes(lanes))
 
     def generate(context, builder, signature, arguments):
@@ -207,7 +209,8 @@ def call(builder, name, result, arguments):
 
 
 def _pointer_to(context, builder, kind, arguments, vector):
-    """The address of an element, as that of a vector.  arguments : an array of type kind, and an index, as values."""
+    """The address of an element, as that of a vector.
+    arguments : an array of type kind, and an index, as values."""
     data = context.make_array(kind)(context, builder, arguments[0]).data
     element = builder.gep(data, [arguments[1]])
     return builder.bitcast(element, context.get_value_type(vector).as_pointer())

@@ -7,6 +7,7 @@ from minimd import (
     potentials as potentials,
 )
 from minimd.core.console import __version__ as __version__
+from minimd.core.diagnosis.evaluation import Evaluation as Evaluation, evaluate as evaluate
 from minimd.core.diagnosis.report import Report as Report
 from minimd.core.diagnosis.reversibility import Reversibility as Reversibility
 from minimd.core.diagnosis.shadow_energy import shadow_energy as shadow_energy
@@ -19,8 +20,7 @@ from minimd.core.files.h5md_reader import (
     read_observers as read_observers,
     read_record as read_record,
 )
-from minimd.core.forces.evaluation import Evaluation as Evaluation, evaluate as evaluate
-from minimd.core.forces.forces import Forces as Forces
+from minimd.core.forces.forces import ForceResult as ForceResult, Forces as Forces
 from minimd.core.integrators.barostats import StochasticCellRescaling as StochasticCellRescaling
 from minimd.core.integrators.rows import (
     Leapfrog as Leapfrog,

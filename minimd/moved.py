@@ -11,6 +11,7 @@ MOVED = {
     **{f"minimd.{room}": f"minimd.core.{room}" for room in (
         "compiled", "console", "structure", "neighbors", "constraints", "potentials", "forces", "engine",
         "minimization", "diagnosis", "simulation", "files")},
+    **{f"minimd.forces.{name}": f"minimd.core.diagnosis.{name}" for name in ("contacts", "evaluation")},
     "minimd.potentials.water": "minimd.scene.water",
     "minimd.potentials.openmm_system": "minimd.openmm.openmm_system",
     "minimd.simulation.past": "minimd.past.past",

@@ -9,7 +9,7 @@ from ase.calculators.calculator import Calculator as ASECalculator, all_changes
 from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import ArrayLike
 
-from minimd.core.forces.contacts import why_not_finite
+from minimd.core.diagnosis.contacts import why_not_finite
 from minimd.core.forces.forces import ForceResult, Forces, Potential
 from minimd.core.forces.options import Options, Precision
 from minimd.core.potentials.term import PER_ATOM, TOTALS

@@ -459,7 +459,9 @@ def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
 
     Raises ValueError if there are more.
     """
-    from minimd.core.forces.evaluation import evaluate  # only where a potential of minimd is given
+    from minimd.core.diagnosis.evaluation import (
+        evaluate,  # only where a potential of minimd is given
+    )
     from minimd.core.potentials.bonded import Bond
     from minimd.core.structure.system import System
 

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.console.words import shown
+from minimd.core.diagnosis.evaluation import evaluate
 from minimd.core.engine.engine import Engine
-from minimd.core.forces.evaluation import evaluate
 from minimd.core.potentials.bonded import Bonded
 from minimd.core.potentials.coulomb import Coulomb
 from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.pair import UNSCALED, Nonbonded
 from minimd.core.potentials.truncation import ForceShifted, Shifted
-from minimd.core.structure.bond_graph import Indices, among, connected
+from minimd.core.structure.bond_graph import among, connected
 from minimd.core.structure.cell import nearest_vectors
 from minimd.core.structure.constraints import DistanceConstraints
 from minimd.core.structure.lammps_box import Box
@@ -28,6 +28,7 @@ from minimd.core.structure.observables import Array
 from minimd.lammps.expression import energy_expression
 from minimd.lammps.verification import TOLERANCE
 
+Indices = NDArray[np.int64]
 EQUAL = 1e-12  # largest relative difference of sides of a triangle that count as equal
 FLAT = 1e-6  # a triangle is a line if 1 − third side / sum of the two others is below this
 MOST_BONDS = 3  # of a middle atom

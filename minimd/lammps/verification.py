@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from minimd.core.console.quiet import quiet
+from minimd.core.diagnosis.contacts import bonded_scales, why_not_finite
 from minimd.core.engine.engine import Engine
-from minimd.core.forces.contacts import bonded_scales, why_not_finite
 from minimd.core.forces.forces import Forces
 from minimd.core.forces.options import Options
 from minimd.core.neighbors.queries import closest_pair, neighbor_list

@@ -20,12 +20,12 @@ from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.ase import Calculator, ForcesFromCalculator, VelocityVerlet
+from minimd.core.diagnosis.contacts import contacts
 from minimd.core.diagnosis.crash_report import examine
 from minimd.core.diagnosis.run_guard import BLOCK
 from minimd.core.files.crash_file import read_crash_report
 from minimd.core.files.h5md_digest import sign
 from minimd.core.files.h5md_reader import read_file
-from minimd.core.forces.contacts import contacts
 
 BIG_STEP = 0.024  # at which a liquid lives for some hundred steps
 BATH = 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[equilibration]\nsteps = 2000\nrescale_every = 10\n'

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
+from minimd.core.diagnosis.contacts import Contact
 from minimd.core.diagnosis.evidence import Evidence, Failure
 from minimd.core.diagnosis.rules import after
 from minimd.core.engine.engine import Engine
-from minimd.core.forces.contacts import Contact
 from minimd.core.neighbors.queries import ClosestPair
 from minimd.core.structure.observables import longest
 from minimd.core.structure.units import LJ, SYSTEMS

@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from minimd.core.diagnosis.contacts import Contact, contacts
 from minimd.core.diagnosis.stiffness import Stiffness
 from minimd.core.diagnosis.timestep import OSCILLATION, StepAdvice, advice_at
 from minimd.core.engine.engine import Engine, Snapshot
-from minimd.core.forces.contacts import Contact, contacts
 from minimd.core.integrators.order_conditions import stability_limit
 from minimd.core.neighbors.queries import ClosestPair, closest_pair
 from minimd.core.structure.checks import LARGEST

@@ -8,10 +8,10 @@ from math import pi, sqrt
 
 import numpy as np
 
+from minimd.core.diagnosis.contacts import OPEN_IT, thin_cell
 from minimd.core.diagnosis.evidence import Evidence, Verdict, is_overlap, strongest
 from minimd.core.diagnosis.timestep import OSCILLATION
 from minimd.core.engine.cell_rescaling import EVAPORATED
-from minimd.core.forces.contacts import OPEN_IT, thin_cell
 from minimd.core.integrators.order_conditions import accurate_step
 from minimd.core.neighbors.queries import closest_pair
 from minimd.core.potentials.bonded import HarmonicBond

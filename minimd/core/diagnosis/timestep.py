@@ -10,9 +10,9 @@ import numpy as np
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import shown
 from minimd.core.constraints.constraint_set import ConstraintSet
+from minimd.core.diagnosis.contacts import why_not_finite
 from minimd.core.diagnosis.stiffness import COLDEST, Curvature, Stiffness
 from minimd.core.engine.engine import Engine
-from minimd.core.forces.contacts import why_not_finite
 from minimd.core.forces.forces import Forces, Potential
 from minimd.core.integrators.order_conditions import accurate_step, stability_limit
 from minimd.core.integrators.rows import VelocityVerlet

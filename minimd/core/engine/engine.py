@@ -2,7 +2,7 @@
 
 import operator
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -14,6 +14,7 @@ from minimd.core.console.quiet import quiet, warn
 from minimd.core.constraints.constraint_set import ConstraintSet
 from minimd.core.constraints.groups import bodies_of
 from minimd.core.engine.cell_rescaling import CellRescaling, check_cell, rescaling_of
+from minimd.core.engine.scene_in_words import scene_in_words
 from minimd.core.forces.forces import ForceResult, Forces, Potential
 from minimd.core.forces.options import FIXED_POINT, Options, described
 from minimd.core.integrators.barostats import StochasticCellRescaling
@@ -608,46 +609,6 @@ class Engine:
             rows.append(("grid", rounded))
         rows.append(("at", f"step {self.step}, {units.shown(self.time)}"))
         return rows
-
-
-def scene_in_words(
-    system: System,
-    potentials: Iterable[str],
-    method: str,
-    parameters: Mapping[str, Any],
-    barostat: StochasticCellRescaling | None,
-) -> Rows:
-    """What is simulated, the same for a simulation, a file, and the lines and the page of a run.
-    method : its name."""
-    units = system.units
-    cell = "none, open in all directions"
-    if system.cell.is_periodic:
-        edges = np.linalg.norm(system.cell.vectors, axis=1)
-        lengths = " × ".join([f"{edge:.4g}" for edge in edges])
-        directions = " ".join(np.array(list("abc"))[system.cell.pbc])
-        cell = f"{lengths} {units.length}, periodic along {directions}"
-    atoms = f"{len(system)} atoms ({system.composition})"
-    for name, group in system.groups().items():
-        if len(group):
-            atoms += f"; {len(group)} {name}"
-    shown = {
-        "timestep": units.shown,
-        "temperature": lambda value: f"{value:.10g} {units.temperature}",
-        "friction": lambda value: f"{value / units.to_picosecond:.10g} / {units.shown_time}",
-        "relaxation_time": units.shown,
-    }
-    settings = [method]
-    for name, value in parameters.items():
-        settings.append(f"{name.replace('_', ' ')} {shown.get(name, str)(value)}")
-    rows = [("system", atoms), ("cell", cell)]
-    if system.constraints:
-        rows.append(("constraints", ", ".join(map(repr, system.constraints))))
-    for potential in potentials:
-        rows.append(("potential", potential))
-    rows.append(("method", ", ".join(settings)))
-    if barostat is not None:
-        rows.append(("barostat", repr(barostat)))
-    return rows
 
 
 def _copied(

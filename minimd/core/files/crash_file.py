@@ -21,13 +21,13 @@ import numpy as np
 
 from minimd.core.console.whole_file import temporary
 from minimd.core.console.words import printable, shown
+from minimd.core.diagnosis.contacts import Contact
 from minimd.core.diagnosis.crash_report import CrashReport
 from minimd.core.diagnosis.judge import RUNAWAY
 from minimd.core.diagnosis.run_guard import RunGuard
 from minimd.core.engine.engine import Snapshot
 from minimd.core.engine.observation import observe
 from minimd.core.files.trajectory import Paths, named_files
-from minimd.core.forces.contacts import Contact
 from minimd.core.neighbors.queries import ClosestPair
 from minimd.core.structure.checks import COUNTS, checked_path
 from minimd.core.structure.errors import ConstraintError, NonFiniteError

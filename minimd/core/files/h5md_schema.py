@@ -34,12 +34,12 @@ from minimd.core.console import __version__
 from minimd.core.console.display import as_text
 from minimd.core.console.words import printable
 from minimd.core.constraints.solver import ROUNDINGS
+from minimd.core.diagnosis.contacts import thin_cell
 from minimd.core.diagnosis.judge import too_long_a_step
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.record import SERIES, Frame
 from minimd.core.files.h5_items import NOTHING, REFERENCE, TEXT, Item
 from minimd.core.files.stored_fields import STEPS
-from minimd.core.forces.contacts import thin_cell
 from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.constraints import Constraint, DistanceConstraints, FixedAtoms

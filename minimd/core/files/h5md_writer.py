@@ -360,59 +360,49 @@ def _obstacle(contents: H5MDContents, engine: Engine, store_forces: bool) -> str
     if different:
         return f"holds another system: {different[0]} of file and simulation differ; write to a new file"
     constraints = layout.other_constraints(theirs.constraints, engine.constraints, theirs.positions)
-    baths = [
-        "no barostat" if bath is None else repr(bath)
-        for bath in (contents.barostat, engine.barostat)
-    ]
-    thermostat = "without" if engine.method.is_thermostat else "with"
-    extras = extras_in(contents.record)
+    if constraints:
+        obstacle = f"holds a run with other constraints: {constraints}"
+        return f"{obstacle}; use the constraints of the file, or write to a new file"
+    if engine.step != contents.step:
+        return (
+            f"continues from step {contents.step}, but the simulation is at step {engine.step}; "
+            "take the state of the file with minimd.Simulation.resume, or write to a new file"
+        )
+    if engine.barostat != contents.barostat:
+        old = "no barostat" if contents.barostat is None else repr(contents.barostat)
+        new = "no barostat" if engine.barostat is None else repr(engine.barostat)
+        return f"holds a run with {old}; the simulation has {new}; write to a new file"
+    return _obstacle_of_observables(contents, engine, store_forces)
+
+
+def _obstacle_of_observables(contents: H5MDContents, engine: Engine, store_forces: bool) -> str:
+    """As _obstacle, of what frames hold."""
     names = contents.record.names
+    if engine.has_bath != ("conserved_energy" in names):
+        thermostat = "without" if engine.method.is_thermostat else "with"
+        return (
+            f"was written {thermostat} a thermostat; it cannot be continued with {engine.method.name}; "
+            "write to a new file"
+        )
+    extras = extras_in(contents.record)
+    if set(extras) != set(engine.extra_observables):
+        return (
+            f"was begun with simulation.extra_observables = {extras}; "
+            "set the same extra_observables, or write to a new file"
+        )
     records = recorded(engine)
-    new = [name for name in records if name not in names]
+    unknown = [name for name in records if name not in names]
+    if unknown:
+        return (
+            f"was begun without {listed(unknown)}, which this run records: a file has the same observables in all "
+            "frames; append before you register other observables, or write to a new file"
+        )
     missing = [name for name in names if name not in ("step", "time", *records)]
-    obstacles = [  # whether it is there, what it is, what can be done
-        (
-            constraints,
-            f"holds a run with other constraints: {constraints}",
-            "use the constraints of the file, or ",
-        ),
-        (
-            engine.step != contents.step,
-            f"continues from step {contents.step}, but the simulation is at step {engine.step}",
-            "take the state of the file with minimd.Simulation.resume, or ",
-        ),
-        (
-            engine.barostat != contents.barostat,
-            f"holds a run with {baths[0]}; the simulation has {baths[1]}",
-            "",
-        ),
-        (
-            engine.has_bath != ("conserved_energy" in names),
-            f"was written {thermostat} a thermostat; it cannot be continued with {engine.method.name}",
-            "",
-        ),
-        (
-            set(extras) != set(engine.extra_observables),
-            f"was begun with simulation.extra_observables = {extras}",
-            "set the same extra_observables, or ",
-        ),
-        (
-            new,
-            f"was begun without {listed(new)}, which this run records: a file has the same observables in all frames",
-            "append before you register other observables, or ",
-        ),
-        (
-            missing,
-            f"holds {listed(missing)}, which this run does not record",
-            "register these observables, or ",
-        ),
-        (
-            store_forces and not contents.has_forces,
-            "was begun without forces",
-            "continue it without store_forces, or ",
-        ),
-    ]
-    for is_there, obstacle, remedy in obstacles:
-        if is_there:
-            return f"{obstacle}; {remedy}write to a new file"
+    if missing:
+        return (
+            f"holds {listed(missing)}, which this run does not record; "
+            "register these observables, or write to a new file"
+        )
+    if store_forces and not contents.has_forces:
+        return "was begun without forces; continue it without store_forces, or write to a new file"
     return ""

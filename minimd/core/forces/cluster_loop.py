@@ -187,12 +187,10 @@ def _start_energies(domain, arrays, sums):
         if sums.detail != PER_ATOM:
             sums.of_rows[APART * domain] = 0.0
             return
-        n_lanes = count(arrays.clusters.lanes)
         window = arrays.domains.window
-        start = arrays.domain_start[domain] * n_lanes
-        stop = arrays.domain_start[domain + 1] * n_lanes
-        sums.of_rows[start:stop] = 0.0
-        n_sums = SUMS * n_lanes
+        first, last = slots_of(domain, arrays)
+        sums.of_rows[first:last] = 0.0
+        n_sums = SUMS * count(arrays.clusters.lanes)
         sums.of_lanes[window[domain] * n_sums : window[domain + 1] * n_sums] = 0.0
 
     return start
@@ -225,40 +223,31 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
     Indices in the inner loop are unsigned: the compiler need not check for those that count from the end.
     """
     rows = arrays.rows
-    homes = arrays.ghosts.home
     memory = arrays.memory
     lanes = arrays.clusters.lanes
     n_lanes = count(lanes)
     first = arrays.domains.first[domain]
-    window = arrays.domains.window[domain]
     block = DIMENSIONS * n_lanes
     coordinates = memory.coordinates[first * block :]  # of this window, as the forces
     forces = sums.forces[arrays.domains.place[domain] * block :]
     nothing = broadcast(0, load(forces, 0, lanes))
     zero = zeros(lanes)
-    own_share = 0.5 if sums.detail == PER_ATOM else 1.0
     scale = scale_of(steps, zero)
     stops = rows.stops[rows.layers[0] - 1]
-    energy = xx = yy = zz = yz = xz = xy = zero
-    first_slot = arrays.domain_start[domain] * n_lanes
-    last_slot = arrays.domain_start[domain + 1] * n_lanes
+    energy, virial = _none_of(zero)
+    first_slot, last_slot = slots_of(domain, arrays)
 
     for slot in range(first_slot, last_slot):
-        # in a gas many rows are empty
         if rows.start[slot] == stops[slot] and not with_energy(sums):
-            continue
-        home = homes[slot // n_lanes] - first
+            continue  # in a gas many rows are empty
+        home = arrays.ghosts.home[slot // n_lanes] - first
         lane = slot % n_lanes
-        place = home * DIMENSIONS * n_lanes + lane
-        x = broadcast(coordinates[place], zero)
-        y = broadcast(coordinates[place + n_lanes], zero)
-        z = broadcast(coordinates[place + 2 * n_lanes], zero)
-        at = x, y, z
+        place = home * block + lane
+        x, y, z = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
+        at = broadcast(x, zero), broadcast(y, zero), broadcast(z, zero)
         after = rows.entries[np.uintp(rows.start[slot])]
         ahead = separations(coordinates, memory.far, after, at, lanes)
-        fx = nothing
-        fy = nothing
-        fz = nothing
+        fx = fy = fz = nothing
         size2 = zero
 
         for entry in range(np.uintp(rows.start[slot]), np.uintp(stops[slot])):
@@ -273,48 +262,74 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
 
             ghost = np.uintp(now & GHOST_BITS)
             own_slot = (first + home) * n_lanes + lane
-            cluster = first + np.intp(ghost)
-            numbers = parameters_of_lanes(parameters, own_slot, cluster, lanes)
+            numbers = parameters_of_lanes(parameters, own_slot, first + np.intp(ghost), lanes)
             near = r2 < numbers[0]
             u, f = evaluate_law(law, r2, numbers[1:])
             f = select(near, f, 0.0)
             g = as_impulse(f, scale)
             size2 = summed_squares(g, size2, steps)
-            fx = plus_product(g, dx, fx)
-            fy = plus_product(g, dy, fy)
-            fz = plus_product(g, dz, fz)
+            fx, fy, fz = plus_product(g, dx, fx), plus_product(g, dy, fy), plus_product(g, dz, fz)
             push(forces, ghost, g, (dx, dy, dz))
             if with_energy(sums):
                 u = in_steps(select(near, u, 0.0), steps)
                 energy = energy + u
             if by_pair(sums, steps):
-                gx, gy, gz = f * dx, f * dy, f * dz
-                xx = plus_virial(gx, dx, xx, steps)
-                yy = plus_virial(gy, dy, yy, steps)
-                zz = plus_virial(gz, dz, zz, steps)
-                yz = plus_virial(gy, dz, yz, steps)
-                xz = plus_virial(gx, dz, xz, steps)
-                xy = plus_virial(gx, dy, xy, steps)
+                pull = f * dx, f * dy, f * dz
+                virial = plus_virials(pull, (dx, dy, dz), virial, steps)
                 if sums.detail == PER_ATOM:
-                    shares = (u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)
-                    for c, w in enumerate(shares):
-                        at_c = ((window + np.intp(ghost)) * SUMS + c) * n_lanes
-                        share = load(sums.of_lanes, at_c, lanes) + 0.5 * in_steps(w, steps)
-                        store(sums.of_lanes, at_c, share)
+                    at_ghost = arrays.domains.window[domain] + np.intp(ghost)
+                    _share(sums, at_ghost, u, pull, (dx, dy, dz), steps, lanes)
 
-        n_entries = stops[slot] - rows.start[slot]
-        forces[place] -= without_bias(total(fx), n_entries, lanes)
-        forces[place + n_lanes] -= without_bias(total(fy), n_entries, lanes)
-        forces[place + 2 * n_lanes] -= without_bias(total(fz), n_entries, lanes)
+        _give_back(forces, place, (fx, fy, fz), stops[slot] - rows.start[slot], lanes)
         if lanes_beyond(size2, steps):
             memory.is_out[domain] = 1
         if with_energy(sums) and (sums.detail == PER_ATOM or lane == n_lanes - 1):
-            k = slot if sums.detail == PER_ATOM else APART * domain
-            sums.of_rows[k, 0] += own_share * total(energy)
-            if by_pair(sums, steps):
-                for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
-                    sums.of_rows[k, 1 + c] += own_share * total(w)
-            energy = xx = yy = zz = yz = xz = xy = zero
+            _book(sums, slot if sums.detail == PER_ATOM else APART * domain, energy, virial, steps)
+            energy, virial = _none_of(zero)
+
+
+@scalar
+def slots_of(domain, arrays):
+    """The first slot of a domain, and the one behind its last."""
+    n_lanes = count(arrays.clusters.lanes)
+    return arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes
+
+
+@scalar
+def _none_of(zero):
+    """Energy and virial before the first pair."""
+    return zero, (zero, zero, zero, zero, zero, zero)
+
+
+@scalar
+def _give_back(forces, place, sums, n_entries, lanes):
+    """F_i −= Σ f r_ij, of all lanes."""
+    n_lanes = count(lanes)
+    fx, fy, fz = sums
+    forces[place] -= without_bias(total(fx), n_entries, lanes)
+    forces[place + n_lanes] -= without_bias(total(fy), n_entries, lanes)
+    forces[place + 2 * n_lanes] -= without_bias(total(fz), n_entries, lanes)
+
+
+@scalar
+def _share(sums, ghost, u, force, separation, steps, lanes):
+    """Half of the energy and virial of pairs to the lanes of a ghost."""
+    n_lanes = count(lanes)
+    fx, fy, fz = force
+    dx, dy, dz = separation
+    for c, w in enumerate((u, fx * dx, fy * dy, fz * dz, fy * dz, fx * dz, fx * dy)):
+        at = (ghost * SUMS + c) * n_lanes
+        store(sums.of_lanes, at, load(sums.of_lanes, at, lanes) + 0.5 * in_steps(w, steps))
+
+
+@scalar
+def _book(sums, k, energy, virial, steps):
+    """Energy and, where it is summed by pairs, virial of all lanes to row k; with PER_ATOM the half of atom i."""
+    share = 0.5 if sums.detail == PER_ATOM else 1.0
+    sums.of_rows[k, 0] += share * total(energy)
+    if by_pair(sums, steps):
+        for c, w in enumerate(virial):
+            sums.of_rows[k, 1 + c] += share * total(w)
 
 
 @scalar
@@ -440,14 +455,12 @@ def start_sums(arrays, n_laws, first_sum, forces):
 
     def start(arrays, n_laws, first_sum, forces):
         rows = arrays.rows
-        n_lanes = count(arrays.clusters.lanes)
         stops = rows.stops[rows.layers[0] - 1]
         first_sum[:] = 0
 
         for domain in range(arrays.domains.first.size):
             window = arrays.domains.window[domain]
-            first_slot = arrays.domain_start[domain] * n_lanes
-            last_slot = arrays.domain_start[domain + 1] * n_lanes
+            first_slot, last_slot = slots_of(domain, arrays)
 
             for slot in range(first_slot, last_slot):
                 for entry in range(rows.start[slot], stops[slot]):
@@ -455,6 +468,21 @@ def start_sums(arrays, n_laws, first_sum, forces):
                     first_sum[window + ghost] -= n_laws * BIAS
 
     return start
+
+
+@scalar
+def plus_virials(force, separation, to, steps):
+    """to + f ⊗ r of pairs, as xx yy zz yz xz xy."""
+    fx, fy, fz = force
+    dx, dy, dz = separation
+    xx, yy, zz, yz, xz, xy = to
+    xx = plus_virial(fx, dx, xx, steps)
+    yy = plus_virial(fy, dy, yy, steps)
+    zz = plus_virial(fz, dz, zz, steps)
+    yz = plus_virial(fy, dz, yz, steps)
+    xz = plus_virial(fx, dz, xz, steps)
+    xy = plus_virial(fx, dy, xy, steps)
+    return xx, yy, zz, yz, xz, xy
 
 
 @by_type

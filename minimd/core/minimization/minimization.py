@@ -23,7 +23,7 @@ from minimd.core.console.display import Displayed
 from minimd.core.console.progress import progress_of
 from minimd.core.console.signals import stop_on_signals
 from minimd.core.constraints.constraint_set import ConstraintSet
-from minimd.core.forces.contacts import why_not_finite
+from minimd.core.diagnosis.contacts import why_not_finite
 from minimd.core.forces.forces import Forces, Potential
 from minimd.core.neighbors.queries import closest_pair
 from minimd.core.potentials.law import is_user_law

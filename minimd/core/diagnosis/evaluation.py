@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.quiet import warn
-from minimd.core.forces.contacts import OPEN_IT, thin_cell, why_not_finite
+from minimd.core.diagnosis.contacts import OPEN_IT, thin_cell, why_not_finite
 from minimd.core.forces.forces import Forces, Potential
 from minimd.core.forces.options import Options
 from minimd.core.potentials.term import PER_ATOM

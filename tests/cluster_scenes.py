@@ -118,7 +118,7 @@ def evaluated(term, system, detail=TOTALS):
     finally:
         term.list.settle()
     term.collect(target)
-    term._made = {}  # of this target
+    term._evaluations = {}  # of this target
     return sums
 
 

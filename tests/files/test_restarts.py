@@ -80,7 +80,7 @@ def test_what_is_written_is_what_is_declared():
     """No field can be forgotten: a checkpoint that has all that one can have, and the series of all observables."""
     cell = Cell.of(np.eye(3) * 9.0)
     built = Built(0.1, SOUND, cell, np.ones(7))
-    state = Snapshot(1, 0.1, SOUND, SOUND, 0.1, (1, 0.1), 0.1, cell)
+    state = Snapshot(1, 0.1, SOUND, SOUND, 0.1, (1, 0.1), 0.1, cell, np.zeros(2))
     everything = Checkpoint(state, 0.1, (built, built), (SOUND, 1e-9), 1, Grid(0.5, 0.5, 0.5))
     assert not any(value is None for part in (built, state, everything) for value in part)
     written = {re.sub(r"\d+", "#", name) for part in flattened(everything) for name in part}

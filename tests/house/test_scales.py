@@ -1,4 +1,4 @@
-"""Scales of the house: tokens, lines that `import minimd` loads, names, sizes of files and functions.
+"""Scales of the house: tokens, air between them, lines that `import minimd` loads, names, sizes of files, functions.
 
 `python tests/house/test_scales.py` prints the tokens and lines of each room. Limits are round numbers that DESIGN
 promises, not those of today: who adds a law need not edit them.
@@ -14,6 +14,8 @@ from pathlib import Path
 REPOSITORY = Path(__file__).parents[2]
 PACKAGE = REPOSITORY / "minimd"
 MOST_TOKENS, MOST_TOKENS_OF_CORE = 337_000, 191_000
+DENSEST_ROOM, DENSEST = 7.5, 6.2  # tokens on a line
+MOST_HIDDEN = 0.01  # statements more than `a, b, c = x, y, z` shows, of all statements
 MOST_LINES_OF_FACE = 300
 WIDEST, LONGEST_FILE, LONGEST_FUNCTION = 120, 700, 60
 NO_TOKENS = {tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
@@ -73,6 +75,20 @@ def test_tokens_keep_to_their_budget():
     assert sum(n for place, n in count.items() if room_of(place).startswith("core/")) <= MOST_TOKENS_OF_CORE
 
 
+def test_there_is_air_between_the_words():
+    of_tokens, of_lines = scales()
+    assert {room: n / of_lines[room] for room, n in of_tokens.items() if n > DENSEST_ROOM * of_lines[room]} == {}
+    assert of_tokens.total() <= DENSEST * of_lines.total()
+
+
+def test_a_line_is_a_statement():
+    """Parallel assignment is for what belongs together: coordinates, a swap."""
+    nodes = [node for text in sources("minimd").values() for node in nodes_of(text)]
+    statements = sum(isinstance(node, ast.stmt) for node in nodes)
+    tuples = [node.value for node in nodes if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Tuple)]
+    assert sum(len(value.elts) - 1 for value in tuples if isinstance(value, ast.Tuple)) <= MOST_HIDDEN * statements
+
+
 def test_importing_minimd_loads_few_lines():
     assert sum(sources("minimd")[place].count("\n") for place in loaded_with("minimd").values()) <= MOST_LINES_OF_FACE
 
@@ -100,11 +116,18 @@ def test_lines_files_and_functions_keep_to_their_size():
                 assert length <= LONGEST_FUNCTION, f"{place}: {node.name} has {length} lines"
 
 
-if __name__ == "__main__":
+@cache
+def scales():
+    """Tokens and lines of each room."""
     of_tokens, of_lines = Counter(), Counter()
-    for path, source in sources("minimd").items():
-        of_tokens[room_of(path)] += tokens(source)
-        of_lines[room_of(path)] += source.count("\n")
-    for room, number in of_tokens.most_common():
-        print(f"{room:22}{number:8} tokens{of_lines[room]:7} lines")
-    print(f"{'all':22}{of_tokens.total():8} tokens{of_lines.total():7} lines")
+    for place, text in sources("minimd").items():
+        of_tokens[room_of(place)] += tokens(text)
+        of_lines[room_of(place)] += text.count("\n")
+    return of_tokens, of_lines
+
+
+if __name__ == "__main__":
+    of_tokens, of_lines = scales()
+    for room, n in [*of_tokens.most_common(), ("all", of_tokens.total())]:
+        n_lines = of_lines.total() if room == "all" else of_lines[room]
+        print(f"{room:22}{n:8} tokens{n_lines:7} lines{n / n_lines:6.1f}")

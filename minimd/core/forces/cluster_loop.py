@@ -65,6 +65,7 @@ def parameters_of_lanes(source, slot, cluster, lanes):
             parameters_of_lanes(source.source, slot, cluster, lanes),
             load(source.of_slots, cluster * count(lanes), lanes) * source.of_slots[slot],
         )
+
     return lambda source, slot, cluster, lanes: loaded_columns(
         source.columns, source.species[slot] * source.slots + cluster * count(lanes), lanes
     )

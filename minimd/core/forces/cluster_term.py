@@ -56,7 +56,7 @@ class ClusterEvaluation(
 
 @called_kernel
 def prepare_laws(evaluation, _chunk):
-    """What the loop needs of a new list, or of other layers of one."""
+    """What the loop needs of a new list, or of other layers of one, once for each of them."""
     layers = evaluation.arrays.rows.layers
     now = layers[BUILDS] * (LAYERS + 1) + layers[IN_USE]
     if layers[PREPARED_FOR] != now:
@@ -189,10 +189,12 @@ class ClusterTerm(ListTerm):
         """Arrays that go with those of the list."""
         laws = []
         self._needs_preparation = self._precision == FIXED_POINT
+
         for k, member in enumerate(self._pair_laws.members):
             source = self._source(k, member, system)
             laws.append((member.law, source))
             self._needs_preparation |= not isinstance(source, SameForAll)
+
         self._laws: tuple[Any, ...] = tuple(laws)
         self._arranged_for = self.list.version
         self._evaluations.clear()
@@ -209,10 +211,15 @@ class ClusterTerm(ListTerm):
             of_rows = np.zeros((len(self.list.clusters.atom), SUMS))
             of_lanes = np.zeros(len(self.list.ghosts.parts) * self.list.lanes.size * SUMS)
             sums = Sums(forces, of_rows, of_lanes, detail)
+
         return LoopWork(self._laws, sums)
 
     def _add_each(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
-        """Add the sums of slots and lanes to the energies (N,) and virials (N, 6) of their atoms."""
+        """Add the sums of slots and lanes to those of their atoms.
+
+        energies : (N,).
+        virials : (N, 6).
+        """
         clusters = self.list.clusters
         n_lanes = self.list.lanes.size
         n = self.list.n_clusters
@@ -244,7 +251,10 @@ class ClusterTerm(ListTerm):
         )
 
     def _source(self, k: int, law: PairLaw, system: System) -> SameForAll | ByLane | ChargesByLane:
-        """Where the loop finds the numbers of law k."""
+        """Where the loop finds the numbers of law k: the same for all pairs, by species, and with charges by atom.
+
+        The memory of columns is kept as long as the list is.
+        """
         slots = len(self.list.ghosts.owner) * self.list.lanes.size
         n_species, _, n_numbers = law.table.shape
         source: SameForAll | ByLane = SameForAll(tuple(law.table[0, 0].tolist()))

@@ -295,6 +295,7 @@ class Forces:
         self._grid = grid
         self.impulses = np.zeros(self.forces.shape, dtype=np.int64)
         self._plan(self._bound)
+
         for term in self.terms:
             if not term.fits_grid:
                 raise ValueError(

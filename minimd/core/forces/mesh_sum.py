@@ -71,7 +71,13 @@ class Mesh(
 
 @called_kernel
 def see_points(mesh, chunk):
-    """Which points the atoms of a chunk see, and how."""
+    """Which points the atoms of a chunk see, and how.
+
+        φ(m − x) and its slope, from the pieces: a polynomial of t for each point, by Horner's rule
+
+    mesh : Mesh; starts and seen of these atoms are overwritten.
+    chunk : number of the chunk.
+    """
     n = mesh.charges.size
     n_chunks = mesh.sums.shape[0]
     shape = mesh.shape
@@ -98,7 +104,7 @@ def see_points(mesh, chunk):
 
 @called_kernel
 def sort_atoms(mesh, _chunk):
-    """Atoms by the plane where they start."""
+    """Atoms by the plane where they start: order and begins, by counting; equal ones keep their order."""
     begins = mesh.begins
     for k in range(begins.size):
         begins[k] = 0
@@ -120,7 +126,13 @@ def sort_atoms(mesh, _chunk):
 
 @called_kernel
 def put_charges(mesh, chunk):
-    """Charges on the points of some planes, from all atoms that see them."""
+    """Charges on the points of some planes, from all atoms that see them.
+
+        Q(m) = Σ qⱼ φ(m − xⱼ)
+
+    A chunk owns its planes, so that no two write to the same point. The ends of rows, which repeat their beginnings,
+    are added to them at last.
+    """
     shape = mesh.shape
     n_planes = mesh.shape[0]
     n_chunks = plane_chunks(mesh.shape)
@@ -154,7 +166,11 @@ def plane_chunks(shape):
 
 @scalar
 def _put_one(mesh, i, begin, end):
-    """The charge of an atom on the planes begin to end of those that it sees."""
+    """The charge of an atom on the planes begin to end of those that it sees.
+
+    i : the atom.
+    begin, end : of the planes, 0 for the first that it sees.
+    """
     shape = mesh.shape
     width = np.uintp(count(mesh.width))
     seen = mesh.seen
@@ -175,7 +191,12 @@ def _put_one(mesh, i, begin, end):
 
 @called_kernel
 def push_from_points(mesh, chunk):
-    """forces += those of the mesh on a chunk of atoms."""
+    """forces += those of the mesh on a chunk of atoms, and their sum.
+
+        F = −q Σ_m v(m) ∂φ(m − x)/∂r: along each direction the slope of its window times the two other windows
+
+    mesh : Mesh; sums[chunk] is overwritten.
+    """
     n = mesh.charges.size
     n_chunks = mesh.sums.shape[0]
     shape = mesh.shape
@@ -229,15 +250,17 @@ def push_from_points(mesh, chunk):
 
 @called_kernel
 def hold_center(mesh, chunk):
-    """forces −= the share of each atom of a chunk in their sum."""
+    """forces −= the share of each atom of a chunk in their sum: (m/Σm) Σ F, so that the center stays in its place."""
     n = mesh.charges.size
     n_chunks = mesh.sums.shape[0]
+
     for d in range(3):
         rest = 0.0
         for k in range(n_chunks):
             rest += mesh.sums[k, d]
         for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
             mesh.forces[i, d] -= mesh.shares[i] * rest
+
     return GO_ON
 
 
@@ -374,7 +397,10 @@ class MeshSum(ChargeSum):
         yield operation(self._calls, hold_center, mesh, self._n_chunks)
 
     def _convolve(self, detail: int) -> None:
-        """From charges to potentials; energy and virial."""
+        """From charges to potentials, in place; energy and virial, if they are wanted.
+
+        v̂ = L̂/(V φ̂²) Q̂,   U = ½ Σ_k |Q̂|² L̂/(V φ̂²)
+        """
         from scipy.fft import fftn
 
         np.fft.rfft(self._points[:, :, : self.shape[2]], out=self._rows)
@@ -411,16 +437,18 @@ class MeshSum(ChargeSum):
         return shares[0], np.stack(shares[1:], axis=1)
 
     def _at_atoms(self) -> NDArray[np.float64]:
-        """The potential of the points at each atom."""
+        """The potential of the points at each atom, (N,): Σ_m v(m) φ(m − x), in blocks of atoms."""
         seen = self._seen.reshape(len(self._charges), 3, 2, -1)[:, :, 0, : self._window.points]
         potentials = np.empty(len(seen))
         offsets = np.arange(seen.shape[2])
+
         for block in np.array_split(np.arange(len(seen)), len(seen) // IN_A_BLOCK + 1):
             starts = self._starts[block, :, None] + offsets
             a, b, c = (starts[:, d] % self.shape[d] for d in range(3))
             points = self._points[a[:, :, None, None], b[:, None, :, None], c[:, None, None, :]]
             windows_of = seen[block].swapaxes(0, 1)
             potentials[block] = np.einsum("nijk,ni,nj,nk->n", points, *windows_of)
+
         return potentials
 
     def _take(self, system: System) -> None:

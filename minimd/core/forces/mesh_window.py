@@ -78,6 +78,7 @@ def windows(split: Split) -> list[Window]:
     """A window for each number of points that does for a split; the spacing is the largest that does."""
     enough = SHARE * _left_out(split)
     chosen = []
+
     for points in POINTS:
         for finer in np.arange(1.1, 2.5, 0.05):  # times the points that the shortest wave needs
             bandwidth = pi * points * (1.0 - 0.5 / finer) * (1.1 + 0.9 / points)
@@ -85,11 +86,15 @@ def windows(split: Split) -> list[Window]:
             if _error(split, window) < enough:
                 chosen.append(window)
                 break
+
     return chosen
 
 
 def _left_out(split: Split) -> float:
-    """The error by the waves that are left out, for q = 1."""
+    """The root mean square error of a force by the waves that are left out, for q = 1.
+
+    √(n ∫ L̂² k² d³k/(2π)³), k > c/r_c
+    """
     wave = prolate(split.bandwidth)
     x = 0.5 * (NODES + 1.0)
     chi = 0.5 * WEIGHTS * (legendre.legval(x, wave.series) - wave.at_end) / (1.0 - wave.at_end)
@@ -100,7 +105,11 @@ def _left_out(split: Split) -> float:
 
 
 def _error(split: Split, window: Window) -> float:
-    """The error of a mesh, for q = 1."""
+    """The root mean square error of a force by a mesh, for q = 1: the sum of pairs and of atoms and their own images.
+
+    split : of 1/r.
+    window : with its spacing.
+    """
     lowest = LONGEST / split.cutoff
     half = 0.5 * (split.largest_wave - lowest)
     k = lowest + half * (NODES[:, None] + 1.0)

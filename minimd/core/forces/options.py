@@ -39,6 +39,7 @@ class Options:
             raise ValueError(
                 f"a grid is for precision='fixed-point'; precision = {self.precision!r}"
             )
+
         if self.threads is not None:
             object.__setattr__(self, "threads", checked_count("threads", self.threads))
         if self.skin is not None:

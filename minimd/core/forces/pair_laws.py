@@ -71,10 +71,12 @@ def merged(members: Sequence[PairLaw]) -> list[PairLaw]:
     charged = next((law for law in members if law.charges is not None), None)
     if charged is None:
         return [*members]
+
     for other in members:
         if other.charges is None and other.cutoff <= charged.cutoff:
             rest = [law for law in members if law is not charged and law is not other]
             return [with_charges(other, charged), *rest]
+
     return [*members]
 
 
@@ -109,6 +111,7 @@ def deepest(law: PairLaw) -> float:
     """The depth of the deepest well of a law, for any pair of species, at some distances below the cutoff [energy]."""
     product = () if law.charges is None else (-(float(np.abs(law.charges).max()) ** 2),)
     depth = -np.inf
+
     for cutoff2, *numbers in law.table.reshape(-1, law.table.shape[-1]).tolist():
         if cutoff2 == np.inf:
             continue
@@ -116,6 +119,7 @@ def deepest(law: PairLaw) -> float:
             u = law_at(law.law, x * cutoff2**0.5, (*product, *numbers))[0]
             if isfinite(u):
                 depth = max(depth, -u)
+
     return depth if isfinite(depth) else 0.0
 
 

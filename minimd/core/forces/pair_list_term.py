@@ -33,8 +33,12 @@ class Local(ByAddress, namedtuple("Local", "positions forces order offsets own_p
 
 @called_kernel
 def gather_atoms(local, _chunk):
-    """Positions into the order of the list; sums = 0."""
+    """Positions into the order of the list; sums = 0.
+
+    local : Local; own_positions and sums are overwritten.
+    """
     positions, _, order, offsets, own, (forces, energies, virials) = local
+
     for k in range(order.size):
         for c in range(3):
             own[k, c] = positions[order[k], c] + offsets[k, c]
@@ -42,12 +46,16 @@ def gather_atoms(local, _chunk):
         energies[k] = 0.0
         for c in range(virials.shape[1]):
             virials[k, c] = 0.0
+
     return GO_ON
 
 
 @called_kernel
 def scatter_forces(local, _chunk):
-    """forces[order] += those of the sums."""
+    """forces[order] += those of the sums.
+
+    local : Local; forces grow.
+    """
     _, forces, order, _, _, (own, _, _) = local
     for k in range(order.size):
         for c in range(3):

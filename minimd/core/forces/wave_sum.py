@@ -96,7 +96,11 @@ def choose_atom(waves, _chunk):
 
 @called_kernel
 def sum_waves(waves, chunk):
-    """The sums S of a chunk of atoms, lane by lane, in parts: see _signs."""
+    """The sums S of a chunk of atoms, lane by lane, in the eight parts of _add_cell.
+
+    waves : Waves; its sums[chunk] are overwritten.
+    chunk : number of the chunk.
+    """
     n = waves.charges.size
     n_chunks = waves.sums.shape[0]
     lanes = waves.lanes
@@ -120,7 +124,14 @@ def sum_waves(waves, chunk):
 
 @scalar
 def _fill_tables(waves, table, first, last):
-    """q exp(2πi a s₁), exp(2πi b s₂), exp(2πi c s₃) of the atoms of a block, in fractional coordinates s."""
+    """q exp(2πi a s₁), exp(2πi b s₂), exp(2πi c s₃) of the atoms of a block, for all a, b, c from 0 on.
+
+        X_0 = q, Y_0 = Z_0 = 1,   X_{a+1} = X_a exp(2πi s₁), and so on
+
+    s are fractional coordinates, counted from the chosen atom and wrapped, see CUT.
+    table : of the chunk; real and imaginary parts lie in blocks, one behind the other.
+    first, last : atoms of the block; where there are fewer than BLOCK, the last one is repeated without charge.
+    """
     lattice = waves.lattice
     inverse = waves.inverse
     sizes = waves.sizes
@@ -166,7 +177,10 @@ def _fill_tables(waves, table, first, last):
 
 @scalar
 def _complex_at(table, at, lanes):
-    """Real and imaginary parts of as many atoms as a vector has lanes; both lie in blocks, one behind the other."""
+    """Real and imaginary parts of as many atoms as a vector has lanes; both lie in blocks, one behind the other.
+
+    at : place of the first real part.
+    """
     return load(table, at, lanes), load(table, at + np.uintp(BLOCK), lanes)
 
 
@@ -179,7 +193,11 @@ def _store_complex(table, at, real, imaginary):
 
 @scalar
 def _multiply(waves, table, row):
-    """X_a Y_b and X_a Y_b* of a row."""
+    """X_a Y_b and X_a Y_b* of a row: waves with b and with −b.
+
+    table : of the chunk, with X and Y; its place XY is overwritten.
+    row : number of the row of cells with these a and b.
+    """
     sizes = waves.sizes
     lanes = waves.lanes
     block = np.uintp(BLOCK)
@@ -200,7 +218,14 @@ def _multiply(waves, table, row):
 
 @scalar
 def _add_cell(waves, table, sums, cell, c):
-    """The products of X Y with Z_c, real and imaginary parts each with each, summed over the atoms of a block."""
+    """The products of P = X Y and M = X Y* with Z_c, summed over the atoms of a block, lane by lane.
+
+        Re P Re Z, Im P Im Z, Re P Im Z, Im P Re Z, and the same of M:
+
+    the real part of S is the difference of the first two for c, their sum for −c; its imaginary part likewise.
+    sums : of the chunk; the eight numbers of the cell grow.
+    cell, c : number of the cell, and its c.
+    """
     lanes = waves.lanes
     n_lanes = np.uintp(count(waves.lanes))
     block = np.uintp(BLOCK)
@@ -237,9 +262,10 @@ def _add_cell(waves, table, sums, cell, c):
 
 @called_kernel
 def weigh_waves(waves, _chunk):
-    """Amplitudes A = L̂ S* of all waves; energy and virial.
+    """Amplitudes A = L̂ S* of all waves; energy and virial, if they are wanted.
 
-    For ±c of each b: A₊ + A₋ and A₊ − A₋, real and imaginary parts.
+    For ±c of each b: A₊ + A₋ and A₊ − A₋, real and imaginary parts, as _add_row needs them.
+    waves : Waves; its amplitudes and totals are overwritten.
     """
     for c in range(7):
         waves.totals[0, c] = 0.0
@@ -277,7 +303,10 @@ def weigh_waves(waves, _chunk):
 
 @scalar
 def _added(waves, cell, part):
-    """One of the sums of a cell, of all chunks [√(energy · length)]."""
+    """One of the sums of a cell, of all chunks and lanes [√(energy · length)].
+
+    part : 0 to 7, see _add_cell.
+    """
     n_lanes = np.uintp(count(waves.lanes))
     added = 0.0
     for chunk in range(waves.sums.shape[0]):
@@ -287,7 +316,14 @@ def _added(waves, cell, part):
 
 @scalar
 def _count(waves, wave, weight, bend, size2):
-    """totals += energy and virial of one wave:  u = w |S|²,  W = u 1 + 2 (dw/dk²) |S|² k ⊗ k."""
+    """totals += energy and virial of one wave.
+
+        u = w |S|²,   W = u 1 + 2 (dw/dk²) |S|² k ⊗ k
+
+    wave : (a, b, c).
+    weight, bend : w and dw/dk² [1/length³], [1/length].
+    size2 : |S|² [energy · length].
+    """
     inverse = waves.inverse
     totals = waves.totals
     two_pi = 2.0 * pi
@@ -307,7 +343,12 @@ def _count(waves, wave, weight, bend, size2):
 
 @called_kernel
 def push_atoms(waves, chunk):
-    """forces += those of all waves on a chunk of atoms."""
+    """forces += those of all waves on a chunk of atoms.
+
+        F = 2 q/V Σ_k L̂(k) k Im(S* exp(i k·r)), over half of the waves,   k = 2π (a, b, c) · inverse
+
+    In fixed-point arithmetic each is rounded, and their sum kept in rest, see balance_impulses.
+    """
     n = waves.charges.size
     n_chunks = waves.tables.shape[0]
     lanes = waves.lanes
@@ -347,7 +388,15 @@ def push_atoms(waves, chunk):
 
 @scalar
 def _add_row(waves, table, row, k):
-    """Fractional forces of the waves of a row on as many atoms as a vector has lanes, from k on in the block."""
+    """Fractional forces of the waves of a row on as many atoms as a vector has lanes.
+
+        fa += a Σ Im(A X Y Z),   fb += b Σ Im(A X Y Z),   fc += Σ c Im(A X Y Z)
+
+    The sums over c of A Z and c A Z are made first, for P and M at once; then each is multiplied by X Y once.
+    table : of the chunk; its place F grows.
+    row : number of the row.
+    k : of the first atom, in the block.
+    """
     lanes = waves.lanes
     block = np.uintp(BLOCK)
     at = np.uintp(waves.sizes[XY]) + k
@@ -575,7 +624,7 @@ class WaveSum(ChargeSum):
         return np.cumsum([0, *(2 * BLOCK * ends), 4 * BLOCK])
 
     def _take(self, system: System, rows: NDArray, weights: NDArray, bends: NDArray) -> None:
-        """Write waves to memory that stays in its place."""
+        """Write waves to memory that stays in its place: operations know its address."""
         self._rows[: len(rows)] = rows
         self._weights[: len(weights)] = weights
         self._bends[: len(bends)] = bends

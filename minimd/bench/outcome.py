@@ -39,8 +39,7 @@ Ratios = Array | None
 class Outcome(Protocol):
     """The outcome of one benchmark.
     name : in its files.
-    packages : whose versions matter, besides minimd, numba and
-    numpy."""
+    packages : whose versions matter, besides minimd, numba and numpy."""
 
     name: str
 

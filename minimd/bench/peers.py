@@ -66,8 +66,7 @@ def ratios(rows: Sequence[EngineSpeed], row: EngineSpeed) -> tuple[outcome.Ratio
 class PeersOptions(NamedTuple):
     """Options of run_peers.
     threads : if empty, one thread and all cores.
-    peers : names in PEERS; if empty, all that are installed; "none" for
-        no peer."""
+    peers : names in PEERS; if empty, all that are installed; "none" for no peer."""
 
     scenes: tuple[str, ...] = (MELT,)
     cells: tuple[int, ...] = (5, 10, 20)
@@ -80,8 +79,7 @@ class PeersOptions(NamedTuple):
 class Peers:
     """The rows of each scene and size.
     texts : descriptions of the scenes, by name.
-    packages : of the peers that took
-    part."""
+    packages : of the peers that took part."""
 
     texts: Mapping[str, str]
     repeats: int

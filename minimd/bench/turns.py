@@ -84,8 +84,7 @@ def take_turns(
 ) -> Array:
     """Steps per second of each engine in each turn, (E, repeats).
     The engines take turns because the speed of a machine drifts: so the drift affects all of them.
-    n_steps : (E,),
-    of a turn."""
+    n_steps : (E,), of a turn."""
     speeds = np.empty((len(engines), repeats))
     for turn in range(repeats):
         for k, engine in enumerate(engines):
@@ -107,8 +106,7 @@ def label(engine: LoadedEngine) -> str:
 
 def thread_numbers(threads: Sequence[int]) -> tuple[int, ...]:
     """Numbers of threads, without repetition; if none are given, one and all cores.
-    Raises ValueError for more threads
-    than cores."""
+    Raises ValueError for more threads than cores."""
     cores = available_cores()
     most = max(threads, default=1)
     if most > cores:

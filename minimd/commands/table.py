@@ -31,8 +31,7 @@ class Argument(NamedTuple):
 class Command(NamedTuple):
     """One command.
     run : called with the parsed arguments; returns False if a check failed.
-    help : in the list of
-    all commands.
+    help : in the list of all commands.
     below : its own commands, which it has in place of run.
     epilog : after its help."""
 
@@ -109,8 +108,7 @@ def refuse(what: str, place: Path, run: Path, metavar: str) -> NoReturn:
 
 def drawing(file: Path) -> str:
     """Tell that a picture or a page is being drawn; returns the word for the end.
-    Raises OSError, ValueError for a
-    place where it cannot be written."""
+    Raises OSError, ValueError for a place where it cannot be written."""
     from minimd.core.files.trajectory import checked_output
 
     checked_output(file, overwrite=True, suffixes=(file.suffix.lower(),))
@@ -152,8 +150,7 @@ def run(arguments: Namespace) -> None:
 
 def scan(arguments: Namespace) -> bool:
     """Scan a scene, or print the status of a scan, with averages and picture; False if members have failed.
-    Raises as
-    scan_scene."""
+    Raises as scan_scene."""
     from minimd.ensemble.scan import parsed_setting, scan_scene
     from minimd.ensemble.table import save_picture, status
     from minimd.ensemble.workers import named_executor

@@ -127,8 +127,7 @@ class EnsembleFolder:
 
     path : of the folder.
     members : those that are made, None for all.
-    asked : what the last call asked for, None in
-    a new folder.
+    asked : what the last call asked for, None in a new folder.
     rows : of members that have ended, by index.
     """
 
@@ -181,8 +180,7 @@ class EnsembleFolder:
         calls are appended.
 
         resume : True to go on with the members in the folder, False to remove them.
-        any_seed : if there is a seed in
-        the folder, it is taken.
+        any_seed : if there is a seed in the folder, it is taken.
         Raises ValueError if the folder holds another ensemble.
         """
         with alone(self.path):
@@ -226,8 +224,7 @@ class EnsembleFolder:
 
     def take(self, row: Row) -> None:
         """Append the row of a member that has ended.
-        Raises OSError if it cannot be written, such as on a full
-        disk."""
+        Raises OSError if it cannot be written, such as on a full disk."""
         index = row["index"]
         row = row | {"ended": time()}
         self.rows[index] = row

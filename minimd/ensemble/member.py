@@ -297,8 +297,7 @@ def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
 
 def work_through(plan: Plan, jobs: list[Job], _number: int) -> list[Row]:
     """Do several jobs, one after the other.
-    _number : of this call, unique; dask would return the results of an equal
-    call."""
+    _number : of this call, unique; dask would return the results of an equal call."""
     return [work(plan, *job) for job in jobs]
 
 
@@ -360,8 +359,7 @@ def averages_of(result: Any) -> dict[str, tuple[float, float]]:
     """Means and errors, by name, of what the function run returned; none for None.
 
     result : a Record, or a dict of numbers, of tuples (mean, error) or of series.
-    Raises TypeError, ValueError for
-    anything else.
+    Raises TypeError, ValueError for anything else.
     """
     demand = (
         "run must return a Record, a dict of numbers, of tuples (mean, error) or of series, or None"

@@ -212,8 +212,7 @@ class _Jobs:
 
     def take(self, batch: list[Job], future: Future) -> Iterator[Row]:
         """The rows of a batch that has ended, without those of members that are tried again.
-        Raises EnsembleError if
-        members cannot be run, and KeyboardInterrupt."""
+        Raises EnsembleError if members cannot be run, and KeyboardInterrupt."""
         for job, row in zip(batch, _rows_of(batch, future), strict=True):
             if row["status"] == DONE:
                 self._recent.append(row["seconds"])
@@ -330,8 +329,7 @@ def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Execu
 
 def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) -> int:
     """The number of processes to spawn.
-    Raises TypeError, ValueError, RuntimeError if functions, executor and workers
-    are wrong, or cannot work together."""
+    Raises TypeError, ValueError, RuntimeError if functions, executor and workers are wrong, or cannot work together."""
     functions = {"build": plan.build, "prepare": plan.prepare, "run": plan.run}
     for name, function in functions.items():
         kind = Callable if name == "build" else Callable | None

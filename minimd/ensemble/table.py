@@ -58,8 +58,7 @@ class EnsembleTable(Displayed):
         Means are NaN for a member that is not done.
     folder : of the ensemble.
     parameters, observables : names.
-    units : the UnitSystem of the observables,
-        None if it is not known.
+    units : the UnitSystem of the observables, None if it is not known.
 
     table["pressure_mean"] is a column of the array.
     """
@@ -165,8 +164,7 @@ class EnsembleTable(Displayed):
 
     def failures(self, members: range | None = None) -> Iterator[str]:
         """A sentence for each member that has failed.
-        members : consecutive indices of those that are told, None for
-        all."""
+        members : consecutive indices of those that are told, None for all."""
         rows = self.array if members is None else self.array[members.start : members.stop]
         for row in rows[rows["status"] == FAILED]:
             parameters = {name: row[name] for name in self.parameters}
@@ -259,8 +257,7 @@ def written_table(folder: EnsembleFolder, asked: Asked, n_members: int) -> Ensem
 
 def status(folder: Path) -> tuple[EnsembleTable, list[str]]:
     """The table as it is now, and lines about it.
-    Raises FileNotFoundError, ValueError for a folder without an
-    ensemble."""
+    Raises FileNotFoundError, ValueError for a folder without an ensemble."""
     with EnsembleFolder(folder, writes=False) as opened:
         if opened.asked is None:
             raise FileNotFoundError(
@@ -394,7 +391,6 @@ def save_picture(
     table: EnsembleTable, quantity: str | None = None, out: Path | None = None
 ) -> Path:
     """Save the figure to out, or to a file in the folder named after the quantity.
-    Raises ValueError as
-    picture_of_scan, OSError."""
+    Raises ValueError as picture_of_scan, OSError."""
     place = out or table.folder / f"{drawn_quantity(table, quantity)}.png"
     return write_picture(picture_of_scan(table, quantity), place)

@@ -114,8 +114,7 @@ class WorkerProcess:
 
     def do(self, job: bytes) -> Any:
         """The result of a pickled job.
-        Raises what the job raises, WorkerDied if the process dies,
-        WorkerStopped if it was told to end."""
+        Raises what the job raises, WorkerDied if the process dies, WorkerStopped if it was told to end."""
         try:
             self._pipe.send_bytes(job)
             result, error = pickle.loads(self._pipe.recv_bytes())

@@ -42,8 +42,7 @@ MAGIC = b"DUMPCUSTOM"
 def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, Array]]:
     """For each frame, its step and all columns but the first, (N, C); the first must be the id, which orders the rows.
     A file that does not exist has no frame; one that is cut off or lacks atoms ends the iteration.
-    Raises ValueError
-    for a file that is not such a dump."""
+    Raises ValueError for a file that is not such a dump."""
     with suppress(EOFError, FileNotFoundError), path.open("rb") as file:
         while file.peek(1):  # type: ignore[attr-defined]
             yield _frame(file, n_atoms)
@@ -99,8 +98,7 @@ class HandOver(Displayed):
     """The result of a hand-over.
     folder : of all files.
     trajectory : the H5MD file, from which Simulation.resume goes on.
-    record : Record of its
-        frames.
+    record : Record of its frames.
     verification : of step 0.
     energy_difference : largest difference, in all frames, of the potential energies of LAMMPS and minimd, as a fraction
         of the largest of Verification.scale, the potential energy of the frame and its N k_B T.
@@ -184,20 +182,17 @@ def hand_over(
     ----------
     folder : for all files; it must not exist, or must be empty.
     steps : number of steps.
-    processes : number of MPI
-        processes.
+    processes : number of MPI processes.
     every : steps between frames: the first state, and then those whose step is a multiple of every.
     store_forces : also write forces.
     overwrite : replace the folder.
     progress : as for Simulation.run.
-    tell : called
-        with lines about the hand-over; None for silence.
+    tell : called with lines about the hand-over; None for silence.
 
     Raises
     ------
     FileNotFoundError : if LAMMPS is not found, or mpiexec for several processes.
-    FileExistsError : for a folder that
-        is not empty.
+    FileExistsError : for a folder that is not empty.
     OSError : for files.
     ValueError : for a scene that LAMMPS cannot run as minimd does.
     HandOverError : if LAMMPS disagrees or fails.

@@ -71,8 +71,7 @@ def _opened(
     pairs: Indices, lengths: Array, triangles: Indices
 ) -> tuple[Indices, Indices, Indices, Array]:
     """Two equal sides of each triangle, the atoms of the angle between them, and the angle.
-    triangles : (A, 3)
-    indices of pairs."""
+    triangles : (A, 3) indices of pairs."""
     sides = lengths[triangles]
     longest = sides.max(axis=1, keepdims=True, initial=1.0)
     differences = np.abs(sides - np.roll(sides, -1, axis=1)) / longest

@@ -162,8 +162,7 @@ def run(
     tell: Callable[[int], object] = lambda step: None,
 ) -> "Log":
     """Run LAMMPS to its end, or until a stop is requested; returns its log.
-    tell : called with the step,
-    as the log grows.
+    tell : called with the step, as the log grows.
     Raises HandOverError, with the first error that LAMMPS printed, if it fails."""
     reading = Log(folder / log)
 

@@ -31,12 +31,11 @@ PART = 0.01
 class Verification(NamedTuple):
     """The largest differences at step 0, each relative to the largest of its kind; the worse of scene and copy.
     energy : of the whole scene, relative to Σ|e_i| of the atoms.
-    energies, forces, virials : of single atoms, relative
-        to the largest one; forces and virials to the larger of both, one being the other at the largest cutoff; where
-        they vanish or cancel, as in a crystal or a dilute gas, to what follows from energies or the copy.
+    energies, forces, virials : of single atoms, relative to the largest one; forces and virials to the larger of
+        both, one being the other at the largest cutoff; where they vanish or cancel, as in a crystal or a dilute gas,
+        to what follows from energies or the copy.
     atom : the atom whose force differs most.
-    scale : of energies [energy]: Σ|e_i|, or PART of that of the copy if it
-        is larger."""
+    scale : of energies [energy]: Σ|e_i|, or PART of that of the copy if it is larger."""
 
     energy: float
     energies: float

@@ -146,8 +146,7 @@ class Frames:
 
 class RecordedReader(MemoryReader):
     """MDAnalysis' reader of arrays, with the recorded times and observables.
-    rows : for each frame the entries of
-    ts.data, with its time."""
+    rows : for each frame the entries of ts.data, with its time."""
 
     def __init__(
         self, coordinate_array: NDArray, rows: list[dict[str, Any]] | None = None, **options: Any
@@ -185,8 +184,7 @@ class RunReader(H5MDReader):
 class RunUniverse(MDAnalysis.Universe):
     """The universe of a run.
     system : System.
-    contents : of its file, apart from frames; a universe in memory has
-    none."""
+    contents : of its file, apart from frames; a universe in memory has none."""
 
     system: System
     times: Array  # of frames [ps, or τ]
@@ -219,8 +217,7 @@ def universe(
     Raises
     ------
     FileNotFoundError, OSError, ValueError : as read_file.
-    ValueError : for Frames that are
-        empty.
+    ValueError : for Frames that are empty.
     """
     spacing = {}
     damage: Any = nullcontext()

@@ -351,8 +351,7 @@ class Accumulator(StoredObserver, Displayed):
 
     def prepare(self, engine: Engine) -> None:
         """Prepare for a run, or a look.
-        Raises ValueError if the engine cannot be observed, or is another scene than
-        the one observed before."""
+        Raises ValueError if the engine cannot be observed, or is another scene than the one observed before."""
         scene = ObservedRun.of(engine, self.every)
         if self.scene is None:
             self._begin(engine)

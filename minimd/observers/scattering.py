@@ -270,8 +270,7 @@ class SelfScattering(MeanSquareDisplacement):
 
     def result(self) -> SelfScatteringResult:  # type: ignore[override]
         """F_s so far, and the time in which it falls to 1/e, with standard errors.
-        Raises ValueError before the first
-        look."""
+        Raises ValueError before the first look."""
         scene = self.answered()
         seen, times, longest = self._seen()
         means = self._means(seen)

@@ -156,9 +156,9 @@ def from_openmm(
     Raises
     ------
     TypeError : for anything but a system of OpenMM.
-    ValueError : for other forces (other custom ones, with their
-        expressions, baths, barostats), virtual sites, LJPME and parameter offsets, by name; for a particle without
-        mass and element; for another number of atoms; as System and potentials.
+    ValueError : for other forces (other custom ones, with their expressions, baths, barostats), virtual sites, LJPME
+        and parameter offsets, by name; for a particle without mass and element; for another number of atoms; as
+        System and potentials.
     """
     if not hasattr(openmm_system, "getForces"):
         raise TypeError(

@@ -53,8 +53,7 @@ class Past(Displayed):
     Attributes
     ----------
     steps : (A,) int, steps that cost nothing: those of the frames, and the last one.
-    goes_back : whether steps are
-        also made backwards.
+    goes_back : whether steps are also made backwards.
     worst : the largest cost of a step, in steps.
     contents : H5MDContents.
 

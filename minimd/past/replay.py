@@ -34,8 +34,7 @@ class ReplayedStep(NamedTuple):
     """One step.
     time : [time].
     energy : total [energy].
-    first, second, distance : the closest pair [length]; −1, −1
-    and NaN if there is none.
+    first, second, distance : the closest pair [length]; −1, −1 and NaN if there is none.
     pushed, force : the atom with the largest force, and this force [energy/length].
     fastest, speed : the fastest atom [length/time].
     """
@@ -78,11 +77,9 @@ class Replay:
 
     rows : a ReplayedStep for each step that succeeded.
     ending : why it ended, as text.
-    failed_at : step, or None if
-    it did not fail again.
+    failed_at : step, or None if it did not fail again.
     findings : CrashReport of the original failure.
-    trajectory, picture : paths of the files,
-    or None if not written.
+    trajectory, picture : paths of the files, or None if not written.
     """
 
     rows: list[ReplayedStep]

@@ -230,8 +230,7 @@ def stored(kind: type[D], text: str, file: Path) -> D:
 
 def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Any]:
     """The potentials of a scene, given as its text.
-    words, file : the potentials of the run in words, and its file,
-    for the messages.
+    words, file : the potentials of the run in words, and its file, for the messages.
     Raises ValueError if there is no scene, or as stored."""
     if scene:
         return stored(Document, scene, file).potentials()

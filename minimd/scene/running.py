@@ -46,8 +46,7 @@ def run_scene(
     Parameters
     ----------
     steps : in place of those of the scene.
-    trajectory : one file in place of those of the scene;
-        the picture is written beside it.
+    trajectory : one file in place of those of the scene; the picture is written beside it.
     overwrite : replace files that exist. Without it, an error is raised at the start if a trajectory exists, or a
         picture whose name the scene gives; a picture without a name in the scene is not drawn if it exists.
     max_seconds : of wall time, in place of those of the scene, as for Simulation.run; minimization and equilibration

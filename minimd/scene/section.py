@@ -150,8 +150,7 @@ def _multiplied(value: Any, size: float | None) -> Any:
 
 def one_of(allowed: Collection[str]) -> AfterValidator:
     """A check that a text is one of the allowed names.
-    allowed : read at each check,
-    so that names registered later are included."""
+    allowed : read at each check, so that names registered later are included."""
 
     def check(value: str) -> str:
         if value not in allowed:

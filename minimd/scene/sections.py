@@ -121,8 +121,8 @@ OF_FILES = ("format", "masses", "elements", "atom_style", "lammps_units")  # of 
 class StructureSection(Section):
     """[structure]: a file that ASE or MDAnalysis reads, or a block of a cubic crystal.
     format : name of the format, for a file whose suffix does not show it.
-    bonds : pairs of atoms; "file" for the
-        bonds, angles and dihedrals in the file; or the name of another file that holds them.
+    bonds : pairs of atoms; "file" for the bonds, angles and dihedrals in the file; or the name of another file that
+        holds them.
     masses, elements, atom_style, lammps_units : what the file does not state, see system_from_file."""
 
     file: str | None = None
@@ -222,8 +222,8 @@ class ConstraintsSection(Section):
     ) -> tuple[Constraint, ...]:
         """The constraints of a system whose file, of structure or run, may hold some already.
         bonds : of the structure.
-        known : constraints of the file; they hold where the section says nothing,
-            lengths only if the pairs are the same.
+        known : constraints of the file; they hold where the section says nothing, lengths only if the pairs are the
+            same.
         Raises ValueError for impossible constraints."""
         fixed: list[Constraint] = [held for held in known if isinstance(held, FixedAtoms)]
         if self.fixed is not None:

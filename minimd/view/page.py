@@ -219,8 +219,7 @@ def motion_of(
     """The motion in a file whose universe is open.
 
     most : largest number of frames; fewer are used if there are many atoms.
-    latest : the last frames, in place of
-        evenly chosen ones.
+    latest : the last frames, in place of evenly chosen ones.
     marked : atoms that are always shown; all are shifted so that, in the last frame, the first of these is in the
         middle of the cell.
     """

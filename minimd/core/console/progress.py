@@ -18,8 +18,8 @@ def progress_of(
     """Show on standard error, or in a notebook, how much of n_steps is done; yields a function to be called with the
     number of steps made.
     unit : what is counted, if not steps.
-    show : True for a bar on a terminal or in a notebook,
-    and ten lines elsewhere; False for nothing; None for a bar where one is possible. ValueError for anything else."""
+    show : True for a bar on a terminal or in a notebook, and ten lines elsewhere; False for nothing; None for a bar
+        where one is possible. ValueError for anything else."""
     if not (show is None or isinstance(show, bool)):
         raise ValueError(f"progress must be True or False; progress = {shown(show)}")
     tenths = 0

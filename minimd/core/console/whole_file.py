@@ -37,8 +37,7 @@ def temporary(path: Path) -> Path:
 
 def locked(path: Path, create: bool = False) -> int:
     """A descriptor of a regular file, locked: no other run can lock the file while it is open.
-    Raises OSError if
-    another run holds the lock, or it is not a regular file; a link is none."""
+    Raises OSError if another run holds the lock, or it is not a regular file; a link is none."""
     return _locked(regular(path, os.O_RDWR | (os.O_CREAT if create else 0)), path)
 
 
@@ -145,8 +144,7 @@ def _locked(descriptor: int, path: Path) -> int:
 
 def is_locked(path: Path, otherwise: bool = True) -> bool:
     """Whether a process holds the lock of a file.
-    otherwise : the answer where this cannot be found out.  Raises
-    OSError if the file cannot be opened."""
+    otherwise : the answer where this cannot be found out.  Raises OSError if the file cannot be opened."""
     descriptor = os.open(path, os.O_RDONLY | NO_LINK)
     try:
         if HAS_LOCKS:

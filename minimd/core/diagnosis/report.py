@@ -214,8 +214,7 @@ class Report(Displayed):
     duration : [ps or τ].
     n_frames : number of observations.
     n_steps : from the first to the last.
-    cost : of the run,
-        if known.
+    cost : of the run, if known.
     kinetic_energy : mean per atom [energy]: ½ n_dof k_B T / N, without a motion of the center of mass if n_dof is.
     energy_range : largest difference of two total energies per atom beyond rounding [energy].
     shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.

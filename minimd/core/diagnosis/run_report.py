@@ -120,8 +120,7 @@ def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[L
 class Jump(NamedTuple):
     """What is cut off at cutoff [length].
     energy, force : |u|, |u′| there.
-    size : of |u|, with which it is compared;
-    that of |u′| is size/cutoff."""
+    size : of |u|, with which it is compared; that of |u′| is size/cutoff."""
 
     cutoff: float
     energy: float

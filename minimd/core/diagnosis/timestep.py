@@ -43,8 +43,7 @@ class StepAdvice(Displayed):
     harmonic : the step at which the energy of this mode oscillates by ±1/80 of its mean, at most half the limit [time].
     collision : the same for Lennard-Jones atoms that collide in a liquid [time]; infinite without such atoms.
     recommended : the smaller of the two [time].
-    temperature : of the velocities, for which it holds;
-        0 at rest [temperature].
+    temperature : of the velocities, for which it holds; 0 at rest [temperature].
     method : name of the method.
     timestep : of the method, if it has one [time].
     atoms, shares : the atoms that move most in the mode, and the fraction of its kinetic energy that each of them has.

@@ -28,8 +28,7 @@ class Frame(NamedTuple):
 
     step, time [time].
     positions, velocities, forces : (N, 3).
-    observables : name in SERIES to number or (3,) array;
-    pressure only if the cell has a volume.
+    observables : name in SERIES to number or (3,) array; pressure only if the cell has a volume.
     reservoir_energy : given by thermostat and barostat so far [energy].
     """
 

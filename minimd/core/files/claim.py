@@ -265,8 +265,7 @@ class JournaledFile(io.RawIOBase):
 
 def repair(path: str | Path) -> None:
     """Finish the last commit of a file, if it was interrupted.
-    Raises OSError if a run is writing the file, or this
-    process is not allowed to."""
+    Raises OSError if a run is writing the file, or this process is not allowed to."""
     with open(path, "rb") as file:
         if _read_journal(file.fileno()) is None:
             return

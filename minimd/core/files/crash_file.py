@@ -159,8 +159,7 @@ def is_crash_file(path: str | Path) -> bool:
 
 def read_crash_report(path: str | Path) -> CrashFile:
     """The contents of a crash file.
-    Raises FileNotFoundError, OSError, ValueError as read_file,
-    and ValueError for another file of minimd."""
+    Raises FileNotFoundError, OSError, ValueError as read_file, and ValueError for another file of minimd."""
     from minimd.core.files.h5md_digest import read_group, unflattened
     from minimd.core.files.h5md_reader import damage_told, opened, read_file
 

@@ -59,8 +59,7 @@ Numbers = dict[str, Any]
 class Restart(NamedTuple):
     """A restart that is intact.
     n_frames : in the file at that time.
-    arrays : all of it, with those that are kept
-    beside the checkpoint.
+    arrays : all of it, with those that are kept beside the checkpoint.
     is_earlier : whether it is the earlier restart, because the newest is damaged."""
 
     checkpoint: Checkpoint
@@ -246,8 +245,7 @@ def checked(
 
 def read_group(group: h5py.Group) -> tuple[Arrays, Numbers]:
     """Arrays and numbers of a restart, as in checked.
-    Raises ValueError if their digest is wrong, or if they are not
-    of the kinds that are declared."""
+    Raises ValueError if their digest is wrong, or if they are not of the kinds that are declared."""
     arrays = {name: group[name][()] for name in group}
     numbers = dict(group.attrs)
     if digest_of(arrays, numbers) != numbers.pop(DIGEST, None):

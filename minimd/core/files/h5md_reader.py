@@ -324,8 +324,7 @@ class H5MDContents(Displayed):
     has_forces : whether frames hold forces.
     title, scene : texts, empty if none were stored.
     observers : of minimd.observers, by name, in their state at the restart.
-    lacks_results : whether they have looked
-        since their results were written, as in a killed run.
+    lacks_results : whether they have looked since their results were written, as in a killed run.
     repaired : a sentence if the newest restart is damaged and the one before it is used; else empty.
     """
 

@@ -73,8 +73,7 @@ def columns(
     system: System, observables: list[str], store_forces: bool, spacing: float | None
 ) -> list[Column]:
     """All series of a file, positions last: for MDAnalysis their length is the number of frames.
-    spacing : time
-    between observations [time]; None for a file that does not hold it."""
+    spacing : time between observations [time]; None for a file that does not hold it."""
     units = system.units
     to = factors(units)
     ps = units.to_picosecond
@@ -122,8 +121,7 @@ def has_edges(cell: Cell) -> bool:
 
 def chunk_rows(entry: np.ndarray, n_frames: int | None = None) -> int:
     """The number of entries in a chunk of a series; a chunk takes its full size on the disk.
-    n_frames : expected in
-    the file, if known."""
+    n_frames : expected in the file, if known."""
     expected = CHUNK_ROWS if n_frames is None else max(FEW_ROWS, n_frames)
     return max(1, min(CHUNK_BYTES // entry.nbytes, CHUNK_ROWS, expected))
 

@@ -54,8 +54,8 @@ class H5MDWriter:
     every : steps between two frames.
     n_frames : number of frames expected, None if it is not known.
     observers : of the run; their state is kept with each restart, and their results are written at the end of the run.
-    bring_others : brings other trajectories to the disk before a restart;
-        the marks that it returns are kept until the end of the run.
+    bring_others : brings other trajectories to the disk before a restart; the marks that it returns are kept until
+        the end of the run.
 
     Raises OSError if the file cannot be created or has no room.
     """

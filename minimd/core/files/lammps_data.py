@@ -88,8 +88,7 @@ class LammpsData(NamedTuple):
     positions : (N, 3) [length], in the images that the file names.
     types : (N,) their labels, or numbers as text.
     cell : (3, 3) [length], rows; its origin is not kept.
-    groups : bonds, angles, dihedrals, impropers, (n, 2), (n, 3)
-        or (n, 4) int, from 0 on, by these names.
+    groups : bonds, angles, dihedrals, impropers, (n, 2), (n, 3) or (n, 4) int, from 0 on, by these names.
     n_types : of these, how many types occur, where more than one.
     masses, charges : (N,).
     velocities : (N, 3).
@@ -116,8 +115,7 @@ class DataFile:
 
     title : the first line.
     header : numbers by keyword, zeros for what is not there.
-    sections : by name, the words of
-    each line by its number, from the words behind that name on.
+    sections : by name, the words of each line by its number, from the words behind that name on.
     labels : number of a type by its label, by kind.
     places : of atoms by their ids.
     """

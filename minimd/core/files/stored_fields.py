@@ -23,8 +23,7 @@ class Stored(NamedTuple):
     """What an array or a number must be.
 
     shape : with N for atoms, K for rigid bonds, and * for any length.
-    least, most : of its elements, all of them
-    finite.
+    least, most : of its elements, all of them finite.
     kind : its type; a single number may be of either type of NumPy's numbers.
     """
 

@@ -110,8 +110,8 @@ def system_from_file(
 
     Parameters
     ----------
-    cell, pbc : in place of those of the file, as for System; if only cell is given,
-        the directions with a vector are periodic.
+    cell, pbc : in place of those of the file, as for System; if only cell is given, the directions with a vector are
+        periodic.
     format : ASE's name of the format ("lammps-data"), or MDAnalysis' name ("GRO"); if not given,
         suffix and content decide.
     units : minimd.units.ASE if not given, or minimd.units.LJ, for which the numbers in the file are taken unchanged;

@@ -82,8 +82,8 @@ def open_trajectories(
 
     every : steps between two frames.
     n_steps : of the run, None if it is not known.
-    observers : .h5md files hold their state and results; with append,
-        those that have not looked yet go on from their state in the file.
+    observers : .h5md files hold their state and results; with append, those that have not looked yet go on from their
+        state in the file.
     Raises ValueError for a suffix without a writer, a file that is named twice, is not a regular file, or cannot be
     appended to. FileExistsError for a file that exists, unless overwrite.  FileNotFoundError, PermissionError for a
     folder that does not exist or cannot be written.  OSError if another run writes the file.
@@ -292,8 +292,7 @@ def first_h5md(paths: Paths) -> Path | None:
 
 def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:
     """The path, if a new file with one of the suffixes can be written there; no file is created.
-    Raises as
-    open_trajectories."""
+    Raises as open_trajectories."""
     file = checked_path("output", path)
     overwrite = checked_flag("overwrite", overwrite)
     if file.suffix.lower() not in suffixes:

@@ -66,8 +66,7 @@ def plan(
     the list leaves out, and for sums over waves.
 
     terms_bound : the terms that the potentials were bound to.
-    displacement : of the fastest atom in a step [length],
-        0 if unknown.
+    displacement : of the fastest atom in a step [length], 0 if unknown.
     skins : of the lists [length], if they are known.
     """
     terms = [term for term in terms_bound if term.pair_law is None]
@@ -141,8 +140,7 @@ class ForceResult:
     potential_energy : U [energy].
     virial : W = Σ f r_ij ⊗ r_ij [energy], (3, 3).
     energies : (N,) each atom's share of U [energy].
-    virials : (N, 6) of W, as xx yy zz yz xz xy. Tail corrections are
-    included, for atoms in equal shares.
+    virials : (N, 6) of W, as xx yy zz yz xz xy. Tail corrections are included, for atoms in equal shares.
     """
 
     forces: NDArray[np.float64]
@@ -169,8 +167,7 @@ class Forces:
     displacement : of the fastest atom in a step, for which skins were chosen [length]; 0 if unknown.
     n_evaluations : calls of compute since the last reset_counts.
     grid : of fixed-point arithmetic, see lay_grid; None in float64.
-    impulses : (N, 3) int64 in its steps of momentum,
-        of the last compute.
+    impulses : (N, 3) int64 in its steps of momentum, of the last compute.
     unit : of time, over which they are computed if compute is given no other [time].
     time : at which forces that depend on it are evaluated [time].
     pool : the threads for this scene.

@@ -233,8 +233,7 @@ class Descent:
     """A descent, made in place on the positions of the system of some forces.
 
     n_steps : made so far.
-    largest_force : the largest force on an atom, projected onto the constraints
-    [energy/length].
+    largest_force : the largest force on an atom, projected onto the constraints [energy/length].
     stop_requested : set it to True to end after the present step.
     """
 
@@ -271,8 +270,7 @@ class Descent:
         """Correct the constrained lengths, and descend until no force exceeds the tolerance, or for max_steps steps.
 
         Return the largest force at the start, infinite if atoms had to be pushed apart first.
-        tell : called with the
-        number of steps made.
+        tell : called with the number of steps made.
 
         Raises NonFiniteError if energy or forces are not finite for another reason than overlaps.  ConstraintError if
         the lengths cannot be corrected, or if no step keeps them.

@@ -78,8 +78,7 @@ class Sites(
     law : law type.
     columns : (n,) numbers for each parameter.
     time : (1,) t [time].
-    forces, steps, detail : see
-    Target.
+    forces, steps, detail : see Target.
     sums : Σ u [energy] and Σ ∂u/∂t [energy/time], (chunks,) output, and energies (N,), to which PER_ATOM adds.
     """
 
@@ -454,8 +453,8 @@ class OwnWall(OnAtoms):
 
     def bind(self, system: System) -> Term:
         """The term of this wall in a system.
-        Raises ValueError if atoms are missing or lie on the wall or behind it,
-        or if the wall crosses a periodic direction."""
+        Raises ValueError if atoms are missing or lie on the wall or behind it, or if the wall crosses a periodic
+            direction."""
         acting = self.atoms_in(system)
         arguments = self.arguments()
         normal, place, distances = self.place(system, system.positions[acting])

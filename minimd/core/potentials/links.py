@@ -316,8 +316,7 @@ class LinkedTerm(OwnTerm):
 
     shape : from link_shape.
     law : law type, which runs on vectors.
-    columns : (T,) numbers of each term, for each
-    parameter.
+    columns : (T,) numbers of each term, for each parameter.
     first_slot : where its slots begin, see Slots.
     """
 

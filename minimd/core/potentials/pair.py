@@ -128,8 +128,8 @@ class Nonbonded(Declared, metaclass=ABCMeta):
 
     def bind(self, system: System) -> PairTerm:
         """The term of this potential in a system.
-        Raises ValueError as table; for a periodic cell without a cutoff,
-        an open one with a tail correction, or pairs of species that are neither in the parameters nor in the system."""
+        Raises ValueError as table; for a periodic cell without a cutoff, an open one with a tail correction, or pairs
+            of species that are neither in the parameters nor in the system."""
         if self.cutoff == inf and system.cell.is_periodic:
             raise ValueError(
                 f"cutoff must be given in a periodic cell; that of {type(self).__name__} is None"

@@ -120,8 +120,7 @@ class Term:
     widest_skin : that the list can have [length].  summary :
         of the list, for the report.
     ingredient : name of what this term adds to a scene; the report lists it if absent.
-    warning : for the user,
-        given once.
+    warning : for the user, given once.
     acts_from_outside : whether its forces need not add up to zero, as those of fields and walls:
         the total momentum is then not constant.
     needs_one_accumulator : whether TOTALS needs the first elements of energies and virials only.

@@ -64,8 +64,7 @@ class Simulation(Closed, Displayed):
         for any number.
     precision : "double", or "fixed-point": all sums exact, see docs/fixed-point.md.
     skin : of neighbor lists [length]; the best one if not given.
-    grid : Grid of fixed-point arithmetic;
-        chosen from the scene if not given.
+    grid : Grid of fixed-point arithmetic; chosen from the scene if not given.
     barostat : StochasticCellRescaling, which keeps the pressure; None for a constant cell.
 
     Attributes
@@ -238,8 +237,8 @@ class Simulation(Closed, Displayed):
         trajectory : one file or several; the suffix gives the format, see minimd.core.files.trajectory.
         store_forces : write forces into formats that can hold them.
         overwrite : replace files that exist.
-        append : continue the trajectory,
-            an H5MD file whose restart is the state of this simulation; "auto" does so if it exists, else begins it.
+        append : continue the trajectory, an H5MD file whose restart is the state of this simulation; "auto" does so
+            if it exists, else begins it.
         observers : functions called with this simulation at each observation; and those of minimd.observers, which have
             their own steps and give results at the end. An H5MD file keeps them for a run that continues it.
         progress : show a progress bar; if not given, on a terminal and in a notebook.

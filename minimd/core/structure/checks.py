@@ -155,8 +155,7 @@ def checked_indices(name: str, values: Any, expected: str) -> NDArray[np.int64]:
 def checked_array(name: str, values: Any, expected: str, kinds: str) -> NDArray[Any]:
     """The values as an array, the same one if they are one.
     expected : words for the message.
-    kinds : which of KINDS
-    may be in it.
+    kinds : which of KINDS may be in it.
     Raises ValueError for anything else, for masked values, for bools among numbers, for ragged lists,
     and for more than MOST_NUMBERS values."""
     present: set[str] = set()
@@ -172,8 +171,7 @@ def checked_array(name: str, values: Any, expected: str, kinds: str) -> NDArray[
 
 def _find_kinds(values: Any, kinds: set[str]) -> None:
     """Add the kinds of numbers among the values.
-    Raises ValueError for values that are no numbers, masked, or too
-    many."""
+    Raises ValueError for values that are no numbers, masked, or too many."""
     if type(values) in PLAIN:
         kinds.add(PLAIN[type(values)])
         return

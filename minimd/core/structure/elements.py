@@ -57,11 +57,9 @@ class Stated(NamedTuple):
 
     source : the file or object, in words.
     names : (N,) of atoms.
-    residues : (N,) names of residues; residue_of : (N,)
-    their numbers, from 0 on.
+    residues : (N,) names of residues; residue_of : (N,) their numbers, from 0 on.
     elements : (N,) chemical symbols, "" for atoms without.
-    masses : (N,) [u], NaN for atoms
-    without.
+    masses : (N,) [u], NaN for atoms without.
     positions : (N, 3) [Å].
     """
 
@@ -111,8 +109,8 @@ def identified(
     is_reduced : masses that are not stated are 1, whatever the element.
 
     Warns of elements that are guessed.
-    Raises ValueError for atoms that have neither mass nor element, for massless
-    sites, and for names and lengths that do not fit.
+    Raises ValueError for atoms that have neither mass nor element, for massless sites, and for names and lengths that
+        do not fit.
     """
     n = len(stated.names)
     symbols = list(stated.elements or [""] * n)

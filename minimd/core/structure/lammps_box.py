@@ -22,8 +22,8 @@ class Box:
     ----------
     cell : Cell.
     positions : (N, 3) [length].
-    lattice : (3, 3) [length], rows that span the lattice of the cell, as
-        cell.lattice, which is taken if it is not given; the row of an open direction is perpendicular to the others.
+    lattice : (3, 3) [length], rows that span the lattice of the cell, as cell.lattice, which is taken if it is not
+        given; the row of an open direction is perpendicular to the others.
 
     Attributes
     ----------

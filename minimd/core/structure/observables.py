@@ -71,8 +71,7 @@ def center(vectors: Array, masses: Array, conserves_momentum: bool = True) -> Ar
 
 def thermal_energy(kinetic: float, drift: Array, masses: Array) -> float:
     """½ Σ m (v − V)² = K − ½ V² Σ m [energy]; 0 if what is left of K is only rounding.
-    drift : V,
-    center of velocities."""
+    drift : V, center of velocities."""
     left = kinetic - 0.5 * float(sum_in_any_order(masses)) * float((drift * drift).sum())
     return 0.0 if left <= AT_REST * kinetic else left
 
@@ -215,8 +214,8 @@ def rescaled(
     velocities: Array, masses: Array, target: float, k_B: float, n_dof: int, drift: Array
 ) -> Array:
     """V + √(T_target/T) (v − V): kinetic temperature exactly the target, (N, 3).
-    drift : V; scaled, too, if only
-    rounding. Raises ValueError if the target is negative or not finite, or nothing moves, except all atoms alike."""
+    drift : V; scaled, too, if only rounding. Raises ValueError if the target is negative or not finite, or nothing
+        moves, except all atoms alike."""
     target = checked_number("temperature", target, "finite and not negative")
     kinetic = kinetic_energy(velocities, masses)
     thermal = thermal_energy(kinetic, drift, masses)

@@ -156,8 +156,7 @@ def replicas(estimate: Callable[[Array], Any], total: Array, parts: Array) -> Ar
     """Estimates from the sums over a run without one of its blocks, (K, ...), for each of K blocks; see spread.
     estimate : function of sums (n,), linear or not; returns a number or an array.
     total : (n,).
-    parts : (K, n),
-        of blocks of equal length.
+    parts : (K, n), of blocks of equal length.
     This is the jackknife: B. Efron, C. Stein, Ann. Statist. 9, 586 (1981)."""
     # (0, ...) without blocks
     return np.array([estimate(total - part) for part in (0.0, *parts)], float)[1:]

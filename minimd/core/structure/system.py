@@ -271,8 +271,8 @@ class System(Displayed):
         Raises
         ------
         TypeError : for anything but a universe or a group.
-        ValueError : as System; for atoms whose mass is neither
-            stated nor told by their names, or 0; for velocities of LAMMPS data that does not state its units.
+        ValueError : as System; for atoms whose mass is neither stated nor told by their names, or 0; for velocities
+            of LAMMPS data that does not state its units.
         """
         from minimd.core.structure.mdanalysis_atoms import universe_arguments
 

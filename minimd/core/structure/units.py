@@ -27,8 +27,7 @@ class UnitSystem:
     to_angstrom, to_picosecond, to_kj_per_mol : factors for files that must have these units. Reduced numbers are
         written unchanged (1 σ as 1 Å, 1 τ as 1 ps, 1 ε as 1 kJ/mol), as most tools do.
     shown_time : name of the unit of time · to_picosecond, as it is shown.
-    small_time : the same for time steps, of
-        which shown_small_time make one.
+    small_time : the same for time steps, of which shown_small_time make one.
     length, volume, time, energy, temperature, pressure, momentum, angular_momentum : names of the units, for files,
         plots and reports."""
 

@@ -109,8 +109,8 @@ class Hessenberg(DifferentialAlgebraic):
 
     def _consistent(self, start: Any, t: float, kept: float, refused: float) -> Array:
         """The state whose parts are roots of the constraints that determine them.
-        kept, refused : moves of a part,
-        relative to its size, up to which it stays as it is, and above which the start is refused."""
+        kept, refused : moves of a part, relative to its size, up to which it stays as it is, and above which the
+            start is refused."""
         parts = self._begun(start, t)
         n_fixed = len(parts) - len(self.chain)
 
@@ -305,8 +305,7 @@ class Mechanical(Hessenberg):
     mass : number, (n,) diagonal, (n, n) matrix, or a function of q that answers with one of them [mass].
     force : function of t, q, v, or of some of them under these names [force].
     g : (m,) constraints, function of t, q.
-    jacobian : (m, n) G = ∂g/∂q, a function of the same; by differences of
-        order 6 if not given.
+    jacobian : (m, n) G = ∂g/∂q, a function of the same; by differences of order 6 if not given.
 
     The start is (q, v), or (q, v, λ) with a guess of λ; the force of the constraints is −Gᵀ λ. An error of G is one of
     this force: for all digits of λ and v′ give the jacobian. The message of a solution says how large the error is.

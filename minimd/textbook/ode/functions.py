@@ -37,8 +37,7 @@ def arguments(
     """Which of the named arguments a function takes: by their names and in their order, else by their number, if it
     takes all of them or the usual ones.
     names, usual : separated by blanks; all are usual if none is.
-    unknown : what a function takes that cannot be
-    asked, if not the usual.
+    unknown : what a function takes that cannot be asked, if not the usual.
     Raises TypeError for anything else; label is its name in the message, wanted what it should be."""
     checked_kind(label, function, Callable, wanted)
     every = names.split()

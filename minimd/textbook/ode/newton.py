@@ -136,8 +136,7 @@ class Iteration:
         """x with residual(x) = 0, to rounding, from a first guess.
         Raises ConvergenceError with the largest residual.
         jacobian : ∂residual/∂x, a function of x.
-        key : what J depends on beside x, such as the time step; J is renewed
-            when it changes.
+        key : what J depends on beside x, such as the time step; J is renewed when it changes.
         scale : least sizes of the unknowns for relative errors, one number or an array; the equations are scaled by an
             array too.
         floor : the same for corrections that no longer shrink; scale if not given.

@@ -57,8 +57,7 @@ class FirstOrder(Problem):
     Parameters
     ----------
     f : function of t and y, or of y.
-    jacobian : (n, n) ∂f/∂y as a function of the same, by finite differences if not
-        given.
+    jacobian : (n, n) ∂f/∂y as a function of the same, by finite differences if not given.
     solver : Newton() or FixedPoint().
     """
 
@@ -340,8 +339,7 @@ class EulerStep:
         self, unknown: str, x0: Array, place: Place, duration: float, iteration: Iteration
     ) -> Array:
         """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one is constant.
-        place : (t, q, v)
-        with this x."""
+        place : (t, q, v) with this x."""
         problem = self._problem
         field = problem.f if unknown == "v" else problem.g
         jacobian: Any = problem.f_v if unknown == "v" else problem.g_q

@@ -151,11 +151,6 @@ def is_near(value: float, other: float) -> bool:
     return abs(value - other) < EXACT * max(1.0, abs(other))
 
 
-def first_of(*rows: tuple[object, str]) -> list[str]:
-    """The first sentence whose condition holds; none if no condition does."""
-    return [sentence for condition, sentence in rows if condition][:1]
-
-
 def nearest(value: float, table: dict[float, str], within: float) -> str:
     """: and the meaning of the number in a table that is nearest, if it is near."""
     best = min(table, key=lambda number: abs(log(max(value, 1e-9) / number)))

@@ -39,8 +39,9 @@ class Measured:
         self.where = where
         self.expected = expected
         starts = [where.x * (1.0 + 1e-6 * k) for k in range(12)]
-        line = [np.ravel(step(where, x, where.v, 0.1)[0]) for x in starts]
-        self.noise = np.abs(np.diff(line, n=3, axis=0)).max() / 8.0 / np.abs(where.x).max()
+        ends = [np.ravel(step(where, x, where.v, 0.1)[0]) for x in starts]
+        bends = np.diff(ends, n=3, axis=0)
+        self.noise = np.abs(bends).max() / 8.0 / np.abs(where.x).max()
         self.fuzz = max(1.0, self.noise / NOISE)
         # springs to the origin conserve no momenta
         n_dimensions = 0 if where.stiffness else where.x.ndim
@@ -71,47 +72,51 @@ class Measured:
         if slope < ORDER_OFF:  # the error does not decrease with dt
             off = np.inf
         shortest = DURATION / COUNTS[-1]
-        return (
-            slope,
-            off,
+        sentence = (
             f"{max(slope, 0.0):.2f} measured, {self.expected} expected; error {errors[-1]:.1e} at t = {DURATION:g}, "
-            f"dt = {shortest:g}",
+            f"dt = {shortest:g}"
         )
+        return slope, off, sentence
 
     @cached_property
     def jacobian(self) -> Array:
         """∂(x₁, p₁)/∂(x, p) at Δt = 0.1."""
         where = self.where
-        start = np.array([where.x, where.mass * where.v])
+        mass = where.mass
 
         def end(y: Array) -> Array:
-            x, p = y.reshape(start.shape)
-            x, v = self.step(where, x, p / where.mass, 0.1)
-            return np.ravel([x, where.mass * v])
+            x, p = y.reshape(2, *where.x.shape)
+            x, v = self.step(where, x, p / mass, 0.1)
+            return np.ravel([x, mass * v])
 
-        y = start.ravel()
-        columns = [difference(end, y, DELTA * unit) / DELTA for unit in np.eye(y.size)]
+        start = np.ravel([where.x, mass * where.v])
+        columns = [difference(end, start, DELTA * unit) / DELTA for unit in np.eye(start.size)]
         return np.array(columns).T
 
     @cached_property
     def form(self) -> float:
         """The largest element of JᵀΩJ − Ω."""
         omega = np.kron([[0.0, 1.0], [-1.0, 0.0]], np.eye(self.where.x.size))
-        return float(np.abs(self.jacobian.T @ omega @ self.jacobian - omega).max()) / self.fuzz
+        form = self.jacobian.T @ omega @ self.jacobian
+        return float(np.abs(form - omega).max()) / self.fuzz
 
     def reversal(self) -> Answer:
         """The distance from the start after steps forwards and as many back, and the way."""
         x, v = self.run(PACE, BACK)
         way = np.abs(x - self.where.x).max()
         x, v = self.run(PACE, BACK, (x, -v))
-        back = max(np.abs(x - self.where.x).max(), np.abs(v + self.where.v).max())
-        return back, back / self.fuzz / max(1.0, way), way
+        off_x = np.abs(x - self.where.x).max()
+        off_v = np.abs(v + self.where.v).max()
+        off = max(off_x, off_v)
+        return off, off / self.fuzz / max(1.0, way), way
 
     def momentum(self, of: Callable[[Array, Array], Array]) -> float:
         """The relative change of Σ of(x, mv) in some steps."""
-        ends = self.where[:2], self.run(PACE, SOME)
-        before, after = (of(x, self.where.mass * v) for x, v in ends)
-        return float(np.abs((after - before).sum(axis=0)).max() / np.abs(before).sum()) / self.fuzz
+        x, v = self.run(PACE, SOME)
+        before = of(self.where.x, self.where.mass * self.where.v)
+        after = of(x, self.where.mass * v)
+        change = (after - before).sum(axis=0)
+        return float(np.abs(change).max() / np.abs(before).sum()) / self.fuzz
 
     def energy(self) -> Answer:
         """Drift of the total energy per step in a long run; a symplectic step has none, only slow oscillations."""
@@ -119,10 +124,13 @@ class Measured:
         parts = np.empty((LONG, 2))  # kinetic and potential energy
         for k in range(LONG):
             x, v = self.step(self.where, x, v, PACE)
-            parts[k] = 0.5 * np.sum(self.where.mass * v * v), self.where.at(x)[1]
-            if not abs(parts[k].sum()) < TOO_LARGE:
+            kinetic = 0.5 * np.sum(self.where.mass * v * v)
+            _, potential = self.where.at(x)
+            parts[k] = kinetic, potential
+            if not abs(kinetic + potential) < TOO_LARGE:
                 sentence = f"grows beyond {TOO_LARGE:g} in {k + 1} steps of {PACE:g}"
                 return np.inf, np.inf, sentence
+
         times = np.arange(LONG)
         energies = parts.sum(axis=1) / parts.mean(axis=0)[0]
         slope, start = np.polyfit(times, energies, 1)
@@ -143,14 +151,15 @@ class Measured:
         omega = np.sqrt(self.step.stiffness or 1.0)
         where = self.step.problem(1, stiffness=float(omega**2))
         where = where._replace(m=np.ones_like(where.m))
-        one_each = np.ones_like(where.x)
+        units = np.ones_like(where.x)
+
+        def end(x: float, v: float, h: float) -> tuple[float, float]:
+            new_x, new_v = self.step(where, x * units, v * units, h / omega)
+            return new_x.flat[0], new_v.flat[0]
 
         def matrix(h: float) -> Array:
-            columns = []
-            for x, v in ((1.0, 0.0), (0.0, omega)):
-                new_x, new_v = self.step(where, x * one_each, v * one_each, h / omega)
-                columns.append((np.ravel(new_x)[0], np.ravel(new_v)[0] / omega))
-            return np.array(columns).T
+            columns = [end(1.0, 0.0, h), end(0.0, omega, h)]
+            return np.array(columns).T / np.array([[1.0], [omega]])
 
         m = matrix(0.5)
         off = np.linalg.det(m) - 1.0
@@ -159,6 +168,7 @@ class Measured:
                 f"at ω dt = 0.5 the energy changes by the factor {1.0 + off:.4g} in each step"
             )
             return off, np.inf, sentence
+
         skew = (m[1, 1] - m[0, 0]) / m[0, 1]
         stiffness = -m[1, 0] / m[0, 1]
         n_stable = 0
@@ -239,6 +249,7 @@ def grade_step(function: Function, order: int = 2) -> Grade:
     problems = [step.problem(seed) for seed in range(STATES[step.shape])]
     where = problems[0]
     remarks = [sentence for is_so, sentence in REMARKS if is_so(step)]
+    is_map = not step.takes("before")
     with np.errstate(all="ignore"):
         fault = hidden(step, where)
         if fault:
@@ -247,27 +258,24 @@ def grade_step(function: Function, order: int = 2) -> Grade:
         measured = Measured(step, where, order)
         laws = {finding.name: finding for finding in judged(LAWS, measured)}
         reached = laws["order"].value
-        is_map = not step.takes("before")
+        is_right = laws["order"].passed
         is_symplectic = laws["symplectic"].passed
         is_low = is_symplectic and order == 1  # and asked for
         is_beyond = reached > HIGH or is_low
+
         numbers = numbers_of(step, where) if is_map else None
-        method = ""
-        fault = numbers if isinstance(numbers, str) else ""
-        if isinstance(numbers, Numbers):
-            method, fault = named(numbers)
+        method, fault = named(numbers)
         faults = [fault]
         if not fault:
             is_energy_kept = laws["energy"].value == 0.0
             n_powers = 2 if is_beyond else 3
             faults = faults_of(step, problems, measured.noise, n_powers, is_energy_kept)
+
     open_laws = set[str]() if is_map else NO_MAP
-    is_right = laws["order"].passed
-    is_in_turn = isinstance(numbers, Numbers) and numbers.substeps
-    # as Ruth's method of order 3, which is right
+    is_runge_kutta = isinstance(numbers, Numbers) and not numbers.substeps
     if is_symplectic and is_right and is_beyond:
-        open_laws = {"reversible"}
-    elif isinstance(numbers, Numbers) and not (is_in_turn or is_symplectic or faults):
+        open_laws = {"reversible"}  # as Ruth's method of order 3, which is right
+    elif is_runge_kutta and not is_symplectic and not faults:
         if is_right and abs(reached - order) < 0.5 and (order > 2 or method):
             open_laws = {name for name, law in laws.items() if law.passed is False}
             remarks.append(RUNGE_KUTTA)

@@ -104,7 +104,7 @@ def numbers_of(step: StudentStep, where: TrialProblem) -> Numbers | str | None:
         return np.array([*recorded.places, x]), v - where.v
 
     def along(change: Array, unit: Array) -> float:
-        return float(np.sum(change * unit) / np.sum(unit * unit))
+        return np.sum(change * unit) / np.sum(unit * unit)
 
     free, change = end_with(-1)
     n = len(free) - 1

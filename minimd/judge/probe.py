@@ -85,7 +85,7 @@ class Probe:
             self.x = self.cluster() if positions is None else positions
         self.forces = call(self.x)[0]
         self.scale = np.abs(self.forces).max() or 1.0
-        has_pairs = np.isfinite(self.forces).all()
+        has_pairs: Any = np.isfinite(self.forces).all()
         if is_many:
             has_field = self.takes(1) and call(self.place(PROBE)[:1])[0].any()
             self.has.add("field" if has_field else "nofield")
@@ -122,7 +122,7 @@ class Probe:
                 margin_of_half = np.abs(apart - 0.5 * lengths).min()
                 apart = np.minimum(apart, lengths - apart)
             distances = np.linalg.norm(apart, axis=1)
-            return min(margin_of_half, float(np.abs(distances - cutoff).min()))
+            return min(margin_of_half, np.abs(distances - cutoff).min())
 
         trials = []
         for seed in range(TRIALS):
@@ -191,7 +191,7 @@ class Probe:
         def at(distance: float) -> float:
             pair = np.array([self.start, self.start])
             pair[1, 0] += distance
-            return float(self.call(pair)[0][1, 0])
+            return self.call(pair)[0][1, 0]
 
         first = at(1.5)
         if not first:
@@ -206,12 +206,12 @@ class Probe:
             return abs(at(edge + 1.5) - first) + abs(at(edge - 1.5) + first)
 
         edge = min(np.arange(far - 2.0, far + 3.0, 0.005), key=misfit)
-        edge = float(np.round(edge, 3))
+        edge = np.round(edge, 3)
         return edge if abs(at(edge + 1.5) - first) < 0.05 * abs(first) else 0.0
 
     def off(self, x: Array, right: Array) -> float:
         """The relative difference of the forces at x from those that are right."""
-        return float(np.abs(self.call(x)[0] - right).max()) / self.scale
+        return np.abs(self.call(x)[0] - right).max() / self.scale
 
     def not_finite(self) -> int:
         """The number of forces that are not finite."""
@@ -282,7 +282,8 @@ class Probe:
         units = {self.call.roles[name]: value for name, value in self.call.physical.items()}
         has_units = {"epsilon", "sigma"} <= {*units}
         is_alone = has_units or self.has.isdisjoint({"known", "energy"})
-        exponents = [*self.powers.terms] if self.powers else []
+        own = self.powers or Powers({})
+        exponents = [*own.terms]
         off = 0.0
         fault = ""
         if exponents == [1] and is_alone and self.call.kind != "law":
@@ -292,14 +293,13 @@ class Probe:
                 "q² r_ij/r²"
             )
         elif len(exponents) == 2 and np.abs(np.subtract(exponents, (13, 7))).max() <= 2:
-            fault = self.beside_lennard_jones(units, has_units)
+            fault = self.beside_lennard_jones(own, units, has_units)
             if fault:
                 off = 1.0 if is_alone else np.nan
         return np.nan, off, fault, self.powers
 
-    def beside_lennard_jones(self, units: dict[str, float], has_units: bool) -> str:
+    def beside_lennard_jones(self, own: Powers, units: dict[str, float], has_units: bool) -> str:
         """The fault of two powers that are nearly those of Lennard-Jones, if they differ from these with the units."""
-        own = self.powers
         repulsion, attraction = own.terms.values()
         s6 = abs(repulsion / attraction) / 2.0
         depth = abs(attraction) / 24.0 / s6
@@ -418,7 +418,7 @@ class Probe:
         changes = self.changes(0, 24)
         n = len(changes)
         matrix = np.array(changes).reshape(n, -1)[:, :n]
-        return float(np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300))
+        return np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300)
 
     def images(self) -> Answer:
         """Nearest images across each face, in both directions."""

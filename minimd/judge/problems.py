@@ -39,7 +39,7 @@ def bisected(
 
 def multiple_of(f: Array, g: Array, within: float) -> float:
     """c if f = c g within a fraction of the largest |g|, else NaN."""
-    c = float(np.sum(f * g) / np.sum(g * g))
+    c = np.sum(f * g) / np.sum(g * g)
     return c if np.abs(f - c * g).max() < within * np.abs(g).max() else np.nan
 
 
@@ -90,8 +90,8 @@ class TrialProblem(NamedTuple):
         n_missing = self.x.ndim - self.m.ndim
         return self.m.reshape(self.m.shape + (1,) * n_missing)
 
-    def flow(self, time: float) -> tuple[Array, Array]:
-        """The exact x and v after a time, to about 1e-13."""
+    def flow(self, time: float) -> Array:
+        """The exact x and v after a time, to about 1e-13, (2, *shape of x)."""
         from scipy.integrate import solve_ivp
 
         def slope(_: float, y: Array) -> Array:
@@ -100,8 +100,7 @@ class TrialProblem(NamedTuple):
 
         start = np.ravel([self.x, self.v])
         path = solve_ivp(slope, (0.0, time), start, "DOP853", rtol=1e-13, atol=1e-14)
-        x, v = path.y[:, -1].reshape(2, *self.x.shape)
-        return np.asarray(x), np.asarray(v)
+        return path.y[:, -1].reshape(2, *self.x.shape)
 
 
 def problem(shape: tuple[int, ...], seed: int, same_mass: bool, stiffness: float) -> TrialProblem:

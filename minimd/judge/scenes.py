@@ -112,7 +112,7 @@ class Rigid(AnharmonicSprings):
         thermal = np.sqrt(seen.masses[:2].mean() / seen.kt)
         along = (d * v).sum(axis=2) / self.length * thermal
         stretch = np.linalg.norm(d, axis=2) / self.length - 1.0
-        return float(max(np.abs(stretch).max(), np.abs(along).max()))
+        return max(np.abs(stretch).max(), np.abs(along).max())
 
 
 class Scene(NamedTuple):
@@ -357,8 +357,8 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
         raise FloatingPointError(
             f"not finite: energy {ends[1][0]:.3g} eV or volume {atoms.get_volume():.3g} Å³"
         )
-    series = map(np.array, zip(*frames, strict=True))
-    return Frames(atoms.get_masses(), kt, *series, np.array(ends))
+    x, p, f, volumes, u = map(np.array, zip(*frames, strict=True))
+    return Frames(atoms.get_masses(), kt, x, p, f, volumes, u, np.array(ends))
 
 
 def started(make: Make, scene: Scene, seed: int) -> tuple[Atoms, Any]:

@@ -58,7 +58,7 @@ class Measured:
 
     def order(self) -> Answer:
         """The slope, in a logarithmic plot, of the error after a fixed time against the time step."""
-        right = np.array(self.where.flow(DURATION))
+        right = self.where.flow(DURATION)
         ends = [np.array(self.run(DURATION / n, n)) for n in COUNTS]
         errors = np.array([np.linalg.norm(end - right) for end in ends])
         slope = 0.0
@@ -98,7 +98,7 @@ class Measured:
         """The largest element of JᵀΩJ − Ω."""
         omega = np.kron([[0.0, 1.0], [-1.0, 0.0]], np.eye(self.where.x.size))
         form = self.jacobian.T @ omega @ self.jacobian
-        return float(np.abs(form - omega).max()) / self.fuzz
+        return np.abs(form - omega).max() / self.fuzz
 
     def reversal(self) -> Answer:
         """The distance from the start after steps forwards and as many back, and the way."""
@@ -116,7 +116,7 @@ class Measured:
         before = of(self.where.x, self.where.mass * self.where.v)
         after = of(x, self.where.mass * v)
         change = (after - before).sum(axis=0)
-        return float(np.abs(change).max() / np.abs(before).sum()) / self.fuzz
+        return np.abs(change).max() / np.abs(before).sum() / self.fuzz
 
     def energy(self) -> Answer:
         """Drift of the total energy per step in a long run; a symplectic step has none, only slow oscillations."""
@@ -202,42 +202,75 @@ PHASE_SPACE = (
     "the step, like Runge-Kutta methods and thermostats, shrinks or stretches phase space, or is not a product of "
     "kicks and drifts (see the laws symplectic and volume): the energy drifts"
 )
-# fmt: off
 LAWS = (
-    Law("order", Measured.order, ORDER_OFF, "{2}",
-        "the terms up to dt² are right, but the measured order is {0:.2f}"),
+    Law(
+        "order",
+        Measured.order,
+        ORDER_OFF,
+        "{2}",
+        "the terms up to dt² are right, but the measured order is {0:.2f}",
+    ),
     Law("symplectic", lambda s: s.form, SYMPLECTIC, "at dt = 0.1 JᵀΩJ − Ω is {0:.1e}", PHASE_SPACE),
-    Law("volume", lambda s: (np.linalg.det(s.jacobian) - 1.0) / s.fuzz, 1e-8, "det J − 1 is {0:.1e}",
-        PHASE_SPACE),
-    Law("reversible", Measured.reversal, 1e-11,
+    Law(
+        "volume",
+        lambda s: (np.linalg.det(s.jacobian) - 1.0) / s.fuzz,
+        1e-8,
+        "det J − 1 is {0:.1e}",
+        PHASE_SPACE,
+    ),
+    Law(
+        "reversible",
+        Measured.reversal,
+        1e-11,
         f"{BACK} steps and as many back miss the start by {{0:.1e}} on a way of {{2:.2g}}",
-        "the step is not symmetric: kicks and drifts do not read the same forwards and backwards"),
-    Law("momentum", lambda s: s.momentum(lambda x, p: p), 1e-11,
+        "the step is not symmetric: kicks and drifts do not read the same forwards and backwards",
+    ),
+    Law(
+        "momentum",
+        lambda s: s.momentum(lambda x, p: p),
+        1e-11,
         f"changes by {{0:.1e}} of Σ|mv| in {SOME} steps",
         "the total momentum changes: the forces of a step are not all computed at the same positions",
-        "atoms"),
-    Law("angular momentum", lambda s: s.momentum(angular_momenta), 1e-11,
+        "atoms",
+    ),
+    Law(
+        "angular momentum",
+        lambda s: s.momentum(angular_momenta),
+        1e-11,
         f"changes by {{0:.1e}} of Σ|r × mv| in {SOME} steps",
         "the total angular momentum changes",
-        "vectors"),
+        "vectors",
+    ),
     Law("energy", Measured.energy, 1.0, "{2}", "the energy drifts"),
-    Law("oscillator", Measured.oscillator, 1.0, "{2}",
-        "the energy of an oscillator is kept at no time step"),
+    Law(
+        "oscillator",
+        Measured.oscillator,
+        1.0,
+        "{2}",
+        "the energy of an oscillator is kept at no time step",
+    ),
     Law("cost", Measured.cost, 0.5, "{0} force evaluations per step{2}", needs="force"),
 )
 REMARKS = (
     (lambda step: step.swapped, "the step returns v before x; the usual order is x, v"),
-    (lambda step: step.in_place,
-     "the step changes the arrays that it is given; copy them if you need the old ones"),
+    (
+        lambda step: step.in_place,
+        "the step changes the arrays that it is given; copy them if you need the old ones",
+    ),
     (lambda step: step.masses == "(N, 1)", "masses must have shape (N, 1) in this step, not (N,)"),
-    (lambda step: step.takes("half"),
-     "velocities are at half steps: the test adds half a kick before and after"),
-    (lambda step: step.takes("old"),
-     "a recursion of two positions; the test takes v = (x₁ − x₀)/dt + ½ dt F/m"),
-    (lambda step: step.takes("before"),
-     "a step that takes the force of the previous step is not a map of x and v, and is not judged as one"),
+    (
+        lambda step: step.takes("half"),
+        "velocities are at half steps: the test adds half a kick before and after",
+    ),
+    (
+        lambda step: step.takes("old"),
+        "a recursion of two positions; the test takes v = (x₁ − x₀)/dt + ½ dt F/m",
+    ),
+    (
+        lambda step: step.takes("before"),
+        "a step that takes the force of the previous step is not a map of x and v, and is not judged as one",
+    ),
 )
-# fmt: on
 # open for a step that is no map
 NO_MAP = {"reversible", "symplectic", "volume", "angular momentum", "energy", "oscillator"}
 RUNGE_KUTTA = "a Runge-Kutta method: it is not symplectic, and its energy drifts at any order"

@@ -4,15 +4,15 @@ Parameters of steps with other names take the free places in step(x, v, force, m
 called in the first manner in which it returns without an error, and in the right shape.
 """
 
-import inspect
 import re
 from collections.abc import Iterable, Iterator
+from inspect import Parameter, signature
 from itertools import product
 from typing import Any
 
 import numpy as np
 
-from minimd.judge.problems import SHAPES, Array, Function, TrialProblem, problem
+from minimd.judge.problems import SHAPES, Array, Function, TrialProblem, largest, problem
 
 PLACES = ("x", "v", "force", "m", "dt")
 Names = tuple[tuple[str, str], ...]
@@ -111,7 +111,7 @@ class Called:
         self.function = function
         self.name = getattr(function, "__name__", "function")
         try:
-            parameters = inspect.signature(function).parameters
+            parameters = signature(function).parameters
         except (TypeError, ValueError):
             raise TypeError(f"give a function, such as {example}; got {function!r}") from None
         if [*parameters][:1] == ["self"]:
@@ -119,7 +119,8 @@ class Called:
                 f"{self.name} is a method without its object (its first parameter is self): pass the method of an "
                 f"object, as in md.grade(Simulation().{self.name})"
             )
-        starred = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+
+        starred = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
         self.first = next(iter(parameters.values()), None)
         self.roles = dict[str, str]()
         self.defaults = dict[str, Any]()
@@ -127,7 +128,7 @@ class Called:
             if parameter.kind in starred:
                 continue
             self.roles[name] = role_of(name, names)
-            if parameter.default is not inspect.Parameter.empty:
+            if parameter.default is not Parameter.empty:
                 self.defaults[name] = parameter.default
 
 
@@ -231,6 +232,7 @@ class StudentStep:
         """One step.  Raises what the function raises, and ValueError for results that are not x and v."""
         roles = self.roles
         copied: Any = float if x.ndim == 0 else np.array
+
         half = v
         if self.takes("half", "old"):
             half = v - 0.5 * h * where.force(x) / where.mass
@@ -242,6 +244,7 @@ class StudentStep:
             when, _, force = role.partition(" ")
             if force:
                 start[role] = where.scaled(force, before if when == "before" else x)
+
         arguments: dict[str, Any] = {
             "m": self._masses(where),
             "dt": h,
@@ -276,7 +279,7 @@ class StudentStep:
         new_x = parts[0]
         if "old" in roles:  # v as returned, else the velocity at the half step plus half a kick
             returned = next((part for part in parts[1:3] if not np.array_equal(part, x)), x)
-            if np.abs(returned - v).max() < np.abs(returned - x).max():
+            if largest(returned - v) < largest(returned - x):
                 return new_x, returned
             new_v = (new_x - x) / h
         elif self.swapped:
@@ -293,7 +296,8 @@ class StudentStep:
         """Masses as the step takes them, a copy."""
         if self.masses == "one number":
             return float(where.m.flat[0])
-        return where.m.reshape(-1, 1).copy() if self.masses == "(N, 1)" else where.m.copy()
+        masses = where.m.copy()
+        return masses[:, None] if self.masses == "(N, 1)" else masses
 
     def _force(self, role: str, where: TrialProblem) -> Function:
         def force(x: Any, *_: Any) -> Any:
@@ -325,17 +329,20 @@ class StudentStep:
         if is_many and not self.takes("state"):
             is_many = np.shape(answer) != shape
         parts = [np.array(part, dtype=float) for part in (answer if is_many else [answer])]
+
         if self.takes("steps"):
             path = parts[0]
             is_path = path.shape[1:] == shape and len(path) > 1
             self.rows_alike = is_path and not np.ptp(path, axis=0).any()
             parts = [part[-1] if part.ndim and part.shape[1:] == shape else part for part in parts]
+
         n_needed = 1 if self.takes("old") else 2
         if len(parts) < n_needed or {part.shape for part in parts[:2]} != {shape}:
             shapes = ", ".join(str(part.shape) for part in parts)
             raise ValueError(
                 f"the step must return x and v in the shape {shape} of its arguments; it returned shapes {shapes}"
             )
+
         self.third = np.array([])
         if len(parts) > 2 and parts[2].shape == shape:
             self.third = parts[2]
@@ -347,7 +354,7 @@ class StudentStep:
         where = self.problem(0)
         rate = self(where, where.x, 0.0 * where.v, TINY)[1] / TINY
         k = -np.sum(rate * where.x) / np.sum(where.x**2)
-        off = np.abs(rate + k * where.x).max()
+        off = largest(rate + k * where.x)
         if not k > 0.0 or off > 1e-4 * max(k, 1.0):
             raise TypeError(
                 "the step takes no force function, and its own force is not that of a spring, −k x: make the force "
@@ -375,8 +382,9 @@ def understood(function: Function) -> StudentStep:
             raise ValueError(
                 f"the step returned numbers that are not finite after one step of {TINY:g}, called as {step.call_text}"
             )
-        in_order = np.abs(x - where.x).max() + np.abs(v - where.v).max()
-        swapped = np.abs(v - where.x).max() + np.abs(x - where.v).max()
+
+        in_order = largest(x - where.x) + largest(v - where.v)
+        swapped = largest(v - where.x) + largest(x - where.v)
         step.swapped = bool(swapped < 0.01 * in_order) and not step.takes("old", "p")
         if not step.takes(*FORCES):
             step.find_own_force()
@@ -419,11 +427,13 @@ class StudentForce(Called):
             raise TypeError(
                 f"{self.name} has no parameter for the positions; a force function is called as forces(positions)"
             )
+
         name = plain(self.names[0])
         self.is_squared = re.search(SQUARED, name)
         self.is_of_two = False
         if len(self.names) > 1 and not self.is_squared and kind != "law":
             self.is_of_two = all(re.search(ONE_OF_TWO, plain(name)) for name in self.names[:2])
+
         taken = self.names[1 + self.is_of_two :]
         unknown = [name for name in taken if self.roles[name] not in options]
         if unknown and kind != "law":
@@ -434,6 +444,7 @@ class StudentForce(Called):
         taken += [name for name in self.defaults if options.get(f"{self.roles[name]} given")]
         self.values = {name: options.get(self.roles[name], 1.0) for name in taken}
         self.takes = {self.roles[name] for name in taken}
+
         has_stiffness = "stiffness" in self.roles.values()  # then a rest length is physical, too
         self.physical = dict[str, float]()
         for parameter, value in {**self.defaults, **self.values}.items():

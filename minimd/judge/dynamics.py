@@ -7,20 +7,22 @@ dynamics in one of a thousand cases, and the error that a right splitting may ma
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import replace
 from functools import cached_property
+from inspect import Parameter, isclass, signature
 from typing import Any, NamedTuple
 
 import numpy as np
 from ase import Atoms, units
+from numpy.random import RandomState
 from scipy import stats
 from tqdm import tqdm
 
 from minimd.core.console.words import shown
 from minimd.core.structure.checks import checked_choice, checked_count, checked_flag, checked_number
 from minimd.judge import ensembles
-from minimd.judge.findings import Finding, Grade, Law, Measurement, causes, judged, needed
+from minimd.judge.findings import Answer, Finding, Grade, Law, Measurement, causes, judged, needed
+from minimd.judge.problems import largest
 from minimd.judge.scenes import SCENES, SOFT, Array, Frames, Make, ends_of, run, started
 
 ENSEMBLES = {
@@ -74,16 +76,14 @@ class Claims(NamedTuple):
             has.add("rigid")
         return has
 
-    def laws(self) -> list[tuple[str, list[str]]]:
-        """The names of the laws of each scene."""
-        if self.ensemble == "NVE":
-            return []
-        table = list[tuple[str, list[str]]]()
-        for name in self.scenes:
-            scene = self.scene(name, True)
-            laws = needed(ensembles.LAWS, {*scene.has.split()})
-            table.append((name, [law.name for law in laws]))
-        return table
+    def laws(self) -> list[str]:
+        """The names of the laws of all scenes, each with its scene; none for NVE."""
+        names = list[str]()
+        if self.ensemble != "NVE":
+            for name in self.scenes:
+                has = {*self.scene(name, True).has.split()}
+                names += [f"{name}: {law.name}" for law in needed(ensembles.LAWS, has)]
+        return names
 
 
 class Motion:
@@ -100,6 +100,7 @@ class Motion:
         self.scene = claims.scene(claims.scenes[0], True)
         atoms, dynamics = started(make, self.scene, 0)
         n = len(atoms)
+
         self.heat = np.sqrt(claims.kt * atoms.get_masses().sum())  # a momentum
         is_nve = claims.ensemble == "NVE"
         n_parts = 1 if is_nve else claims.steps // OF_PATHS  # rare draws of momenta are seen
@@ -110,7 +111,7 @@ class Motion:
                     f"the dynamics changed the number of atoms from {n} to {len(atoms)}"
                 )
             p = atoms.get_momenta().sum(axis=0)
-            self.change = np.abs(p).max() / self.heat
+            self.change = largest(p) / self.heat
             self.is_still = self.change < KEPT  # whether a scene at rest stays at rest
             if not self.is_still:
                 break
@@ -120,7 +121,7 @@ class Motion:
     def path(self, *parts: int) -> Array:
         """Positions after some steps, of which each part is made by a new object."""
         atoms, _ = started(self.make, self.scene, 1)
-        state = np.random.RandomState(2)
+        state = RandomState(2)
         for n in parts:
             self.make(atoms, state).run(n)
         return atoms.positions
@@ -135,13 +136,13 @@ class Motion:
         """Whether all that a step needs is in the atoms."""
         once = self.path(OF_PATHS)
         parted = self.path(OF_PATHS // 2, OF_PATHS // 2)
-        off = np.abs(once - parted).max() / np.ptp(once)
+        off = largest(once - parted) / np.ptp(once)
         cause = ""
         if off >= SAME:
             cause = ": a step needs more than the atoms hold, or random numbers differ"
         return Measurement(off, 0.0 if off < SAME else np.nan, cause)
 
-    def center(self) -> tuple[float, float]:
+    def center(self) -> Answer:
         """The way of the center of mass over P t/M; open if the momentum is taken away."""
         atoms, dynamics = started(self.make, self.scene, 0)
         start = atoms.get_center_of_mass()
@@ -151,7 +152,7 @@ class Motion:
         moved = atoms.get_center_of_mass() - start
         way = moved @ right / (right @ right)
         p = atoms.get_momenta().sum(axis=0)
-        is_taken = np.abs(p).max() < KEPT * self.heat
+        is_taken = largest(p) < KEPT * self.heat
         return way, np.nan if is_taken else way - 1.0
 
     @cached_property
@@ -180,7 +181,7 @@ class Motion:
             half.append(path(self.halved, k, 2 * n))
         return [np.array(whole), np.array(half)]
 
-    def drift(self) -> tuple[float, float, float, int]:
+    def drift(self) -> Answer:
         """The mean slope of the energy, in its spread a run, over what passes."""
         whole = self.energies[0]
         runs, steps = whole.shape
@@ -214,17 +215,18 @@ class Motion:
 
     def softness(self) -> float:
         """How far rigid bonds are off."""
-        seen = run(self.make, self.scene, self.claims.seed, 2 * OF_PATHS, 1, self.claims.kt)
+        claims = self.claims
+        seen = run(self.make, self.scene, claims.seed, 2 * OF_PATHS, 1, claims.kt)
         return self.scene.calculator.softness(seen)
 
-    def reversal(self) -> tuple[float, float]:
+    def reversal(self) -> Answer:
         """The distance from the start after steps forwards and as many back, over the size of the scene."""
         atoms, dynamics = started(self.make, self.scene, self.claims.seed)
         start = atoms.positions.copy()
         dynamics.run(100)
         atoms.set_momenta(-atoms.get_momenta())
-        self.make(atoms, np.random.RandomState(0)).run(100)
-        off = np.abs(atoms.positions - start).max() / np.ptp(start)
+        self.make(atoms, RandomState(0)).run(100)
+        off = largest(atoms.positions - start) / np.ptp(start)
         return off, off if np.isfinite(off) else np.inf
 
 
@@ -293,11 +295,11 @@ def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
         ) from error
 
     is_still = motion.is_still
-    table = claims.laws()
-    n_laws = sum(len(laws) for _, laws in table)
-    rate = RATE / max(1, n_laws)
-    for scene, _ in table:
-        findings += of_scene(make, claims, scene, is_still, rate)
+    names = claims.laws()
+    if names:
+        rate = RATE / len(names)
+        for scene in claims.scenes:
+            findings += of_scene(make, claims, scene, is_still, rate)
     failed = {law.name: law.value for law in findings if law.passed is False}
     faults = causes(law for law in findings if not follows(law.name, failed))
     heat = failed.get("ring: temperature")
@@ -315,7 +317,7 @@ def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
             f"the least precise scene, {scene!r}, finds a {quantity} that is wrong by {100.0 * coarsest.limit:.0f} %; "
             "more runs= or steps= find smaller errors"
         )
-    if "temperature_K" not in options and "temperature_K" in inspect.signature(dynamics).parameters:
+    if "temperature_K" not in options and "temperature_K" in signature(dynamics).parameters:
         at_heat = "" if ensemble == "NVE" else " at 300 K"
         remarks.append(f"judged as {ensemble}{at_heat}, since no temperature_K is given")
     call_text = f"{name}({', '.join(options)}): {ensemble}, {ENSEMBLES[ensemble]}"
@@ -359,6 +361,7 @@ def claimed(options: dict[str, Any]) -> Claims:
         if value is not None:
             first = [*np.ravel(value).tolist(), value][0]  # of a tensor, or what is none
             pressures.append(checked_number(name, first))
+
     temperature = options.get("temperature_K")
     if not ensemble:
         ensemble = "NPT" if pressures else "NVT"
@@ -373,38 +376,32 @@ def claimed(options: dict[str, Any]) -> Claims:
         raise ValueError(
             f"constraints are judged for NVE and NVT, liquids for NVT and NPT; got {ensemble}"
         )
+
     scenes = USED[ensemble]
     if has_bonds:
         scenes = ("chain",) if ensemble == "NVE" else (*scenes, "chain")
     if has_liquids:
         scenes += ("liquid 1", "liquid 2")
+
     if temperature is None:
         temperature = 300.0
     kt = units.kB * checked_number("temperature_K", temperature, "positive and finite")
     pressure = 0.0
     if ensemble == "NPT":
         pressure = checked_number("pressure", abs(pressures[0]), "positive and finite")
-    return Claims(
-        ensemble,
-        kt,
-        pressure,
-        checked_number("timestep", taken("timestep", units.fs), "positive and finite"),
-        checked_count("runs", taken("runs", RUNS[ensemble]), 6),
-        checked_count("steps", taken("steps", STEPS[ensemble]), 8 * EVERY),
-        checked_count(
-            "seed", taken("seed", 0), 0, 2**31
-        ),  # runs count from it, NumPy takes 32 bits
-        scenes,
-    )
+    timestep = checked_number("timestep", taken("timestep", units.fs), "positive and finite")
+    runs = checked_count("runs", taken("runs", RUNS[ensemble]), 6)
+    steps = checked_count("steps", taken("steps", STEPS[ensemble]), 8 * EVERY)
+    # runs count from the seed, and NumPy takes 32 bits
+    seed = checked_count("seed", taken("seed", 0), 0, 2**31)
+    return Claims(ensemble, kt, pressure, timestep, runs, steps, seed, scenes)
 
 
 def names_of(dynamics: Any, options: dict[str, Any]) -> list[str]:
     """The names of the laws by which a class is judged with these options."""
     claims = claimed({**options})
     names = [law.name for law in needed(LAWS, claims.has(dynamics))]
-    for scene, laws in claims.laws():
-        names += [f"{scene}: {law}" for law in laws]
-    return names
+    return names + claims.laws()
 
 
 def maker(dynamics: Any, timestep: float, options: dict[str, Any]) -> Make:
@@ -413,25 +410,26 @@ def maker(dynamics: Any, timestep: float, options: dict[str, Any]) -> Make:
 
     Raises TypeError if neither can be passed, and ValueError for options that are not taken.
     """
-    parameters = inspect.signature(dynamics).parameters
+    parameters = signature(dynamics).parameters
     kinds = [parameter.kind for parameter in parameters.values()]
-    has_any_name = inspect.Parameter.VAR_KEYWORD in kinds
-    n_places = kinds.count(inspect.Parameter.POSITIONAL_ONLY)
-    n_places += kinds.count(inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    is_in_order = inspect.Parameter.VAR_POSITIONAL in kinds or n_places > 1
+    has_any_name = Parameter.VAR_KEYWORD in kinds
+    n_places = kinds.count(Parameter.POSITIONAL_ONLY)
+    n_places += kinds.count(Parameter.POSITIONAL_OR_KEYWORD)
+    is_in_order = Parameter.VAR_POSITIONAL in kinds or n_places > 1
     if not (is_in_order or has_any_name or {"atoms", "timestep"} <= parameters.keys()):
         name = getattr(dynamics, "__name__", "dynamics")
         raise TypeError(
             f"dynamics are called as {name}(atoms, timestep, …), with options by their names; {name} takes "
             f"({', '.join(parameters)})"
         )
-    takes_all = has_any_name and inspect.isclass(dynamics)
+
+    takes_all = has_any_name and isclass(dynamics)
     taken = {name: value for name, value in options.items() if takes_all or name in parameters}
     left = [name for name in options if name not in (*taken, "temperature_K", "pressure")]
     if left:
         raise ValueError(f"{shown(dynamics)} takes {', '.join(parameters)}; got {', '.join(left)}")
 
-    def make(atoms: Atoms, rng: np.random.RandomState) -> Any:
+    def make(atoms: Atoms, rng: RandomState) -> Any:
         noise = {"rng": rng} if "rng" in parameters else {}
         if is_in_order:
             return dynamics(atoms, timestep, **taken, **noise)

@@ -42,14 +42,17 @@ class Seen:
         # <p²/m>/kT of a component
         self.shares = 1.0 - is_still * self.masses / self.masses.sum() - scene.rigid
         self.n_free = round(3.0 * self.shares.sum())
+
         # a body at rest whose momenta change with the volume; other than by moves of a Monte Carlo method, some of
         # which are rejected: those of a barostat that acts every few steps are at regular distances
-        moved = np.diff(self.all.volumes.reshape(len(runs), -1), axis=1) != 0.0
+        volumes = self.all.volumes.reshape(len(runs), -1)
+        moved = np.diff(volumes, axis=1) != 0.0
         gaps = np.concatenate([np.diff(np.flatnonzero(row)) for row in moved])
         n = scene.n_bodies
         has_moves = gaps.size and np.ptp(gaps) > 1
         self.n_volume = n + 1 - (is_still and not has_moves)  # P<V>/kT
         self.excess = self.n_volume - (n - is_still)  # (P<V> − <P_int V>)/kT
+
         self.heat = self.all.kinetic.sum(axis=1).mean() / self.n_free
         self.runs_p2 = (self.all.p**2).mean(axis=(0, 2))
         self.log_volume = np.log(self.all.volumes).mean()
@@ -114,7 +117,8 @@ def temperature_said(means: Array, seen: Seen) -> str:
 def masses_said(means: Array, seen: Seen) -> str:
     """What a temperature that depends on the mass means."""
     masses = np.unique(seen.masses)
-    power = np.polyfit(np.log(masses), np.log(np.maximum(means, 1e-9)), 1)[0]
+    logs = np.log(np.maximum(means, 1e-9))
+    power = np.polyfit(np.log(masses), logs, 1)[0]
     pairs = zip(means, masses, strict=True)
     each = ", ".join(f"{mean:.2f} ({mass:g} amu)" for mean, mass in pairs)
     cause = ""
@@ -202,7 +206,8 @@ def of_masses(run: Frames, seen: Seen) -> Array:
 
 def of_directions(run: Frames, seen: Seen) -> Array:
     """Kinetic temperatures along x, y and z, over that of all."""
-    energies = (run.p**2 / (seen.kt * seen.masses)[:, None]).mean(axis=0).sum(axis=0)
+    p2 = run.p**2 / (seen.kt * seen.masses)[:, None]
+    energies = p2.mean(axis=0).sum(axis=0)
     return energies * 3.0 / (seen.heat * seen.n_free)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from minimd.judge.calling import FORCES, StudentStep
 from minimd.judge.findings import coefficient, is_near
-from minimd.judge.problems import Array, TrialProblem, difference
+from minimd.judge.problems import Array, TrialProblem, difference, largest
 
 SINGLE = 1e-8  # a step with more noise uses float32
 ROUNDING = 1e-9  # smaller relative differences are rounding
@@ -36,6 +36,8 @@ RIGHT = (
     (("", 0.0, ""), ("v", 1.0, "drift"), ("F/m", 0.5, "")),
     (("", 0.0, ""), ("F/m", 1.0, "kick"), ("Jv", 0.5, "")),
 )
+Terms = dict[str, Array]  # changes of x or v, by name
+Weights = dict[tuple[int, int], dict[str, float]]  # coefficients of terms, by part and power
 # fmt: off
 MASSES = {  # terms in which the mass is wrong: those in which it is right, and what is wrong
     "F": ("F/m", "1/m is missing"),
@@ -82,7 +84,7 @@ def hidden(step: StudentStep, where: TrialProblem) -> str:
     step.n_evaluations = 0
     second = np.array(step(where, where.x, where.v, 0.1))
     np.random.set_state(state)
-    off = np.abs(second - first).max()
+    off = largest(second - first)
     if step.n_evaluations == 0 and not {*FORCES}.isdisjoint(step.roles):
         return "the step never computes the force, or computes it in its first call only and keeps that result"
     if off:
@@ -116,10 +118,11 @@ def faults_of(
         faults = [f"the step rounds to {noise:.0e} of the coordinates: it uses float32 somewhere"]
     else:
         faults = explained(step, problems, n_powers) or limited(step, where)
+
     known = [role.split()[1] for role in step.roles if role.startswith("known")]
     new_x, _ = step(where, where.x, where.v, 0.1)
     if known and step.third.size:
-        off = np.abs(step.third / where.scaled(known[0], new_x) - 1.0).max()
+        off = largest(step.third / where.scaled(known[0], new_x) - 1.0)
         if off > ROUNDING:
             faults.append(
                 f"the force that is returned is not the one at the new positions (off by {off:.1%}): the next step "
@@ -142,10 +145,11 @@ def limited(step: StudentStep, where: TrialProblem) -> list[str]:
                     f"atoms that start {far:g} farther away are moved by {smallest:.6g} more: positions are wrapped "
                     "into a box in the step, or the step depends on the origin"
                 ]
+
     fast = FASTER * where.v
     new_v = step(where, where.x, fast, SHORT)[1]
-    if np.abs(new_v - fast).max() > CHANGED * FASTER:
-        most = np.abs(new_v).max()
+    if largest(new_v - fast) > CHANGED * FASTER:
+        most = largest(new_v)
         return [f"velocities above {most:.4g} are cut off: they are limited (clipped)"]
     return []
 
@@ -163,7 +167,7 @@ def series(step: StudentStep, where: TrialProblem) -> Array:
     return coefficients.reshape(3, *start.shape)
 
 
-def terms(where: TrialProblem) -> dict[str, Array]:
+def terms(where: TrialProblem) -> Terms:
     """The terms of which the series may consist."""
     force = where.force(where.x)
     m = where.mass
@@ -180,9 +184,7 @@ def terms(where: TrialProblem) -> dict[str, Array]:
     }
 
 
-def fit(
-    known: list[dict[str, Array]], names: list[str], changes: list[Array]
-) -> tuple[Array, float]:
+def fit(known: list[Terms], names: list[str], changes: list[Array]) -> tuple[Array, float]:
     """Coefficients of terms in the states, and the relative norm of what they do not explain."""
     columns = []
     for name in names:
@@ -201,7 +203,7 @@ def explained(step: StudentStep, problems: list[TrialProblem], n_powers: int) ->
     has_masses = step.takes("m", "acceleration")
     names_of_mass = [name for name in known[0] if has_masses or name not in MASSES]
     changes = dict[tuple[int, int], list[Array]]()
-    weights = dict[tuple[int, int], dict[str, float]]()
+    weights = Weights()
     rests = dict[tuple[int, int], float]()
     for power, part in product(range(n_powers), range(2)):
         names = [name for name in names_of_mass if power == 2 or "Jv" not in name]
@@ -211,7 +213,7 @@ def explained(step: StudentStep, problems: list[TrialProblem], n_powers: int) ->
         changes[place] = [change[power, part] for change in measured]
         values, rests[place] = fit(known, names, changes[place])
         # large terms have more rounding
-        small = SMALL[power] * max(1.0, np.abs(values).max()) ** 3
+        small = SMALL[power] * max(1.0, largest(values)) ** 3
         pairs = zip(names, values.tolist(), strict=True)
         weights[place] = {name: value for name, value in pairs if abs(value) > small}
 
@@ -242,9 +244,7 @@ def wrong_second_order(x: float, v: float) -> list[str]:
     return []
 
 
-def stranger(
-    part: int, power: int, rest: float, changes: list[Array], known: list[dict[str, Array]]
-) -> str:
+def stranger(part: int, power: int, rest: float, changes: list[Array], known: list[Terms]) -> str:
     """The fault of a change that is no combination of the known terms."""
     term, weight, _ = RIGHT[part][power]
     off = np.abs(changes[0] - weight * known[0].get(term, 0.0))
@@ -256,6 +256,7 @@ def stranger(
             f"velocities change by {rates}, … v{POWERS[power]} in addition to the kick: they are rescaled, as by a "
             "thermostat"
         )
+
     limit = CHANGED * max(1.0, off.max())
     n_atoms = len(off) if off.ndim else 1
     is_bad = np.reshape(off > limit, (n_atoms, -1))
@@ -274,9 +275,7 @@ def stranger(
     )
 
 
-def wrong_terms(
-    part: int, power: int, weights: dict[tuple[int, int], dict[str, float]]
-) -> list[str]:
+def wrong_terms(part: int, power: int, weights: Weights) -> list[str]:
     """Faults of one part in one power of Δt: terms that do not belong there, wrong masses, and a wrong weight."""
     term, right, what = RIGHT[part][power]
     values = weights[part, power]

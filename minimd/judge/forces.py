@@ -156,11 +156,11 @@ GENERAL = (  # told if no other law says why
 
 def grade_forces(
     function: Function,
-    potential: Any = None,
-    cell: float | Sequence[float] | None = None,
-    cutoff: float | None = None,
-    positions: Any = None,
-    kind: str | None = None,
+    potential: Any,
+    cell: float | Sequence[float] | None,
+    cutoff: float | None,
+    positions: Any,
+    kind: str | None,
 ) -> Grade:
     """The grade of a force function, see grade."""
     lengths = None if cell is None else checked_sizes("cell", cell, 3, "edge")
@@ -170,6 +170,7 @@ def grade_forces(
             raise ValueError(
                 f"positions must be (N, 3) finite numbers; got shape {positions.shape}"
             )
+
     own_cutoff = getattr(potential, "cutoff", None)
     if cutoff is None and own_cutoff and np.isfinite(own_cutoff):
         cutoff = float(own_cutoff)

@@ -18,7 +18,7 @@ from minimd.core.integrators.method import methods_of
 from minimd.core.integrators.substeps import Drift, Kick, Substep, Substeps, merged
 from minimd.judge.calling import StudentStep
 from minimd.judge.findings import coefficient
-from minimd.judge.problems import Array, TrialProblem
+from minimd.judge.problems import Array, TrialProblem, largest
 
 SAME = 1e-7  # difference of equal weights
 CLOSE = 1e-3  # difference of weights that are meant to be equal
@@ -71,7 +71,7 @@ class Numbers(NamedTuple):
         c = self.places
         b = self.weights
         pushes = np.tril(b * (c[:, None] - c[:-1]), -1)
-        if np.abs(self.pushes - pushes).max() > SAME:
+        if largest(self.pushes - pushes) > SAME:
             return ()
         parts: list[Substep] = [Drift(float(c[0]))]
         for length, weight in zip(np.diff(c), b, strict=True):
@@ -88,7 +88,9 @@ class Recorded(TrialProblem):
     def force(self, x: Array) -> Array:
         """The force at the start in the call with the number `only`, else zero."""
         self.places.append(np.array(x))
-        return super().force(self.x) if len(self.places) - 1 == self.only else np.zeros_like(self.x)
+        if len(self.places) - 1 == self.only:
+            return super().force(self.x)
+        return np.zeros_like(self.x)
 
 
 def numbers_of(step: StudentStep, where: TrialProblem) -> Numbers | str | None:
@@ -114,8 +116,9 @@ def numbers_of(step: StudentStep, where: TrialProblem) -> Numbers | str | None:
     are_apart = np.ptp(moved[:-1].reshape(n, -1), axis=1).any()
     if are_apart and np.isin(moved, (0.0, 1.0)).all():
         return IN_TURN
-    if n > MOST or np.abs(change).max() > ROUNDING:
+    if n > MOST or largest(change) > ROUNDING:
         return None
+
     columns = []
     weights = []
     for k in range(n):
@@ -160,6 +163,7 @@ def name_of_splitting(parts: Substeps) -> tuple[str, str]:
                 for k in wrong
             ]
             near.append((n, f"the step is nearly {name}, but {', '.join(substeps)}"))
+
     pairs = zip(kinds, coefficients, strict=True)
     substeps = [f"{kind} {coefficient(value)}" for kind, value in pairs]
     return ", ".join(substeps), min(near, default=(0, ""))[1]
@@ -183,6 +187,7 @@ def name_of_runge_kutta(own: Numbers) -> tuple[str, str]:
         if own.is_same(matrix, own.weights):
             fault = f"{nearly} weights are {fractions(own.weights)} where {fractions(b)} are needed"
             return "", fault
+
         # the stage that makes β = b A right
         for j in range(1, n):
             other = matrix.copy()

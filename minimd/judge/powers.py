@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from minimd.judge.findings import coefficient, is_near
-from minimd.judge.problems import Array, bisected
+from minimd.judge.problems import Array, bisected, largest
 
 EXPONENTS = range(1, 21)  # of 1/r
 FITTED = 1e-7  # largest relative rest of a fit of powers that is exact
@@ -23,7 +23,8 @@ class Powers(NamedTuple):
 
     def at(self, r: Array) -> Array:
         """The values at distances."""
-        return np.asarray(self.constant + sum(c * r ** float(-n) for n, c in self.terms.items()))
+        values = [c * r ** float(-n) for n, c in self.terms.items()]
+        return np.asarray(self.constant + sum(values))
 
     def __str__(self) -> str:
         terms = [f"{'−' if c < 0.0 else '+'} {abs(c):.6g} r^−{n}" for n, c in self.terms.items()]
@@ -47,7 +48,7 @@ def powers_of(values: Array, r: Array) -> Powers | None:
             norms = np.linalg.norm(matrix, axis=0)
             scaled, *_ = np.linalg.lstsq(matrix / norms, target, rcond=None)
             solution = scaled / norms
-            if np.abs(target - matrix @ solution).max() < FITTED:
+            if largest(target - matrix @ solution) < FITTED:
                 pairs = zip(exponents, solution.tolist(), strict=True)
                 terms = dict(sorted(pairs, reverse=True))
                 constant = terms.pop(0, 0.0)
@@ -69,7 +70,7 @@ def compared(f: Array, g: Array, r: Array, other: str) -> tuple[float, float, st
         logs = np.log(r[used])
         log_ratio = np.log(np.abs(ratio))
         k, log_c = np.polyfit(logs, log_ratio, 1)
-        rest = np.abs(log_ratio - k * logs - log_c).max()
+        rest = largest(log_ratio - k * logs - log_c)
         is_power = not (np.ptp(np.sign(ratio)) or rest > SAME or np.isnan(log_c))
     if not is_power:
         fault = f"the force is not {other}, nor a multiple of it"
@@ -81,6 +82,7 @@ def compared(f: Array, g: Array, r: Array, other: str) -> tuple[float, float, st
                 f"where {right} is needed"
             )
         return np.nan, np.nan, fault
+
     c = np.sign(ratio[0]) * np.exp(log_c)
     k = round(k, 4)
     size = abs(c)
@@ -117,7 +119,7 @@ def jumps(law: Callable[[float], float], r: Array) -> list[tuple[float, float, f
 
     values = np.array([law(distance) for distance in r])
     changes = np.abs(np.diff(values))
-    scale = np.abs(values[r >= min(1.0, r[-1])]).max()
+    scale = largest(values[r >= min(1.0, r[-1])])
     places = list[tuple[float, float, float]]()
     for k in range(2, len(changes) - 2):
         change = changes[k]

@@ -10,7 +10,7 @@ import numpy as np
 from minimd.judge.calling import REST, StudentForce, plain
 from minimd.judge.findings import Answer, is_near
 from minimd.judge.powers import Powers, compared, jumps, powers_of
-from minimd.judge.problems import Array, difference, multiple_of
+from minimd.judge.problems import Array, difference, largest, multiple_of
 
 CUTOFF = 2.5  # σ: for a function that takes a cutoff, if the user gives none
 # of the atoms in the test [σ]; the best of some configurations is used
@@ -63,12 +63,14 @@ class Probe:
             self.lengths = cell[: self.d]
             self.start = self.start * (0.3 * self.lengths / self.lengths.max())
             self.farthest = min(FARTHEST, 0.4995 * cell.min())
+
         self.f = np.vectorize(lambda r: self.both(r)[0], [float])
         self.u = np.vectorize(lambda r: self.both(r)[1], [float])
         self.values = np.zeros(0)
         self.is_over_r = False
         self.remarks = list[str]()
         self.name = ""
+
         self.has = {
             call.kind,
             "free" if cell is None else "cell",
@@ -84,14 +86,18 @@ class Probe:
         if is_many:
             self.x = self.cluster() if positions is None else positions
         self.forces = call(self.x)[0]
-        self.scale = np.abs(self.forces).max() or 1.0
+        self.scale = largest(self.forces) or 1.0
         has_pairs: Any = np.isfinite(self.forces).all()
         if is_many:
-            has_field = self.takes(1) and call(self.place(PROBE)[:1])[0].any()
+            has_field = False
+            if self.takes(1):
+                alone, _ = call(self.place(PROBE)[:1])
+                has_field = bool(alone.any())
             self.has.add("field" if has_field else "nofield")
             has_pairs = has_pairs and not has_field and self.takes(2)
             if cell is None:
                 has_pairs = has_pairs and self.turned() < SAME
+
         if has_pairs:
             self.has.add("pairs")
             self.find_profile()
@@ -99,9 +105,10 @@ class Probe:
     def takes(self, n: int) -> bool:
         """Whether the function works for n atoms."""
         try:
-            return self.call(self.place(PROBE)[:n])[0].shape == (n, self.d)
+            forces, _ = self.call(self.place(PROBE)[:n])
         except Exception:  # whatever a student's function raises
             return False
+        return forces.shape == (n, self.d)
 
     def cluster(self) -> Array:
         """Atoms near the sites of a cubic lattice, no two closer than σ; in a cell, around one of its corners. No
@@ -124,7 +131,7 @@ class Probe:
             distances = np.linalg.norm(apart, axis=1)
             return min(margin_of_half, np.abs(distances - cutoff).min())
 
-        trials = []
+        trials = list[Array]()
         for seed in range(TRIALS):
             random = np.random.default_rng(seed)
             trials.append(lattice + random.uniform(-JITTER, JITTER, lattice.shape))
@@ -138,7 +145,9 @@ class Probe:
         if self.call.kind == "law":
             return r * r if self.call.is_squared else r
         apart = r * self.along
-        return apart if self.call.kind == "pair" else np.array([self.start, self.start + apart])
+        if self.call.kind == "pair":
+            return apart
+        return np.array([self.start, self.start + apart])
 
     def both(self, r: float) -> tuple[float, float]:
         """f and u of a pair."""
@@ -167,9 +176,12 @@ class Probe:
 
         right = None
         if "known" in self.has:
-            pairs = [np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]]) for r in self.r]
-            answers = [evaluated(pair, self.potential, None) for pair in pairs]
-            self.known = np.array([answer.forces[1, 0] for answer in answers])
+            values = list[float]()
+            for r in self.r:
+                pair = np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]])
+                answer = evaluated(pair, self.potential, None)
+                values.append(answer.forces[1, 0])
+            self.known = np.array(values)
             right = self.known
         if "energy" in self.has:
             right = self.slopes(self.r)
@@ -211,17 +223,19 @@ class Probe:
 
     def off(self, x: Array, right: Array) -> float:
         """The relative difference of the forces at x from those that are right."""
-        return np.abs(self.call(x)[0] - right).max() / self.scale
+        return largest(self.call(x)[0] - right) / self.scale
 
     def not_finite(self) -> int:
         """The number of forces that are not finite."""
-        return int(np.count_nonzero(~np.isfinite([*self.forces.flat, *self.values])))
+        numbers = [*self.forces.flat, *self.values]
+        return int(np.count_nonzero(~np.isfinite(numbers)))
 
     def sideways(self) -> float:
         """The part of the force of a pair across its vector."""
         force, _ = self.call(SKEW)
         across = np.cross(force, SKEW)
-        return float(np.linalg.norm(across) / np.linalg.norm(force))
+        size = np.linalg.norm(force)
+        return float(np.linalg.norm(across) / size)
 
     def turned(self) -> float:
         """How far forces on atoms that are turned differ from turned forces."""
@@ -279,11 +293,13 @@ class Probe:
 
     def of_powers(self) -> Answer:
         """The powers of r; those of Lennard-Jones are needed with the function's ε and σ, or without an energy."""
-        units = {self.call.roles[name]: value for name, value in self.call.physical.items()}
+        roles = self.call.roles
+        units = {roles[name]: value for name, value in self.call.physical.items()}
         has_units = {"epsilon", "sigma"} <= {*units}
         is_alone = has_units or self.has.isdisjoint({"known", "energy"})
         own = self.powers or Powers({})
         exponents = [*own.terms]
+        is_nearly_known = len(exponents) == 2 and largest(np.subtract(exponents, (13, 7))) <= 2
         off = 0.0
         fault = ""
         if exponents == [1] and is_alone and self.call.kind != "law":
@@ -292,7 +308,7 @@ class Probe:
                 "the force of a pair decreases as r^−1. If q²/r² is meant, a factor 1/r is missing: q² r_ij/r³, not "
                 "q² r_ij/r²"
             )
-        elif len(exponents) == 2 and np.abs(np.subtract(exponents, (13, 7))).max() <= 2:
+        elif is_nearly_known:
             fault = self.beside_lennard_jones(own, units, has_units)
             if fault:
                 off = 1.0 if is_alone else np.nan
@@ -313,6 +329,7 @@ class Probe:
         )
         if has_own_units and not has_units:
             return ""
+
         epsilon = units.get("epsilon", 1.0)
         sigma = units.get("sigma", 1.0)
         terms = {13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6}
@@ -326,6 +343,7 @@ class Probe:
         f = self.f(r)
         far = self.r > 1.0
         powers = self.powers or powers_of(self.values[far], self.r[far])
+
         right = f
         if powers:
             right = powers.at(r)
@@ -334,6 +352,7 @@ class Probe:
         rest = np.abs(f / right - 1.0)
         if not np.isfinite(rest).all():
             return 0.0, 0
+
         is_flat = np.ptp(f[:4]) == 0.0 != np.ptp(f)
         is_capped = (rest > CAPPED) | (is_flat & (f == f[0]))
         return r[is_capped].max(initial=0.0), is_capped.sum()
@@ -341,14 +360,15 @@ class Probe:
     def ending(self) -> Answer:
         """The largest force beyond the cutoff."""
         distances = np.linspace(1.001 * self.cutoff, self.farthest, 20)
-        largest = np.abs(self.f(distances)).max()
-        return largest, largest, self.cutoff
+        beyond = largest(self.f(distances))
+        return beyond, beyond, self.cutoff
 
     def end(self) -> Answer:
         """Where the force ends, if it jumps to zero; whether it should end there."""
         places = jumps(self.f, np.linspace(NEAREST, self.farthest, GRID))
         if not places:
             return np.inf, 0.0, "continuous"
+
         end = next((r for r, _, above in places if above == 0.0), np.inf)
         if self.cutoff:
             is_early = end < 0.999 * self.cutoff
@@ -371,12 +391,13 @@ class Probe:
 
     def all_beside(self) -> Answer:
         """All forces and the energy beside those of minimd."""
-        x = np.pad(self.x, ((0, 0), (0, 3 - self.d)))
+        missing = 3 - self.d
+        x = np.pad(self.x, ((0, 0), (0, missing)))
         answer = evaluated(x, self.potential, self.cell)
         known = answer.forces[:, : self.d]
-        energy = self.call(self.x)[1]
         right = answer.potential_energy
-        off = np.abs(self.forces - known).max() / (np.abs(known).max() or 1.0)
+        _, energy = self.call(self.x)
+        off = largest(self.forces - known) / (largest(known) or 1.0)
         if "energy" in self.has and off < ROUNDING and not np.isclose(energy, right, rtol=1e-9):
             return off, 1.0, f"the energy is {energy:.8g}, not {right:.8g}"
         c = multiple_of(self.forces, known, EQUAL)
@@ -384,7 +405,7 @@ class Probe:
 
     def reaction(self) -> Answer:
         """The sum of all forces, and what is wrong with a pair."""
-        off = np.abs(self.forces.sum(axis=0)).max() / self.scale
+        off = largest(self.forces.sum(axis=0)) / self.scale
         pair = np.zeros((2, self.d))
         if self.takes(2):
             pair, _ = self.call(self.place(PROBE))
@@ -401,24 +422,29 @@ class Probe:
 
     def changes(self, part: int, n: int) -> list[Array]:
         """DELTA times the derivatives of the forces (part 0) or of the energy (part 1) by the first n coordinates."""
-        shifts = DELTA * np.eye(self.x.size).reshape(-1, *self.x.shape)
-        return [difference(lambda x: self.call(x)[part], self.x, shift) for shift in shifts[:n]]
+
+        def at(x: Array) -> Any:
+            return self.call(x)[part]
+
+        units = np.eye(self.x.size)[:n]
+        shifts = DELTA * units.reshape(-1, *self.x.shape)
+        return [difference(at, self.x, shift) for shift in shifts]
 
     def all_slopes(self) -> Answer:
         """The forces of all atoms beside −∇U."""
         slopes = -np.array(self.changes(1, self.x.size)) / DELTA
         forces = self.forces.ravel()
-        off = np.abs(forces - slopes).max()
+        off = largest(forces - slopes)
         c = multiple_of(forces, slopes, EQUAL)
         relation = f": they are {c:.6g} (−∇U)" if np.isfinite(c) else ""
-        return off, off / (np.abs(slopes).max() or 1.0), relation
+        return off, off / (largest(slopes) or 1.0), relation
 
     def curl(self) -> float:
         """Whether forces without an energy can be a gradient: ∂F_i/∂x_j = ∂F_j/∂x_i."""
         changes = self.changes(0, 24)
         n = len(changes)
         matrix = np.array(changes).reshape(n, -1)[:, :n]
-        return np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300)
+        return largest(matrix - matrix.T) / max(largest(matrix), 1e-300)
 
     def images(self) -> Answer:
         """Nearest images across each face, in both directions."""
@@ -433,15 +459,15 @@ class Probe:
             pair_across = np.array([face, face + (PROBE - edge) * unit])
             inside, _ = self.call(pair_inside)
             across, _ = self.call(pair_across)
-            size = np.abs(inside).max()
-            if np.abs(across - inside).max() > SAME * size:
-                shares[axis, sign] = np.abs(across).max() / size
+            size = largest(inside)
+            if largest(across - inside) > SAME * size:
+                shares[axis, sign] = largest(across) / size
 
         # wrapped positions interact across the origin
         pair = np.array([-0.5, 0.5])[:, None] * PROBE * units[0]
         at_origin, _ = self.call(0.1 + pair)
         at_middle, _ = self.call(middle + pair)
-        is_wrapped = np.abs(at_middle).max() < 0.2 * np.abs(at_origin).max()
+        is_wrapped = largest(at_middle) < 0.2 * largest(at_origin)
 
         n = len(shares)
         axes = sorted({axis for axis, _ in shares})
@@ -467,11 +493,13 @@ class Probe:
         forces = self.forces
         parts = np.zeros((n, *self.x.shape))
         for i, j in zip(*np.triu_indices(n, 1), strict=True):
-            parts[i, j], parts[j, i] = self.call(self.x[[i, j]])[0]
+            pair, _ = self.call(self.x[[i, j]])
+            parts[i, j], parts[j, i] = pair
         pairs = parts.sum(axis=1)
-        off = np.abs(pairs - forces).max() / self.scale
+        off = largest(pairs - forces) / self.scale
         if off < SAME:
             return off, off, ""
+
         small = SAME * self.scale
         distances = np.abs(forces[:, None] - parts).max(axis=2)
         np.fill_diagonal(distances, np.inf)
@@ -480,7 +508,7 @@ class Probe:
             fault = (
                 "each atom feels only one other atom: forces are overwritten (=), not added (+=)"
             )
-        elif np.abs(forces[-1]).max() < 1e-4 * small:
+        elif largest(forces[-1]) < 1e-4 * small:
             fault = f"atom {n - 1}, the last, feels no force: check the bounds"
         elif np.isfinite(c):
             fault = (

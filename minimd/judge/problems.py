@@ -15,6 +15,11 @@ MASSES = np.array([1.0, 1.7, 0.6, 2.3, 1.2])
 SHAPES: tuple[tuple[int, ...], ...] = ((5, 3), (5, 2), (5,), ())
 
 
+def largest(x: Any) -> Any:
+    """The largest absolute value in an array."""
+    return np.abs(x).max()
+
+
 def difference(f: Callable[[Any], Any], x: Any, step: Any) -> Any:
     """step · f′(x) along a step, by a difference of order 6."""
     weights = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
@@ -40,7 +45,8 @@ def bisected(
 def multiple_of(f: Array, g: Array, within: float) -> float:
     """c if f = c g within a fraction of the largest |g|, else NaN."""
     c = np.sum(f * g) / np.sum(g * g)
-    return c if np.abs(f - c * g).max() < within * np.abs(g).max() else np.nan
+    is_multiple = largest(f - c * g) < within * largest(g)
+    return c if is_multiple else np.nan
 
 
 class TrialProblem(NamedTuple):

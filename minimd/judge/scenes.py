@@ -16,10 +16,11 @@ from ase.calculators.abc import GetPropertiesMixin
 from ase.calculators.lj import LennardJones
 from ase.constraints import FixBondLengths
 from ase.md.verlet import VelocityVerlet
+from numpy.random import RandomState
 
-from minimd.judge.problems import Array
+from minimd.judge.problems import Array, largest
 
-Make = Callable[[Atoms, np.random.RandomState], Any]
+Make = Callable[[Atoms, RandomState], Any]
 
 MASSES = np.repeat([2.45, 8.35, 30.4, 120.3], 2)  # amu, of the atoms of a ring
 LIGHT, HEAVY = 4.45, 13.35  # amu, of the atoms of a molecule, as 1 to 3
@@ -54,7 +55,7 @@ class AnharmonicSprings(GetPropertiesMixin):
     implemented_properties = ("energy", "free_energy", "forces", "stress")
     name = "springs"
     parameters: dict[str, Any] = {}  # noqa: RUF012 - never changed
-    draw: Callable[[np.random.RandomState], Atoms]
+    draw: Callable[[RandomState], Atoms]
 
     def __init__(self, first: Any, second: Any, k: Array, lengths: Array, q: Any = 0.0) -> None:
         self.first = first
@@ -112,7 +113,7 @@ class Rigid(AnharmonicSprings):
         thermal = np.sqrt(seen.masses[:2].mean() / seen.kt)
         along = (d * v).sum(axis=2) / self.length * thermal
         stretch = np.linalg.norm(d, axis=2) / self.length - 1.0
-        return max(np.abs(stretch).max(), np.abs(along).max())
+        return max(largest(stretch), largest(along))
 
 
 class Scene(NamedTuple):
@@ -127,8 +128,7 @@ class Scene(NamedTuple):
     slowness : its runs have so many times fewer steps.
     """
 
-    name: str
-    draw: Callable[[np.random.RandomState], Atoms]
+    draw: Callable[[RandomState], Atoms]
     calculator: Any
     has: str
     error: float
@@ -138,9 +138,10 @@ class Scene(NamedTuple):
     slowness: int = 1
 
 
-def momenta(rng: np.random.RandomState, masses: Array, kt: float, is_still: bool = False) -> Array:
+def momenta(rng: RandomState, masses: Array, kt: float, is_still: bool = False) -> Array:
     """(N, 3) of a canonical ensemble, of one whose center of mass is at rest if is_still."""
-    p = rng.standard_normal((len(masses), 3)) * np.sqrt(kt * masses)[:, None]
+    thermal = np.sqrt(kt * masses)
+    p = rng.standard_normal((len(masses), 3)) * thermal[:, None]
     if is_still:
         p -= masses[:, None] * p.sum(axis=0) / masses.sum()
     return p
@@ -165,7 +166,8 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
     frequencies = scale * STIFF * np.tile([1.0, 1.5], n // 2) / timestep
     k = np.minimum(MASSES[first], MASSES[second]) * frequencies**2
     angles = 2.0 * np.pi * first / n
-    places = 50.0 + 10.0 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+    circle = [np.cos(angles), np.sin(angles), 0.0 * angles]
+    places = 50.0 + 10.0 * np.stack(circle, axis=1)
     lengths = places[second] - places[first]
     springs = AnharmonicSprings(first, second, k, lengths, QUARTIC * k**2 / kt)
     bonds = np.eye(n)[second] - np.eye(n)
@@ -173,7 +175,7 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
     values, modes = np.linalg.eigh(hessian)
     spread = modes[:, 1:] * np.sqrt(kt / values[1:])  # without the translation
 
-    def draw(rng: np.random.RandomState) -> Atoms:
+    def draw(rng: RandomState) -> Atoms:
         while True:  # of the quadratic part alone, and accepted by the energy of the rest
             x = places + spread @ rng.standard_normal((n - 1, 3))
             rest = (springs.q * springs.bonds(x)[2] ** 2).sum()
@@ -181,11 +183,11 @@ def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.
                 return boxed(x, MASSES, momenta(rng, MASSES, kt, is_still), 100.0, springs)
 
     springs.draw = draw
-    largest = np.linalg.eigvalsh(hessian / np.sqrt(np.outer(MASSES, MASSES)))[-1]
-    error = 0.5 * largest * timestep**2
-    if scale == 1.0:
-        return Scene("ring", draw, springs, "ring masses spread places fixed", error)
-    return Scene("coarse ring", draw, springs, "coarse places fixed", error)
+    roots = np.sqrt(np.outer(MASSES, MASSES))
+    omega2 = np.linalg.eigvalsh(hessian / roots)[-1]
+    error = 0.5 * omega2 * timestep**2
+    has = "ring masses spread" if scale == 1.0 else "coarse"
+    return Scene(draw, springs, f"{has} places fixed", error)
 
 
 def stiff_bonds(n: int, timestep: float) -> tuple[Array, float]:
@@ -204,10 +206,11 @@ def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
     springs = Rigid(first, first + 1, np.full(n - 1, k), lengths)
     springs.length = length
 
-    def draw(rng: np.random.RandomState) -> Atoms:
+    def draw(rng: RandomState) -> Atoms:
         ways = rng.standard_normal((n, 3))
         ways /= np.linalg.norm(ways, axis=1)[:, None]
-        steps = apart + length * (rng.standard_normal((n - 1, 3)) + ways[:-1])
+        displacements = rng.standard_normal((n - 1, 3))
+        steps = apart + length * (displacements + ways[:-1])
         x = np.zeros((2 * n, 3))
         x[0::2] = np.cumsum(np.vstack([apart, steps]), axis=0)
         x[1::2] = x[0::2] + length * ways
@@ -225,7 +228,7 @@ def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
     springs.draw = draw
     has = "masses spread rigid fixed"
     shares = np.tile([0.75, 0.25], n) / 3.0
-    return Scene("chain", draw, springs, has, 0.5 * OF_MOLECULES**2, rigid=shares, slowness=4)
+    return Scene(draw, springs, has, 0.5 * OF_MOLECULES**2, rigid=shares, slowness=4)
 
 
 def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: int = 0) -> Scene:
@@ -241,7 +244,7 @@ def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: i
     calculator = LennardJones(sigma=sigma, epsilon=epsilon, rc=CUTOFF * sigma)
     masses = np.full(n, epsilon * (timestep / PACE / sigma) ** 2)
 
-    def draw(rng: np.random.RandomState) -> Atoms:
+    def draw(rng: RandomState) -> Atoms:
         edge = sigma * (4.0 / density) ** (1.0 / 3.0)
         atoms = bulk("Ar", "fcc", a=edge, cubic=True) * (SIDE, SIDE, SIDE)
         atoms.set_masses(masses)
@@ -252,15 +255,14 @@ def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: i
         atoms.set_momenta(momenta(rng, masses, kt, is_still))
         return atoms
 
-    name = f"liquid {state + 1}"
     if pressure:
         volume = n * sigma**3 / density
-        return Scene(name, draw, calculator, "pressed", 0.01, wanted=volume, slowness=4)
+        return Scene(draw, calculator, "pressed", 0.01, wanted=volume, slowness=4)
     tail_of_u = 8.0 / 3.0 * np.pi * density * (CUTOFF**-9.0 / 3.0 - CUTOFF**-3.0)
     at_cutoff = 4.0 * (CUTOFF**-12.0 - CUTOFF**-6.0)  # by which ASE's energies of pairs are shifted
     shift = 2.0 / 3.0 * np.pi * density * CUTOFF**3 * at_cutoff
     u_of_pairs = energy - tail_of_u - shift
-    return Scene(name, draw, calculator, "liquid fixed", 0.01, wanted=n * epsilon * u_of_pairs)
+    return Scene(draw, calculator, "liquid fixed", 0.01, wanted=n * epsilon * u_of_pairs)
 
 
 def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
@@ -271,21 +273,24 @@ def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
     first = np.arange(0, 2 * n, 2)
     springs = AnharmonicSprings(first, first + 1, np.full(n, k), np.full(n, length))
     r = np.linspace(0.05, 2.5, 4000) * length
-    weights = np.cumsum(r**2 * np.exp(-0.5 * k * (r - length) ** 2 / kt))
+    energies = 0.5 * k * (r - length) ** 2
+    weights = np.cumsum(r**2 * np.exp(-energies / kt))
 
-    def draw(rng: np.random.RandomState) -> Atoms:
+    def draw(rng: RandomState) -> Atoms:
         volume = rng.standard_gamma(n + (not is_still)) * kt / pressure
         edge = volume ** (1.0 / 3.0)
         ways = rng.standard_normal((n, 3))
-        distances = r[np.searchsorted(weights, rng.random_sample(n) * weights[-1])]
-        apart = distances[:, None] * ways / np.linalg.norm(ways, axis=1)[:, None]
+        drawn = rng.random_sample(n) * weights[-1]
+        distances = r[np.searchsorted(weights, drawn)]
+        norms = np.linalg.norm(ways, axis=1)
+        apart = distances[:, None] * ways / norms[:, None]
         x = np.repeat(edge * rng.random_sample((n, 3)), 2, axis=0)
         x[0::2] -= 0.75 * apart
         x[1::2] += 0.25 * apart
         return boxed(x, masses, momenta(rng, masses, kt, is_still), edge, springs)
 
     springs.draw = draw
-    return Scene("gas", draw, springs, "masses volume", 0.5 * OF_MOLECULES**2, n)
+    return Scene(draw, springs, "masses volume", 0.5 * OF_MOLECULES**2, n)
 
 
 SCENES: dict[str, Callable[..., Scene]] = {
@@ -324,8 +329,10 @@ class Frames(NamedTuple):
 
 def joined(runs: Sequence[Frames]) -> Frames:
     """All frames of several runs."""
+    first = runs[0]
     series = (np.concatenate([run[k] for run in runs]) for k in range(2, 7))  # type: ignore[arg-type]
-    return Frames._make([runs[0].masses, runs[0].kt, *series, np.stack([run.ends for run in runs])])
+    ends = np.stack([run.ends for run in runs])
+    return Frames._make([first.masses, first.kt, *series, ends])
 
 
 def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) -> Frames:
@@ -349,7 +356,8 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
 
     ends.append(ends_of(atoms))
     edges = atoms.cell.lengths()
-    if np.ptp(edges) > 1e-6 * edges[0] or np.ptp(atoms.cell.angles()) > 1e-4:
+    angles = atoms.cell.angles()
+    if np.ptp(edges) > 1e-6 * edges[0] or np.ptp(angles) > 1e-4:
         raise FloatingPointError(
             "the shape of the cell changes; a gas resists no shear: let only its volume change"
         )
@@ -364,7 +372,7 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
 def started(make: Make, scene: Scene, seed: int) -> tuple[Atoms, Any]:
     """Atoms and their dynamics at the start of a run."""
     np.random.seed(seed)  # for dynamics that are given no generator
-    rng = np.random.RandomState(seed)
+    rng = RandomState(seed)
     atoms = scene.draw(rng)
     return atoms, make(atoms, rng)
 

@@ -11,7 +11,7 @@ from minimd.judge.calling import FORCES, StudentStep, understood
 from minimd.judge.faults import faults_of, hidden
 from minimd.judge.findings import Answer, Finding, Grade, Law, causes, judged
 from minimd.judge.methods import Numbers, named, numbers_of
-from minimd.judge.problems import Array, Function, TrialProblem, difference
+from minimd.judge.problems import Array, Function, TrialProblem, difference, largest
 
 # needed to distinguish all terms, by the shape of x
 STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}
@@ -41,7 +41,7 @@ class Measured:
         starts = [where.x * (1.0 + 1e-6 * k) for k in range(12)]
         ends = [np.ravel(step(where, x, where.v, 0.1)[0]) for x in starts]
         bends = np.diff(ends, n=3, axis=0)
-        self.noise = np.abs(bends).max() / 8.0 / np.abs(where.x).max()
+        self.noise = largest(bends) / 8.0 / largest(where.x)
         self.fuzz = max(1.0, self.noise / NOISE)
         # springs to the origin conserve no momenta
         n_dimensions = 0 if where.stiffness else where.x.ndim
@@ -66,8 +66,10 @@ class Measured:
             kept = np.flatnonzero(errors > 1e-11)[-3:]
             if len(kept) < 3:
                 kept = np.arange(2)
+            counts = np.array(COUNTS)[kept]
             logs = np.log(np.maximum(errors[kept], 1e-300))
-            slope = -np.polyfit(np.log(np.array(COUNTS)[kept]), logs, 1)[0]
+            slope = -np.polyfit(np.log(counts), logs, 1)[0]
+
         off = max(self.expected - slope, 0.0)
         if slope < ORDER_OFF:  # the error does not decrease with dt
             off = np.inf
@@ -96,17 +98,18 @@ class Measured:
     @cached_property
     def form(self) -> float:
         """The largest element of JᵀΩJ − Ω."""
-        omega = np.kron([[0.0, 1.0], [-1.0, 0.0]], np.eye(self.where.x.size))
+        turn = [[0.0, 1.0], [-1.0, 0.0]]
+        omega = np.kron(turn, np.eye(self.where.x.size))
         form = self.jacobian.T @ omega @ self.jacobian
-        return np.abs(form - omega).max() / self.fuzz
+        return largest(form - omega) / self.fuzz
 
     def reversal(self) -> Answer:
         """The distance from the start after steps forwards and as many back, and the way."""
         x, v = self.run(PACE, BACK)
-        way = np.abs(x - self.where.x).max()
+        way = largest(x - self.where.x)
         x, v = self.run(PACE, BACK, (x, -v))
-        off_x = np.abs(x - self.where.x).max()
-        off_v = np.abs(v + self.where.v).max()
+        off_x = largest(x - self.where.x)
+        off_v = largest(v + self.where.v)
         off = max(off_x, off_v)
         return off, off / self.fuzz / max(1.0, way), way
 
@@ -116,7 +119,7 @@ class Measured:
         before = of(self.where.x, self.where.mass * self.where.v)
         after = of(x, self.where.mass * v)
         change = (after - before).sum(axis=0)
-        return np.abs(change).max() / np.abs(before).sum() / self.fuzz
+        return largest(change) / np.abs(before).sum() / self.fuzz
 
     def energy(self) -> Answer:
         """Drift of the total energy per step in a long run; a symplectic step has none, only slow oscillations."""
@@ -137,6 +140,7 @@ class Measured:
         oscillation = np.std(energies - slope * times - start)
         if oscillation < EXACTLY:
             return 0.0, np.inf, "constant to rounding: no explicit step has this property by itself"
+
         off = 0.0
         if self.form > SYMPLECTIC:
             off = abs(slope) * LONG / max(1e-9, oscillation)
@@ -276,7 +280,7 @@ NO_MAP = {"reversible", "symplectic", "volume", "angular momentum", "energy", "o
 RUNGE_KUTTA = "a Runge-Kutta method: it is not symplectic, and its energy drifts at any order"
 
 
-def grade_step(function: Function, order: int = 2) -> Grade:
+def grade_step(function: Function, order: int) -> Grade:
     """The grade of a step, see grade."""
     step = understood(function)
     problems = [step.problem(seed) for seed in range(STATES[step.shape])]

@@ -227,7 +227,7 @@ def of_pairs(run: Frames, seen: Seen) -> float:
     at_rest = 0.0
     if seen.is_still:
         at_rest = -3.0 * (np.sqrt(masses).sum() ** 2 - masses.sum()) / masses.sum()
-    return 1.0 + pairs - at_rest / seen.n
+    return 1.0 + (pairs - at_rest) / seen.n
 
 
 def of_noise(run: Frames, seen: Seen) -> float:
@@ -257,7 +257,7 @@ def of_pressure(run: Frames, seen: Seen) -> float:
     inner = (run.kinetic.sum(axis=1) + virial / seen.kt) / 3.0
     outer = run.volumes * seen.pressure / seen.kt
     difference = (outer - inner).mean()
-    return 1.0 + difference - seen.excess / seen.n_volume
+    return 1.0 + (difference - seen.excess) / seen.n_volume
 
 
 def of_temperature(run: Frames, seen: Seen) -> float:

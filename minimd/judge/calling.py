@@ -4,15 +4,15 @@ Parameters of steps with other names take the free places in step(x, v, force, m
 called in the first manner in which it returns without an error, and in the right shape.
 """
 
-import inspect
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from inspect import Parameter, signature
 from itertools import product
 from typing import Any
 
 import numpy as np
 
-from minimd.judge.problems import SHAPES, Array, Function, TrialProblem, problem
+from minimd.judge.problems import SHAPES, Array, Function, TrialProblem, largest, problem
 
 PLACES = ("x", "v", "force", "m", "dt")
 Names = tuple[tuple[str, str], ...]
@@ -66,6 +66,7 @@ IS_BEFORE = r"old|prev|last|before|minus|m1"
 FORCES = ("force", "acceleration", "gradient")
 ANSWERS = ("F", "(F, U)", "(U, F)")
 VELOCITIES = ("v", "p", "half", "old")  # roles that take the place of velocities
+PLACE_OF = dict.fromkeys(VELOCITIES, "v") | dict.fromkeys(FORCES, "force")
 # how masses are passed, and the least dimensions of positions
 MASSES = {"(N,)": 1, "(N, 1)": 2, "one number": 0}
 SHAPE_NAMES = {(5, 3): "(N, 3)", (5, 2): "(N, 2)", (5,): "(N,)", (): "one number"}
@@ -92,8 +93,16 @@ def role_of(name: str, names: Names = OF_STEPS) -> str:
     return next((role for role, pattern in names if re.search(pattern, plain(name))), "")
 
 
+def places_of(roles: Iterable[str]) -> set[str]:
+    """The places in step(x, v, force, m, dt) that these roles take."""
+    places = {PLACE_OF.get(role, role) for role in roles}
+    return places | {"x", "v"} if "state" in places else places
+
+
 class Called:
-    """A student's function.  roles, defaults : of its parameters, by name.
+    """A student's function.
+
+    roles, defaults : of its parameters, by name.
 
     Raises TypeError for what has no parameters, or for a method without its object.
     """
@@ -102,7 +111,7 @@ class Called:
         self.function = function
         self.name = getattr(function, "__name__", "function")
         try:
-            parameters = inspect.signature(function).parameters
+            parameters = signature(function).parameters
         except (TypeError, ValueError):
             raise TypeError(f"give a function, such as {example}; got {function!r}") from None
         if [*parameters][:1] == ["self"]:
@@ -110,7 +119,8 @@ class Called:
                 f"{self.name} is a method without its object (its first parameter is self): pass the method of an "
                 f"object, as in md.grade(Simulation().{self.name})"
             )
-        starred = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+
+        starred = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
         self.first = next(iter(parameters.values()), None)
         self.roles = dict[str, str]()
         self.defaults = dict[str, Any]()
@@ -118,7 +128,7 @@ class Called:
             if parameter.kind in starred:
                 continue
             self.roles[name] = role_of(name, names)
-            if parameter.default is not inspect.Parameter.empty:
+            if parameter.default is not Parameter.empty:
                 self.defaults[name] = parameter.default
 
 
@@ -126,28 +136,20 @@ def manners(function: Function) -> Iterator["StudentStep"]:
     """The manners in which a step may be called, the most likely first; optional parameters with unknown names are
     left out.  Raises TypeError for parameters that do not make a step."""
     student = Called(function, OF_STEPS, "step(x, v, force, m, dt)")
-    has_force = not {*FORCES}.isdisjoint(student.roles.values())
+    has_force = "force" in places_of(student.roles.values())
     roles = dict[str, str]()
     for name, role in student.roles.items():
-        is_used = role and (
-            has_force or role != "m"
-        )  # a step with its own force keeps its own mass
+        # a step with its own force keeps its own mass
+        is_used = role and (has_force or role != "m")
         if name not in student.defaults or is_used:
             roles[name] = role
-    taken = {*roles.values()}
-    if "state" in taken:
-        taken |= {"x", "v"}
-    if not taken.isdisjoint(VELOCITIES):
-        taken.add("v")
-    if not taken.isdisjoint(FORCES):
-        taken.add("force")
+    taken = places_of(roles.values())
     left = iter([place for place in PLACES if place not in taken])
     unknown = [name for name, role in roles.items() if not role]
     for name in unknown:
         roles[name] = next(left, "")
-    present = {*roles.values()}
-    has_state = "state" in present or ("x" in present and not present.isdisjoint(VELOCITIES))
-    if "dt" not in present or "" in present or not has_state:
+    places = places_of(roles.values())
+    if "" in places or not {"x", "v", "dt"} <= places:
         names = " and ".join(unknown) or "none"
         raise TypeError(
             "a step takes positions, velocities, a force function, masses and a time step, as step(x, v, force, m, "
@@ -155,38 +157,41 @@ def manners(function: Function) -> Iterator["StudentStep"]:
             "Give them these names, or pos, vel, frc, forces, compute_forces, acc, mass, h, timestep, p, x_old, "
             "v_half; m may be left out"
         )
+
+    old = {name for name in roles if re.search(IS_BEFORE, name.lower())}
     forces = [name for name, role in roles.items() if role in FORCES]
-    old = [name for name in roles if re.search(IS_BEFORE, name.lower())]
-
-    def likeness(name: str) -> tuple[bool, bool, int]:
-        return bool(re.search(IS_FUNCTION, name.lower())), name not in old, len(name)
-
-    choices = [list[str]()]  # of the parameters that are arrays
+    arrays = {name: f"known {roles[name]}" for name in forces}
+    choices = [{}, arrays] if forces else [{}]
     if len(forces) > 1:
-        computed = max(forces, key=likeness)
-        choices = [[name for name in forces if name != computed]]
-    elif forces:
-        choices.append(forces)
-    all_masses = [*MASSES] if "m" in present else ["one number"]
+
+        def likeness(name: str) -> tuple[bool, bool, int]:
+            is_function = bool(re.search(IS_FUNCTION, name.lower()))
+            return is_function, name not in old, len(name)
+
+        del arrays[max(forces, key=likeness)]
+        if len(arrays) > 1:
+            arrays |= {name: f"before {roles[name]}" for name in arrays if name in old}
+        choices = [arrays]
+
+    all_masses = [*MASSES] if "m" in places else ["one number"]
     all_answers = ANSWERS if forces else ANSWERS[:1]
-    for arrays, shape, masses, answers in product(choices, SHAPES, all_masses, all_answers):
-        if len(shape) < MASSES[masses]:
-            continue
-        manner = {**roles}
-        for name in arrays:
-            is_before = len(arrays) > 1 and name in old
-            manner[name] = f"{'before' if is_before else 'known'} {roles[name]}"
-        yield StudentStep(function, manner, shape, masses, answers)
+    for kinds, shape, masses, answers in product(choices, SHAPES, all_masses, all_answers):
+        if len(shape) >= MASSES[masses]:
+            yield StudentStep(function, roles | kinds, shape, masses, answers)
 
 
 class StudentStep:
     """A student's step as a map of (x, v) to (x, v), called in one manner.
 
-    roles : of the parameters, by name; "known force" is the force at x as an array, "before force" the one a step
-    earlier.  masses, answers : how masses are given, and what force(x) returns.  n_evaluations : how often it called
-    the force function.  third : the force that it returned last as its third result, if any.  swapped, in_place :
-    whether it returns v first; whether it changes x or v in place.  rows_alike : whether it returned a path whose rows
-    are all the same.  stiffness : of the oscillator inside a step without a force function.
+    names : roles of the parameters, by name; "known force" is the force at x as an array, "before force" the one a
+        step earlier.
+    roles : without the names.
+    masses, answers : how masses are given, and what force(x) returns.
+    n_evaluations : how often it called the force function.
+    third : the force that it returned last as its third result, if any.
+    swapped, in_place : whether it returns v first; whether it changes x or v in place.
+    rows_alike : whether it returned a path whose rows are all the same.
+    stiffness : of the oscillator inside a step without a force function.
     """
 
     n_evaluations = 0
@@ -219,13 +224,15 @@ class StudentStep:
         """A state in the shape of the step; masses are 1 if the step takes neither masses nor accelerations."""
         has_one_mass = self.masses == "one number"
         where = problem(self.shape, seed, has_one_mass, stiffness or self.stiffness)
-        has_masses = self.takes("m", "acceleration")
-        return where if has_masses else where._replace(m=np.ones_like(where.m))
+        if self.takes("m", "acceleration"):
+            return where
+        return where._replace(m=np.ones_like(where.m))
 
     def __call__(self, where: TrialProblem, x: Array, v: Array, h: float) -> tuple[Array, Array]:
         """One step.  Raises what the function raises, and ValueError for results that are not x and v."""
         roles = self.roles
         copied: Any = float if x.ndim == 0 else np.array
+
         half = v
         if self.takes("half", "old"):
             half = v - 0.5 * h * where.force(x) / where.mass
@@ -237,9 +244,8 @@ class StudentStep:
             when, _, force = role.partition(" ")
             if force:
                 start[role] = where.scaled(force, before if when == "before" else x)
-        arguments: dict[str, Any] = {role: copied(array) for role, array in start.items()}
-        arguments |= {role: self._force(role, where) for role in FORCES}
-        arguments |= {
+
+        arguments: dict[str, Any] = {
             "m": self._masses(where),
             "dt": h,
             "time": 0.0,
@@ -247,7 +253,12 @@ class StudentStep:
             "steps": 1,
             "state": [copied(x), copied(v)],
         }
+        for role, array in start.items():
+            arguments[role] = copied(array)
+        for role in FORCES:
+            arguments[role] = self._force(role, where)
         answer = self.function(**{name: arguments[role] for name, role in self.names.items()})
+
         if "state" in roles:  # of a step that takes and returns both in one array or list
             parts = self._parts(arguments["state"] if answer is None else answer, x.shape)
             return parts[0], parts[1]
@@ -264,10 +275,11 @@ class StudentStep:
         elif all(is_changed) and not isinstance(answer, (tuple, list, dict)):
             answer = [*own, answer]  # changed in place; the result may be the force
         parts = self._parts(answer, x.shape)
+
         new_x = parts[0]
         if "old" in roles:  # v as returned, else the velocity at the half step plus half a kick
             returned = next((part for part in parts[1:3] if not np.array_equal(part, x)), x)
-            if np.abs(returned - v).max() < np.abs(returned - x).max():
+            if largest(returned - v) < largest(returned - x):
                 return new_x, returned
             new_v = (new_x - x) / h
         elif self.swapped:
@@ -284,7 +296,8 @@ class StudentStep:
         """Masses as the step takes them, a copy."""
         if self.masses == "one number":
             return float(where.m.flat[0])
-        return where.m.reshape(-1, 1).copy() if self.masses == "(N, 1)" else where.m.copy()
+        masses = where.m.copy()
+        return masses[:, None] if self.masses == "(N, 1)" else masses
 
     def _force(self, role: str, where: TrialProblem) -> Function:
         def force(x: Any, *_: Any) -> Any:
@@ -310,24 +323,26 @@ class StudentStep:
         """The arrays in the result, x and v first; the last rows of a path."""
         if isinstance(answer, dict):
             ranks = {"x": 0, "v": 1}
-            answer = [
-                answer[key] for key in sorted(answer, key=lambda key: ranks.get(role_of(key), 2))
-            ]
+            names = sorted(answer, key=lambda name: ranks.get(role_of(name), 2))
+            answer = [answer[name] for name in names]
         is_many = isinstance(answer, (np.ndarray, tuple, list))
         if is_many and not self.takes("state"):
             is_many = np.shape(answer) != shape
         parts = [np.array(part, dtype=float) for part in (answer if is_many else [answer])]
+
         if self.takes("steps"):
             path = parts[0]
             is_path = path.shape[1:] == shape and len(path) > 1
             self.rows_alike = is_path and not np.ptp(path, axis=0).any()
             parts = [part[-1] if part.ndim and part.shape[1:] == shape else part for part in parts]
+
         n_needed = 1 if self.takes("old") else 2
         if len(parts) < n_needed or {part.shape for part in parts[:2]} != {shape}:
             shapes = ", ".join(str(part.shape) for part in parts)
             raise ValueError(
                 f"the step must return x and v in the shape {shape} of its arguments; it returned shapes {shapes}"
             )
+
         self.third = np.array([])
         if len(parts) > 2 and parts[2].shape == shape:
             self.third = parts[2]
@@ -339,7 +354,8 @@ class StudentStep:
         where = self.problem(0)
         rate = self(where, where.x, 0.0 * where.v, TINY)[1] / TINY
         k = -np.sum(rate * where.x) / np.sum(where.x**2)
-        if not k > 0.0 or np.abs(rate + k * where.x).max() > 1e-4 * max(k, 1.0):
+        off = largest(rate + k * where.x)
+        if not k > 0.0 or off > 1e-4 * max(k, 1.0):
             raise TypeError(
                 "the step takes no force function, and its own force is not that of a spring, −k x: make the force "
                 "function an argument, as step(x, v, force, m, dt)"
@@ -366,8 +382,9 @@ def understood(function: Function) -> StudentStep:
             raise ValueError(
                 f"the step returned numbers that are not finite after one step of {TINY:g}, called as {step.call_text}"
             )
-        in_order = np.abs(x - where.x).max() + np.abs(v - where.v).max()
-        swapped = np.abs(v - where.x).max() + np.abs(x - where.v).max()
+
+        in_order = largest(x - where.x) + largest(v - where.v)
+        swapped = largest(v - where.x) + largest(x - where.v)
         step.swapped = bool(swapped < 0.01 * in_order) and not step.takes("old", "p")
         if not step.takes(*FORCES):
             step.find_own_force()
@@ -381,9 +398,13 @@ def understood(function: Function) -> StudentStep:
 class StudentForce(Called):
     """A student's force function.
 
-    kind, dimensions : what it is called as; one of KINDS.  is_squared : whether the law takes r².  has_energy :
-    whether it also returns an energy.  names : of the parameters without defaults.  values : what is given for those
-    after the positions.  takes : their roles.  physical : values of ε, σ and others, by name.
+    kind, dimensions : what it is called as; one of KINDS.
+    is_squared : whether the law takes r².
+    has_energy : whether it also returns an energy.
+    names : of the parameters without defaults.
+    values : what is given for those after the positions.
+    takes : their roles.
+    physical : values of ε, σ and others, by name.
     """
 
     kind = "forces"
@@ -399,19 +420,20 @@ class StudentForce(Called):
         self.names = [name for name in self.roles if name not in self.defaults]
         first = self.first
         if not self.names and first and first.kind not in (first.KEYWORD_ONLY, first.VAR_KEYWORD):
-            self.names = [
-                first.name
-            ]  # of a function that takes *args, or whose parameters all have defaults
+            # of a function that takes *args, or whose parameters all have defaults
+            self.names = [first.name]
             self.defaults.pop(first.name, None)
         if not self.names:
             raise TypeError(
                 f"{self.name} has no parameter for the positions; a force function is called as forces(positions)"
             )
+
         name = plain(self.names[0])
         self.is_squared = re.search(SQUARED, name)
         self.is_of_two = False
         if len(self.names) > 1 and not self.is_squared and kind != "law":
             self.is_of_two = all(re.search(ONE_OF_TWO, plain(name)) for name in self.names[:2])
+
         taken = self.names[1 + self.is_of_two :]
         unknown = [name for name in taken if self.roles[name] not in options]
         if unknown and kind != "law":
@@ -422,6 +444,7 @@ class StudentForce(Called):
         taken += [name for name in self.defaults if options.get(f"{self.roles[name]} given")]
         self.values = {name: options.get(self.roles[name], 1.0) for name in taken}
         self.takes = {self.roles[name] for name in taken}
+
         has_stiffness = "stiffness" in self.roles.values()  # then a rest length is physical, too
         self.physical = dict[str, float]()
         for parameter, value in {**self.defaults, **self.values}.items():
@@ -429,6 +452,7 @@ class StudentForce(Called):
             is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if is_number and value > 0 and (self.roles[parameter] in PHYSICAL or is_length):
                 self.physical[parameter] = float(value)
+
         kinds = ["forces"]
         if kind:
             kinds = [kind]
@@ -457,7 +481,8 @@ class StudentForce(Called):
             elif self.kind == "law":
                 x = START**2 if self.is_squared else START
             try:
-                misfits.append(self._misfit(self.answer(x), np.shape(x), "pair" in kinds))
+                answer = self.answer(x)
+                misfits.append(self._misfit(answer, np.shape(x), "pair" in kinds))
             except Exception as error:  # whatever a student's function raises
                 misfits.append(f"{np.shape(x)}, and raised {type(error).__name__}: {error}")
             if not misfits[-1]:
@@ -506,8 +531,9 @@ class StudentForce(Called):
         if self.is_of_two:
             values[self.names[1]] = np.zeros(3)
         in_order = [values.pop(name) for name in self.names[1:]]
+        argument = first if first.ndim else float(first)
         with np.errstate(all="ignore"):
-            answer = self.function(first if first.ndim else float(first), *in_order, **values)
+            answer = self.function(argument, *in_order, **values)
         self.changes_input |= not np.array_equal(first, np.array(x, dtype=float))
         return answer
 
@@ -519,7 +545,9 @@ class StudentForce(Called):
         f, u = answer[:2]
         if self.energy_first:
             u, f = f, u
-        return np.asarray(f, dtype=float), np.asarray(u if self.has_energy else np.nan, dtype=float)
+        if not self.has_energy:
+            u = np.nan
+        return np.asarray(f, dtype=float), np.asarray(u, dtype=float)
 
     def _energy_is_first(self) -> bool:
         """Whether the first of two numbers of a law is the energy: the other one is its slope times a power of r."""
@@ -531,8 +559,11 @@ class StudentForce(Called):
         before, at, after = np.array(answers, float)
 
         def off(u: int) -> float:
-            logs = np.log(np.abs(at[:, 1 - u] / (after[:, u] - before[:, u])))
+            slopes = after[:, u] - before[:, u]
+            logs = np.log(np.abs(at[:, 1 - u] / slopes))
             logs = logs[np.isfinite(logs)]
-            return float(np.median(np.abs(logs - np.median(logs)))) if logs.size else np.inf
+            if not logs.size:
+                return np.inf
+            return np.median(np.abs(logs - np.median(logs)))
 
         return off(0) <= off(1)

@@ -7,20 +7,22 @@ dynamics in one of a thousand cases, and the error that a right splitting may ma
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import replace
 from functools import cached_property
+from inspect import Parameter, isclass, signature
 from typing import Any, NamedTuple
 
 import numpy as np
 from ase import Atoms, units
+from numpy.random import RandomState
 from scipy import stats
 from tqdm import tqdm
 
 from minimd.core.console.words import shown
 from minimd.core.structure.checks import checked_choice, checked_count, checked_flag, checked_number
 from minimd.judge import ensembles
-from minimd.judge.findings import Finding, Grade, Law, Measurement, causes, judged
+from minimd.judge.findings import Answer, Finding, Grade, Law, Measurement, causes, judged, needed
+from minimd.judge.problems import largest
 from minimd.judge.scenes import SCENES, SOFT, Array, Frames, Make, ends_of, run, started
 
 ENSEMBLES = {
@@ -47,7 +49,10 @@ COLLAPSE = (
 
 
 class Claims(NamedTuple):
-    """What a dynamics claims, and how it is judged.  scenes : their names, the first for paths."""
+    """What a dynamics claims, and how it is judged.
+
+    scenes : their names, the first for paths.
+    """
 
     ensemble: str
     kt: float
@@ -71,22 +76,21 @@ class Claims(NamedTuple):
             has.add("rigid")
         return has
 
-    def laws(self) -> list[tuple[str, list[str]]]:
-        """The names of the laws of each scene."""
-        if self.ensemble == "NVE":
-            return []
-        table = list[tuple[str, list[str]]]()
-        for name in self.scenes:
-            has = {*self.scene(name, True).has.split()}
-            laws = [law.name for law in ensembles.LAWS if has.issuperset(law.needs.split())]
-            table.append((name, laws))
-        return table
+    def laws(self) -> list[str]:
+        """The names of the laws of all scenes, each with its scene; none for NVE."""
+        names = list[str]()
+        if self.ensemble != "NVE":
+            for name in self.scenes:
+                has = {*self.scene(name, True).has.split()}
+                names += [f"{name}: {law.name}" for law in needed(ensembles.LAWS, has)]
+        return names
 
 
 class Motion:
     """A dynamics in a scene, and what is measured on single paths: see Law.measure.
 
-    halved : makes it with half the time step.  has : see Claims.
+    halved : makes it with half the time step.
+    has : see Claims.
     """
 
     def __init__(self, make: Make, halved: Make, claims: Claims) -> None:
@@ -96,15 +100,18 @@ class Motion:
         self.scene = claims.scene(claims.scenes[0], True)
         atoms, dynamics = started(make, self.scene, 0)
         n = len(atoms)
+
         self.heat = np.sqrt(claims.kt * atoms.get_masses().sum())  # a momentum
         is_nve = claims.ensemble == "NVE"
-        for _ in range(1 if is_nve else claims.steps // OF_PATHS):  # rare draws of momenta are seen
+        n_parts = 1 if is_nve else claims.steps // OF_PATHS  # rare draws of momenta are seen
+        for _ in range(n_parts):
             dynamics.run(OF_PATHS)
             if len(atoms) != n:
                 raise ValueError(
                     f"the dynamics changed the number of atoms from {n} to {len(atoms)}"
                 )
-            self.change = float(np.abs(atoms.get_momenta().sum(axis=0)).max() / self.heat)
+            p = atoms.get_momenta().sum(axis=0)
+            self.change = largest(p) / self.heat
             self.is_still = self.change < KEPT  # whether a scene at rest stays at rest
             if not self.is_still:
                 break
@@ -114,7 +121,7 @@ class Motion:
     def path(self, *parts: int) -> Array:
         """Positions after some steps, of which each part is made by a new object."""
         atoms, _ = started(self.make, self.scene, 1)
-        state = np.random.RandomState(2)
+        state = RandomState(2)
         for n in parts:
             self.make(atoms, state).run(n)
         return atoms.positions
@@ -129,21 +136,23 @@ class Motion:
         """Whether all that a step needs is in the atoms."""
         once = self.path(OF_PATHS)
         parted = self.path(OF_PATHS // 2, OF_PATHS // 2)
-        off = float(np.abs(once - parted).max() / np.ptp(once))
+        off = largest(once - parted) / np.ptp(once)
         cause = ""
         if off >= SAME:
             cause = ": a step needs more than the atoms hold, or random numbers differ"
         return Measurement(off, 0.0 if off < SAME else np.nan, cause)
 
-    def center(self) -> tuple[float, float]:
+    def center(self) -> Answer:
         """The way of the center of mass over P t/M; open if the momentum is taken away."""
         atoms, dynamics = started(self.make, self.scene, 0)
         start = atoms.get_center_of_mass()
         p = atoms.get_momenta().sum(axis=0)
         dynamics.run(OF_PATHS)
         right = p * OF_PATHS * self.claims.timestep / atoms.get_masses().sum()
-        way = float((atoms.get_center_of_mass() - start) @ right / (right @ right))
-        is_taken = np.abs(atoms.get_momenta().sum(axis=0)).max() < KEPT * self.heat
+        moved = atoms.get_center_of_mass() - start
+        way = moved @ right / (right @ right)
+        p = atoms.get_momenta().sum(axis=0)
+        is_taken = largest(p) < KEPT * self.heat
         return way, np.nan if is_taken else way - 1.0
 
     @cached_property
@@ -165,27 +174,31 @@ class Motion:
         if self.claims.ensemble != "NVE":
             n = min(n, STEPS["NVE"])
             runs = min(runs, RUNS["NVE"])
-        whole = list[Array]()
-        half = list[Array]()
+        whole = []
+        half = []
         for k in tqdm(range(seed, seed + runs), desc="energy", leave=False, disable=None):
             whole.append(path(self.make, k, n))
             half.append(path(self.halved, k, 2 * n))
         return [np.array(whole), np.array(half)]
 
-    def drift(self) -> tuple[float, float, float, int]:
+    def drift(self) -> Answer:
         """The mean slope of the energy, in its spread a run, over what passes."""
         whole = self.energies[0]
         runs, steps = whole.shape
-        slopes = np.polyfit(np.linspace(0.0, 1.0, steps), whole.T, 1)[0] / whole.std()
+        times = np.linspace(0.0, 1.0, steps)
+        slopes = np.polyfit(times, whole.T, 1)[0] / whole.std()
         slope = slopes.mean()
         error = slopes.std(ddof=1) / np.sqrt(runs)
-        off = slope / (stats.t.isf(0.5 * RATE, runs - 1) * error)
-        return float(slope), float(off) if np.isfinite(off) else np.inf, float(error), steps
+        quantile = stats.t.isf(0.5 * RATE, runs - 1)
+        off = slope / (quantile * error)
+        return slope, off if np.isfinite(off) else np.inf, error, steps
 
     def order(self) -> Measurement:
         """The order of the error of the energy."""
         whole, half = self.energies
-        order = float(np.log2(whole.std(axis=1).mean() / half.std(axis=1).mean()))
+        error = whole.std(axis=1).mean()
+        error_of_half = half.std(axis=1).mean()
+        order = np.log2(error / error_of_half)
         if not np.isfinite(order):
             return Measurement(0.0, 1.0, "the energy grows without bound")
         is_right = order > LEAST_ORDER
@@ -202,43 +215,64 @@ class Motion:
 
     def softness(self) -> float:
         """How far rigid bonds are off."""
-        seen = run(self.make, self.scene, self.claims.seed, 2 * OF_PATHS, 1, self.claims.kt)
-        return float(self.scene.calculator.softness(seen))
+        claims = self.claims
+        seen = run(self.make, self.scene, claims.seed, 2 * OF_PATHS, 1, claims.kt)
+        return self.scene.calculator.softness(seen)
 
-    def reversal(self) -> tuple[float, float]:
+    def reversal(self) -> Answer:
         """The distance from the start after steps forwards and as many back, over the size of the scene."""
         atoms, dynamics = started(self.make, self.scene, self.claims.seed)
         start = atoms.positions.copy()
         dynamics.run(100)
         atoms.set_momenta(-atoms.get_momenta())
-        self.make(atoms, np.random.RandomState(0)).run(100)
-        off = float(np.abs(atoms.positions - start).max() / np.ptp(start))
+        self.make(atoms, RandomState(0)).run(100)
+        off = largest(atoms.positions - start) / np.ptp(start)
         return off, off if np.isfinite(off) else np.inf
 
 
 ORDER = "the error of the energy goes as Δt^{0:.1f}, that of a method of second order as Δt²: {2}"
-# fmt: off
 LAWS = (  # of paths
     Law("repeatable", Motion.again, 0.5, "the same seed gives {2}"),
     Law("restart", Motion.restart, 0.5, "a run that a new object continues differs by {0:.1e}{2}"),
-    Law("total momentum", lambda motion: motion.change, KEPT, "changes by {0:.1e} of a thermal momentum",
+    Law(
+        "total momentum",
+        lambda motion: motion.change,
+        KEPT,
+        "changes by {0:.1e} of a thermal momentum",
         "the total momentum changes, though nothing acts from outside",
-        "NVE"),
-    Law("center of mass", Motion.center, 1e-4, "moves by {0:.6g} P t/M",
+        "NVE",
+    ),
+    Law(
+        "center of mass",
+        Motion.center,
+        1e-4,
+        "moves by {0:.6g} P t/M",
         "the center of mass moves by {0:.6g} times its velocity times the time: do positions move for the whole time "
         "step?",
-        "NVE"),
+        "NVE",
+    ),
     Law("order of the energy's error", Motion.order, 0.5, "Δt^{0:.2f}", ORDER, "NVE"),
-    Law("energy is kept", Motion.drift, 1.0, "drift in {3} steps {0:+.1g} ± {2:.1g} of its spread",
+    Law(
+        "energy is kept",
+        Motion.drift,
+        1.0,
+        "drift in {3} steps {0:+.1g} ± {2:.1g} of its spread",
         "the energy drifts by {0:+.1g} ± {2:.1g} of its spread in {3} steps",
-        "NVE"),
-    Law("reversible", Motion.reversal, SAME, "100 steps and back: {0:.1e}",
+        "NVE",
+    ),
+    Law(
+        "reversible",
+        Motion.reversal,
+        SAME,
+        "100 steps and back: {0:.1e}",
         "100 steps with reversed momenta do not lead back: the end is {0:.1e} from the start",
-        "NVE"),
+        "NVE",
+    ),
     Law("rigid bonds", Motion.softness, SOFT, ensembles.BONDS, ensembles.BONDS_FAULT, "NVE rigid"),
-    Law("order of the conserved energy's error", Motion.order, 0.5, "Δt^{0:.2f}", ORDER, "conserved"),
+    Law(
+        "order of the conserved energy's error", Motion.order, 0.5, "Δt^{0:.2f}", ORDER, "conserved"
+    ),
 )
-# fmt: on
 
 
 def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
@@ -259,18 +293,20 @@ def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
         raise ValueError(
             f"{name} failed with {options}: {type(error).__name__}: {error}{bonds}"
         ) from error
+
     is_still = motion.is_still
-    table = claims.laws()
-    rate = RATE / max(1, sum(len(laws) for _, laws in table))
-    for scene, _ in table:
-        findings += of_scene(make, claims, scene, is_still, rate)
+    names = claims.laws()
+    if names:
+        rate = RATE / len(names)
+        for scene in claims.scenes:
+            findings += of_scene(make, claims, scene, is_still, rate)
     failed = {law.name: law.value for law in findings if law.passed is False}
     faults = causes(law for law in findings if not follows(law.name, failed))
-    if "ring: temperature" in failed:
-        faults += of_half_a_step(halved, claims, is_still, failed["ring: temperature"])
-    momentum = "not conserved: 3N"
-    if is_still:
-        momentum = "kept at zero: 3N − 3"
+    heat = failed.get("ring: temperature")
+    if heat is not None:
+        faults += of_half_a_step(halved, claims, is_still, heat)
+
+    momentum = "kept at zero: 3N − 3" if is_still else "not conserved: 3N"
     remarks = [f"the total momentum is {momentum} degrees of freedom move"]
     means = [law for law in findings if law.name.endswith((": temperature", ": mean volume"))]
     if means:
@@ -281,9 +317,9 @@ def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
             f"the least precise scene, {scene!r}, finds a {quantity} that is wrong by {100.0 * coarsest.limit:.0f} %; "
             "more runs= or steps= find smaller errors"
         )
-    if "temperature_K" not in options and "temperature_K" in inspect.signature(dynamics).parameters:
-        heat = "" if ensemble == "NVE" else " at 300 K"
-        remarks.append(f"judged as {ensemble}{heat}, since no temperature_K is given")
+    if "temperature_K" not in options and "temperature_K" in signature(dynamics).parameters:
+        at_heat = "" if ensemble == "NVE" else " at 300 K"
+        remarks.append(f"judged as {ensemble}{at_heat}, since no temperature_K is given")
     call_text = f"{name}({', '.join(options)}): {ensemble}, {ENSEMBLES[ensemble]}"
     return Grade(call_text, tuple(findings), tuple(faults), remarks=tuple(remarks))
 
@@ -316,18 +352,16 @@ def claimed(options: dict[str, Any]) -> Claims:
         value = options.pop(name, None)
         return default if value is None else value
 
-    ensemble = taken("ensemble", None)
-    timestep = taken("timestep", units.fs)
-    runs = taken("runs", None)
-    steps = taken("steps", None)
-    seed = taken("seed", 0)
+    ensemble = taken("ensemble", "")
     has_bonds = checked_flag("constraints", options.pop("constraints", False))
     has_liquids = checked_flag("liquids", options.pop("liquids", False))
     pressures = list[float]()
     for name in PRESSURES:
         value = options.get(name)
         if value is not None:
-            pressures.append(checked_number(name, [*np.ravel(value).tolist(), value][0]))
+            first = [*np.ravel(value).tolist(), value][0]  # of a tensor, or what is none
+            pressures.append(checked_number(name, first))
+
     temperature = options.get("temperature_K")
     if not ensemble:
         ensemble = "NPT" if pressures else "NVT"
@@ -342,37 +376,32 @@ def claimed(options: dict[str, Any]) -> Claims:
         raise ValueError(
             f"constraints are judged for NVE and NVT, liquids for NVT and NPT; got {ensemble}"
         )
+
     scenes = USED[ensemble]
     if has_bonds:
         scenes = ("chain",) if ensemble == "NVE" else (*scenes, "chain")
     if has_liquids:
         scenes += ("liquid 1", "liquid 2")
+
     if temperature is None:
         temperature = 300.0
     kt = units.kB * checked_number("temperature_K", temperature, "positive and finite")
     pressure = 0.0
     if ensemble == "NPT":
         pressure = checked_number("pressure", abs(pressures[0]), "positive and finite")
-    return Claims(
-        ensemble,
-        kt,
-        pressure,
-        checked_number("timestep", timestep, "positive and finite"),
-        checked_count("runs", RUNS[ensemble] if runs is None else runs, 6),
-        checked_count("steps", STEPS[ensemble] if steps is None else steps, 8 * EVERY),
-        checked_count("seed", seed, 0, 2**31),  # runs count from it, and NumPy takes 32 bits
-        scenes,
-    )
+    timestep = checked_number("timestep", taken("timestep", units.fs), "positive and finite")
+    runs = checked_count("runs", taken("runs", RUNS[ensemble]), 6)
+    steps = checked_count("steps", taken("steps", STEPS[ensemble]), 8 * EVERY)
+    # runs count from the seed, and NumPy takes 32 bits
+    seed = checked_count("seed", taken("seed", 0), 0, 2**31)
+    return Claims(ensemble, kt, pressure, timestep, runs, steps, seed, scenes)
 
 
 def names_of(dynamics: Any, options: dict[str, Any]) -> list[str]:
     """The names of the laws by which a class is judged with these options."""
     claims = claimed({**options})
-    has = claims.has(dynamics)
-    names = [law.name for law in LAWS if has.issuperset(law.needs.split())]
-    for scene, laws in claims.laws():
-        names += [f"{scene}: {law}" for law in laws]
-    return names
+    names = [law.name for law in needed(LAWS, claims.has(dynamics))]
+    return names + claims.laws()
 
 
 def maker(dynamics: Any, timestep: float, options: dict[str, Any]) -> Make:
@@ -381,26 +410,26 @@ def maker(dynamics: Any, timestep: float, options: dict[str, Any]) -> Make:
 
     Raises TypeError if neither can be passed, and ValueError for options that are not taken.
     """
-    parameters = inspect.signature(dynamics).parameters
+    parameters = signature(dynamics).parameters
     kinds = [parameter.kind for parameter in parameters.values()]
-    places = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    has_any_name = inspect.Parameter.VAR_KEYWORD in kinds
-    is_in_order = (
-        inspect.Parameter.VAR_POSITIONAL in kinds or sum(kind in places for kind in kinds) > 1
-    )
+    has_any_name = Parameter.VAR_KEYWORD in kinds
+    n_places = kinds.count(Parameter.POSITIONAL_ONLY)
+    n_places += kinds.count(Parameter.POSITIONAL_OR_KEYWORD)
+    is_in_order = Parameter.VAR_POSITIONAL in kinds or n_places > 1
     if not (is_in_order or has_any_name or {"atoms", "timestep"} <= parameters.keys()):
         name = getattr(dynamics, "__name__", "dynamics")
         raise TypeError(
             f"dynamics are called as {name}(atoms, timestep, …), with options by their names; {name} takes "
             f"({', '.join(parameters)})"
         )
-    takes_all = has_any_name and inspect.isclass(dynamics)
+
+    takes_all = has_any_name and isclass(dynamics)
     taken = {name: value for name, value in options.items() if takes_all or name in parameters}
     left = [name for name in options if name not in (*taken, "temperature_K", "pressure")]
     if left:
         raise ValueError(f"{shown(dynamics)} takes {', '.join(parameters)}; got {', '.join(left)}")
 
-    def make(atoms: Atoms, rng: np.random.RandomState) -> Any:
+    def make(atoms: Atoms, rng: RandomState) -> Any:
         noise = {"rng": rng} if "rng" in parameters else {}
         if is_in_order:
             return dynamics(atoms, timestep, **taken, **noise)
@@ -411,7 +440,10 @@ def maker(dynamics: Any, timestep: float, options: dict[str, Any]) -> Make:
 
 def of_scene(make: Make, claims: Claims, name: str, is_still: bool, rate: float) -> list[Finding]:
     """The findings of a scene: those without a number to judge, then the largest deviations; positions follow momenta,
-    and noise that repeats explains the rest.  rate : of false alarms, of each law."""
+    and noise that repeats explains the rest.
+
+    rate : of false alarms, of each law.
+    """
     scene = claims.scene(name, is_still)
     frames = list[Frames]()
     steps = claims.steps // scene.slowness

@@ -16,8 +16,15 @@ NEVER = 1e-6  # the same, at most, if nothing acts
 
 
 class Seen:
-    """What was seen of a scene.  has : features of the scene.  rate : of false alarms, of each law.  is_still : whether
-    the total momentum is kept at zero.  all : frames of all runs.  pressure : [eV/Å³]."""
+    """What was seen of a scene.
+
+    scene, runs : the scene, and the frames of each run.
+    is_still : whether the total momentum is kept at zero.
+    pressure : [eV/Å³].
+    rate : of false alarms, of each law.
+    has : features of the scene.
+    all : frames of all runs.
+    """
 
     def __init__(
         self, scene: Scene, runs: list[Frames], is_still: bool, pressure: float, rate: float
@@ -35,14 +42,17 @@ class Seen:
         # <p²/m>/kT of a component
         self.shares = 1.0 - is_still * self.masses / self.masses.sum() - scene.rigid
         self.n_free = round(3.0 * self.shares.sum())
+
         # a body at rest whose momenta change with the volume; other than by moves of a Monte Carlo method, some of
         # which are rejected: those of a barostat that acts every few steps are at regular distances
-        moved = np.diff(self.all.volumes.reshape(len(runs), -1), axis=1) != 0.0
+        volumes = self.all.volumes.reshape(len(runs), -1)
+        moved = np.diff(volumes, axis=1) != 0.0
         gaps = np.concatenate([np.diff(np.flatnonzero(row)) for row in moved])
         n = scene.n_bodies
         has_moves = gaps.size and np.ptp(gaps) > 1
         self.n_volume = n + 1 - (is_still and not has_moves)  # P<V>/kT
         self.excess = self.n_volume - (n - is_still)  # (P<V> − <P_int V>)/kT
+
         self.heat = self.all.kinetic.sum(axis=1).mean() / self.n_free
         self.runs_p2 = (self.all.p**2).mean(axis=(0, 2))
         self.log_volume = np.log(self.all.volumes).mean()
@@ -55,7 +65,8 @@ class Seen:
         n = len(values)
         errors = values.std(axis=0, ddof=1) / np.sqrt(n)
         quantile = stats.t.isf(0.5 * self.rate / len(means), n - 1)
-        limits = quantile * errors / np.clip(means, LEAST, 1.0) + spare + self.scene.error
+        statistical = quantile * errors / np.clip(means, LEAST, 1.0)
+        limits = statistical + spare + self.scene.error
         k = np.argmax(np.abs(means - 1.0) / limits)
         mean = means[k]
         limit = float(limits[k])
@@ -63,14 +74,15 @@ class Seen:
 
     def acted(self) -> Measurement:
         """How much of the energy, or of the volume, is new at the end of a run."""
-        ends = self.all.ends[:, :, int("volume" in self.has)]
+        column = int("volume" in self.has)
+        ends = self.all.ends[:, :, column]
         changes = ends[:, 1] - ends[:, 0]
-        part = (changes**2).mean() / max(2.0 * ends.var(), 1e-300)
-        if part >= ACTED:
-            return Measurement(min(part, 1.0), 0.0)
-        off = 1.0 if part < NEVER else np.nan
+        share = (changes**2).mean() / max(2.0 * ends.var(), 1e-300)
+        if share >= ACTED:
+            return Measurement(min(share, 1.0), 0.0)
+        off = 1.0 if share < NEVER else np.nan
         advice = ": too little to judge; take a shorter relaxation time, or more steps="
-        return Measurement(part, off, advice)
+        return Measurement(share, off, advice)
 
 
 Measure: TypeAlias = Callable[[Frames, Seen], Any]
@@ -105,8 +117,10 @@ def temperature_said(means: Array, seen: Seen) -> str:
 def masses_said(means: Array, seen: Seen) -> str:
     """What a temperature that depends on the mass means."""
     masses = np.unique(seen.masses)
-    power = np.polyfit(np.log(masses), np.log(np.maximum(means, 1e-9)), 1)[0]
-    each = ", ".join(f"{mean:.2f} ({mass:g} amu)" for mean, mass in zip(means, masses, strict=True))
+    logs = np.log(np.maximum(means, 1e-9))
+    power = np.polyfit(np.log(masses), logs, 1)[0]
+    pairs = zip(means, masses, strict=True)
+    each = ", ".join(f"{mean:.2f} ({mass:g} amu)" for mean, mass in pairs)
     cause = ""
     if abs(power) > 0.3:
         cause = (
@@ -119,7 +133,9 @@ def volume_said(means: Array, seen: Seen) -> str:
     """What a wrong mean volume means."""
     n = seen.scene.n_bodies
     ratio = means[0] * seen.n_volume
-    table = {float(k): f"p(V) goes as V^{k - 1} exp(−PV/kT)" for k in (n - 1, n, n + 1)}
+    table = dict[float, str]()
+    for power in (n - 2, n - 1, n):
+        table[power + 1.0] = f"p(V) goes as V^{power} exp(−PV/kT)"
     for k in (n, n + 0.5):
         table[2.0 * k] = "this is the value of free atoms: is the virial in the pressure?"
     for k in (n, n + 1 / 3):
@@ -190,23 +206,28 @@ def of_masses(run: Frames, seen: Seen) -> Array:
 
 def of_directions(run: Frames, seen: Seen) -> Array:
     """Kinetic temperatures along x, y and z, over that of all."""
-    energies = (run.p**2 / (seen.kt * seen.masses)[:, None]).mean(axis=0).sum(axis=0)
+    p2 = run.p**2 / (seen.kt * seen.masses)[:, None]
+    energies = p2.mean(axis=0).sum(axis=0)
     return energies * 3.0 / (seen.heat * seen.n_free)
 
 
 def of_positions(run: Frames, seen: Seen) -> Array:
     """<|∇U|²>/(kT <∇²U>) of each atom."""
-    curvature = np.mean([seen.scene.calculator.curvature(x) for x in run.x[::4]], axis=0)
-    return (run.f**2).sum(axis=2).mean(axis=0) / (curvature * seen.kt)
+    curvatures = [seen.scene.calculator.curvature(x) for x in run.x[::4]]
+    forces2 = (run.f**2).sum(axis=2).mean(axis=0)
+    return forces2 / (np.mean(curvatures, axis=0) * seen.kt)
 
 
 def of_pairs(run: Frames, seen: Seen) -> float:
     """1 + the correlation of momenta of different atoms, less that of a body at rest."""
-    u = run.p / np.sqrt(seen.heat * seen.kt * seen.masses)[:, None]
-    root = np.sqrt(seen.masses)
-    pairs = (u.sum(axis=1) ** 2).sum(axis=1).mean() - (u**2).sum(axis=(1, 2)).mean()
-    at_rest = -3.0 * seen.is_still * (root.sum() ** 2 - seen.masses.sum()) / seen.masses.sum()
-    return 1.0 + float(pairs - at_rest) / seen.n
+    masses = seen.masses
+    u = run.p / np.sqrt(seen.heat * seen.kt * masses)[:, None]
+    total2 = (u.sum(axis=1) ** 2).sum(axis=1).mean()
+    pairs = total2 - (u**2).sum(axis=(1, 2)).mean()
+    at_rest = 0.0
+    if seen.is_still:
+        at_rest = -3.0 * (np.sqrt(masses).sum() ** 2 - masses.sum()) / masses.sum()
+    return 1.0 + (pairs - at_rest) / seen.n
 
 
 def of_noise(run: Frames, seen: Seen) -> float:
@@ -218,50 +239,52 @@ def of_noise(run: Frames, seen: Seen) -> float:
     size = (jumps**2).sum()
     if size <= 1e-20 * seen.kt * seen.masses.sum():
         return 2.0
-    return 1.0 + max(0.0, float((jumps[1:] * jumps[:-1]).sum()) / size)
+    return 1.0 + max(0.0, (jumps[1:] * jumps[:-1]).sum() / size)
 
 
 def of_kinetic(run: Frames, seen: Seen) -> float:
     """The variance of the kinetic energy over that at its mean."""
-    each = run.kinetic.sum(axis=1)
     mean = seen.heat * seen.n_free
-    return float(((each - mean) ** 2).mean()) * seen.n_free / (2.0 * mean**2)
+    squares = (run.kinetic.sum(axis=1) - mean) ** 2
+    return squares.mean() * seen.n_free / (2.0 * mean**2)
 
 
 def of_pressure(run: Frames, seen: Seen) -> float:
     """1 + P<V> − <P_int V> less its value, in units of P<V>;  P_int V = (2 K + Σ r·F)/3."""
-    d, e, _ = zip(*(seen.scene.calculator.bonds(x) for x in run.x), strict=True)
-    virial = -np.einsum("fbd,fbd,b->f", d, e, seen.scene.calculator.k)
+    calculator = seen.scene.calculator
+    d, e, _ = zip(*(calculator.bonds(x) for x in run.x), strict=True)
+    virial = -np.einsum("fbd,fbd,b->f", d, e, calculator.k)
     inner = (run.kinetic.sum(axis=1) + virial / seen.kt) / 3.0
-    difference = (run.volumes * seen.pressure / seen.kt - inner).mean()
-    return 1.0 + float(difference - seen.excess) / seen.n_volume
+    outer = run.volumes * seen.pressure / seen.kt
+    difference = (outer - inner).mean()
+    return 1.0 + (difference - seen.excess) / seen.n_volume
 
 
 def of_temperature(run: Frames, seen: Seen) -> float:
     """The kinetic energy over its share of kT."""
-    return float(run.kinetic.sum(axis=1).mean()) / seen.n_free
+    return run.kinetic.sum(axis=1).mean() / seen.n_free
 
 
 def of_fourth_powers(run: Frames, seen: Seen) -> float:
     """<u⁴>/3<u²>² of momenta."""
-    return float((run.p**4 / (3.0 * seen.runs_p2**2)[:, None]).mean())
+    return (run.p**4 / (3.0 * seen.runs_p2**2)[:, None]).mean()
 
 
 def of_components(run: Frames, seen: Seen) -> Array:
     """1 + the correlations of x and y, y and z, z and x of a momentum."""
     products = run.p * np.roll(run.p, -1, axis=2)
-    return np.asarray(1.0 + (products / seen.runs_p2[:, None]).mean(axis=(0, 1)))
+    return 1.0 + (products / seen.runs_p2[:, None]).mean(axis=(0, 1))
 
 
 def of_volume(run: Frames, seen: Seen) -> float:
     """P<V>/kT over its value."""
-    return float(run.volumes.mean()) * seen.pressure / (seen.kt * seen.n_volume)
+    return run.volumes.mean() * seen.pressure / (seen.kt * seen.n_volume)
 
 
 def of_log_volume(run: Frames, seen: Seen) -> float:
     """The variance of ln V over that of the ensemble."""
     spread = ((np.log(run.volumes) - seen.log_volume) ** 2).mean()
-    return float(spread / polygamma(1, seen.n_volume))
+    return spread / polygamma(1, seen.n_volume)
 
 
 def row(
@@ -280,56 +303,134 @@ def row(
 
 BONDS = "lengths, and velocities along bonds, are off by {0:.1e}"
 BONDS_FAULT = "rigid bonds change their lengths, by {0:.1e}"
-# fmt: off
 LAWS = (  # of what a scene has
-    Law("constant volume", lambda seen: float(np.ptp(seen.all.volumes) > 0.0), 0.5,
+    Law(
+        "constant volume",
+        lambda seen: float(np.ptp(seen.all.volumes) > 0.0),
+        0.5,
         "changed in {0:g} of 1",
         "the volume changes: give pressure= to have it judged as NPT",
-        "fixed"),
-    Law("the bath acts", Seen.acted, 0.5,
+        "fixed",
+    ),
+    Law(
+        "the bath acts",
+        Seen.acted,
+        0.5,
         "{0:.0%} of the energy is new at the end of a run{2}",
         "the energy never changes: nothing acts on it",
-        "fixed"),
-    Law("the barostat acts", Seen.acted, 0.5,
+        "fixed",
+    ),
+    Law(
+        "the barostat acts",
+        Seen.acted,
+        0.5,
         "{0:.0%} of the volume is new at the end of a run{2}",
         "the volume never changes: nothing acts on it",
-        "volume"),
-    row("temperature by mass", "that of atoms of one mass over that of all atoms",
-        of_masses, masses_said, "masses"),
-    row("temperature by direction", "that along x, y or z over the mean",
-        of_directions, directions_said, "ring"),
-    row("temperature", "kinetic energy over its share of kT",
-        of_temperature, temperature_said, ""),
-    row("temperature of positions", "<|∇U|²>/(kT <∇²U>) of atoms",
-        of_positions, positions_said, "places"),
-    row("fluctuation of the kinetic energy", "its variance over that of the canonical ensemble",
-        of_kinetic, kinetic_said, "spread", 0.05),
-    row("normal momenta", "<u⁴>/3<u²>² of momenta", of_fourth_powers,
+        "volume",
+    ),
+    row(
+        "temperature by mass",
+        "that of atoms of one mass over that of all atoms",
+        of_masses,
+        masses_said,
+        "masses",
+    ),
+    row(
+        "temperature by direction",
+        "that along x, y or z over the mean",
+        of_directions,
+        directions_said,
+        "ring",
+    ),
+    row("temperature", "kinetic energy over its share of kT", of_temperature, temperature_said, ""),
+    row(
+        "temperature of positions",
+        "<|∇U|²>/(kT <∇²U>) of atoms",
+        of_positions,
+        positions_said,
+        "places",
+    ),
+    row(
+        "fluctuation of the kinetic energy",
+        "its variance over that of the canonical ensemble",
+        of_kinetic,
+        kinetic_said,
+        "spread",
+        0.05,
+    ),
+    row(
+        "normal momenta",
+        "<u⁴>/3<u²>² of momenta",
+        of_fourth_powers,
         lambda means, _: f"momenta are not normally distributed: <u⁴>/3<u²>² is {means[0]:.3f}",
-        "ring", 0.03),
-    row("independent momenta", "1 + correlation of momenta of different atoms", of_pairs,
-        lambda means, _: f"momenta of different atoms are correlated, by {means[0] - 1.0:+.2f}: each atom needs noise "
-        "of its own",
-        "ring", 0.05),
-    row("independent directions", "1 + correlation of two components of a momentum",
-        of_components, components_said, "ring", 0.05),
-    row("new noise", "1 + correlation of a change of the total momentum with the next", of_noise,
-        lambda *_: "the noise of one step is that of the step before: is the generator seeded anew in each step?",
-        "ring", 0.3),
+        "ring",
+        0.03,
+    ),
+    row(
+        "independent momenta",
+        "1 + correlation of momenta of different atoms",
+        of_pairs,
+        lambda means, _: (
+            f"momenta of different atoms are correlated, by {means[0] - 1.0:+.2f}: each atom needs noise "
+            "of its own"
+        ),
+        "ring",
+        0.05,
+    ),
+    row(
+        "independent directions",
+        "1 + correlation of two components of a momentum",
+        of_components,
+        components_said,
+        "ring",
+        0.05,
+    ),
+    row(
+        "new noise",
+        "1 + correlation of a change of the total momentum with the next",
+        of_noise,
+        lambda *_: (
+            "the noise of one step is that of the step before: is the generator seeded anew in each step?"
+        ),
+        "ring",
+        0.3,
+    ),
     row("mean volume", "P<V>/kT over its value", of_volume, volume_said, "volume"),
-    row("balance of pressures", "1 + the error of P<V> − <P_int V>, over P<V>",
-        of_pressure, pressure_said, "volume"),
-    row("fluctuation of the volume", "the variance of ln V over that of the ensemble",
-        of_log_volume, spread_said, "volume", 0.03),
-    Law("rigid bonds", lambda seen: seen.scene.calculator.softness(seen.all), SOFT,
-        BONDS, BONDS_FAULT, "rigid"),
-    row("energy of the liquid", "over that of NIST",
-        lambda run, seen: float(run.u.mean()) / seen.scene.wanted,
+    row(
+        "balance of pressures",
+        "1 + the error of P<V> − <P_int V>, over P<V>",
+        of_pressure,
+        pressure_said,
+        "volume",
+    ),
+    row(
+        "fluctuation of the volume",
+        "the variance of ln V over that of the ensemble",
+        of_log_volume,
+        spread_said,
+        "volume",
+        0.03,
+    ),
+    Law(
+        "rigid bonds",
+        lambda seen: seen.scene.calculator.softness(seen.all),
+        SOFT,
+        BONDS,
+        BONDS_FAULT,
+        "rigid",
+    ),
+    row(
+        "energy of the liquid",
+        "over that of NIST",
+        lambda run, seen: run.u.mean() / seen.scene.wanted,
         lambda means, _: f"the energy of the liquid is {means[0]:.4f} times that of NIST",
-        "liquid"),
-    row("density of the liquid", "V over that of NIST",
-        lambda run, seen: float(run.volumes.mean()) / seen.scene.wanted,
+        "liquid",
+    ),
+    row(
+        "density of the liquid",
+        "V over that of NIST",
+        lambda run, seen: run.volumes.mean() / seen.scene.wanted,
         lambda means, _: f"the volume of the liquid is {means[0]:.4f} times that of NIST",
-        "pressed"),
+        "pressed",
+    ),
 )
-# fmt: on

@@ -15,7 +15,7 @@ import numpy as np
 
 from minimd.judge.calling import FORCES, StudentStep
 from minimd.judge.findings import coefficient, is_near
-from minimd.judge.problems import Array, TrialProblem, difference
+from minimd.judge.problems import Array, TrialProblem, difference, largest
 
 SINGLE = 1e-8  # a step with more noise uses float32
 ROUNDING = 1e-9  # smaller relative differences are rounding
@@ -36,6 +36,8 @@ RIGHT = (
     (("", 0.0, ""), ("v", 1.0, "drift"), ("F/m", 0.5, "")),
     (("", 0.0, ""), ("F/m", 1.0, "kick"), ("Jv", 0.5, "")),
 )
+Terms = dict[str, Array]  # changes of x or v, by name
+Weights = dict[tuple[int, int], dict[str, float]]  # coefficients of terms, by part and power
 # fmt: off
 MASSES = {  # terms in which the mass is wrong: those in which it is right, and what is wrong
     "F": ("F/m", "1/m is missing"),
@@ -82,7 +84,7 @@ def hidden(step: StudentStep, where: TrialProblem) -> str:
     step.n_evaluations = 0
     second = np.array(step(where, where.x, where.v, 0.1))
     np.random.set_state(state)
-    off = np.abs(second - first).max()
+    off = largest(second - first)
     if step.n_evaluations == 0 and not {*FORCES}.isdisjoint(step.roles):
         return "the step never computes the force, or computes it in its first call only and keeps that result"
     if off:
@@ -116,10 +118,11 @@ def faults_of(
         faults = [f"the step rounds to {noise:.0e} of the coordinates: it uses float32 somewhere"]
     else:
         faults = explained(step, problems, n_powers) or limited(step, where)
+
     known = [role.split()[1] for role in step.roles if role.startswith("known")]
     new_x, _ = step(where, where.x, where.v, 0.1)
     if known and step.third.size:
-        off = np.abs(step.third / where.scaled(known[0], new_x) - 1.0).max()
+        off = largest(step.third / where.scaled(known[0], new_x) - 1.0)
         if off > ROUNDING:
             faults.append(
                 f"the force that is returned is not the one at the new positions (off by {off:.1%}): the next step "
@@ -132,19 +135,21 @@ def limited(step: StudentStep, where: TrialProblem) -> list[str]:
     """The fault of positions that are wrapped, found by starts farther and farther away (the forces of the test have no
     cell), or of velocities that are limited."""
     if where.x.ndim and not where.stiffness:
-        new_x = step(where, where.x, where.v, 0.02)[0]
+        new_x, _ = step(where, where.x, where.v, 0.02)
         for far in np.outer(FARTHER, (-1.0, 1.0)).flat:
-            jump = np.abs(step(where, where.x + far, where.v, 0.02)[0] - far - new_x)
+            moved_x, _ = step(where, where.x + far, where.v, 0.02)
+            jump = np.abs(moved_x - far - new_x)
             if jump.max() > MOVED:
-                least = jump[jump > MOVED].min()
+                smallest = jump[jump > MOVED].min()
                 return [
-                    f"atoms that start {far:g} farther away are moved by {least:.6g} more: positions are wrapped into "
-                    "a box in the step, or the step depends on the origin"
+                    f"atoms that start {far:g} farther away are moved by {smallest:.6g} more: positions are wrapped "
+                    "into a box in the step, or the step depends on the origin"
                 ]
+
     fast = FASTER * where.v
     new_v = step(where, where.x, fast, SHORT)[1]
-    if np.abs(new_v - fast).max() > CHANGED * FASTER:
-        most = np.abs(new_v).max()
+    if largest(new_v - fast) > CHANGED * FASTER:
+        most = largest(new_v)
         return [f"velocities above {most:.4g} are cut off: they are limited (clipped)"]
     return []
 
@@ -154,13 +159,15 @@ def series(step: StudentStep, where: TrialProblem) -> Array:
     times = SPACING * np.arange(1, N_STEPS + 1)
     longest = times[-1]
     start = np.array(where[:2])
-    changes = np.array([np.array(step(where, where.x, where.v, h)) - start for h in times])
+    changes = [np.array(step(where, where.x, where.v, h)) - start for h in times]
     matrix = np.vander(times / longest, increasing=True)
-    powers = np.linalg.solve(matrix, changes.reshape(N_STEPS, -1))[:3]
-    return np.asarray((powers / longest ** np.arange(3)[:, None]).reshape(3, *start.shape))
+    right = np.reshape(changes, (N_STEPS, -1))
+    powers = np.linalg.solve(matrix, right)[:3]
+    coefficients = powers / longest ** np.arange(3)[:, None]
+    return coefficients.reshape(3, *start.shape)
 
 
-def terms(where: TrialProblem) -> dict[str, Array]:
+def terms(where: TrialProblem) -> Terms:
     """The terms of which the series may consist."""
     force = where.force(where.x)
     m = where.mass
@@ -177,16 +184,16 @@ def terms(where: TrialProblem) -> dict[str, Array]:
     }
 
 
-def fit(
-    known: list[dict[str, Array]], names: list[str], changes: list[Array]
-) -> tuple[Array, float]:
+def fit(known: list[Terms], names: list[str], changes: list[Array]) -> tuple[Array, float]:
     """Coefficients of terms in the states, and the relative norm of what they do not explain."""
-    columns = [np.concatenate([np.ravel(state[name]) for state in known]) for name in names]
+    columns = []
+    for name in names:
+        columns.append(np.concatenate([np.ravel(state[name]) for state in known]))
     matrix = np.array(columns).T
     right = np.concatenate([np.ravel(change) for change in changes])
     weights = np.linalg.lstsq(matrix, right, rcond=None)[0]
     size = max(np.linalg.norm(right), 0.1 * np.sqrt(right.size))
-    return weights, float(np.linalg.norm(right - matrix @ weights) / size)
+    return weights, np.linalg.norm(right - matrix @ weights) / size
 
 
 def explained(step: StudentStep, problems: list[TrialProblem], n_powers: int) -> list[str]:
@@ -195,26 +202,31 @@ def explained(step: StudentStep, problems: list[TrialProblem], n_powers: int) ->
     known = [terms(where) for where in problems]
     has_masses = step.takes("m", "acceleration")
     names_of_mass = [name for name in known[0] if has_masses or name not in MASSES]
-    weights = dict[tuple[int, int], dict[str, float]]()
+    changes = dict[tuple[int, int], list[Array]]()
+    weights = Weights()
     rests = dict[tuple[int, int], float]()
     for power, part in product(range(n_powers), range(2)):
         names = [name for name in names_of_mass if power == 2 or "Jv" not in name]
         if problems[0].stiffness:  # for a spring, x and F/m are proportional, and so are v and J v
             names = ["Jv" if part and power == 2 else "v", "F/m"]
-        values, rests[part, power] = fit(known, names, [change[power, part] for change in measured])
+        place = part, power
+        changes[place] = [change[power, part] for change in measured]
+        values, rests[place] = fit(known, names, changes[place])
         # large terms have more rounding
-        small = SMALL[power] * max(1.0, float(np.abs(values).max())) ** 3
+        small = SMALL[power] * max(1.0, largest(values)) ** 3
         pairs = zip(names, values.tolist(), strict=True)
-        weights[part, power] = {name: value for name, value in pairs if abs(value) > small}
+        weights[place] = {name: value for name, value in pairs if abs(value) > small}
+
     for power in range(n_powers):
         for part in range(2):
             rest = rests[part, power]
             if rest > UNEXPLAINED:
-                changes = [change[power, part] for change in measured]
-                return [stranger(part, power, rest, changes, known)]
+                return [stranger(part, power, rest, changes[part, power], known)]
         faults = wrong_terms(0, power, weights) + wrong_terms(1, power, weights)
         if power == 2 and not faults:
-            faults = wrong_second_order(*(2.0 * sum(weights[part, 2].values()) for part in (0, 1)))
+            of_x = 2.0 * sum(weights[0, 2].values())
+            of_v = 2.0 * sum(weights[1, 2].values())
+            faults = wrong_second_order(of_x, of_v)
         if faults:
             return faults
     return []
@@ -232,22 +244,20 @@ def wrong_second_order(x: float, v: float) -> list[str]:
     return []
 
 
-def stranger(
-    part: int, power: int, rest: float, changes: list[Array], known: list[dict[str, Array]]
-) -> str:
+def stranger(part: int, power: int, rest: float, changes: list[Array], known: list[Terms]) -> str:
     """The fault of a change that is no combination of the known terms."""
     term, weight, _ = RIGHT[part][power]
     off = np.abs(changes[0] - weight * known[0].get(term, 0.0))
-    fits = [
-        fit([state], ["v", "F/m"], [change]) for state, change in zip(known, changes, strict=True)
-    ]
-    if part and off.ndim and max(alone for _, alone in fits) < UNEXPLAINED:
+    pairs = zip(known, changes, strict=True)
+    fits = [fit([state], ["v", "F/m"], [change]) for state, change in pairs]
+    if part and off.ndim and max(rest_of_one for _, rest_of_one in fits) < UNEXPLAINED:
         rates = ", ".join(f"{weights[0]:.3g}" for weights, _ in fits[:3])
         return (
             f"velocities change by {rates}, … v{POWERS[power]} in addition to the kick: they are rescaled, as by a "
             "thermostat"
         )
-    limit = CHANGED * max(1.0, float(off.max()))
+
+    limit = CHANGED * max(1.0, off.max())
     n_atoms = len(off) if off.ndim else 1
     is_bad = np.reshape(off > limit, (n_atoms, -1))
     axes = is_bad.any(axis=0)
@@ -257,16 +267,15 @@ def stranger(
         numbers = ", ".join(map(str, np.flatnonzero(atoms)))
         place = f" of atom {numbers} of {n_atoms} (check the bounds of the loop)"
     elif not axes.all():
-        place = f" along {' and '.join('xyz'[k] for k in np.flatnonzero(axes))}"
+        names = " and ".join("xyz"[k] for k in np.flatnonzero(axes))
+        place = f" along {names}"
     return (
         f"{PARTS[part]}{place} do not change as Newton's equation says (off by {rest:.1%} of a term{POWERS[power]}): "
         "they are set, limited, wrapped or rescaled, or another force or mass acts"
     )
 
 
-def wrong_terms(
-    part: int, power: int, weights: dict[tuple[int, int], dict[str, float]]
-) -> list[str]:
+def wrong_terms(part: int, power: int, weights: Weights) -> list[str]:
     """Faults of one part in one power of Δt: terms that do not belong there, wrong masses, and a wrong weight."""
     term, right, what = RIGHT[part][power]
     values = weights[part, power]
@@ -287,26 +296,25 @@ def wrong_terms(
                 )
         else:
             cause = ODD.get((part, power, "F" if "F" in name else name), "it belongs to no method")
-            faults.append(f"{change}: {cause}, and {mass}" if mass else f"{change}: {cause}")
+            if mass:
+                cause += f", and {mass}"
+            faults.append(f"{change}: {cause}")
     if not what or is_near(total, right):
         return faults
+
     later = weights.get((part, power + 1), {})
     if is_near(total, 0.0):
         it_has = "; it has dt²" if term in later else ""
-        return [*faults, f"the {what} is missing: {name_of_part} lack dt {term}{it_has}"]
-    if total < 0.0:
-        weight = coefficient(total)
-        return [
-            *faults,
-            f"the {what} has the wrong sign: {name_of_part} change by {weight} dt {term}",
-        ]
-    cause = ""
-    if what == "kick":
-        cause = WEIGHTS.get(round(total, 5), "")
-        if is_near(total, 0.5) and is_near(later.get("F/m", 0.0), 0.5):
-            cause = TWICE
-    weight = coefficient(total)
-    return [
-        *faults,
-        f"the {what} is multiplied by {weight}: {name_of_part} change by {total:.7g} dt {term}{cause}",
-    ]
+        fault = f"the {what} is missing: {name_of_part} lack dt {term}{it_has}"
+    elif total < 0.0:
+        change = f"{name_of_part} change by {coefficient(total)} dt {term}"
+        fault = f"the {what} has the wrong sign: {change}"
+    else:
+        cause = ""
+        if what == "kick":
+            cause = WEIGHTS.get(round(total, 5), "")
+            if is_near(total, 0.5) and is_near(later.get("F/m", 0.0), 0.5):
+                cause = TWICE
+        change = f"{name_of_part} change by {total:.7g} dt {term}"
+        fault = f"the {what} is multiplied by {coefficient(total)}: {change}{cause}"
+    return [*faults, fault]

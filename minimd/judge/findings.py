@@ -19,7 +19,9 @@ class Finding:
 
     Attributes
     ----------
-    name : of the law.  passed : True, False, or None if the reader has to judge.  words : what was measured.
+    name : of the law.
+    passed : True, False, or None if the reader has to judge.
+    words : what was measured.
     value : the measured number, dimensionless unless the words give a unit; NaN if there is none.
     limit : the largest difference of value from 1 that passes, for laws of dynamics; else NaN.
     cause : what is wrong in general if the law does not hold.
@@ -34,8 +36,14 @@ class Finding:
 
 
 class Measurement(NamedTuple):
-    """A number, how far it is off, what is wrong; its statistical error, and the largest difference from 1 that
-    passes."""
+    """What was measured for a law.
+
+    value : the number.
+    off : how far it is off.
+    said : what is wrong.
+    error : of the number, statistical.
+    limit : the largest difference from 1 that passes.
+    """
 
     value: float
     off: float
@@ -48,9 +56,13 @@ Answer = tuple[Any, ...]  # a number, how far it is off, and what else the words
 
 
 class Law(NamedTuple):
-    """One law.  measure : of what is judged; a number, or an Answer.
-    bound : the law holds if the number is off by less; if that is NaN, the reader has to judge.  words, cause : formats
-    of a Finding.  needs : what must be there."""
+    """One law.
+
+    measure : of what is judged; a number, or an Answer.
+    bound : the law holds if the number is off by less; if that is NaN, the reader has to judge.
+    words, cause : formats of a Finding.
+    needs : what must be there.
+    """
 
     name: str
     measure: Callable[[Any], Any]
@@ -66,15 +78,18 @@ class Law(NamedTuple):
         passed = None if isnan(off) else bool(abs(off) < self.bound)
         words = self.words.format(*numbers)
         cause = self.cause.format(*numbers)
-        limit = numbers.limit if isinstance(numbers, Measurement) else nan
+        limit = getattr(numbers, "limit", nan)
         return Finding(self.name, passed, words, float(value), cause, limit)
+
+
+def needed(laws: Iterable[Law], has: set[str]) -> list[Law]:
+    """The laws of which all needs are there."""
+    return [law for law in laws if has.issuperset(law.needs.split())]
 
 
 def judged(laws: Iterable[Law], case: Any) -> list[Finding]:
     """The findings of the laws of which all needs are in case.has."""
-    return [
-        law.finding(law.measure(case)) for law in laws if case.has.issuperset(law.needs.split())
-    ]
+    return [law.finding(law.measure(case)) for law in needed(laws, case.has)]
 
 
 def causes(findings: Iterable[Finding]) -> list[str]:
@@ -88,7 +103,8 @@ class Grade(Displayed):
 
     Attributes
     ----------
-    function : how it was called.  findings : the laws that were tested, each with the measured number.
+    function : how it was called.
+    findings : the laws that were tested, each with the measured number.
     faults : what is wrong, one sentence each, the most important first; empty if nothing was found.
     method : name of the method or law that was recognized; empty if none was.
     """
@@ -149,11 +165,6 @@ def coefficient(value: float) -> str:
 def is_near(value: float, other: float) -> bool:
     """Whether two coefficients are the same number."""
     return abs(value - other) < EXACT * max(1.0, abs(other))
-
-
-def first_of(*rows: tuple[object, str]) -> list[str]:
-    """The first sentence whose condition holds; none if no condition does."""
-    return [sentence for condition, sentence in rows if condition][:1]
 
 
 def nearest(value: float, table: dict[float, str], within: float) -> str:

@@ -71,6 +71,7 @@ def grade(
     names = list[str]()
     with suppress(TypeError, ValueError):  # of what has no parameters
         names = [*signature(function).parameters]
+
     runs = isclass(function) and hasattr(function, "run")
     if kind == "dynamics" or (kind is None and (runs or names[:1] == ["atoms"])):
         from minimd.judge.dynamics import grade_dynamics
@@ -89,6 +90,7 @@ def grade(
         raise TypeError(
             f"options such as {', '.join(options)} are for dynamics; {shown(function)} takes no atoms"
         )
+
     checked_count("order", order)
     if cutoff is not None:
         checked_number("cutoff", cutoff, "positive and finite")

@@ -18,7 +18,7 @@ from minimd.core.integrators.method import methods_of
 from minimd.core.integrators.substeps import Drift, Kick, Substep, Substeps, merged
 from minimd.judge.calling import StudentStep
 from minimd.judge.findings import coefficient
-from minimd.judge.problems import Array, TrialProblem
+from minimd.judge.problems import Array, TrialProblem, largest
 
 SAME = 1e-7  # difference of equal weights
 CLOSE = 1e-3  # difference of weights that are meant to be equal
@@ -47,8 +47,12 @@ IN_TURN = (
 
 
 class Numbers(NamedTuple):
-    """The numbers of a step with n evaluations.  places : c, (n + 1,), the last one that of the end.  pushes : α,
-    (n + 1, n), the last row β.  weights : b, (n,)."""
+    """The numbers of a step with n evaluations.
+
+    places : c, (n + 1,), the last one that of the end.
+    pushes : α, (n + 1, n), the last row β.
+    weights : b, (n,).
+    """
 
     places: Array
     pushes: Array
@@ -67,7 +71,7 @@ class Numbers(NamedTuple):
         c = self.places
         b = self.weights
         pushes = np.tril(b * (c[:, None] - c[:-1]), -1)
-        if np.abs(self.pushes - pushes).max() > SAME:
+        if largest(self.pushes - pushes) > SAME:
             return ()
         parts: list[Substep] = [Drift(float(c[0]))]
         for length, weight in zip(np.diff(c), b, strict=True):
@@ -84,7 +88,9 @@ class Recorded(TrialProblem):
     def force(self, x: Array) -> Array:
         """The force at the start in the call with the number `only`, else zero."""
         self.places.append(np.array(x))
-        return super().force(self.x) if len(self.places) - 1 == self.only else np.zeros_like(self.x)
+        if len(self.places) - 1 == self.only:
+            return super().force(self.x)
+        return np.zeros_like(self.x)
 
 
 def numbers_of(step: StudentStep, where: TrialProblem) -> Numbers | str | None:
@@ -100,7 +106,7 @@ def numbers_of(step: StudentStep, where: TrialProblem) -> Numbers | str | None:
         return np.array([*recorded.places, x]), v - where.v
 
     def along(change: Array, unit: Array) -> float:
-        return float(np.sum(change * unit) / np.sum(unit * unit))
+        return np.sum(change * unit) / np.sum(unit * unit)
 
     free, change = end_with(-1)
     n = len(free) - 1
@@ -110,23 +116,30 @@ def numbers_of(step: StudentStep, where: TrialProblem) -> Numbers | str | None:
     are_apart = np.ptp(moved[:-1].reshape(n, -1), axis=1).any()
     if are_apart and np.isin(moved, (0.0, 1.0)).all():
         return IN_TURN
-    if n > MOST or np.abs(change).max() > ROUNDING:
+    if n > MOST or largest(change) > ROUNDING:
         return None
-    pushes = np.zeros((n + 1, n))
-    weights = np.zeros(n)
+
+    columns = []
+    weights = []
     for k in range(n):
-        places, v = end_with(k)
+        places, change = end_with(k)
         if len(places) != n + 1:
             return None
-        pushes[:, k] = [along(push, a) / STEP**2 for push in places - free]
-        weights[k] = along(v, a) / STEP
-    return Numbers(np.array([along(x - where.x, drift) for x in free]), pushes, weights)
+        columns.append([along(push, a) / STEP**2 for push in places - free])
+        weights.append(along(change, a) / STEP)
+    places = np.array([along(x - where.x, drift) for x in free])
+    return Numbers(places, np.array(columns).T, np.array(weights))
 
 
-def named(own: Numbers) -> tuple[str, str]:
-    """The name of a method, or what it consists of; the fault of a step that is nearly a known method."""
-    parts = own.substeps
-    return name_of_splitting(parts) if parts else name_of_runge_kutta(own)
+def named(numbers: Numbers | str | None) -> tuple[str, str]:
+    """The name of a method, or what it consists of; the fault of a step that is nearly a known method.
+
+    numbers : see numbers_of.
+    """
+    if not isinstance(numbers, Numbers):
+        return "", numbers or ""
+    parts = numbers.substeps
+    return name_of_splitting(parts) if parts else name_of_runge_kutta(numbers)
 
 
 def name_of_splitting(parts: Substeps) -> tuple[str, str]:
@@ -141,16 +154,18 @@ def name_of_splitting(parts: Substeps) -> tuple[str, str]:
         right = np.array([part.coefficient for part in method.substeps])
         off = np.abs(coefficients - right)
         wrong = np.flatnonzero(off > SAME)
-        if not len(wrong):
+        n = len(wrong)
+        if not n:
             return name, ""
-        if len(parts) >= MANY and (len(wrong) <= len(parts) // 2 or off.max() < CLOSE):
+        if len(parts) >= MANY and (n <= len(parts) // 2 or off.max() < CLOSE):
             substeps = [
                 f"substep {k + 1}, a {kinds[k]}, is {coefficients[k]:.10g} where {right[k]:.10g} is needed"
                 for k in wrong
             ]
-            near.append((len(wrong), f"the step is nearly {name}, but {', '.join(substeps)}"))
-    weights = map(coefficient, coefficients)
-    substeps = [f"{kind} {weight}" for kind, weight in zip(kinds, weights, strict=True)]
+            near.append((n, f"the step is nearly {name}, but {', '.join(substeps)}"))
+
+    pairs = zip(kinds, coefficients, strict=True)
+    substeps = [f"{kind} {coefficient(value)}" for kind, value in pairs]
     return ", ".join(substeps), min(near, default=(0, ""))[1]
 
 
@@ -170,10 +185,9 @@ def name_of_runge_kutta(own: Numbers) -> tuple[str, str]:
             continue
         nearly = f"the step is nearly {name}, but its"
         if own.is_same(matrix, own.weights):
-            return (
-                "",
-                f"{nearly} weights are {fractions(own.weights)} where {fractions(b)} are needed",
-            )
+            fault = f"{nearly} weights are {fractions(own.weights)} where {fractions(b)} are needed"
+            return "", fault
+
         # the stage that makes β = b A right
         for j in range(1, n):
             other = matrix.copy()
@@ -181,10 +195,8 @@ def name_of_runge_kutta(own: Numbers) -> tuple[str, str]:
             if own.is_same(other, b):
                 stage = fractions(other[j, :j])
                 right = fractions(matrix[j, :j])
-                return (
-                    "",
-                    f"{nearly} stage {j + 1} has the weights {stage} where {right} are needed",
-                )
+                fault = f"{nearly} stage {j + 1} has the weights {stage} where {right} are needed"
+                return "", fault
     return "", ""
 
 

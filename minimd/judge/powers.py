@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from minimd.judge.findings import coefficient, is_near
-from minimd.judge.problems import Array, bisected
+from minimd.judge.problems import Array, bisected, largest
 
 EXPONENTS = range(1, 21)  # of 1/r
 FITTED = 1e-7  # largest relative rest of a fit of powers that is exact
@@ -23,7 +23,8 @@ class Powers(NamedTuple):
 
     def at(self, r: Array) -> Array:
         """The values at distances."""
-        return np.asarray(self.constant + sum(c * r ** float(-n) for n, c in self.terms.items()))
+        values = [c * r ** float(-n) for n, c in self.terms.items()]
+        return np.asarray(self.constant + sum(values))
 
     def __str__(self) -> str:
         terms = [f"{'−' if c < 0.0 else '+'} {abs(c):.6g} r^−{n}" for n, c in self.terms.items()]
@@ -35,42 +36,53 @@ def powers_of(values: Array, r: Array) -> Powers | None:
     sizes = np.abs(values)
     if not (sizes.any() and np.isfinite(values).all()):
         return None
-    weights = 1.0 / np.maximum(sizes, max(1e-3 * sizes.max(), 1e-300))
+    smallest = max(1e-3 * sizes.max(), 1e-300)
+    weights = 1.0 / np.maximum(sizes, smallest)
     target = values * weights
     for has_constant, count in product((False, True), (1, 2)):
         for exponents in combinations(EXPONENTS, count):
-            columns = [r ** float(-n) for n in exponents]
             if has_constant:
-                columns.append(np.ones_like(r))
+                exponents += (0,)
+            columns = [r ** float(-n) for n in exponents]
             matrix = np.array(columns).T * weights[:, None]
             norms = np.linalg.norm(matrix, axis=0)
-            solution = np.linalg.lstsq(matrix / norms, target, rcond=None)[0] / norms
-            if np.abs(target - matrix @ solution).max() < FITTED:
-                constant = float(solution[-1]) if has_constant else 0.0
-                terms = zip(exponents, solution.tolist(), strict=False)
-                return Powers(dict(sorted(terms, reverse=True)), constant)
+            scaled, *_ = np.linalg.lstsq(matrix / norms, target, rcond=None)
+            solution = scaled / norms
+            if largest(target - matrix @ solution) < FITTED:
+                pairs = zip(exponents, solution.tolist(), strict=True)
+                terms = dict(sorted(pairs, reverse=True))
+                constant = terms.pop(0, 0.0)
+                return Powers(terms, constant)
     return None
 
 
 def compared(f: Array, g: Array, r: Array, other: str) -> tuple[float, float, str]:
-    """c and k if f = c rᵏ g, or NaN; and what is wrong if f should be g.  other : what g is."""
+    """c and k if f = c rᵏ g, or NaN; and what is wrong if f should be g.
+
+    f, g : of the distances r, (N,).
+    other : what g is.
+    """
     is_large = np.abs(g) > 1e-3 * np.median(np.abs(g))
     used = is_large & (np.abs(f) > 0.0) & np.isfinite(f) & np.isfinite(g)
     ratio = f[used] / g[used]
-    k, log_c = 0.0, np.nan
-    if used.sum() > 4:
+    is_power = False
+    if len(ratio) > 4:
         logs = np.log(r[used])
         log_ratio = np.log(np.abs(ratio))
         k, log_c = np.polyfit(logs, log_ratio, 1)
-        if np.ptp(np.sign(ratio)) or np.abs(log_ratio - k * logs - log_c).max() > SAME:
-            log_c = np.nan
-    if np.isnan(log_c):
+        rest = largest(log_ratio - k * logs - log_c)
+        is_power = not (np.ptp(np.sign(ratio)) or rest > SAME or np.isnan(log_c))
+    if not is_power:
+        fault = f"the force is not {other}, nor a multiple of it"
         own = powers_of(f, r)
         right = powers_of(g, r)
         if own and right:
-            fault = f"wrong exponent, coefficient or sign in F = {own} where {right} is needed"
-            return np.nan, np.nan, f"the force is not {other}: {fault}"
-        return np.nan, np.nan, f"the force is not {other}, nor a multiple of it"
+            fault = (
+                f"the force is not {other}: wrong exponent, coefficient or sign in F = {own} "
+                f"where {right} is needed"
+            )
+        return np.nan, np.nan, fault
+
     c = np.sign(ratio[0]) * np.exp(log_c)
     k = round(k, 4)
     size = abs(c)
@@ -106,15 +118,18 @@ def jumps(law: Callable[[float], float], r: Array) -> list[tuple[float, float, f
         return not abs(law(middle) - law(low)) > abs(law(high) - law(middle))
 
     values = np.array([law(distance) for distance in r])
-    change = np.abs(np.diff(values))
-    scale = np.abs(values[r >= min(1.0, r[-1])]).max()
+    changes = np.abs(np.diff(values))
+    scale = largest(values[r >= min(1.0, r[-1])])
     places = list[tuple[float, float, float]]()
-    for k in range(2, len(change) - 2):
-        before = max(change[k - 2], change[k - 1])
-        if change[k] > JUMP * scale and change[k] > 3.0 * before:
-            low, high = bisected(is_low, r[k], r[k + 1], 45)
-            below = law(low)
-            above = law(high)
-            if abs(above - below) > 0.3 * change[k]:
-                places.append((high, below, above))
+    for k in range(2, len(changes) - 2):
+        change = changes[k]
+        before = max(changes[k - 2], changes[k - 1])
+        is_jump = change > JUMP * scale and change > 3.0 * before
+        if not is_jump:
+            continue
+        low, high = bisected(is_low, r[k], r[k + 1], 45)
+        below = law(low)
+        above = law(high)
+        if abs(above - below) > 0.3 * change:
+            places.append((high, below, above))
     return places

@@ -10,7 +10,7 @@ import numpy as np
 from minimd.judge.calling import REST, StudentForce, plain
 from minimd.judge.findings import Answer, is_near
 from minimd.judge.powers import Powers, compared, jumps, powers_of
-from minimd.judge.problems import Array, difference, multiple_of
+from minimd.judge.problems import Array, difference, largest, multiple_of
 
 CUTOFF = 2.5  # σ: for a function that takes a cutoff, if the user gives none
 # of the atoms in the test [σ]; the best of some configurations is used
@@ -41,7 +41,8 @@ CURE = "use dx − L · round(dx/L)"
 class Probe:
     """A student's forces, and what is measured on them: see Law.measure.
 
-    has : what laws may need: atoms (many), pairs, field or nofield, cell or free, energy or noenergy, known, cutoff.
+    has : what laws may need: the kind of the call (forces, law or pair); of many atoms field or nofield; cell or free,
+        energy or noenergy, known, cutoff, and pairs.
     x, forces : atoms in the test, or the distance or the vector of a pair, and the forces there.
     r, values, known : distances, the force of a pair there, and that of the potential.
     """
@@ -55,7 +56,6 @@ class Probe:
         self.cutoff = cutoff
         self.potential = potential
         self.along = ALONG[self.d]
-        self.units = np.eye(self.d)
         self.start = WHERE[: self.d]
         self.farthest = FARTHEST
         self.lengths: Any = None
@@ -63,35 +63,41 @@ class Probe:
             self.lengths = cell[: self.d]
             self.start = self.start * (0.3 * self.lengths / self.lengths.max())
             self.farthest = min(FARTHEST, 0.4995 * cell.min())
-        self.f = np.vectorize(lambda r: self.both(float(r))[0], [float])
-        self.u = np.vectorize(lambda r: self.both(float(r))[1], [float])
+
+        self.f = np.vectorize(lambda r: self.both(r)[0], [float])
+        self.u = np.vectorize(lambda r: self.both(r)[1], [float])
         self.values = np.zeros(0)
         self.is_over_r = False
         self.remarks = list[str]()
         self.name = ""
-        self.has = {call.kind}
-        self.has.add("free" if cell is None else "cell")
-        self.has.add("energy" if call.has_energy else "noenergy")
+
+        self.has = {
+            call.kind,
+            "free" if cell is None else "cell",
+            "energy" if call.has_energy else "noenergy",
+        }
         if potential is not None:
             self.has.add("known")
         if cutoff and cutoff < self.farthest:
             self.has.add("cutoff")
-        self.skew = call(SKEW)[0] if call.kind == "pair" else SKEW
+
+        is_many = call.kind == "forces"
         self.x = self.place(PROBE)
-        if call.kind == "forces":
+        if is_many:
             self.x = self.cluster() if positions is None else positions
         self.forces = call(self.x)[0]
-        self.scale = np.abs(self.forces).max() or 1.0
-        self.turn = np.linalg.qr(np.random.default_rng(4).normal(size=(self.d, self.d)))[0]
-        is_many = call.kind == "forces"
-        has_field = is_many and self.takes(1) and call(self.place(PROBE)[:1])[0].any()
-        self.has.add("field" if has_field else "nofield")
-        has_pairs = bool(not has_field and np.isfinite(self.forces).all())
+        self.scale = largest(self.forces) or 1.0
+        has_pairs: Any = np.isfinite(self.forces).all()
         if is_many:
-            self.order = np.random.default_rng(2).permutation(len(self.x))
-            has_pairs = has_pairs and self.takes(2)
-        if is_many and cell is None:
-            has_pairs = has_pairs and self.turned() < SAME
+            has_field = False
+            if self.takes(1):
+                alone, _ = call(self.place(PROBE)[:1])
+                has_field = bool(alone.any())
+            self.has.add("field" if has_field else "nofield")
+            has_pairs = has_pairs and not has_field and self.takes(2)
+            if cell is None:
+                has_pairs = has_pairs and self.turned() < SAME
+
         if has_pairs:
             self.has.add("pairs")
             self.find_profile()
@@ -99,48 +105,60 @@ class Probe:
     def takes(self, n: int) -> bool:
         """Whether the function works for n atoms."""
         try:
-            return self.call(self.place(PROBE)[:n])[0].shape == (n, self.d)
+            forces, _ = self.call(self.place(PROBE)[:n])
         except Exception:  # whatever a student's function raises
             return False
+        return forces.shape == (n, self.d)
 
     def cluster(self) -> Array:
         """Atoms near the sites of a cubic lattice, no two closer than σ; in a cell, around one of its corners. No
         pair is near the cutoff, or half the cell along an axis, where forces may jump."""
         lengths = self.lengths
-        sides: Any = [5 - self.d] * self.d
+        cutoff = self.cutoff or CUTOFF
+        n_sites: Any = [5 - self.d] * self.d
         if lengths is not None:
-            sides = np.clip((lengths / SPACING).astype(int), 1, 6 - self.d)
-        lattice = SPACING * np.array([*product(*map(range, sides))], dtype=float)
-        first, second = np.triu_indices(len(lattice), 1)
+            n_sites = np.clip((lengths / SPACING).astype(int), 1, 6 - self.d)
+        sites = [*product(*map(range, n_sites))]
+        lattice = SPACING * np.array(sites)
+        first, second = np.triu_indices(len(sites), 1)
 
         def margin(x: Array) -> float:
             apart = np.abs(x[first] - x[second])
-            half = np.inf
+            margin_of_half = np.inf
             if lengths is not None:
-                half = np.abs(apart - 0.5 * lengths).min()
+                margin_of_half = np.abs(apart - 0.5 * lengths).min()
                 apart = np.minimum(apart, lengths - apart)
             distances = np.linalg.norm(apart, axis=1)
-            return min(half, float(np.abs(distances - (self.cutoff or CUTOFF)).min()))
+            return min(margin_of_half, np.abs(distances - cutoff).min())
 
-        randoms = [np.random.default_rng(seed) for seed in range(TRIALS)]
-        trials = [lattice + random.uniform(-JITTER, JITTER, lattice.shape) for random in randoms]
+        trials = list[Array]()
+        for seed in range(TRIALS):
+            random = np.random.default_rng(seed)
+            trials.append(lattice + random.uniform(-JITTER, JITTER, lattice.shape))
         x = max(trials, key=margin)
-        return x + 0.5 if lengths is None else np.mod(x - SPACING + 0.3, lengths)
+        if lengths is None:
+            return x + 0.5
+        return np.mod(x - SPACING + 0.3, lengths)
 
     def place(self, r: float) -> Any:
         """The argument of the function for two atoms at a distance."""
         if self.call.kind == "law":
             return r * r if self.call.is_squared else r
         apart = r * self.along
-        return apart if self.call.kind == "pair" else np.array([self.start, self.start + apart])
+        if self.call.kind == "pair":
+            return apart
+        return np.array([self.start, self.start + apart])
 
     def both(self, r: float) -> tuple[float, float]:
         """f and u of a pair."""
-        force, u = self.call(self.place(r))
-        f = force if self.call.kind == "law" else force @ self.along
+        f, u = self.call(self.place(r))
+        if self.call.kind != "law":
+            f = f @ self.along
         if self.call.kind == "forces":
             f = max(-f[0], f[1], key=abs)
-        return float(f) * (r if self.is_over_r else 1.0), float(np.asarray(u))
+        if self.is_over_r:
+            f = f * r
+        return float(f), float(u)
 
     def slopes(self, r: Array) -> Array:
         """−du/dr."""
@@ -149,16 +167,25 @@ class Probe:
     def find_profile(self) -> None:
         """The force of a pair at ordinary distances, that of the potential, and the powers of r."""
         end = min(self.farthest, 0.9 * (self.cutoff or CUTOFF), 2.2)
-        zeros = [r for r in np.linspace(1.0, end, 60) if self.f(r) == 0.0]
-        self.r = np.linspace(NEAREST, 0.98 * zeros[0] if zeros else end, POINTS)
-        self.known = np.zeros(0)
-        if "known" in self.has:
-            pairs = [np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]]) for r in self.r]
-            answers = [evaluated(pair, self.potential, None) for pair in pairs]
-            self.known = np.array([answer.forces[1, 0] for answer in answers])
+        distances = np.linspace(1.0, end, 60)
+        zeros = distances[self.f(distances) == 0.0]
+        if zeros.size:
+            end = 0.98 * zeros[0]
+        self.r = np.linspace(NEAREST, end, POINTS)
         self.values = self.f(self.r)
-        right = self.slopes(self.r) if "energy" in self.has else self.known
-        if self.call.kind == "law" and len(right):
+
+        right = None
+        if "known" in self.has:
+            values = list[float]()
+            for r in self.r:
+                pair = np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]])
+                answer = evaluated(pair, self.potential, None)
+                values.append(answer.forces[1, 0])
+            self.known = np.array(values)
+            right = self.known
+        if "energy" in self.has:
+            right = self.slopes(self.r)
+        if self.call.kind == "law" and right is not None:
             _, power, _ = compared(self.values, right, self.r, "")
             if power == -1.0:
                 self.is_over_r = True
@@ -173,46 +200,58 @@ class Probe:
         if not self.has >= {"forces", "pairs", "free"}:
             return 0.0
 
-        def at(d: float) -> float:
-            pair = np.array([self.start, self.start + d * self.units[0]])
-            return float(self.call(pair)[0][1, 0])
-
-        def misfit(d: float) -> float:
-            return abs(at(d + 1.5) - first) + abs(at(d - 1.5) + first)
+        def at(distance: float) -> float:
+            pair = np.array([self.start, self.start])
+            pair[1, 0] += distance
+            return self.call(pair)[0][1, 0]
 
         first = at(1.5)
-        distances = np.arange(3.0, LONGEST, 0.25) if first else ()
-        far = next((d for d in distances if abs(at(d)) > 0.5 * abs(first)), None)
-        if far is None:
+        if not first:
             return 0.0
+        for far in np.arange(3.0, LONGEST, 0.25):
+            if abs(at(far)) > 0.5 * abs(first):
+                break
+        else:
+            return 0.0
+
+        def misfit(edge: float) -> float:
+            return abs(at(edge + 1.5) - first) + abs(at(edge - 1.5) + first)
+
         edge = min(np.arange(far - 2.0, far + 3.0, 0.005), key=misfit)
-        edge = float(np.round(edge, 3))
+        edge = np.round(edge, 3)
         return edge if abs(at(edge + 1.5) - first) < 0.05 * abs(first) else 0.0
 
     def off(self, x: Array, right: Array) -> float:
         """The relative difference of the forces at x from those that are right."""
-        return float(np.abs(self.call(x)[0] - right).max()) / self.scale
+        return largest(self.call(x)[0] - right) / self.scale
 
     def not_finite(self) -> int:
         """The number of forces that are not finite."""
-        return int(np.count_nonzero(~np.isfinite([*self.forces.flat, *self.values])))
+        numbers = [*self.forces.flat, *self.values]
+        return int(np.count_nonzero(~np.isfinite(numbers)))
 
     def sideways(self) -> float:
         """The part of the force of a pair across its vector."""
-        across = np.cross(self.skew, SKEW)
-        return float(np.linalg.norm(across) / np.linalg.norm(self.skew))
+        force, _ = self.call(SKEW)
+        across = np.cross(force, SKEW)
+        size = np.linalg.norm(force)
+        return float(np.linalg.norm(across) / size)
 
     def turned(self) -> float:
         """How far forces on atoms that are turned differ from turned forces."""
-        return self.off(self.x @ self.turn, self.forces @ self.turn)
+        random = np.random.default_rng(4)
+        turn, _ = np.linalg.qr(random.normal(size=(self.d, self.d)))
+        return self.off(self.x @ turn, self.forces @ turn)
 
     def renumbered(self) -> float:
         """How far forces on renumbered atoms differ."""
-        return self.off(self.x[self.order], self.forces[self.order])
+        order = np.random.default_rng(2).permutation(len(self.x))
+        return self.off(self.x[order], self.forces[order])
 
     def shifted(self) -> float:
         """How far forces on atoms that are all shifted differ. Of two shifts, one may take a pair across a jump."""
-        return min(self.off(self.x + shift[: self.d], self.forces) for shift in SHIFTS)
+        shifts = SHIFTS[:, : self.d]
+        return min(self.off(self.x + shift, self.forces) for shift in shifts)
 
     def in_other_cells(self) -> float:
         """How far forces on atoms outside the cell differ."""
@@ -232,8 +271,8 @@ class Probe:
         call = self.call
         values = call.values
         names = list[str]()
-        physical = call.physical if np.isfinite(self.forces).all() and self.forces.any() else {}
-        for name, value in physical.items():
+        can_differ = np.isfinite(self.forces).all() and self.forces.any()
+        for name, value in call.physical.items() if can_differ else ():
             call.values = {**values, name: FACTOR * value}
             try:
                 if np.array_equal(self.forces, call(self.x)[0]):
@@ -254,20 +293,22 @@ class Probe:
 
     def of_powers(self) -> Answer:
         """The powers of r; those of Lennard-Jones are needed with the function's ε and σ, or without an energy."""
-        units = {self.call.roles[name]: value for name, value in self.call.physical.items()}
-        own = self.powers or Powers({})
-        exponents = [*own.terms]
+        roles = self.call.roles
+        units = {roles[name]: value for name, value in self.call.physical.items()}
         has_units = {"epsilon", "sigma"} <= {*units}
         is_alone = has_units or self.has.isdisjoint({"known", "energy"})
-        fault = ""
+        own = self.powers or Powers({})
+        exponents = [*own.terms]
+        is_nearly_known = len(exponents) == 2 and largest(np.subtract(exponents, (13, 7))) <= 2
         off = 0.0
+        fault = ""
         if exponents == [1] and is_alone and self.call.kind != "law":
             off = np.nan
             self.remarks.append(
                 "the force of a pair decreases as r^−1. If q²/r² is meant, a factor 1/r is missing: q² r_ij/r³, not "
                 "q² r_ij/r²"
             )
-        elif len(exponents) == 2 and abs(exponents[0] - 13) <= 2 and abs(exponents[1] - 7) <= 2:
+        elif is_nearly_known:
             fault = self.beside_lennard_jones(own, units, has_units)
             if fault:
                 off = 1.0 if is_alone else np.nan
@@ -279,17 +320,20 @@ class Probe:
         s6 = abs(repulsion / attraction) / 2.0
         depth = abs(attraction) / 24.0 / s6
         self.name = f"Lennard-Jones with ε = {depth:.6g}, σ = {s6 ** (1 / 6):.6g}"
-        is_scaled = (
-            [*own.terms] == [13, 7] and repulsion > 0.0 > attraction and not is_near(s6, 1.0)
+        has_own_units = (
+            [*own.terms] == [13, 7]
+            and repulsion > 0.0 > attraction
+            and not is_near(s6, 1.0)
+            and not is_near(repulsion, 48.0)
+            and not is_near(attraction, -24.0)
         )
-        has_own_units = is_scaled and not (is_near(repulsion, 48.0) or is_near(attraction, -24.0))
         if has_own_units and not has_units:
             return ""
+
         epsilon = units.get("epsilon", 1.0)
         sigma = units.get("sigma", 1.0)
-        right = Powers(
-            {13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6}, own.constant
-        )
+        terms = {13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6}
+        right = Powers(terms, own.constant)
         law = f"48 ε σ¹² r^−13 − 24 ε σ⁶ r^−7 with ε = {epsilon:g}, σ = {sigma:g}"
         return compared(self.values, right.at(self.r), self.r, law)[2]
 
@@ -299,6 +343,7 @@ class Probe:
         f = self.f(r)
         far = self.r > 1.0
         powers = self.powers or powers_of(self.values[far], self.r[far])
+
         right = f
         if powers:
             right = powers.at(r)
@@ -307,13 +352,15 @@ class Probe:
         rest = np.abs(f / right - 1.0)
         if not np.isfinite(rest).all():
             return 0.0, 0
+
         is_flat = np.ptp(f[:4]) == 0.0 != np.ptp(f)
         is_capped = (rest > CAPPED) | (is_flat & (f == f[0]))
         return r[is_capped].max(initial=0.0), is_capped.sum()
 
     def ending(self) -> Answer:
         """The largest force beyond the cutoff."""
-        beyond = np.abs(self.f(np.linspace(1.001 * self.cutoff, self.farthest, 20))).max()
+        distances = np.linspace(1.001 * self.cutoff, self.farthest, 20)
+        beyond = largest(self.f(distances))
         return beyond, beyond, self.cutoff
 
     def end(self) -> Answer:
@@ -321,6 +368,7 @@ class Probe:
         places = jumps(self.f, np.linspace(NEAREST, self.farthest, GRID))
         if not places:
             return np.inf, 0.0, "continuous"
+
         end = next((r for r, _, above in places if above == 0.0), np.inf)
         if self.cutoff:
             is_early = end < 0.999 * self.cutoff
@@ -343,12 +391,13 @@ class Probe:
 
     def all_beside(self) -> Answer:
         """All forces and the energy beside those of minimd."""
-        x = np.pad(self.x, ((0, 0), (0, 3 - self.d)))
+        missing = 3 - self.d
+        x = np.pad(self.x, ((0, 0), (0, missing)))
         answer = evaluated(x, self.potential, self.cell)
         known = answer.forces[:, : self.d]
-        energy = self.call(self.x)[1]
         right = answer.potential_energy
-        off = np.abs(self.forces - known).max() / (np.abs(known).max() or 1.0)
+        _, energy = self.call(self.x)
+        off = largest(self.forces - known) / (largest(known) or 1.0)
         if "energy" in self.has and off < ROUNDING and not np.isclose(energy, right, rtol=1e-9):
             return off, 1.0, f"the energy is {energy:.8g}, not {right:.8g}"
         c = multiple_of(self.forces, known, EQUAL)
@@ -356,8 +405,10 @@ class Probe:
 
     def reaction(self) -> Answer:
         """The sum of all forces, and what is wrong with a pair."""
-        off = np.abs(self.forces.sum(axis=0)).max() / self.scale
-        pair = self.call(self.place(PROBE))[0] if self.takes(2) else np.zeros((2, self.d))
+        off = largest(self.forces.sum(axis=0)) / self.scale
+        pair = np.zeros((2, self.d))
+        if self.takes(2):
+            pair, _ = self.call(self.place(PROBE))
         sizes = np.linalg.norm(pair, axis=1)
         fault = ""
         if sizes.min() < ROUNDING * sizes.max():
@@ -369,58 +420,71 @@ class Probe:
             fault = ": both atoms of a pair get the same force; the second needs the other sign"
         return off, off, fault
 
+    def changes(self, part: int, n: int) -> list[Array]:
+        """DELTA times the derivatives of the forces (part 0) or of the energy (part 1) by the first n coordinates."""
+
+        def at(x: Array) -> Any:
+            return self.call(x)[part]
+
+        units = np.eye(self.x.size)[:n]
+        shifts = DELTA * units.reshape(-1, *self.x.shape)
+        return [difference(at, self.x, shift) for shift in shifts]
+
     def all_slopes(self) -> Answer:
         """The forces of all atoms beside −∇U."""
-        shifts = np.eye(self.x.size).reshape(-1, *self.x.shape) * DELTA
-        changes = [difference(lambda x: float(self.call(x)[1]), self.x, shift) for shift in shifts]
-        slopes = -np.array(changes) / DELTA
+        slopes = -np.array(self.changes(1, self.x.size)) / DELTA
         forces = self.forces.ravel()
-        off = np.abs(forces - slopes).max()
+        off = largest(forces - slopes)
         c = multiple_of(forces, slopes, EQUAL)
         relation = f": they are {c:.6g} (−∇U)" if np.isfinite(c) else ""
-        return off, off / (np.abs(slopes).max() or 1.0), relation
+        return off, off / (largest(slopes) or 1.0), relation
 
     def curl(self) -> float:
         """Whether forces without an energy can be a gradient: ∂F_i/∂x_j = ∂F_j/∂x_i."""
-        shifts = (np.eye(self.x.size).reshape(-1, *self.x.shape) * DELTA)[:24]
-        rows = [difference(lambda x: self.call(x)[0], self.x, shift).ravel() for shift in shifts]
-        matrix = np.array(rows)[:, : len(rows)]
-        return float(np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300))
+        changes = self.changes(0, 24)
+        n = len(changes)
+        matrix = np.array(changes).reshape(n, -1)[:, :n]
+        return largest(matrix - matrix.T) / max(largest(matrix), 1e-300)
 
     def images(self) -> Answer:
         """Nearest images across each face, in both directions."""
-        parts = dict[tuple[int, int], float]()  # of the force that is there, by axis and sign
+        shares = dict[tuple[int, int], float]()  # of a wrong force, in the right one, by face
         middle = 0.5 * self.lengths
+        units = np.eye(self.d)
         for axis, sign in product(range(self.d), (1, -1)):
-            unit = sign * self.units[axis]
+            unit = sign * units[axis]
             edge = self.lengths[axis]
             face = middle + (0.5 * edge - 0.2) * unit
-            inside = self.call(np.array([middle, middle + PROBE * unit]))[0]
-            across = self.call(np.array([face, face + (PROBE - edge) * unit]))[0]
-            size = np.abs(inside).max()
-            if np.abs(across - inside).max() > SAME * size:
-                parts[axis, sign] = np.abs(across).max() / size
+            pair_inside = np.array([middle, middle + PROBE * unit])
+            pair_across = np.array([face, face + (PROBE - edge) * unit])
+            inside, _ = self.call(pair_inside)
+            across, _ = self.call(pair_across)
+            size = largest(inside)
+            if largest(across - inside) > SAME * size:
+                shares[axis, sign] = largest(across) / size
+
         # wrapped positions interact across the origin
-        pair = np.array([-0.5, 0.5])[:, None] * PROBE * self.units[0]
-        origin = np.abs(self.call(0.0 * middle + 0.1 + pair)[0]).max()
-        center = np.abs(self.call(middle + pair)[0]).max()
-        is_wrapped = center < 0.2 * origin
-        n = len(parts)
-        axes = sorted({axis for axis, _ in parts})
-        verb = "missing" if any(part < 0.2 for part in parts.values()) else "wrong"
-        where = ", ".join("xyz"[axis] for axis in axes)
+        pair = np.array([-0.5, 0.5])[:, None] * PROBE * units[0]
+        at_origin, _ = self.call(0.1 + pair)
+        at_middle, _ = self.call(middle + pair)
+        is_wrapped = largest(at_middle) < 0.2 * largest(at_origin)
+
+        n = len(shares)
+        axes = sorted({axis for axis, _ in shares})
+        names = ", ".join("xyz"[axis] for axis in axes)
+        verb = "missing" if min(shares.values(), default=1.0) < 0.2 else "wrong"
         if is_wrapped:
             fault = f"positions are wrapped into the cell, but differences are not: {CURE}"
         elif n == 2 * self.d:
             fault = f"minimum image is {verb}: atoms across a face are no neighbors; {CURE}"
         elif n == 2 * len(axes):
-            fault = f"minimum image is {verb} along {where}, but right for the other axes"
+            fault = f"minimum image is {verb} along {names}, but right for the other axes"
         else:
             fault = (
-                f"minimum image is {verb} in one direction along {where}: only one of dx > L/2 and dx < −L/2 is "
+                f"minimum image is {verb} in one direction along {names}: only one of dx > L/2 and dx < −L/2 is "
                 "treated"
             )
-        return n, n + float(is_wrapped), fault
+        return n, n + is_wrapped, fault
 
     def sum_of_pairs(self) -> Answer:
         """The forces beside the sum, over pairs, of the forces on two atoms alone: other forces are a multiple of it,
@@ -429,11 +493,13 @@ class Probe:
         forces = self.forces
         parts = np.zeros((n, *self.x.shape))
         for i, j in zip(*np.triu_indices(n, 1), strict=True):
-            parts[i, j], parts[j, i] = self.call(self.x[[i, j]])[0]
+            pair, _ = self.call(self.x[[i, j]])
+            parts[i, j], parts[j, i] = pair
         pairs = parts.sum(axis=1)
-        off = np.abs(pairs - forces).max() / self.scale
+        off = largest(pairs - forces) / self.scale
         if off < SAME:
             return off, off, ""
+
         small = SAME * self.scale
         distances = np.abs(forces[:, None] - parts).max(axis=2)
         np.fill_diagonal(distances, np.inf)
@@ -442,7 +508,7 @@ class Probe:
             fault = (
                 "each atom feels only one other atom: forces are overwritten (=), not added (+=)"
             )
-        elif np.abs(forces[-1]).max() < 1e-4 * small:
+        elif largest(forces[-1]) < 1e-4 * small:
             fault = f"atom {n - 1}, the last, feels no force: check the bounds"
         elif np.isfinite(c):
             fault = (
@@ -471,4 +537,5 @@ def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
             f"{potential!r} does not say which of the {len(x)} atoms are bonded: give it pairs, such as "
             "pairs=[[0, 1]], or positions= of two atoms"
         )
-    return evaluate(System(x, cell=lengths, bonds=[[0, 1]] if is_bond else None), potential)
+    bonds = [[0, 1]] if is_bond else None
+    return evaluate(System(x, cell=lengths, bonds=bonds), potential)

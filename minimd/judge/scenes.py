@@ -16,10 +16,11 @@ from ase.calculators.abc import GetPropertiesMixin
 from ase.calculators.lj import LennardJones
 from ase.constraints import FixBondLengths
 from ase.md.verlet import VelocityVerlet
+from numpy.random import RandomState
 
-from minimd.judge.problems import Array
+from minimd.judge.problems import Array, largest
 
-Make = Callable[[Atoms, np.random.RandomState], Any]
+Make = Callable[[Atoms, RandomState], Any]
 
 MASSES = np.repeat([2.45, 8.35, 30.4, 120.3], 2)  # amu, of the atoms of a ring
 LIGHT, HEAVY = 4.45, 13.35  # amu, of the atoms of a molecule, as 1 to 3
@@ -44,31 +45,36 @@ MELTING = 1500  # steps in which that becomes a liquid
 class AnharmonicSprings(GetPropertiesMixin):
     """A calculator: bonds with ½ k r² + ¼ q r⁴ of the displacement from their length.
 
-    first, second : (B,) int.  k, q : (B,).  lengths : (B, 3) of a crystal, whose bonds keep their direction, or (B,).
+    first, second : (B,) int, atoms of the bonds.
+    k : (B,).
+    q : (B,) or a number.
+    lengths : (B, 3) of a crystal, whose bonds keep their direction, or (B,).
     draw : of an exact sample, for samplers that test these laws.
     """
 
     implemented_properties = ("energy", "free_energy", "forces", "stress")
     name = "springs"
     parameters: dict[str, Any] = {}  # noqa: RUF012 - never changed
-    draw: Callable[[np.random.RandomState], Atoms]
+    draw: Callable[[RandomState], Atoms]
 
-    def __init__(self, first: Any, second: Any, k: Array, q: Array, lengths: Array) -> None:
+    def __init__(self, first: Any, second: Any, k: Array, lengths: Array, q: Any = 0.0) -> None:
         self.first = first
         self.second = second
         self.k = k
-        self.q = q
         self.lengths = lengths
+        self.q = q
         self.results: dict[str, Any] = {}
 
     def get_property(self, name: str, atoms: Any = None, allow_calculation: bool = True) -> Any:
         """A property by its name in ASE."""
         d, e, r2 = self.bonds(atoms.positions)
         if name not in ("forces", "stress"):
-            return (0.5 * self.k * r2 + 0.25 * self.q * r2**2).sum()
+            energies = 0.5 * self.k * r2 + 0.25 * self.q * r2**2
+            return energies.sum()
         pull = (self.k + self.q * r2)[:, None] * e
         if name == "stress":
-            return (d.T @ pull).ravel()[[0, 4, 8, 5, 2, 1]] / atoms.get_volume()
+            virial = (d.T @ pull).ravel()
+            return virial[[0, 4, 8, 5, 2, 1]] / atoms.get_volume()
         forces = np.zeros_like(atoms.positions)
         np.add.at(forces, self.first, pull)
         np.add.at(forces, self.second, -pull)
@@ -80,7 +86,8 @@ class AnharmonicSprings(GetPropertiesMixin):
         if self.lengths.ndim == 2:
             e = d - self.lengths
         else:
-            e = (1.0 - self.lengths / np.sqrt((d * d).sum(axis=1)))[:, None] * d
+            r = np.sqrt((d * d).sum(axis=1))
+            e = (1.0 - self.lengths / r)[:, None] * d
         return d, e, (e * e).sum(axis=1)
 
     def curvature(self, x: Array) -> Array:
@@ -103,22 +110,25 @@ class Rigid(AnharmonicSprings):
         velocities = seen.p / seen.masses[:, None]
         d = seen.x[:, 1::2] - seen.x[:, ::2]
         v = velocities[:, 1::2] - velocities[:, ::2]
-        along = (d * v).sum(axis=2) / self.length * np.sqrt(seen.masses[:2].mean() / seen.kt)
+        thermal = np.sqrt(seen.masses[:2].mean() / seen.kt)
+        along = (d * v).sum(axis=2) / self.length * thermal
         stretch = np.linalg.norm(d, axis=2) / self.length - 1.0
-        return float(max(np.abs(stretch).max(), np.abs(along).max()))
+        return max(largest(stretch), largest(along))
 
 
 class Scene(NamedTuple):
     """A structure, drawn anew for each run.
 
-    draw : of an exact sample.  has : its features, as ensembles.LAWS need them.
+    draw : of an exact sample.
+    has : its features, as ensembles.LAWS need them.
     error : of means, relative, by the time step: the largest (ωΔt)²/2, if momenta are drawn at half a step.
-    n_bodies : n of p(V) ∝ Vⁿ exp(−PV/kT).  rigid : the part of <p²/m>/kT that rigid bonds take, of each atom.
-    wanted : of a liquid, its energy [eV] or volume [Å³].  slowness : its runs have so many times fewer steps.
+    n_bodies : n of p(V) ∝ Vⁿ exp(−PV/kT).
+    rigid : the part of <p²/m>/kT that rigid bonds take, of each atom.
+    wanted : of a liquid, its energy [eV] or volume [Å³].
+    slowness : its runs have so many times fewer steps.
     """
 
-    name: str
-    draw: Callable[[np.random.RandomState], Atoms]
+    draw: Callable[[RandomState], Atoms]
     calculator: Any
     has: str
     error: float
@@ -128,105 +138,113 @@ class Scene(NamedTuple):
     slowness: int = 1
 
 
-def momenta(rng: np.random.RandomState, masses: Array, kt: float, is_still: bool = False) -> Array:
+def momenta(rng: RandomState, masses: Array, kt: float, is_still: bool = False) -> Array:
     """(N, 3) of a canonical ensemble, of one whose center of mass is at rest if is_still."""
-    p = rng.standard_normal((len(masses), 3)) * np.sqrt(kt * masses)[:, None]
+    thermal = np.sqrt(kt * masses)
+    p = rng.standard_normal((len(masses), 3)) * thermal[:, None]
     if is_still:
         p -= masses[:, None] * p.sum(axis=0) / masses.sum()
     return p
 
 
-def boxed(x: Array, masses: Array, edge: float, calculator: Any) -> Atoms:
-    """Atoms in a periodic cubic cell."""
+def boxed(x: Array, masses: Array, p: Array, edge: float, calculator: Any) -> Atoms:
+    """Atoms with momenta in a periodic cubic cell."""
     symbols = "H" * len(x)
     cell = [edge] * 3
-    return Atoms(symbols, x, masses=masses, cell=cell, pbc=True, calculator=calculator)
+    return Atoms(symbols, x, masses=masses, momenta=p, cell=cell, pbc=True, calculator=calculator)
 
 
 def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.0) -> Scene:
     """Eight atoms of four masses on a ring of bonds that keep their directions, as in a crystal: nothing acts on them
-    from outside, and nothing turns.  scale : of ωΔt."""
+    from outside, and nothing turns.
+
+    scale : of ωΔt.
+    """
     n = len(MASSES)
     first = np.arange(n)
     second = (first + 1) % n
     frequencies = scale * STIFF * np.tile([1.0, 1.5], n // 2) / timestep
     k = np.minimum(MASSES[first], MASSES[second]) * frequencies**2
     angles = 2.0 * np.pi * first / n
-    places = 50.0 + 10.0 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+    circle = [np.cos(angles), np.sin(angles), 0.0 * angles]
+    places = 50.0 + 10.0 * np.stack(circle, axis=1)
     lengths = places[second] - places[first]
-    springs = AnharmonicSprings(first, second, k, QUARTIC * k**2 / kt, lengths)
+    springs = AnharmonicSprings(first, second, k, lengths, QUARTIC * k**2 / kt)
     bonds = np.eye(n)[second] - np.eye(n)
     hessian = bonds.T @ (k[:, None] * bonds)
     values, modes = np.linalg.eigh(hessian)
     spread = modes[:, 1:] * np.sqrt(kt / values[1:])  # without the translation
 
-    def draw(rng: np.random.RandomState) -> Atoms:
+    def draw(rng: RandomState) -> Atoms:
         while True:  # of the quadratic part alone, and accepted by the energy of the rest
             x = places + spread @ rng.standard_normal((n - 1, 3))
             rest = (springs.q * springs.bonds(x)[2] ** 2).sum()
             if rng.random_sample() < np.exp(-rest / (4.0 * kt)):
-                break
-        atoms = boxed(x, MASSES, 100.0, springs)
-        atoms.set_momenta(momenta(rng, MASSES, kt, is_still))
-        return atoms
+                return boxed(x, MASSES, momenta(rng, MASSES, kt, is_still), 100.0, springs)
 
     springs.draw = draw
-    largest = np.linalg.eigvalsh(hessian / np.sqrt(np.outer(MASSES, MASSES)))[-1]
-    name, has = ("ring", "ring masses spread") if scale == 1.0 else ("coarse ring", "coarse")
-    return Scene(name, draw, springs, f"{has} places fixed", 0.5 * largest * timestep**2)
+    roots = np.sqrt(np.outer(MASSES, MASSES))
+    omega2 = np.linalg.eigvalsh(hessian / roots)[-1]
+    error = 0.5 * omega2 * timestep**2
+    has = "ring masses spread" if scale == 1.0 else "coarse"
+    return Scene(draw, springs, f"{has} places fixed", error)
+
+
+def stiff_bonds(n: int, timestep: float) -> tuple[Array, float]:
+    """Masses of n molecules of two atoms, and the k of their bonds."""
+    return np.tile([LIGHT, HEAVY], n), REDUCED * (OF_MOLECULES / timestep) ** 2
 
 
 def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
     """Rigid molecules of two atoms, in a chain of bonds as those of the ring."""
     n = RIGID
-    masses = np.tile([LIGHT, HEAVY], RIGID)
-    k = REDUCED * (OF_MOLECULES / timestep) ** 2
+    masses, k = stiff_bonds(n, timestep)
     first = np.arange(1, 2 * n - 1, 2)
     length = np.sqrt(kt / k)
     apart = np.array([[5.0, 0.0, 0.0]])
-    ones = np.ones(n - 1)
-    springs = Rigid(first, first + 1, k * ones, 0.0 * ones, np.repeat(apart, n - 1, axis=0))
+    lengths = np.repeat(apart, n - 1, axis=0)
+    springs = Rigid(first, first + 1, np.full(n - 1, k), lengths)
     springs.length = length
 
-    def draw(rng: np.random.RandomState) -> Atoms:
+    def draw(rng: RandomState) -> Atoms:
         ways = rng.standard_normal((n, 3))
         ways /= np.linalg.norm(ways, axis=1)[:, None]
-        steps = apart + length * (rng.standard_normal((n - 1, 3)) + ways[:-1])
+        displacements = rng.standard_normal((n - 1, 3))
+        steps = apart + length * (displacements + ways[:-1])
         x = np.zeros((2 * n, 3))
         x[0::2] = np.cumsum(np.vstack([apart, steps]), axis=0)
         x[1::2] = x[0::2] + length * ways
-        atoms = boxed(x + 30.0, masses, 100.0, springs)
+
         p = momenta(rng, masses, kt, is_still)
         v = p[1::2] / HEAVY - p[0::2] / LIGHT
         along = REDUCED * (v * ways).sum(axis=1)[:, None] * ways
         p[0::2] += along
         p[1::2] -= along
-        atoms.set_momenta(p)
+
+        atoms = boxed(x + 30.0, masses, p, 100.0, springs)
         atoms.set_constraint(FixBondLengths(np.arange(2 * n).reshape(n, 2)))
         return atoms
 
     springs.draw = draw
     has = "masses spread rigid fixed"
     shares = np.tile([0.75, 0.25], n) / 3.0
-    return Scene("chain", draw, springs, has, 0.5 * OF_MOLECULES**2, rigid=shares, slowness=4)
+    return Scene(draw, springs, has, 0.5 * OF_MOLECULES**2, rigid=shares, slowness=4)
 
 
 def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: int = 0) -> Scene:
     """A Lennard-Jones liquid of 108 atoms, which starts from a crystal: its energy, or, under pressure, its density."""
     heat, density, energy, p = STATES[state]
-    tails = np.array([CUTOFF**-9.0 / 3.0 - CUTOFF**-3.0, CUTOFF**-9.0 / 1.5 - CUTOFF**-3.0])
-    tail_of_u, tail_of_p = 8.0 / 3.0 * np.pi * density * tails
-    at_cutoff = 4.0 * (CUTOFF**-12.0 - CUTOFF**-6.0)  # by which ASE's energies of pairs are shifted
     n = 4 * SIDE**3
     epsilon = kt / heat
-    own = energy - tail_of_u - 2.0 / 3.0 * np.pi * density * CUTOFF**3 * at_cutoff
     sigma = 3.0
     if pressure:
-        sigma = ((p - 2.0 * density * tail_of_p) * epsilon / pressure) ** (1.0 / 3.0)
+        tail_of_p = 8.0 / 3.0 * np.pi * density * (CUTOFF**-9.0 / 1.5 - CUTOFF**-3.0)
+        p_of_pairs = p - 2.0 * density * tail_of_p
+        sigma = (p_of_pairs * epsilon / pressure) ** (1.0 / 3.0)
     calculator = LennardJones(sigma=sigma, epsilon=epsilon, rc=CUTOFF * sigma)
     masses = np.full(n, epsilon * (timestep / PACE / sigma) ** 2)
 
-    def draw(rng: np.random.RandomState) -> Atoms:
+    def draw(rng: RandomState) -> Atoms:
         edge = sigma * (4.0 / density) ** (1.0 / 3.0)
         atoms = bulk("Ar", "fcc", a=edge, cubic=True) * (SIDE, SIDE, SIDE)
         atoms.set_masses(masses)
@@ -237,40 +255,42 @@ def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: i
         atoms.set_momenta(momenta(rng, masses, kt, is_still))
         return atoms
 
-    name = f"liquid {state + 1}"
     if pressure:
         volume = n * sigma**3 / density
-        return Scene(name, draw, calculator, "pressed", 0.01, wanted=volume, slowness=4)
-    return Scene(name, draw, calculator, "liquid fixed", 0.01, wanted=n * epsilon * own)
+        return Scene(draw, calculator, "pressed", 0.01, wanted=volume, slowness=4)
+    tail_of_u = 8.0 / 3.0 * np.pi * density * (CUTOFF**-9.0 / 3.0 - CUTOFF**-3.0)
+    at_cutoff = 4.0 * (CUTOFF**-12.0 - CUTOFF**-6.0)  # by which ASE's energies of pairs are shifted
+    shift = 2.0 / 3.0 * np.pi * density * CUTOFF**3 * at_cutoff
+    u_of_pairs = energy - tail_of_u - shift
+    return Scene(draw, calculator, "liquid fixed", 0.01, wanted=n * epsilon * u_of_pairs)
 
 
 def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
     """Molecules of two atoms, which do not see each other, under pressure: p(V) ∝ Vⁿ exp(−PV/kT), n molecules."""
     n = MOLECULES
-    masses = np.tile([LIGHT, HEAVY], MOLECULES)
-    k = REDUCED * (OF_MOLECULES / timestep) ** 2
+    masses, k = stiff_bonds(n, timestep)
     length = STRETCH * np.sqrt(kt / k)
     first = np.arange(0, 2 * n, 2)
-    ones = np.ones(n)
-    springs = AnharmonicSprings(first, first + 1, k * ones, 0.0 * ones, length * ones)
+    springs = AnharmonicSprings(first, first + 1, np.full(n, k), np.full(n, length))
     r = np.linspace(0.05, 2.5, 4000) * length
-    weights = np.cumsum(r**2 * np.exp(-0.5 * k * (r - length) ** 2 / kt))
+    energies = 0.5 * k * (r - length) ** 2
+    weights = np.cumsum(r**2 * np.exp(-energies / kt))
 
-    def draw(rng: np.random.RandomState) -> Atoms:
+    def draw(rng: RandomState) -> Atoms:
         volume = rng.standard_gamma(n + (not is_still)) * kt / pressure
         edge = volume ** (1.0 / 3.0)
         ways = rng.standard_normal((n, 3))
-        apart = r[np.searchsorted(weights, rng.random_sample(n) * weights[-1])]
-        apart = apart[:, None] * ways / np.linalg.norm(ways, axis=1)[:, None]
+        drawn = rng.random_sample(n) * weights[-1]
+        distances = r[np.searchsorted(weights, drawn)]
+        norms = np.linalg.norm(ways, axis=1)
+        apart = distances[:, None] * ways / norms[:, None]
         x = np.repeat(edge * rng.random_sample((n, 3)), 2, axis=0)
         x[0::2] -= 0.75 * apart
         x[1::2] += 0.25 * apart
-        atoms = boxed(x, masses, edge, springs)
-        atoms.set_momenta(momenta(rng, masses, kt, is_still))
-        return atoms
+        return boxed(x, masses, momenta(rng, masses, kt, is_still), edge, springs)
 
     springs.draw = draw
-    return Scene("gas", draw, springs, "masses volume", 0.5 * OF_MOLECULES**2, n)
+    return Scene(draw, springs, "masses volume", 0.5 * OF_MOLECULES**2, n)
 
 
 SCENES: dict[str, Callable[..., Scene]] = {
@@ -286,8 +306,10 @@ SCENES: dict[str, Callable[..., Scene]] = {
 class Frames(NamedTuple):
     """What was seen of a run.
 
-    masses : (N,).  x, p, f : (F, N, 3).  volumes, u : (F,), u potential energies.  ends : (2, 2), energy and log of the
-    volume, at the start and at the end.
+    masses : (N,).
+    x, p, f : positions, momenta and forces, (F, N, 3).
+    volumes, u : (F,), u potential energies.
+    ends : (2, 2), energy and log of the volume, at the start and at the end.
     """
 
     masses: Array
@@ -307,30 +329,35 @@ class Frames(NamedTuple):
 
 def joined(runs: Sequence[Frames]) -> Frames:
     """All frames of several runs."""
+    first = runs[0]
     series = (np.concatenate([run[k] for run in runs]) for k in range(2, 7))  # type: ignore[arg-type]
-    return Frames._make([runs[0].masses, runs[0].kt, *series, np.stack([run.ends for run in runs])])
+    ends = np.stack([run.ends for run in runs])
+    return Frames._make([first.masses, first.kt, *series, ends])
 
 
 def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) -> Frames:
     """One run, of which the second half is seen.  Raises FloatingPointError if numbers are not finite."""
     atoms, dynamics = started(make, scene, seed)
-    seen = list[Sequence[Any]]()
-    ends = [ends_of(atoms)]
     start = atoms.get_volume()
-    for k in range(steps // every):
+    ends = [ends_of(atoms)]
+    frames = list[Sequence[Any]]()
+    n = steps // every
+    for k in range(n):
         dynamics.run(every)
         volume = atoms.get_volume()
         if not SMALLEST < volume / start < 1.0 / SMALLEST:
             raise FloatingPointError(
                 f"the volume went from {start:.3g} to {volume:.3g} Å³ in {(k + 1) * every} steps"
             )
-        if 2 * k >= steps // every:
+        if 2 * k >= n:
             forces = atoms.get_forces(apply_constraint=False)
             energy = atoms.get_potential_energy() if scene.wanted else 0.0
-            seen.append((atoms.positions.copy(), atoms.get_momenta(), forces, volume, energy))
+            frames.append((atoms.positions.copy(), atoms.get_momenta(), forces, volume, energy))
+
     ends.append(ends_of(atoms))
     edges = atoms.cell.lengths()
-    if np.ptp(edges) > 1e-6 * edges[0] or np.ptp(atoms.cell.angles()) > 1e-4:
+    angles = atoms.cell.angles()
+    if np.ptp(edges) > 1e-6 * edges[0] or np.ptp(angles) > 1e-4:
         raise FloatingPointError(
             "the shape of the cell changes; a gas resists no shear: let only its volume change"
         )
@@ -338,14 +365,14 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
         raise FloatingPointError(
             f"not finite: energy {ends[1][0]:.3g} eV or volume {atoms.get_volume():.3g} Å³"
         )
-    x, p, f, volumes, u = map(np.array, zip(*seen, strict=True))
+    x, p, f, volumes, u = map(np.array, zip(*frames, strict=True))
     return Frames(atoms.get_masses(), kt, x, p, f, volumes, u, np.array(ends))
 
 
 def started(make: Make, scene: Scene, seed: int) -> tuple[Atoms, Any]:
     """Atoms and their dynamics at the start of a run."""
     np.random.seed(seed)  # for dynamics that are given no generator
-    rng = np.random.RandomState(seed)
+    rng = RandomState(seed)
     atoms = scene.draw(rng)
     return atoms, make(atoms, rng)
 

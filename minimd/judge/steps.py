@@ -11,7 +11,7 @@ from minimd.judge.calling import FORCES, StudentStep, understood
 from minimd.judge.faults import faults_of, hidden
 from minimd.judge.findings import Answer, Finding, Grade, Law, causes, judged
 from minimd.judge.methods import Numbers, named, numbers_of
-from minimd.judge.problems import Array, Function, TrialProblem, difference
+from minimd.judge.problems import Array, Function, TrialProblem, difference, largest
 
 # needed to distinguish all terms, by the shape of x
 STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}
@@ -39,8 +39,9 @@ class Measured:
         self.where = where
         self.expected = expected
         starts = [where.x * (1.0 + 1e-6 * k) for k in range(12)]
-        line = [np.ravel(step(where, x, where.v, 0.1)[0]) for x in starts]
-        self.noise = np.abs(np.diff(line, n=3, axis=0)).max() / 8.0 / np.abs(where.x).max()
+        ends = [np.ravel(step(where, x, where.v, 0.1)[0]) for x in starts]
+        bends = np.diff(ends, n=3, axis=0)
+        self.noise = largest(bends) / 8.0 / largest(where.x)
         self.fuzz = max(1.0, self.noise / NOISE)
         # springs to the origin conserve no momenta
         n_dimensions = 0 if where.stiffness else where.x.ndim
@@ -57,7 +58,7 @@ class Measured:
 
     def order(self) -> Answer:
         """The slope, in a logarithmic plot, of the error after a fixed time against the time step."""
-        right = np.array(self.where.flow(DURATION))
+        right = self.where.flow(DURATION)
         ends = [np.array(self.run(DURATION / n, n)) for n in COUNTS]
         errors = np.array([np.linalg.norm(end - right) for end in ends])
         slope = 0.0
@@ -65,53 +66,60 @@ class Measured:
             kept = np.flatnonzero(errors > 1e-11)[-3:]
             if len(kept) < 3:
                 kept = np.arange(2)
+            counts = np.array(COUNTS)[kept]
             logs = np.log(np.maximum(errors[kept], 1e-300))
-            slope = -np.polyfit(np.log(np.array(COUNTS)[kept]), logs, 1)[0]
+            slope = -np.polyfit(np.log(counts), logs, 1)[0]
+
         off = max(self.expected - slope, 0.0)
         if slope < ORDER_OFF:  # the error does not decrease with dt
             off = np.inf
         shortest = DURATION / COUNTS[-1]
-        return (
-            slope,
-            off,
+        sentence = (
             f"{max(slope, 0.0):.2f} measured, {self.expected} expected; error {errors[-1]:.1e} at t = {DURATION:g}, "
-            f"dt = {shortest:g}",
+            f"dt = {shortest:g}"
         )
+        return slope, off, sentence
 
     @cached_property
     def jacobian(self) -> Array:
         """∂(x₁, p₁)/∂(x, p) at Δt = 0.1."""
         where = self.where
-        start = np.array([where.x, where.mass * where.v])
+        mass = where.mass
 
         def end(y: Array) -> Array:
-            x, p = y.reshape(start.shape)
-            x, v = self.step(where, x, p / where.mass, 0.1)
-            return np.ravel([x, where.mass * v])
+            x, p = y.reshape(2, *where.x.shape)
+            x, v = self.step(where, x, p / mass, 0.1)
+            return np.ravel([x, mass * v])
 
-        y = start.ravel()
-        columns = [difference(end, y, DELTA * unit) / DELTA for unit in np.eye(y.size)]
+        start = np.ravel([where.x, mass * where.v])
+        columns = [difference(end, start, DELTA * unit) / DELTA for unit in np.eye(start.size)]
         return np.array(columns).T
 
     @cached_property
     def form(self) -> float:
         """The largest element of JᵀΩJ − Ω."""
-        omega = np.kron([[0.0, 1.0], [-1.0, 0.0]], np.eye(self.where.x.size))
-        return float(np.abs(self.jacobian.T @ omega @ self.jacobian - omega).max()) / self.fuzz
+        turn = [[0.0, 1.0], [-1.0, 0.0]]
+        omega = np.kron(turn, np.eye(self.where.x.size))
+        form = self.jacobian.T @ omega @ self.jacobian
+        return largest(form - omega) / self.fuzz
 
     def reversal(self) -> Answer:
         """The distance from the start after steps forwards and as many back, and the way."""
         x, v = self.run(PACE, BACK)
-        way = np.abs(x - self.where.x).max()
+        way = largest(x - self.where.x)
         x, v = self.run(PACE, BACK, (x, -v))
-        back = max(np.abs(x - self.where.x).max(), np.abs(v + self.where.v).max())
-        return back, back / self.fuzz / max(1.0, way), way
+        off_x = largest(x - self.where.x)
+        off_v = largest(v + self.where.v)
+        off = max(off_x, off_v)
+        return off, off / self.fuzz / max(1.0, way), way
 
     def momentum(self, of: Callable[[Array, Array], Array]) -> float:
         """The relative change of Σ of(x, mv) in some steps."""
-        ends = self.where[:2], self.run(PACE, SOME)
-        before, after = (of(x, self.where.mass * v) for x, v in ends)
-        return float(np.abs((after - before).sum(axis=0)).max() / np.abs(before).sum()) / self.fuzz
+        x, v = self.run(PACE, SOME)
+        before = of(self.where.x, self.where.mass * self.where.v)
+        after = of(x, self.where.mass * v)
+        change = (after - before).sum(axis=0)
+        return largest(change) / np.abs(before).sum() / self.fuzz
 
     def energy(self) -> Answer:
         """Drift of the total energy per step in a long run; a symplectic step has none, only slow oscillations."""
@@ -119,16 +127,20 @@ class Measured:
         parts = np.empty((LONG, 2))  # kinetic and potential energy
         for k in range(LONG):
             x, v = self.step(self.where, x, v, PACE)
-            parts[k] = 0.5 * np.sum(self.where.mass * v * v), self.where.at(x)[1]
-            if not abs(parts[k].sum()) < TOO_LARGE:
+            kinetic = 0.5 * np.sum(self.where.mass * v * v)
+            _, potential = self.where.at(x)
+            parts[k] = kinetic, potential
+            if not abs(kinetic + potential) < TOO_LARGE:
                 sentence = f"grows beyond {TOO_LARGE:g} in {k + 1} steps of {PACE:g}"
                 return np.inf, np.inf, sentence
+
         times = np.arange(LONG)
         energies = parts.sum(axis=1) / parts.mean(axis=0)[0]
         slope, start = np.polyfit(times, energies, 1)
         oscillation = np.std(energies - slope * times - start)
         if oscillation < EXACTLY:
             return 0.0, np.inf, "constant to rounding: no explicit step has this property by itself"
+
         off = 0.0
         if self.form > SYMPLECTIC:
             off = abs(slope) * LONG / max(1e-9, oscillation)
@@ -143,14 +155,15 @@ class Measured:
         omega = np.sqrt(self.step.stiffness or 1.0)
         where = self.step.problem(1, stiffness=float(omega**2))
         where = where._replace(m=np.ones_like(where.m))
-        one_each = np.ones_like(where.x)
+        units = np.ones_like(where.x)
+
+        def end(x: float, v: float, h: float) -> tuple[float, float]:
+            new_x, new_v = self.step(where, x * units, v * units, h / omega)
+            return new_x.flat[0], new_v.flat[0]
 
         def matrix(h: float) -> Array:
-            columns = []
-            for x, v in ((1.0, 0.0), (0.0, omega)):
-                new_x, new_v = self.step(where, x * one_each, v * one_each, h / omega)
-                columns.append((np.ravel(new_x)[0], np.ravel(new_v)[0] / omega))
-            return np.array(columns).T
+            columns = [end(1.0, 0.0, h), end(0.0, omega, h)]
+            return np.array(columns).T / np.array([[1.0], [omega]])
 
         m = matrix(0.5)
         off = np.linalg.det(m) - 1.0
@@ -159,6 +172,7 @@ class Measured:
                 f"at ω dt = 0.5 the energy changes by the factor {1.0 + off:.4g} in each step"
             )
             return off, np.inf, sentence
+
         skew = (m[1, 1] - m[0, 0]) / m[0, 1]
         stiffness = -m[1, 0] / m[0, 1]
         n_stable = 0
@@ -192,53 +206,87 @@ PHASE_SPACE = (
     "the step, like Runge-Kutta methods and thermostats, shrinks or stretches phase space, or is not a product of "
     "kicks and drifts (see the laws symplectic and volume): the energy drifts"
 )
-# fmt: off
 LAWS = (
-    Law("order", Measured.order, ORDER_OFF, "{2}",
-        "the terms up to dt² are right, but the measured order is {0:.2f}"),
+    Law(
+        "order",
+        Measured.order,
+        ORDER_OFF,
+        "{2}",
+        "the terms up to dt² are right, but the measured order is {0:.2f}",
+    ),
     Law("symplectic", lambda s: s.form, SYMPLECTIC, "at dt = 0.1 JᵀΩJ − Ω is {0:.1e}", PHASE_SPACE),
-    Law("volume", lambda s: (np.linalg.det(s.jacobian) - 1.0) / s.fuzz, 1e-8, "det J − 1 is {0:.1e}",
-        PHASE_SPACE),
-    Law("reversible", Measured.reversal, 1e-11,
+    Law(
+        "volume",
+        lambda s: (np.linalg.det(s.jacobian) - 1.0) / s.fuzz,
+        1e-8,
+        "det J − 1 is {0:.1e}",
+        PHASE_SPACE,
+    ),
+    Law(
+        "reversible",
+        Measured.reversal,
+        1e-11,
         f"{BACK} steps and as many back miss the start by {{0:.1e}} on a way of {{2:.2g}}",
-        "the step is not symmetric: kicks and drifts do not read the same forwards and backwards"),
-    Law("momentum", lambda s: s.momentum(lambda x, p: p), 1e-11,
+        "the step is not symmetric: kicks and drifts do not read the same forwards and backwards",
+    ),
+    Law(
+        "momentum",
+        lambda s: s.momentum(lambda x, p: p),
+        1e-11,
         f"changes by {{0:.1e}} of Σ|mv| in {SOME} steps",
         "the total momentum changes: the forces of a step are not all computed at the same positions",
-        "atoms"),
-    Law("angular momentum", lambda s: s.momentum(angular_momenta), 1e-11,
+        "atoms",
+    ),
+    Law(
+        "angular momentum",
+        lambda s: s.momentum(angular_momenta),
+        1e-11,
         f"changes by {{0:.1e}} of Σ|r × mv| in {SOME} steps",
         "the total angular momentum changes",
-        "vectors"),
+        "vectors",
+    ),
     Law("energy", Measured.energy, 1.0, "{2}", "the energy drifts"),
-    Law("oscillator", Measured.oscillator, 1.0, "{2}",
-        "the energy of an oscillator is kept at no time step"),
+    Law(
+        "oscillator",
+        Measured.oscillator,
+        1.0,
+        "{2}",
+        "the energy of an oscillator is kept at no time step",
+    ),
     Law("cost", Measured.cost, 0.5, "{0} force evaluations per step{2}", needs="force"),
 )
 REMARKS = (
     (lambda step: step.swapped, "the step returns v before x; the usual order is x, v"),
-    (lambda step: step.in_place,
-     "the step changes the arrays that it is given; copy them if you need the old ones"),
+    (
+        lambda step: step.in_place,
+        "the step changes the arrays that it is given; copy them if you need the old ones",
+    ),
     (lambda step: step.masses == "(N, 1)", "masses must have shape (N, 1) in this step, not (N,)"),
-    (lambda step: step.takes("half"),
-     "velocities are at half steps: the test adds half a kick before and after"),
-    (lambda step: step.takes("old"),
-     "a recursion of two positions; the test takes v = (x₁ − x₀)/dt + ½ dt F/m"),
-    (lambda step: step.takes("before"),
-     "a step that takes the force of the previous step is not a map of x and v, and is not judged as one"),
+    (
+        lambda step: step.takes("half"),
+        "velocities are at half steps: the test adds half a kick before and after",
+    ),
+    (
+        lambda step: step.takes("old"),
+        "a recursion of two positions; the test takes v = (x₁ − x₀)/dt + ½ dt F/m",
+    ),
+    (
+        lambda step: step.takes("before"),
+        "a step that takes the force of the previous step is not a map of x and v, and is not judged as one",
+    ),
 )
-# fmt: on
 # open for a step that is no map
 NO_MAP = {"reversible", "symplectic", "volume", "angular momentum", "energy", "oscillator"}
 RUNGE_KUTTA = "a Runge-Kutta method: it is not symplectic, and its energy drifts at any order"
 
 
-def grade_step(function: Function, order: int = 2) -> Grade:
+def grade_step(function: Function, order: int) -> Grade:
     """The grade of a step, see grade."""
     step = understood(function)
     problems = [step.problem(seed) for seed in range(STATES[step.shape])]
     where = problems[0]
     remarks = [sentence for is_so, sentence in REMARKS if is_so(step)]
+    is_map = not step.takes("before")
     with np.errstate(all="ignore"):
         fault = hidden(step, where)
         if fault:
@@ -247,27 +295,24 @@ def grade_step(function: Function, order: int = 2) -> Grade:
         measured = Measured(step, where, order)
         laws = {finding.name: finding for finding in judged(LAWS, measured)}
         reached = laws["order"].value
-        is_map = not step.takes("before")
+        is_right = laws["order"].passed
         is_symplectic = laws["symplectic"].passed
         is_low = is_symplectic and order == 1  # and asked for
         is_beyond = reached > HIGH or is_low
+
         numbers = numbers_of(step, where) if is_map else None
-        method = ""
-        fault = numbers if isinstance(numbers, str) else ""
-        if isinstance(numbers, Numbers):
-            method, fault = named(numbers)
+        method, fault = named(numbers)
         faults = [fault]
         if not fault:
             is_energy_kept = laws["energy"].value == 0.0
             n_powers = 2 if is_beyond else 3
             faults = faults_of(step, problems, measured.noise, n_powers, is_energy_kept)
+
     open_laws = set[str]() if is_map else NO_MAP
-    is_right = laws["order"].passed
-    is_in_turn = isinstance(numbers, Numbers) and numbers.substeps
-    # as Ruth's method of order 3, which is right
+    is_runge_kutta = isinstance(numbers, Numbers) and not numbers.substeps
     if is_symplectic and is_right and is_beyond:
-        open_laws = {"reversible"}
-    elif isinstance(numbers, Numbers) and not (is_in_turn or is_symplectic or faults):
+        open_laws = {"reversible"}  # as Ruth's method of order 3, which is right
+    elif is_runge_kutta and not is_symplectic and not faults:
         if is_right and abs(reached - order) < 0.5 and (order > 2 or method):
             open_laws = {name for name, law in laws.items() if law.passed is False}
             remarks.append(RUNGE_KUTTA)

@@ -35,11 +35,13 @@ def draw(grade: Grade, file: Path) -> None:
         raise ValueError(
             f"a picture shows laws with a limit, as NVT and NPT have them; {grade.function} has none"
         )
+
     figure = Figure(figsize=(7.0, 1.2 + 0.32 * len(rows)), layout="constrained")
     axes = figure.subplots()
     for k, row in enumerate(rows):
         axes.barh(k, 2.0 * row.limit, left=1.0 - row.limit, color="0.9")
         axes.plot(row.value, k, "o", color=COLORS[row.passed])
+
     axes.axvline(1.0, color="0.5", linewidth=1.0)
     axes.set_yticks(range(len(rows)), [row.name for row in rows])
     axes.set_xlabel("measured / right; gray: passes")

@@ -1,6 +1,8 @@
 """One door to the state: whoever looks enters, whoever makes steps begins; both see what was changed since leave."""
 
+import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -146,3 +148,12 @@ def test_the_shell_of_a_short_run_is_thin():
     finally:
         sys.setprofile(None)
     assert n_calls <= 500
+
+
+def test_nobody_else_touches_the_flags():
+    package = Path(md.__file__).parent
+    texts = {path.relative_to(package).as_posix(): path.read_text(encoding="utf-8") for path in package.rglob("*.py")}
+    writers = {place for place, text in texts.items() if re.search(r"\.is_whole (\|?=|&=) ", text)}
+    assert writers == {"core/engine/engine.py"}
+    readers = {place for place, text in texts.items() if "forces_are_current" in text}
+    assert readers == {f"core/{name}.py" for name in ("engine/engine", "integrators/state", "integrators/steps")}

@@ -130,6 +130,45 @@ def test_a_state_is_whole_only_while_its_lists_and_counts_are_those_of_the_run(l
     assert left.is_whole
 
 
+def test_setting_the_step_leaves_the_time_as_it_is():
+    simulation = SCENES["argon"]().simulation()
+    simulation.run(10, every=5, progress=False)
+    time = simulation.time
+    simulation.step = 0
+    assert simulation.time == time > 0.0
+    simulation.time = 1.0
+    simulation.step = 100
+    assert simulation.time == 1.0
+
+
+def overlapping(simulation):
+    simulation.positions[1] = simulation.positions[0] + 1e-3
+
+
+def beyond_resolution(simulation):
+    simulation.positions[3] += 1e14
+
+
+def by_make_steps(simulation, change):
+    change(simulation)
+    simulation.make_steps(0)
+
+
+def by_an_observer(simulation, change):
+    simulation.run(5, every=5, observers=[lambda sim: change(sim) if sim.step == 10 else None], progress=False)
+
+
+@pytest.mark.parametrize("change", [overlapping, beyond_resolution], ids=lambda change: change.__name__)
+@pytest.mark.parametrize("way", [by_make_steps, by_an_observer], ids=lambda way: way.__name__)
+def test_a_state_that_nobody_has_checked_is_checked_by_the_next_run(way, change):
+    simulation = SCENES["argon"]().simulation()
+    simulation.run(5, every=5, progress=False)
+    way(simulation, change)
+    for _ in range(2):
+        with pytest.raises((md.NonFiniteError, ValueError), match=r"would move it by|positions must be below"):
+            simulation.run(1, every=5, progress=False, crash_report=False)
+
+
 def test_the_shell_of_a_short_run_is_thin():
     """Calls of Python functions, of whoever wrote them: 1370 in November 2026."""
     simulation = Scene(liquid(6), [LJ], timestep=0.001).simulation(threads=1, skin=0.6)

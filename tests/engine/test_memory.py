@@ -95,5 +95,19 @@ def test_a_memory_of_another_shape_is_refused_and_a_method_without_one_takes_ove
     longer.memory = np.zeros(3)
     with pytest.raises(ValueError, match=r"memory of nose-hoover.*\(2,\).*\(3,\)"):
         md.Simulation.resume(tmp_path / "run.h5md", SCENES["argon"]().laws, method=longer)
+    before = simulation.positions.copy(), simulation.step
+    snapshot = simulation.snapshot()
+    simulation.run(4, every=4, progress=False)
+    now = simulation.positions.copy()
+    simulation.method.memory = np.zeros(3)
+    with pytest.raises(ValueError, match="memory of nose-hoover"):
+        simulation.restore(snapshot)  # nothing is restored
+    assert np.array_equal(simulation.positions, now)
+    simulation.method.memory = np.zeros(2)
+    simulation.restore(snapshot)
+    assert np.array_equal(simulation.positions, before[0])
     plain = md.Simulation.resume(tmp_path / "run.h5md", SCENES["argon"]().laws, method=md.VelocityVerlet(0.004))
-    assert np.array_equal(plain.positions, simulation.positions)
+    assert np.array_equal(plain.positions, before[0])
+    fixed = SCENES["argon"]().simulation(NoseHoover(0.004, 0.8, 60.0), precision="fixed-point")
+    with pytest.raises(ValueError, match="memory has no way back"):
+        fixed.run_back(4)

@@ -91,6 +91,10 @@ def make_steps_back(guard: RunGuard, n_steps: int) -> None:
             f"steps of {engine.method.name} cannot be retraced, because it is not symmetric: "
             "take velocity Verlet, position Verlet, leapfrog or symmetric compositions"
         )
+    if engine.method.memory is not None:
+        raise ValueError(
+            f"steps of {engine.method.name} cannot be retraced: its memory has no way back"
+        )
     with guard.uncounted(), stop_on_signals(engine.surroundings):
         guard.check_start()
         step = engine.step

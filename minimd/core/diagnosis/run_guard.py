@@ -54,6 +54,7 @@ class RunGuard:
         self.failed_from: Snapshot | None = None
         self._first_volume = engine.system.volume
         self._checked_timestep = 0.0  # none yet
+        self._checked = 0.0, -1  # and after how many beginnings
         # by which every run is judged: see judge_by
         self._judged_by: tuple[Mapping[str, Any] | None, float] = None, RUNAWAY
         # why the last block failed, if something was raised
@@ -105,7 +106,7 @@ class RunGuard:
         self._before = None
         if not is_same_run:
             self.forget()
-        is_checked = engine.enter() and timestep == self._checked_timestep
+        is_checked = engine.enter() and self._checked == (timestep, engine.beginnings)
         if not is_checked:
             engine.interactions.check_resolution()
         if not self._checked_timestep:
@@ -128,6 +129,7 @@ class RunGuard:
             fault = fault_of(engine, at_start)
             if fault:
                 raise self._failure(fault, engine.step)
+        self._checked = timestep, engine.beginnings
 
     def make_steps(self, n_steps: int, with_energy: bool = False) -> None:
         """Make steps, in blocks.

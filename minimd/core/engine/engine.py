@@ -88,6 +88,7 @@ class Engine:
     is_whole : whether a checkpoint has the bits of the run; false after a state was restored without its lists, and
         until steps that were made are counted.
     sums : ForceResult, of the last evaluation.
+    beginnings : how often steps had to begin anew: what was checked before is to be checked again.
     holds_center : whether the center of mass must not move, because atoms with FixCom of ASE were given.
     counts_center : whether it counts as a degree of freedom although nothing moves it, as in ASE's dynamics.
     equilibrated : steps of equilibrations so far: none of them has the noise of another.
@@ -130,6 +131,7 @@ class Engine:
         # of the state to which forces and images belong, and whether steps can go on from there
         self._entered: list[int] | None = None
         self._goes_on = False
+        self.beginnings = 0
         self.sums = ForceResult(self.interactions.forces)
         self._steps: Steps | None = None
         self._steps_of: tuple[Any, ...] = ()
@@ -281,7 +283,7 @@ class Engine:
         """Enter, to make steps: a changed state is projected onto the constraints. Returns as enter."""
         if self.enter():
             return True
-        self._state.forces_are_current = False
+        self.changed()
         self.is_whole = True
         self._describe_bath()
         self.constraint_set.begin(self._system)
@@ -299,6 +301,7 @@ class Engine:
         """Begin anew with the next steps: what enter cannot see, such as a potential, was changed."""
         self._entered = None
         self._state.forces_are_current = False
+        self.beginnings += 1
 
     def _digest(self) -> list[int]:
         """CRC-32 of each array; a changed array has the same one with a probability of 1 in 4·10⁹."""
@@ -367,6 +370,7 @@ class Engine:
     def restore(self, snapshot: Snapshot, is_whole: bool = False) -> None:
         """Restore the state of a snapshot.
         is_whole : whether it is to be kept as a state of the run, although its lists are lost."""
+        self._remember(snapshot.memory)
         self.changed()
         self.is_whole = is_whole
         self._whole_when_counted = False
@@ -374,7 +378,6 @@ class Engine:
         self.velocities[:] = snapshot.velocities
         self.reservoir_energy = snapshot.reservoir_energy
         self.work = snapshot.work
-        self._remember(snapshot.memory)
         cell = snapshot.cell
         if cell is not None and cell is not self._system.cell:
             self.constraint_set.follow(self._system.cell, cell)
@@ -440,8 +443,8 @@ class Engine:
 
     @step.setter
     def step(self, step: int) -> None:
+        self._clock = (step, self.time)  # the time at the old step
         self._step = step
-        self._clock = (step, self.time)
 
     @property
     def time(self) -> float:

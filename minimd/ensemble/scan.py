@@ -181,13 +181,11 @@ def scan_scene(
     scene = load_scene(path)
     place = Path(folder)
     build = SceneMembers(Path(path).absolute(), scene.text)
-
     for setting in settings:
         if setting.key in OF_THE_SCAN:
             raise ValueError(
                 f"{setting.key} is the same for all members of a scan; {OF_THE_SCAN[setting.key]}"
             )
-
     keys = [setting.key for setting in settings]
     combinations = product(*(setting.values for setting in settings))
     grid = [dict(zip(keys, values, strict=True)) for values in combinations]
@@ -200,7 +198,6 @@ def scan_scene(
     kept = place / SCENE
     checked_members(members, n_members, resume)
     place.mkdir(parents=True, exist_ok=True)
-
     with alone(place):
         if not (resume and kept.exists()):
             # refuses one that is in use, before the change
@@ -214,14 +211,12 @@ def scan_scene(
                     f"folder {str(place)!r} holds a scan of another scene, {kept}; choose another folder with --out, "
                     "or replace it with --overwrite"
                 )
-
     title = scene.sections.title
     tell(f"scene          {path}: {title}" if title else f"scene          {path}")
     if scene.sections.observer:
         tell(
             "NOTE           the observers of the scene are not used: they need a single run, and a scan has many"
         )
-
     for setting in settings:
         tell(f"set            {setting}")
     tell(

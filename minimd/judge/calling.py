@@ -232,7 +232,6 @@ class StudentStep:
         """One step.  Raises what the function raises, and ValueError for results that are not x and v."""
         roles = self.roles
         copied: Any = float if x.ndim == 0 else np.array
-
         half = v
         if self.takes("half", "old"):
             half = v - 0.5 * h * where.force(x) / where.mass

@@ -164,7 +164,6 @@ def from_openmm(
         raise TypeError(
             f"openmm_system must be an openmm.System; openmm_system = {shown(openmm_system)}"
         )
-
     forces = [force for force in openmm_system.getForces() if _has_terms(force)]
     places = np.array(_plain(positions), float)
     n = openmm_system.getNumParticles()
@@ -174,7 +173,6 @@ def from_openmm(
             f"OpenMM's system, topology and positions must have the same number of atoms; they have {n}, "
             f"{len(atoms)} and {len(places)}"
         )
-
     masses = [_plain(openmm_system.getParticleMass(k)) for k in range(n)]
     _check(openmm_system, forces, atoms, masses)
     fixed = [k for k, mass in enumerate(masses) if mass == 0.0]
@@ -184,7 +182,6 @@ def from_openmm(
     numbers = np.zeros((n, 2))
     potentials: list[OwnPotential] = []
     wells = nonbonded = None
-
     for force in forces:
         kind, order = _kind(force)
         if kind in BONDED:
@@ -200,11 +197,9 @@ def from_openmm(
                     raise ValueError(TWICE)
                 wells = force
                 numbers = np.column_stack([epsilon, sigma])
-
             if kind == "NonbondedForce":
                 nonbonded = force
                 charges = parameters[0]
-
     names = [*map(_names, atoms)]
     kinds = [*map(tuple, numbers.tolist())]
     species = _labels([(row[1] or "X", kind) for row, kind in zip(names, kinds, strict=True)])

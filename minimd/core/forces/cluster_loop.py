@@ -237,7 +237,6 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
     stops = rows.stops[rows.layers[0] - 1]
     energy, virial = _none_of(zero)
     first_slot, last_slot = slots_of(domain, arrays)
-
     for slot in range(first_slot, last_slot):
         if rows.start[slot] == stops[slot] and not with_energy(sums):
             continue  # in a gas many rows are empty
@@ -250,7 +249,6 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
         ahead = separations(coordinates, memory.far, after, at, lanes)
         fx = fy = fz = nothing
         size2 = zero
-
         for entry in range(np.uintp(rows.start[slot]), np.uintp(stops[slot])):
             if looks_ahead(nothing):
                 now = after
@@ -260,7 +258,6 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
             else:
                 now = rows.entries[entry]
                 dx, dy, dz, r2 = separations(coordinates, memory.far, now, at, lanes)
-
             ghost = np.uintp(now & GHOST_BITS)
             own_slot = (first + home) * n_lanes + lane
             numbers = parameters_of_lanes(parameters, own_slot, first + np.intp(ghost), lanes)
@@ -280,7 +277,6 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
                 if sums.detail == PER_ATOM:
                     at_ghost = arrays.domains.window[domain] + np.intp(ghost)
                     _share(sums, at_ghost, u, pull, (dx, dy, dz), steps, lanes)
-
         _give_back(forces, place, (fx, fy, fz), stops[slot] - rows.start[slot], lanes)
         if lanes_beyond(size2, steps):
             memory.is_out[domain] = 1

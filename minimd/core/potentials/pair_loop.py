@@ -97,12 +97,10 @@ def add_pair_forces(work, _chunk):
     shifted = pairs.translations.shape[0] > 0
     own_share = 0.5 if detail == PER_ATOM else 1.0
     is_out = False
-
     for i in range(pairs.start.size - 1):
         x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
         fx = fy = fz = no_force(steps)
         energy = xx = yy = zz = yz = xz = xy = size2 = 0.0
-
         # unsigned: no check for indices that count from the end
         for p in range(np.uintp(pairs.start[i]), np.uintp(pairs.start[i + 1])):
             j = np.uintp(pairs.second[p])

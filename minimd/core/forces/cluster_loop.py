@@ -157,22 +157,14 @@ def add_virial(domain, arrays, sums, steps):
         x0 = memory.coordinates[at]
         y0 = memory.coordinates[at + n_lanes]
         z0 = memory.coordinates[at + 2 * n_lanes]
-        xx = yy = zz = yz = xz = xy = zeros(lanes)
+        virial = (zeros(lanes),) * 6
 
         for k in range(domains.window[domain + 1] - domains.window[domain]):
             x, y, z = loaded(memory.coordinates, (first + k) * block, lanes)
-            fx, fy, fz = loaded(sums.forces, (place + k) * block, lanes)
-            x = x - x0
-            y = y - y0
-            z = z - z0
-            xx = fma(fx, x, xx)
-            yy = fma(fy, y, yy)
-            zz = fma(fz, z, zz)
-            yz = fma(fy, z, yz)
-            xz = fma(fx, z, xz)
-            xy = fma(fx, y, xy)
+            force = loaded(sums.forces, (place + k) * block, lanes)
+            virial = plus_virials(force, (x - x0, y - y0, z - z0), virial, steps)
 
-        for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
+        for c, w in enumerate(virial):
             sums.of_rows[APART * domain, 1 + c] += total(w)
 
     return add

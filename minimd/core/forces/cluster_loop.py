@@ -157,7 +157,7 @@ def add_virial(domain, arrays, sums, steps):
         x0 = memory.coordinates[at]
         y0 = memory.coordinates[at + n_lanes]
         z0 = memory.coordinates[at + 2 * n_lanes]
-        virial = (zeros(lanes),) * 6
+        _, virial = _none_of(zeros(lanes))
 
         for k in range(domains.window[domain + 1] - domains.window[domain]):
             x, y, z = loaded(memory.coordinates, (first + k) * block, lanes)

@@ -13,6 +13,7 @@ from minimd.core.potentials.bonded import (
     RyckaertBellemans as RyckaertBellemans,
 )
 from minimd.core.potentials.coulomb import Coulomb as Coulomb
+from minimd.core.potentials.embedded import EmbeddedAtom as EmbeddedAtom
 from minimd.core.potentials.fields import (
     ConstantForce as ConstantForce,
     CylinderWall as CylinderWall,

@@ -18,6 +18,8 @@ from minimd.core.engine.engine import Engine
 from minimd.core.potentials.bonded import Bonded
 from minimd.core.potentials.coulomb import Coulomb
 from minimd.core.potentials.laws import LennardJonesLaw
+from minimd.core.potentials.embedded import EmbeddedAtom
+from minimd.core.potentials.embedded_files import EmbeddedTables
 from minimd.core.potentials.pair import UNSCALED, Nonbonded
 from minimd.core.potentials.truncation import ForceShifted, Shifted
 from minimd.core.structure.bond_graph import among, connected
@@ -114,6 +116,8 @@ FINEST = 1e-7
 MARGIN = 10.0
 TABLE = 16
 NEAR = 16.0
+METALS = "metals.eam"  # the file of tables
+OF_FILES = ("eam/alloy", "eam/fs")
 # by truncation: the style of LAMMPS with the same
 LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smooth/linear"}
 
@@ -204,6 +208,11 @@ class PairStyle(NamedTuple):
     scale: tuple[float, ...]
     coefficients: list[tuple[str, str]]
 
+    @property
+    def words(self) -> str:
+        """The style with its cutoff, if that is not in its file."""
+        return self.name if self.name in OF_FILES else f"{self.name} {words(self.cutoff)}"
+
 
 class Model:
     """A scene translated for LAMMPS.
@@ -239,6 +248,7 @@ class Model:
         self._farthest = FAR * np.ptp(system.positions, axis=0).max(initial=1.0)
         self.charges = system.charges * system.units.coulomb**0.5
         self.kspace = list[str]()
+        self.tables: EmbeddedTables | None = None
         self.tolerance = TOLERANCE
         self.pair_styles = list[PairStyle]()
         self.smallest_cutoff = np.inf
@@ -266,8 +276,11 @@ class Model:
         exclusions = getattr(potential, "exclusions", None)
         if exclusions is not None and len(exclusions):
             raise _outside(potential, KINDS)
-        if isinstance(potential, Nonbonded):
+        if isinstance(potential, EmbeddedAtom):
+            self.pair_styles.append(self._embedded(potential, system.species_names))
+        elif isinstance(potential, Nonbonded):
             self.pair_styles.append(self._pair_style(potential, system.species_names))
+        if isinstance(potential, Nonbonded):
             self.smallest_cutoff = min(self.smallest_cutoff, potential.shortest_length)
         elif isinstance(potential, Coulomb) and potential.method == "ewald":
             self.pair_styles.append(self._charged(potential, engine))
@@ -309,6 +322,22 @@ class Model:
         return PairStyle(
             style, cutoffs.max(), is_shifted, tuple(potential.bonded_scale), coefficients
         )
+
+    def _embedded(self, potential: EmbeddedAtom, species_names: tuple) -> PairStyle:
+        """The style of tables of embedded atoms, which are written to a file.
+        Raises ValueError for functions, which LAMMPS would read from a table."""
+        tables = potential.given
+        if not isinstance(tables, EmbeddedTables):
+            raise ValueError(
+                f"LAMMPS takes embedded atoms from files only; {potential!r} is made of functions: run this scene with "
+                "minimd"
+            )
+        if self.tables is not None:
+            raise ValueError("LAMMPS takes one file of embedded atoms; the scene has two of them")
+        self.tables = tables
+        elements = " ".join(str(species_names[k]) for k in self.types.species)
+        style = "eam/alloy" if tables.is_same_for_all else "eam/fs"
+        return PairStyle(style, tables.cutoff, False, UNSCALED, [("* *", f"{METALS} {elements}")])
 
     def _charged(self, potential: Coulomb, engine: Engine) -> PairStyle:
         """The style of charges, and in a periodic cell their sum over waves.
@@ -379,7 +408,7 @@ class Model:
         is_hybrid = len(self.pair_styles) > 1
         hybrid = "hybrid/overlay " if is_hybrid else ""
         names = [style.name for style in self.pair_styles]
-        styles = " ".join(f"{style.name} {words(style.cutoff)}" for style in self.pair_styles)
+        styles = " ".join(style.words for style in self.pair_styles)
         lines = [f"pair_style {hybrid}{styles}"]
 
         for k, style in enumerate(self.pair_styles):

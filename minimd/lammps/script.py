@@ -13,7 +13,7 @@ from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.thermostats import LangevinBAOAB, StochasticVelocityRescaling
 from minimd.core.structure.lammps_box import Box
 from minimd.core.structure.observables import Array
-from minimd.lammps.model import Model, words
+from minimd.lammps.model import METALS, Model, words
 from minimd.lammps.verification import Evaluated
 
 ATOMS = "atoms.data"
@@ -27,7 +27,7 @@ STEP_0 = ("atoms.data.bin", "copy.data.bin")
 FRAMES = "frames.bin"
 LAST = "last.bin"
 RAW = (FRAMES, LAST, COPY, *STEP_0)  # removed at the end
-FILES = (ATOMS, FORCES, VERIFY, RUN, LOG, *RAW)  # all files of a hand-over except the trajectory
+FILES = (ATOMS, FORCES, METALS, VERIFY, RUN, LOG, *RAW)  # all files of a hand-over except the trajectory
 # tolerance relative to the lengths
 SHAKE_TOLERANCE = 1e-13
 SHAKE_ITERATIONS = 200
@@ -76,6 +76,8 @@ def write(folder: Path, engine: Engine, model: Model, n_steps: int, every: int) 
     """All files that a hand-over begins with."""
     write_atoms(folder / ATOMS, model, model.box, engine.velocities)
     write_whole(folder / FORCES, forces_script(model))
+    if model.tables is not None:
+        write_whole(folder / METALS, model.tables.as_text())
     write_whole(folder / VERIFY, VERIFICATION)
     write_whole(folder / RUN, run_script(engine, model, n_steps, every))
 

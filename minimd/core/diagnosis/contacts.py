@@ -206,7 +206,7 @@ def _near_pairs(potential: Nonbonded, system: System, atoms: list[int]) -> Itera
             cutoff2, *numbers = row.tolist()
             if pair not in seen and r * r < cutoff2 and scale != 0.0:
                 seen.add(pair)
-                yield atom, other, r, scale, tuple(numbers)
+                yield atom, other, r, scale, (*potential.alone, *numbers)
 
 
 def _bonds(potential: Bond, system: System, atoms: list[int]) -> Iterator[Pair]:

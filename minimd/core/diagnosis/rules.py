@@ -16,6 +16,7 @@ from minimd.core.integrators.order_conditions import accurate_step
 from minimd.core.neighbors.queries import closest_pair
 from minimd.core.potentials.bonded import HarmonicBond
 from minimd.core.potentials.coulomb import SUMS, Coulomb
+from minimd.core.potentials.embedded import EmbeddedAtom
 from minimd.core.potentials.pair import Nonbonded
 from minimd.core.structure.bond_graph import among
 from minimd.core.structure.checks import LARGEST
@@ -113,7 +114,9 @@ def _short_step(evidence: Evidence) -> Verdicts:
     usual = evidence.usual_step()
     is_short = MEANT * usual < evidence.timestep < TOO_SHORT * usual
     # other laws may be stiffer
-    if is_short and all(isinstance(law, Nonbonded | HarmonicBond) for law in evidence.potentials):
+    laws = evidence.potentials
+    is_known = all(isinstance(law, Nonbonded | HarmonicBond) for law in laws)
+    if is_short and is_known and not any(isinstance(law, EmbeddedAtom) for law in laws):
         example = ", such as 5 * md.units.fs" if evidence.units == ASE else ""
         yield Verdict(
             "short step",

@@ -137,7 +137,8 @@ def cutoff_lines(
         if not isinstance(potential, Nonbonded) or not np.isfinite(potential.cutoff):
             continue
         table = potential.table(system.species_names)
-        jumps = [_jump(potential.law, *row) for row in table.reshape(-1, table.shape[-1]).tolist()]
+        rows = table.reshape(-1, table.shape[-1]).tolist()
+        jumps = [_jump(potential.law, row[0], *potential.alone, *row[1:]) for row in rows]
         energy, at = max((jump.energy, jump.cutoff) for jump in jumps)
         force, there = max((jump.force, jump.cutoff) for jump in jumps)
         energy_jumps = any(jump.energy > CONTINUOUS * jump.size for jump in jumps)

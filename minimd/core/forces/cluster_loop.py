@@ -28,7 +28,7 @@ from minimd.core.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.core.neighbors.clusters import DIMENSIONS
 from minimd.core.neighbors.domains import GHOSTS
 from minimd.core.potentials.law import evaluate_law
-from minimd.core.potentials.pair_loop import SameForAll, with_product
+from minimd.core.potentials.pair_loop import SameForAll, with_product, with_slopes
 from minimd.core.potentials.term import PER_ATOM
 
 SUMS = 7  # accumulators: an energy, and a virial as xx yy zz yz xz xy
@@ -55,6 +55,14 @@ class ChargesByLane(ByAddress, namedtuple("ChargesByLane", "of_slots of_atoms so
     """
 
 
+class SlopesByLane(ByAddress, namedtuple("SlopesByLane", "of_slots source")):
+    """The slopes of both atoms, and what another source has.
+
+    of_slots : (slots,), those of embedded atoms [energy/density], written by a pass before the forces, see embedding.
+    source : SameForAll or ByLane.
+    """
+
+
 @by_type
 def parameters_of_lanes(source, slot, cluster, lanes):
     """Parameters of pairs of the atom in a slot with the lanes of a cluster: numbers, or vectors if species differ."""
@@ -64,6 +72,12 @@ def parameters_of_lanes(source, slot, cluster, lanes):
         return lambda source, slot, cluster, lanes: with_product(
             parameters_of_lanes(source.source, slot, cluster, lanes),
             load(source.of_slots, cluster * count(lanes), lanes) * source.of_slots[slot],
+        )
+    if source.instance_class is SlopesByLane:
+        return lambda source, slot, cluster, lanes: with_slopes(
+            parameters_of_lanes(source.source, slot, cluster, lanes),
+            source.of_slots[slot],
+            load(source.of_slots, cluster * count(lanes), lanes),
         )
 
     return lambda source, slot, cluster, lanes: loaded_columns(
@@ -411,6 +425,8 @@ def _fill_lanes(source, arrays):
             _fill_lanes(source.source, arrays)
 
         return fill_charges
+    if source.instance_class is SlopesByLane:
+        return lambda source, arrays: _fill_lanes(source.source, arrays)
 
     def fill(source, arrays):
         for slot in range(arrays.domains.numbers[GHOSTS] * count(arrays.clusters.lanes)):

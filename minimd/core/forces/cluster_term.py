@@ -23,6 +23,7 @@ from minimd.core.forces.cluster_loop import (
     ChargesByLane,
     ForceSums,
     LoopWork,
+    SlopesByLane,
     Sums,
     TotalSums,
     add_forces_of_laws,
@@ -148,6 +149,9 @@ class ClusterTerm(ListTerm):
         yield from self.list.operations()
         if self._needs_preparation:
             yield operation(calls, prepare_laws, evaluation, is_kept=True)
+        for passes, (_, source) in zip(self._passes, self._laws, strict=True):
+            if passes is not None:
+                yield from passes.on_clusters(self.list.arrays, source, n)
         yield operation(calls, add_domain, evaluation, n, is_kept=True)
         yield operation(calls, collect_domain, evaluation, n, is_kept=True)
 
@@ -173,6 +177,7 @@ class ClusterTerm(ListTerm):
 
     def collect(self, target: Target) -> None:
         """See Term."""
+        super().collect(target)
         if target.detail == FORCES:
             return
         key = _key(target)
@@ -250,7 +255,9 @@ class ClusterTerm(ListTerm):
             f"on vectors of {self.list.lanes.size} × {BITS} bits"
         )
 
-    def _source(self, k: int, law: PairLaw, system: System) -> SameForAll | ByLane | ChargesByLane:
+    def _source(
+        self, k: int, law: PairLaw, system: System
+    ) -> SameForAll | ByLane | ChargesByLane | SlopesByLane:
         """Where the loop finds the numbers of law k: the same for all pairs, by species, and with charges by atom.
 
         The memory of columns is kept as long as the list is.
@@ -265,6 +272,8 @@ class ClusterTerm(ListTerm):
             columns = tuple(numbers.reshape(n_numbers, -1))
             source = ByLane(columns, species, slots, law.table, system.species_index)
 
+        if law.embedding is not None:
+            return SlopesByLane(self._memory.array(f"slopes of law {k}", np.float64, slots), source)
         if law.charges is None:
             return source
         charges = self._memory.array(f"charges of law {k}", np.float64, slots)

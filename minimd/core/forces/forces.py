@@ -297,7 +297,7 @@ class Forces:
             if not term.fits_grid:
                 raise ValueError(
                     "precision='fixed-point' is for laws u(r) of pairs and bonds, angles, dihedrals, and fields "
-                    f"that are constant in time; {type(term).__name__} cannot round its forces: "
+                    f"that are constant in time; {term.name or type(term).__name__} cannot round its forces: "
                     "take precision='double'"
                 )
 

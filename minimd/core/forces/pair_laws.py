@@ -5,16 +5,18 @@ from math import isfinite
 
 import numpy as np
 
+from minimd.core.forces.embedding import EmbeddingPasses
 from minimd.core.forces.options import Options
 from minimd.core.neighbors.cluster_search import LAYERS
 from minimd.core.neighbors.verlet_list import LEAST_SKIN, VerletList, best_skin
 from minimd.core.potentials.coulomb import with_charges
 from minimd.core.potentials.law import law_at, runs_on_vectors
-from minimd.core.potentials.term import OwnTerm, PairLaw
+from minimd.core.potentials.term import OwnTerm, PairLaw, Target
 from minimd.core.structure.bond_graph import among, pairs_by_bonds_apart
 from minimd.core.structure.system import System, local_density
 
 CLUSTERS_FROM = 32  # atoms: with fewer, the pair list is as fast
+WORK_OF_EMBEDDED = 4.0  # of a pair of embedded atoms, with tables: two passes, each of twice the work
 ROUNDED_DOWN = 1.0 - 1e-9
 SOUGHT_AT = np.geomspace(0.2, 1.0, 60).tolist()  # of the cutoff, for the deepest well
 
@@ -40,6 +42,13 @@ class PairLaws:
             row[among(pairs, law.exclusions)] = 0.0
 
         is_special = (factors != 1.0).any(axis=0)
+        for law in members if is_special.any() else ():
+            if law.embedding is not None:
+                raise ValueError(
+                    f"{law.name} acts on all pairs of atoms; another potential leaves out or scales those of bonded "
+                    "atoms, or exclusions, and both need one list: give the other one bonded_scale=(1, 1, 1) and no "
+                    "exclusions"
+                )
         self.excluded = pairs[is_special]
         self.factors = factors[:, is_special]
         self.members = merged(members)
@@ -73,7 +82,8 @@ def merged(members: Sequence[PairLaw]) -> list[PairLaw]:
         return [*members]
 
     for other in members:
-        if other.charges is None and other.cutoff <= charged.cutoff:
+        is_plain = other.charges is None and other.embedding is None
+        if is_plain and other.cutoff <= charged.cutoff:
             rest = [law for law in members if law is not charged and law is not other]
             return [with_charges(other, charged), *rest]
 
@@ -84,10 +94,15 @@ class ListTerm(OwnTerm):
     """Laws on all pairs within their cutoffs, found with one list."""
 
     list: VerletList
-    fits_grid = True
 
     def __init__(self, system: System, laws: PairLaws) -> None:
         self._pair_laws = laws
+        self._passes = [
+            EmbeddingPasses(law, system) if law.embedding is not None else None
+            for law in laws.members
+        ]
+        self.fits_grid = not any(self._passes)
+        self.name = ", ".join(law.name for law in laws.members if law.embedding is not None)
         self.widest_skin = widest_skin(system, laws)
 
     def suits(self, system: System) -> bool:
@@ -102,6 +117,11 @@ class ListTerm(OwnTerm):
         self.list.follow(system.cell)
         return True
 
+    def collect(self, target: Target) -> None:
+        """See Term."""
+        for passes in filter(None, self._passes):
+            passes.collect(target)
+
     def skipped(self) -> Iterable[str]:
         """See Term."""
         return self._pair_laws.skipped()
@@ -109,14 +129,13 @@ class ListTerm(OwnTerm):
 
 def deepest(law: PairLaw) -> float:
     """The depth of the deepest well of a law, for any pair of species, at some distances below the cutoff [energy]."""
-    product = () if law.charges is None else (-(float(np.abs(law.charges).max()) ** 2),)
     depth = -np.inf
 
     for cutoff2, *numbers in law.table.reshape(-1, law.table.shape[-1]).tolist():
         if cutoff2 == np.inf:
             continue
         for x in SOUGHT_AT:
-            u = law_at(law.law, x * cutoff2**0.5, (*product, *numbers))[0]
+            u = law_at(law.law, x * cutoff2**0.5, (*law.of_atoms, *numbers))[0]
             if isfinite(u):
                 depth = max(depth, -u)
 
@@ -137,7 +156,9 @@ def skin_for(
     skin = options.skin
     if skin is None:
         density = local_density(system.positions, cell, cutoff)
-        skin = best_skin(cutoff, density, displacement, len(system), layers)
+        is_embedded = any(law.embedding is not None for law in laws.members)
+        work = WORK_OF_EMBEDDED if is_embedded else 1.0
+        skin = best_skin(cutoff, density, displacement, len(system), layers, work)
         room = ROUNDED_DOWN * (cell.heights[cell.pbc].min(initial=np.inf) - cutoff)
         skin = min(skin, room) if room > LEAST_SKIN * cutoff else skin
 

@@ -17,6 +17,7 @@ from minimd.core.potentials.pair_loop import PairWork, add_pair_forces, source_f
 from minimd.core.potentials.term import PER_ATOM, TOTALS, Target
 from minimd.core.structure.system import System
 
+NONE = np.zeros(0)
 # atoms: up to this, an open scene is faster without a list that has to be rebuilt
 ALL_PAIRS_UP_TO = 100
 
@@ -108,9 +109,12 @@ class PairListTerm(ListTerm):
         first = self._calls[0]
         yield operation(first, is_in_reach, self.list.reach, python=update)
         yield operation(first, gather_atoms, local)
-        laws = zip(self._calls, self._loops, self._pair_laws.members, strict=True)
-        for calls, loop, member in laws:
-            source = source_for(member, system, order)
+        laws = zip(self._calls, self._loops, self._pair_laws.members, self._passes, strict=True)
+        for calls, loop, member, passes in laws:
+            slopes = NONE if passes is None else passes.slopes
+            source = source_for(member, system, order, slopes)
+            if passes is not None:
+                yield from passes.on_pairs(*pairs, source, order)
             yield operation(calls, loop, PairWork(*pairs, member.law, source, *output))
         yield operation(first, scatter_forces, local)
 
@@ -120,6 +124,7 @@ class PairListTerm(ListTerm):
 
     def collect(self, target: Target) -> None:
         """See Term."""
+        super().collect(target)
         if target.detail == TOTALS:
             target.energies[0] += self._energies.sum()
             target.virials[0] += self._virials.sum(axis=0)

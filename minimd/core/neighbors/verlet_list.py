@@ -21,7 +21,12 @@ CALLS_COST = 10_000.0  # ns of each build, however small the scene is
 
 
 def best_skin(
-    cutoff: float, density: float, displacement: float, n_atoms: int, layers: int = 1
+    cutoff: float,
+    density: float,
+    displacement: float,
+    n_atoms: int,
+    layers: int = 1,
+    work: float = 1.0,
 ) -> float:
     """The skin that makes a step cheapest [length].
 
@@ -32,6 +37,7 @@ def best_skin(
     density : ρ [1/length³].
     displacement : d, of the fastest atom in a step.
     layers : L.
+    work : of a pair, in those of a Lennard-Jones pair; step(c̄) grows with it.
     The costs were measured on the Lennard-Jones liquid with cluster lists; the minimum is flat."""
     if not displacement > 0.0:
         return DEFAULT_SKIN * cutoff
@@ -43,7 +49,7 @@ def best_skin(
 
     builds = np.minimum(1.0, 2.0 * displacement / skins)  # in each step
     build = BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms
-    cost = STEP_COST[0] + STEP_COST[1] * in_use + build * builds
+    cost = work * (STEP_COST[0] + STEP_COST[1] * in_use) + build * builds
     return float(skins[np.argmin(cost)])
 
 

@@ -152,8 +152,8 @@ def is_user_law(law: tuple) -> bool:
 
 
 def reads_table(law: tuple) -> bool:
-    """True if the law type, or the one inside it, is a table: vectors cannot look up a place for each lane."""
-    return any(isinstance(field, np.ndarray) for inner in _nested(law) for field in inner)
+    """True if the law type, or the one inside it, is a table with a search for the place: vectors cannot do that."""
+    return any(getattr(inner, "is_scalar", False) for inner in _nested(law))
 
 
 def is_recognized(law: tuple) -> bool:
@@ -200,6 +200,14 @@ def check_user_law(law: tuple, parameters: tuple[float, ...], distances: Iterabl
     """Try a user's law at some distances [length]: does it return u and −u′(r)/r? Raises TypeError as law_at;
     ValueError if, at more than half of the distances, the second number is not −u′(r)/r by central differences."""
     _compare(lambda r: law_at(law, r, parameters), lambda r: -1.0 / r, distances, "r", "-u'(r)/r")
+
+
+def check_law_of_density(
+    law: tuple, parameters: tuple[float, ...], densities: Iterable[float]
+) -> None:
+    """The same for a law of the density of embedded atoms, which returns F and F′(ρ)."""
+    at = functools.partial(_two_numbers, law, parameters, "rho", "F'(rho)")
+    _compare(at, lambda rho: 1.0, densities, "rho", "F'(rho)")
 
 
 def check_law_of_angles(law: tuple, parameters: tuple[float, ...]) -> None:

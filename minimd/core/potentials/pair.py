@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY
 from functools import cached_property, partial
 from math import factorial, inf, isclose, isfinite, nan, pi, sqrt
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,9 +17,10 @@ from minimd.core.compiled.kernels import scalar
 from minimd.core.console.words import listed, near, shown
 from minimd.core.potentials import declared as kind
 from minimd.core.potentials.declared import Array, Declared, declared
-from minimd.core.potentials.law import UserLaw, check_user_law, evaluate_law, law_at, law_type
+from minimd.core.potentials.law import check_user_law, evaluate_law, is_user_law, law_at, law_type
 from minimd.core.potentials.laws import LennardJonesLaw
-from minimd.core.potentials.term import OwnTerm, PairLaw, no_bonds
+from minimd.core.potentials.splines import Identical
+from minimd.core.potentials.term import Embedding, OwnTerm, PairLaw, no_bonds
 from minimd.core.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
 from minimd.core.structure.bond_graph import Indices, checked_pairs
 from minimd.core.structure.checks import (
@@ -88,7 +89,10 @@ class Nonbonded(Declared, metaclass=ABCMeta):
 
     plain_law, law : law type, without and with the truncation.
     cutoff : the largest [length], infinite without one.
+    alone : the parameters of the law, before those of the table, of two atoms that have no other neighbors.
     """
+
+    alone: ClassVar[Parameters] = ()
 
     _: KW_ONLY
     mixing: MixingName | Rule | None = declared(kind.given, OTHERS, of=A_RULE, default=None)
@@ -101,13 +105,13 @@ class Nonbonded(Declared, metaclass=ABCMeta):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.plain_law, parameters, by_pair = self.as_law()
-        self._is_tried = not isinstance(self.plain_law, UserLaw)
+        self._is_tried = not is_user_law(self.plain_law)
         # each class has a cutoff and a truncation, in their places among its arguments
         arguments = super().arguments()
         self.truncation: TruncationName = arguments["truncation"]
         self._given_cutoff = arguments["cutoff"]
         self._cutoffs = _checked_cutoffs(self._given_cutoff)
-        self.law: Any = TRUNCATIONS[self.truncation].around(self.plain_law)
+        self.law: Any = self._truncated_law()
         self.cutoff: Any = max(self._cutoffs.values())
         if not callable(self.mixing) and self.mixing is not None:
             checked_choice("mixing", self.mixing, MIXING)
@@ -120,6 +124,14 @@ class Nonbonded(Declared, metaclass=ABCMeta):
     @abstractmethod
     def as_law(self) -> tuple[Any, Any, Any]:
         """The law type, the parameters of all atoms or by species, and those of pairs of species, not checked yet."""
+
+    def _truncated_law(self) -> Any:
+        """The law type with the truncation."""
+        return TRUNCATIONS[self.truncation].around(self.plain_law)
+
+    def embedding(self, species_names: Sequence[Label]) -> Embedding | None:
+        """Of atoms of these species in the density of their neighbors, if the potential has one."""
+        return None
 
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
@@ -181,10 +193,14 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         if not (distances > 0.0).all():
             raise ValueError(f"r must be positive distances; r = {shown(r)}")
         energies = [
-            law_at(self.law, x, tuple(numbers))[0] if x * x < cutoff2 else 0.0
+            self._energy_at(x, tuple(numbers), first, second) if x * x < cutoff2 else 0.0
             for x in distances.ravel().tolist()
         ]
         return np.array(energies).reshape(distances.shape)
+
+    def _energy_at(self, r: float, numbers: Parameters, first: Any, second: Any) -> float:
+        """u [energy] of two atoms at a distance below the cutoff [length], of species with these numbers."""
+        return law_at(self.law, r, (*self.alone, *numbers))[0]
 
     def tail(
         self, counts: Indices, species_names: Sequence[Label], volume: float
@@ -216,11 +232,23 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         parameters = self._parameters_of(a, b)
         if not self._is_tried:
             length = cutoff if isfinite(cutoff) else 1.0
-            check_user_law(self.plain_law, parameters, [x * length for x in TRIED_AT])
+            self._try_laws(parameters, [x * length for x in TRIED_AT])
             self._is_tried = True
 
+        return (cutoff * cutoff, *self._numbers_of_laws(parameters, cutoff))
+
+    def _try_laws(self, parameters: Parameters, distances: Sequence[float]) -> None:
+        """Raise TypeError or ValueError for a user's law that is none."""
+        check_user_law(self.plain_law, parameters, distances)
+
+    def _numbers_of_laws(self, parameters: Parameters, cutoff: float) -> Parameters:
+        """The numbers of the truncated law."""
+        return self._truncated(self.plain_law, parameters, cutoff)
+
+    def _truncated(self, law: Any, parameters: Parameters, cutoff: float) -> Parameters:
+        """Those of the truncation of a law, and its own."""
         extra = TRUNCATIONS[self.truncation].numbers(
-            self.plain_law, parameters, cutoff, self._switch_start_for(cutoff)
+            law, parameters, cutoff, self._switch_start_for(cutoff)
         )
         if not all(map(isfinite, extra)) and self.truncation not in SWITCHES:
             raise ValueError(
@@ -228,7 +256,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                 "give another cutoff, or truncation='truncated'"
             )
 
-        return (cutoff * cutoff, *extra, *parameters)
+        return (*extra, *parameters)
 
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
         own = self.parameters
@@ -388,6 +416,7 @@ class PairTerm(OwnTerm):
             potential.cutoff,
             tuple(potential.bonded_scale),
             exclusions=checked_pairs("exclusions", potential.exclusions, len(system)),
+            embedding=potential.embedding(system.species_names),
         )
         self._potential = potential
         self._names = system.species_names
@@ -494,8 +523,8 @@ class LennardJones(Nonbonded):
         return epsilon, sigma
 
 
-class Table(namedtuple("Table", "knots coefficients density")):
-    """Splines on one set of knots. Two tables are equal if they are the same object.
+class Table(Identical, namedtuple("Table", "knots coefficients density")):
+    """Splines on one set of knots.
 
     knots : (M + 1,) increasing [length], the distances of the table.
     coefficients : (K, M, 6) of K splines with M pieces; u = Σ cₖ (r − knot)^(5 − k) [energy].
@@ -503,9 +532,6 @@ class Table(namedtuple("Table", "knots coefficients density")):
     """
 
     __slots__ = ()
-    __eq__ = object.__eq__
-    __ne__ = object.__ne__
-    __hash__ = object.__hash__
 
 
 @scalar
@@ -545,6 +571,7 @@ def tabulated(r2, table, parameters):
 
 
 TabulatedLaw = law_type("TabulatedLaw", tabulated)
+TabulatedLaw.is_scalar = True
 
 
 class Tabulated(Nonbonded):

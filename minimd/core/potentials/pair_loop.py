@@ -29,6 +29,11 @@ class Charges(namedtuple("Charges", "of_atoms source")):
     of_atoms : (N,) [√(energy · length)]."""
 
 
+class Slopes(namedtuple("Slopes", "of_atoms source")):
+    """The slopes F′ of both atoms, and what another source has.
+    of_atoms : (N,) [energy/density]."""
+
+
 @by_type
 def parameters_of_pair(source, i, j):
     """The parameters of a pair of atoms: a tuple of numbers, the squared cutoff first."""
@@ -39,6 +44,10 @@ def parameters_of_pair(source, i, j):
         return lambda source, i, j: with_product(
             parameters_of_pair(source.source, i, j), source.of_atoms[i] * source.of_atoms[j]
         )
+    if kind is Slopes:
+        return lambda source, i, j: with_slopes(
+            parameters_of_pair(source.source, i, j), source.of_atoms[i], source.of_atoms[j]
+        )
     return lambda source, i, j: row_of(source.columns, (source.species[i], source.species[j]))
 
 
@@ -46,6 +55,12 @@ def parameters_of_pair(source, i, j):
 def with_product(numbers, product):
     """The squared cutoff, a product of charges, all other numbers."""
     return (numbers[0], product) + numbers[1:]
+
+
+@scalar
+def with_slopes(numbers, first, second):
+    """The squared cutoff, the slopes of both atoms, all other numbers."""
+    return (numbers[0], first, second) + numbers[1:]
 
 
 @by_type
@@ -57,12 +72,15 @@ def row_of(columns, index):
 
 
 def source_for(
-    law: PairLaw, system: System, order: NDArray[np.int64]
-) -> SameForAll | BySpecies | Charges:
-    """Where the loop finds the numbers of a law, for atoms in some order (N,)."""
+    law: PairLaw, system: System, order: NDArray[np.int64], slopes: NDArray[np.float64]
+) -> SameForAll | BySpecies | Charges | Slopes:
+    """Where the loop finds the numbers of a law, for atoms in some order (N,).
+    slopes : (N,) of the embedding in this order, if the law has one."""
     source: SameForAll | BySpecies = SameForAll(tuple(law.table[0, 0].tolist()))
     if len(law.table) > 1:
         source = BySpecies(from_table(law.table), system.species_index[order])
+    if law.embedding is not None:
+        return Slopes(slopes, source)
     return source if law.charges is None else Charges(law.charges[order], source)
 
 
@@ -87,6 +105,19 @@ class PairWork(
     """
 
 
+@scalar
+def separation(positions, pairs, at, p):
+    """r_ij = (dx, dy, dz) and r² of pair p of a list, from the position of its first atom [length]."""
+    j = np.uintp(pairs.second[p])
+    dx, dy, dz = positions[j, 0] - at[0], positions[j, 1] - at[1], positions[j, 2] - at[2]
+    if pairs.translations.shape[0] > 0:
+        t = np.uintp(pairs.image[p])
+        dx = dx + pairs.translations[t, 0]
+        dy = dy + pairs.translations[t, 1]
+        dz = dz + pairs.translations[t, 2]
+    return dx, dy, dz, fma(dx, dx, fma(dy, dy, dz * dz))
+
+
 @called_kernel
 def add_pair_forces(work, _chunk):
     """Add the forces of a pair law on pairs within its cutoff.  OUT_OF_RANGE if one is beyond the range of a grid.
@@ -94,7 +125,6 @@ def add_pair_forces(work, _chunk):
     r_ij = r_j − r_i + translation,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= f r_ij,   W += f r_ij ⊗ r_ij
     """
     positions, pairs, law, parameters, steps, detail, (forces, energies, virials) = work
-    shifted = pairs.translations.shape[0] > 0
     own_share = 0.5 if detail == PER_ATOM else 1.0
     is_out = False
     for i in range(pairs.start.size - 1):
@@ -104,14 +134,7 @@ def add_pair_forces(work, _chunk):
         # unsigned: no check for indices that count from the end
         for p in range(np.uintp(pairs.start[i]), np.uintp(pairs.start[i + 1])):
             j = np.uintp(pairs.second[p])
-            dx, dy, dz = positions[j, 0] - x, positions[j, 1] - y, positions[j, 2] - z
-            if shifted:
-                t = np.uintp(pairs.image[p])
-                dx = dx + pairs.translations[t, 0]
-                dy = dy + pairs.translations[t, 1]
-                dz = dz + pairs.translations[t, 2]
-
-            r2 = fma(dx, dx, fma(dy, dy, dz * dz))
+            dx, dy, dz, r2 = separation(positions, pairs, (x, y, z), p)
             numbers = parameters_of_pair(parameters, i, j)
             if r2 < numbers[0]:
                 u, f = evaluate_law(law, r2, numbers[1:])

@@ -37,6 +37,17 @@ ROUGH = 10.0  # of a slope: relative to the difference of two of them
 CLOSE = 1e-2  # the closest distance that counts, relative to the mean spacing of atoms
 
 
+class Embedding(NamedTuple):
+    """The energy F(ρ) of an atom in the density that its neighbors give it, see embedded_laws.
+
+    law : law type of F.
+    table : (S, P) numbers of each species; S = 1 if all atoms are alike.
+    """
+
+    law: tuple
+    table: NDArray
+
+
 class PairLaw(NamedTuple):
     """A law on all pairs within a cutoff, as the planner needs it to find a list of neighbors.
 
@@ -50,6 +61,8 @@ class PairLaw(NamedTuple):
     split : how 1/r is split, if a sum over waves belongs to the law.
     method : of that sum, see Coulomb.
     exclusions : (P, 2) int, pairs on which it does not act, whatever bonded_scale says.
+    embedding : of the atoms, whose slopes F′ are then the first two parameters of the law, and not in the table; None
+        for laws without.
     """
 
     name: str
@@ -61,11 +74,19 @@ class PairLaw(NamedTuple):
     split: Split | None = None
     method: str = ""
     exclusions: NDArray[np.int64] = checked_pairs("exclusions", None)
+    embedding: Embedding | None = None
 
     @property
     def n_parameters(self) -> int:
         """Of the law."""
-        return self.table.shape[-1] - 1 + (self.charges is not None)
+        return self.table.shape[-1] - 1 + len(self.of_atoms)
+
+    @property
+    def of_atoms(self) -> tuple[float, ...]:
+        """The parameters that are not in the table, of a pair with the largest charges and without slopes."""
+        if self.embedding is not None:
+            return 0.0, 0.0
+        return () if self.charges is None else (-(float(np.abs(self.charges).max()) ** 2),)
 
 
 class Target(NamedTuple):
@@ -121,6 +142,7 @@ class Term:
         of the list, for the report.
     ingredient : name of what this term adds to a scene; the report lists it if absent.
     warning : for the user, given once.
+    name : of the potential, for messages.
     acts_from_outside : whether its forces need not add up to zero, as those of fields and walls:
         the total momentum is then not constant.
     needs_one_accumulator : whether TOTALS needs the first elements of energies and virials only.
@@ -141,6 +163,7 @@ class Term:
     summary: str = ""
     ingredient: str = ""
     warning: str = ""
+    name: str = ""
     acts_from_outside: bool = False
     needs_one_accumulator: bool = False
     depends_on_time: bool = False

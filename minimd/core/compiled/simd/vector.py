@@ -13,11 +13,13 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.registry import cpu_target
-from numba.extending import intrinsic, models, register_model
+from numba.extending import intrinsic, models, overload, register_model
 
 from minimd.core.compiled.kernels import by_type, scalar
 
 INT32 = ir.IntType(32)
+COLUMNS = 8  # of a table of two cubics
+LOWEST_BITS = 2**32 - 1
 MAGIC = 1.5 * 2.0**52  # plus a small whole number, which is then in the lowest bits
 
 
@@ -246,6 +248,77 @@ def gathered(table, numbers, start, lanes):
         y = with_lane(y, k, table[i, 1])
         z = with_lane(z, k, table[i, 2])
     return x, y, z
+
+
+@intrinsic
+def _columns_of_rows(_context, table, places):
+    """See columns_at: two numbers at a time of each of the rows, one for each lane, are loaded and transposed."""
+    lanes = places.lanes
+    kind = Vector(types.float64, lanes)
+
+    def generate(context, builder, signature, arguments):
+        data = context.make_array(table)(context, builder, arguments[0]).data
+        whole = ir.VectorType(ir.IntType(64), lanes)
+        in_all = lambda number: ir.Constant(whole, [number] * lanes)  # noqa: E731
+        rows = builder.and_(builder.bitcast(arguments[1], whole), in_all(LOWEST_BITS))
+        first = builder.mul(rows, in_all(COLUMNS))
+        starts = [builder.gep(data, [builder.extract_element(first, INT32(k))]) for k in range(lanes)]
+        columns = []
+        for c in range(0, COLUMNS, 2):
+            pairs = [_two_numbers(builder, start, c) for start in starts]
+            columns += _transposed(builder, pairs)
+        return context.make_tuple(builder, signature.return_type, columns)
+
+    return types.UniTuple(kind, COLUMNS)(table, places), generate
+
+
+def _two_numbers(builder, start, c):
+    """Elements c and c + 1 behind an address."""
+    two = ir.VectorType(ir.DoubleType(), 2).as_pointer()
+    value = builder.load(builder.bitcast(builder.gep(start, [ir.IntType(64)(c)]), two))
+    value.align = 8
+    return value
+
+
+def _transposed(builder, pairs):
+    """The first numbers of pairs, and the second ones. Pairs with an even number are joined, those with an odd number,
+    and then both are interleaved: registers of four numbers exchange none between their halves."""
+    even, odd = (_joined(builder, pairs[start::2]) for start in (0, 1))
+    n = len(pairs)
+    for first in (0, 1):
+        pattern = [k - k % 2 + first + n * (k % 2) for k in range(n)]
+        yield builder.shuffle_vector(even, odd, ir.Constant(ir.VectorType(INT32, n), pattern))
+
+
+def _joined(builder, parts):
+    """Vectors one after the other as one."""
+    while len(parts) > 1:
+        every = [*range(2 * parts[0].type.count)]
+        pattern = ir.Constant(ir.VectorType(INT32, len(every)), every)
+        couples = zip(parts[::2], parts[1::2], strict=True)
+        parts = [builder.shuffle_vector(first, second, pattern) for first, second in couples]
+    return parts[0]
+
+
+def columns_at(table, places):
+    """The eight columns of a row of a table, or of one row for each lane: numbers or vectors.
+
+    table : (R, 8) float64, contiguous.
+    places : MAGIC plus the number of a row, which is not checked.
+    """
+    return tuple(table[int(places - MAGIC)].tolist())
+
+
+@overload(columns_at)
+def _columns_at(table, places):
+    if isinstance(places, Vector):
+        return lambda table, places: _columns_of_rows(table, places)
+
+    def of_row(table, places):
+        row = table[np.uintp(places - MAGIC)]
+        return row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7]
+
+    return of_row
 
 
 @by_type

@@ -17,9 +17,9 @@ from minimd.core.diagnosis.evaluation import evaluate
 from minimd.core.engine.engine import Engine
 from minimd.core.potentials.bonded import Bonded
 from minimd.core.potentials.coulomb import Coulomb
-from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.embedded import EmbeddedAtom
 from minimd.core.potentials.embedded_files import EmbeddedTables
+from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.pair import UNSCALED, Nonbonded
 from minimd.core.potentials.truncation import ForceShifted, Shifted
 from minimd.core.structure.bond_graph import among, connected

@@ -27,7 +27,15 @@ STEP_0 = ("atoms.data.bin", "copy.data.bin")
 FRAMES = "frames.bin"
 LAST = "last.bin"
 RAW = (FRAMES, LAST, COPY, *STEP_0)  # removed at the end
-FILES = (ATOMS, FORCES, METALS, VERIFY, RUN, LOG, *RAW)  # all files of a hand-over except the trajectory
+FILES = (
+    ATOMS,
+    FORCES,
+    METALS,
+    VERIFY,
+    RUN,
+    LOG,
+    *RAW,
+)  # all files of a hand-over except the trajectory
 # tolerance relative to the lengths
 SHAKE_TOLERANCE = 1e-13
 SHAKE_ITERATIONS = 200

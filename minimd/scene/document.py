@@ -2,9 +2,10 @@
 
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,9 +23,10 @@ from minimd.scene.sections import (
     OF_FILES,
     Numbers,
     SceneSections,
-    TabulatedSection,
+    WithFiles,
     as_sections,
     read_table,
+    read_text,
 )
 
 D = TypeVar("D", bound="Document")
@@ -76,19 +78,19 @@ class Document:
                 potentials += self.sections.water.potentials()
         for place, section in self._sections():
             with blamed_on(place):
-                tables = [self._table] if isinstance(section, TabulatedSection) else []
-                potentials.append(section.potential(*tables))
+                source = [SOURCES[section.kept_in]] if isinstance(section, WithFiles) else []
+                potentials.append(section.potential(*(partial(read, self) for read in source)))
         return potentials
 
-    def tables(self) -> dict[str, Numbers]:
-        """The numbers of all tables of tabulated laws, by name.
+    def contents(self, kept_in: str) -> dict[str, Any]:
+        """The contents of all files of potentials that are kept in a section, by name.
         Raises ValueError as potentials."""
-        tables: dict[str, Numbers] = {}
+        contents: dict[str, Any] = {}
         for place, section in self._sections():
-            if isinstance(section, TabulatedSection):
+            if isinstance(section, WithFiles) and section.kept_in == kept_in:
                 with blamed_on(place):
-                    tables |= {name: self._table(name) for name in section.files}
-        return tables
+                    contents |= {name: SOURCES[kept_in](self, name) for name in section.files}
+        return contents
 
     def _sections(self) -> Iterator[tuple[str, Any]]:
         """The sections of potentials, each with its place in the scene."""
@@ -96,10 +98,20 @@ class Document:
             yield f"{self.path}: potential[{index}]", section
 
     def whole_text(self) -> str:
-        """The text of the scene with all tables added to it: no other files are needed to make the potentials again."""
-        inside = self.sections.tables
-        files = {name: numbers for name, numbers in self.tables().items() if name not in inside}
-        return self.text + as_sections(files, self.sections.units)
+        """The text of the scene with all tables and files of potentials added to it: no other files are needed to make
+        the potentials again."""
+        tables, texts = (
+            {
+                name: content
+                for name, content in self.contents(kept_in).items()
+                if name not in inside
+            }
+            for kept_in, inside in (
+                ("tables", self.sections.tables),
+                ("files", self.sections.files),
+            )
+        )
+        return self.text + as_sections(tables, texts, self.sections.units)
 
     def method(self) -> Splitting:
         """The integrator with its time step and its bath.
@@ -165,6 +177,12 @@ class Document:
             return read_table(self.path.parent / name)
         return Numbers(table.r, table.u)
 
+    def _text(self, name: str) -> str:
+        """The text of a file.
+        Raises ValueError as read_text."""
+        section = self.sections.files.get(name)
+        return read_text(self.path.parent / name) if section is None else section.text
+
     def constrained(self, system: System) -> System:
         """Set the constraints of the scene, if it has a section for them, in place; return the same system.
         Raises ValueError, with the name of the file, for impossible ones."""
@@ -209,6 +227,12 @@ class Document:
         return system_from_file(file, structure.cell, structure.pbc, **options)
 
 
+SOURCES: Mapping[str, Callable[[Document, str], Any]] = {
+    "tables": Document._table,
+    "files": Document._text,
+}
+
+
 def h5md_files(files: Iterable[Path]) -> list[Path]:
     """The files that end in .h5md, which minimd can resume, check and plot."""
     return [file for file in files if file.suffix.lower() == ".h5md"]
@@ -219,11 +243,14 @@ def stored(kind: type[D], text: str, file: Path) -> D:
     Raises ValueError as parsed, and if it names a table that is not in it."""
     document = parsed(kind, text, file)
     for index, section in enumerate(document.sections.potential):
-        for name in section.files if isinstance(section, TabulatedSection) else ():
-            if name not in document.sections.tables:
+        if not isinstance(section, WithFiles):
+            continue
+        kept: str = section.kept_in
+        for name in section.files:
+            if name not in getattr(document.sections, kept):
                 raise ValueError(
-                    f"{file}: potential[{index}] of the stored scene needs the table {name!r}, which the "
-                    "scene does not hold"
+                    f"{file}: potential[{index}] of the stored scene needs {kept}.{name!r}, which the scene does not "
+                    "hold"
                 )
     return document
 

@@ -9,7 +9,7 @@ from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, create_model
@@ -21,6 +21,8 @@ from minimd.core.integrators.barostats import COUPLINGS, StochasticCellRescaling
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.table import SPLITTINGS, THERMOSTATS
 from minimd.core.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
+from minimd.core.potentials.embedded import FORMS, EmbeddedAtom
+from minimd.core.potentials.embedded_files import tables_from
 from minimd.core.potentials.pair import FEWEST, MIXING, LennardJones, Tabulated
 from minimd.core.potentials.term import OwnPotential
 from minimd.core.potentials.truncation import TRUNCATIONS
@@ -70,6 +72,12 @@ class TableSection(Section):
     u: Annotated[Column, Dimension("energy")]
 
 
+class FileSection(Section):
+    """[files.NAME]: the text of a file, in place of a file with this name."""
+
+    text: str
+
+
 def read_table(path: Path) -> Numbers:
     """The two columns of a text file, in the units of the scene; '#' begins a comment, a byte order mark is left out.
     Raises ValueError, with the path, for anything else."""
@@ -98,8 +106,19 @@ def read_table(path: Path) -> Numbers:
     return Numbers(*columns.T.tolist())
 
 
-def as_sections(tables: Mapping[str, Numbers], units: str) -> str:
-    """The text that adds these tables to a scene, to the last bit.
+def read_text(path: Path) -> str:
+    """The text of a file.
+    Raises ValueError, with the path, for one that cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise ValueError(
+            f"file {str(path)!r} cannot be read: {error.strerror or error}; its path is taken relative to the scene"
+        ) from None
+
+
+def as_sections(tables: Mapping[str, Numbers], texts: Mapping[str, str], units: str) -> str:
+    """The text that adds these tables and files to a scene, to the last bit.
     units : of the scene, "ASE" or "LJ"."""
     # the units of the engine, of size 1: the first of lengths, the last of energies
     (length, *_) = KEY_UNITS[units]["length"]
@@ -108,6 +127,9 @@ def as_sections(tables: Mapping[str, Numbers], units: str) -> str:
     for name, table in tables.items():
         title = json.dumps(name, ensure_ascii=False)
         text += f"\n[tables.{title}]\nr{length} = {table.r}\nu{energy} = {table.u}\n"
+    for name, content in texts.items():
+        title, of_file = (json.dumps(part, ensure_ascii=False) for part in (name, content))
+        text += f"\n[files.{title}]\ntext = {of_file}\n"
     return text
 
 
@@ -294,6 +316,69 @@ class LennardJonesSection(Section):
         return LennardJones(epsilon, pairs=pairs, **options)
 
 
+class WithFiles(Section):
+    """A potential with files beside the scene, whose contents the scene of a run holds.
+    kept_in : the section that holds them."""
+
+    kept_in: ClassVar[str]
+
+    @property
+    def files(self) -> list[str]:
+        """Their names, without repetition."""
+        raise NotImplementedError(f"{type(self).__name__} has no files")
+
+
+class EmbeddedPairSection(Section):
+    """An entry of pairs: the parameters of two species, in place of those of the mixing rule."""
+
+    species: PairOfSpecies
+    parameters: list[FiniteFloat]
+
+
+class EmbeddedAtomSection(WithFiles):
+    """[[potential]] of type "embedded-atom": a file for LAMMPS' eam, eam/alloy or eam/fs, with a path relative to the
+    scene file, or a name in [files]; or a law by its name, with the parameters of all atoms or of each species, in the
+    units of the scene and in the order of EmbeddedAtom."""
+
+    kept_in: ClassVar[str] = "files"
+    type: Literal["embedded-atom"]
+    file: str | None = None
+    law: Annotated[str, one_of(FORMS)] | None = None
+    parameters: list[FiniteFloat] | None = None
+    species: dict[str, list[FiniteFloat]] | None = None
+    pairs: list[EmbeddedPairSection] = Field([])
+    cutoff: Length = None
+    truncation: Annotated[str, one_of(TRUNCATIONS)] = "shifted"
+    switch_start: Length = None
+
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
+        if (self.file is None) == (self.law is None):
+            yield "must have either file, with all functions in it, or law, the name of one"
+        elif self.file is not None and self.model_fields_set - {"type", "file"}:
+            yield "with a file must have nothing else: all parameters and the cutoff are in it"
+        elif self.law is not None and (self.parameters is None) == (self.species is None):
+            yield "with a law must have either parameters, those of all atoms, or species, with those of each"
+
+    @property
+    def files(self) -> list[str]:
+        """See WithFiles."""
+        return [] if self.file is None else [self.file]
+
+    def potential(self, text_of: Callable[[str], str]) -> EmbeddedAtom:
+        """The potential that the section describes.
+        text_of : returns the text of a file."""
+        if self.file is not None:
+            return EmbeddedAtom(tables_from(self.file, text_of(self.file)))
+        species = self.species or {}
+        own: Any = self.parameters and tuple(self.parameters)
+        by_species: Any = {name: tuple(numbers) for name, numbers in species.items()}
+        pairs: Any = {tuple(pair.species): tuple(pair.parameters) for pair in self.pairs}
+        options = self.model_dump(include={"cutoff", "truncation", "switch_start"})
+        law: Any = self.law
+        return EmbeddedAtom(law, own or by_species, pairs=pairs, **options)
+
+
 class PairTableSection(Section):
     """An entry of pairs: the table of two species."""
 
@@ -301,11 +386,12 @@ class PairTableSection(Section):
     file: str
 
 
-class TabulatedSection(Section):
+class TabulatedSection(WithFiles):
     """[[potential]] of type "tabulated": one table for all atoms, or one for each pair of species, all at the same r.
     file : two columns, r and u in the units of the scene, with a path relative to the scene file;
         or a name in [tables]."""
 
+    kept_in: ClassVar[str] = "tables"
     type: Literal["tabulated"]
     file: str | None = None
     pairs: Annotated[list[PairTableSection] | None, Field(min_length=1)] = None
@@ -321,7 +407,7 @@ class TabulatedSection(Section):
 
     @property
     def files(self) -> list[str]:
-        """The names of its tables, without repetition."""
+        """See WithFiles."""
         if self.file is not None:
             return [self.file]
         return list(dict.fromkeys(pair.file for pair in self.pairs or ()))
@@ -492,7 +578,7 @@ class OutputSection(Section):
 
 
 PotentialSection = Annotated[
-    LennardJonesSection | TabulatedSection | ForceSection,  # type: ignore[valid-type]
+    LennardJonesSection | TabulatedSection | EmbeddedAtomSection | ForceSection,  # type: ignore[valid-type]
     Field(discriminator="type"),
 ]
 
@@ -511,6 +597,7 @@ class SceneSections(Section):
     minimization: MinimizationSection | None = None
     equilibration: EquilibrationSection | None = None
     tables: dict[str, TableSection] = Field({})
+    files: dict[str, FileSection] = Field({})
     observer: list[ObserverSection] = Field([])  # type: ignore[valid-type]
     output: OutputSection = OutputSection.model_construct()
 
@@ -540,10 +627,10 @@ class SceneSections(Section):
 
         if pairs == "bonds" and not self.structure.bonds:
             yield 'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs'
-        used = set[str]()
-        for section in self.potential:
-            if isinstance(section, TabulatedSection):
-                used.update(section.files)
-        unused = ", tables.".join(repr(name) for name in self.tables if name not in used)
-        if unused:
-            yield f"no tabulated potential uses tables.{unused}; name it as the file of a potential, or leave it out"
+        with_files = [section for section in self.potential if isinstance(section, WithFiles)]
+        for kept_in in ("tables", "files"):
+            used = {name for part in with_files if part.kept_in == kept_in for name in part.files}
+            unused = [repr(name) for name in getattr(self, kept_in) if name not in used]
+            if unused:
+                names = f", {kept_in}.".join(unused)
+                yield f"no potential uses {kept_in}.{names}; name it as the file of one, or leave it out"

@@ -58,6 +58,13 @@ BONDED = {
     "charges": md.Coulomb(1.75, bonded_scale=(0.0, 0.3, 1.0)),
     "reaction field": md.Coulomb(CUTOFF, method="reaction-field", bonded_scale=(0.5, 1.0, 0.5)),
     "charged": [md.LennardJones(TWO_KINDS, cutoff=1.6, bonded_scale=(0.0, 0.0, 0.5)), md.Coulomb(1.75)],
+    "embedded atoms": md.EmbeddedAtom(
+        "sutton-chen",
+        {"A": (0.5, 1.0, 3.0, 8.0, 5.0), "B": (0.3, 1.1, 4.0, 9.0, 6.0)},
+        CUTOFF,
+        "switched",
+        pairs={("A", "B"): (0.4, 1.05, 0.0, 8.5, 5.5)},
+    ),
     "several": [PAIRS["lennard-jones"], PAIRS["yukawa"], md.HarmonicBond(30.0, 1.0)],
 }
 EVERYWHERE, STRENGTHS = ("open", "slab", "tube", "triclinic"), np.linspace(0.5, 1.0, 10)

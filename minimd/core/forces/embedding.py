@@ -131,7 +131,9 @@ def _embed(domain, work):
         for k_lane in range(n_lanes):
             if k_lane < clusters.filled[k]:
                 i = clusters.atom[k * n_lanes + k_lane]
-                slopes = with_lane(slopes, k_lane, _slope(i, lane(density, k_lane), work.embeddings))
+                slopes = with_lane(
+                    slopes, k_lane, _slope(i, lane(density, k_lane), work.embeddings)
+                )
         for p in range(ghosts.start[k], ghosts.start[k + 1]):
             store(work.source.of_slots, ghosts.of[p] * n_lanes, slopes)
 
@@ -200,9 +202,7 @@ class EmbeddingPasses:
         self, positions: NDArray, pairs: Any, source: Any, order: NDArray
     ) -> Iterator[Operation]:
         """The operation on a pair list, likewise."""
-        work = PairDensities(
-            positions, pairs, self._law, source, self._all, order, self._density
-        )
+        work = PairDensities(positions, pairs, self._law, source, self._all, order, self._density)
         yield operation(self._calls, self._sum_of_pairs, work)
 
     def collect(self, target: Target) -> None:

@@ -16,7 +16,7 @@ from minimd.core.structure.bond_graph import among, pairs_by_bonds_apart
 from minimd.core.structure.system import System, local_density
 
 CLUSTERS_FROM = 32  # atoms: with fewer, the pair list is as fast
-WORK_OF_EMBEDDED = 4.0  # of a pair of embedded atoms, with tables: two passes, each of twice the work
+WORK_OF_EMBEDDED = 3.0  # of a pair of embedded atoms: it is visited twice
 ROUNDED_DOWN = 1.0 - 1e-9
 SOUGHT_AT = np.geomspace(0.2, 1.0, 60).tolist()  # of the cutoff, for the deepest well
 

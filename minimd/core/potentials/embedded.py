@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from minimd.core.console.words import listed, shown
 from minimd.core.potentials import declared as kind
-from minimd.core.potentials.declared import Array, declared
+from minimd.core.potentials.declared import declared
 from minimd.core.potentials.embedded_files import EmbeddedTables, read_tables
 from minimd.core.potentials.embedded_laws import (
     EmbeddedLaw,
@@ -30,7 +30,6 @@ from minimd.core.potentials.embedded_laws import (
     parts,
 )
 from minimd.core.potentials.law import (
-    UserLaw,
     check_law_of_density,
     check_user_law,
     checked_law,
@@ -42,13 +41,12 @@ from minimd.core.potentials.pair import (
     TRUNCATION,
     UNSCALED,
     ByLabel,
-    ByPairOfLabels,
     Cutoff,
     Label,
     Nonbonded,
-    Parameters,
     PairPotential,
     PairTerm,
+    Parameters,
 )
 from minimd.core.potentials.splines import cubics
 from minimd.core.potentials.term import Embedding
@@ -104,10 +102,12 @@ class EmbeddedAtom(Nonbonded):
     M. S. Daw, M. I. Baskes, Phys. Rev. B 29, 6443 (1984); M. W. Finnis, J. E. Sinclair, Philos. Mag. A 50, 45 (1984).
     A law by name has these parameters:
 
-        'sutton-chen'       (epsilon, a, c, n, m)           φ = ε (a/r)ⁿ, g = (a/r)ᵐ, F = −ε c √ρ
-        'finnis-sinclair'   (A, d, beta, c, c0, c1, c2)     φ = (r − c)² (c₀ + c₁ r + c₂ r²), g = (r − d)² + β (r − d)³/d,
-                                                            F = −A √ρ
-        'gupta'             (A, xi, p, q, r0)               φ = 2 A exp[−p (r/r₀ − 1)], g = ξ² exp[−2q (r/r₀ − 1)], F = −√ρ
+        'sutton-chen'       (epsilon, a, c, n, m)
+            φ = ε (a/r)ⁿ,  g = (a/r)ᵐ,  F = −ε c √ρ
+        'finnis-sinclair'   (A, d, beta, c, c0, c1, c2)
+            φ = (r − c)² (c₀ + c₁ r + c₂ r²) for r < c,  g = (r − d)² + β (r − d)³/d for r < d,  F = −A √ρ
+        'gupta'             (A, xi, p, q, r0)
+            φ = 2 A exp[−p (r/r₀ − 1)],  g = ξ² exp[−2q (r/r₀ − 1)],  F = −√ρ
 
     Functions of your own take the same parameters, too: pair(r2, *parameters) returns φ and −φ′(r)/r, density(r2, ...)
     g and −g′(r)/r, embedding(rho, *parameters) F and F′(ρ). Truncation acts on φ and on g. Published parameters mean
@@ -243,9 +243,11 @@ class EmbeddedAtom(Nonbonded):
 
     def _densities(self, r: float, numbers: Parameters) -> tuple[float, float]:
         """What two atoms at a distance give each other."""
+        law: Any = self.law
         if isinstance(self.given, EmbeddedTables):
-            return self.law.densities.py_func(r * r, self.law.table, (*self.alone, *numbers))
-        density = law_at(self.law.density, r, parts(numbers)[1])[0]
+            first, second = law.densities.py_func(r * r, law.table, (*self.alone, *numbers))
+            return first, second
+        density = law_at(law.density, r, parts(numbers)[1])[0]
         return density, density
 
     def arguments(self) -> dict[str, Any]:

@@ -12,7 +12,6 @@ Energies are in eV, lengths in Å. A file of one element is the same in the firs
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from minimd.core.console.words import shown
 from minimd.core.potentials.splines import FEWEST_POINTS
+from minimd.core.structure.checks import checked_path
 
 Array = NDArray[np.float64]
 COMMENTS = 3  # lines of a setfl file
@@ -70,7 +70,12 @@ class EmbeddedTables:
         """The tables as a file for eam/alloy if is_same_for_all, else for eam/fs, with all digits."""
         n = len(self.elements)
         n_rho, n_r = self.embedding.shape[1], self.pair.shape[-1]
-        lines = ["tables of embedded atoms", self.file, "written by minimd", f"{n} {' '.join(self.elements)}"]
+        lines = [
+            "tables of embedded atoms",
+            self.file,
+            "written by minimd",
+            f"{n} {' '.join(self.elements)}",
+        ]
         lines.append(f"{n_rho} {self.drho!r} {n_r} {self.dr!r} {self.cutoff!r}")
 
         for a in range(n):
@@ -100,14 +105,18 @@ class Header(NamedTuple):
 def read_tables(file: str | os.PathLike[str]) -> EmbeddedTables:
     """The tables in a file of one of the three formats.
     Raises OSError for a file that cannot be read; ValueError for one that holds something else."""
-    path = Path(file)
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    path = checked_path("file", file)
     try:
-        if _is_setfl(lines):
-            return _setfl(path.name, lines)
-        return _funcfl(path.name, lines)
+        return tables_from(path.name, path.read_text(encoding="utf-8", errors="replace"))
     except ValueError as error:
         raise ValueError(f"file {str(path)!r}: {error}") from None
+
+
+def tables_from(name: str, text: str) -> EmbeddedTables:
+    """The tables in the text of such a file.
+    Raises ValueError for one that holds something else."""
+    lines = text.splitlines()
+    return _setfl(name, lines) if _is_setfl(lines) else _funcfl(name, lines)
 
 
 def _in_lines(functions: Iterable[Array]) -> list[str]:
@@ -132,7 +141,9 @@ def _header(line: str, where: str) -> Header:
     header = Header(int(n_rho), drho, int(n_r), dr, cutoff)
     is_whole = header.n_rho == n_rho and header.n_r == n_r
     if not (is_whole and min(n_rho, n_r) >= FEWEST_POINTS):
-        raise ValueError(f"nrho and nr must be {FEWEST_POINTS} or more; they are {n_rho:g}, {n_r:g}")
+        raise ValueError(
+            f"nrho and nr must be {FEWEST_POINTS} or more; they are {n_rho:g}, {n_r:g}"
+        )
     if not (drho > 0.0 and dr > 0.0 and 0.0 < cutoff <= n_r * dr * (1.0 + BEYOND)):
         raise ValueError(
             "drho, dr and the cutoff must be positive, and the table of nr distances must reach to the cutoff; "
@@ -216,7 +227,9 @@ def _funcfl(name: str, lines: list[str]) -> EmbeddedTables:
     header = _header(lines[2] if len(lines) > 2 else "", "the third line, or in setfl the fifth,")
     number, *_ = of_element = lines[1].split()
     if not (len(of_element) == OF_ELEMENT and number.isdecimal()):
-        raise ValueError(f"the second line must begin with an atomic number; it is {shown(lines[1])}")
+        raise ValueError(
+            f"the second line must begin with an atomic number; it is {shown(lines[1])}"
+        )
     element = chemical_symbols[int(number)] if int(number) < len(chemical_symbols) else number
     n_rho, _, n_r, _, _ = header
     words = Words(lines[3:])

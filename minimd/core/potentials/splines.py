@@ -31,7 +31,7 @@ class Identical:
 class Cubics(Identical, namedtuple("Cubics", "rows per_step last")):
     """Functions, or pairs of them, on the same steps, one after the other.
 
-    rows : (K · M, 4 or 8) c₀ to c₃ of K functions, or of both of K pairs, with M steps; row k M + m is step m of the k-th.
+    rows : (K · M, 4 or 8) c₀ to c₃ of K functions, or of both of K pairs; row k M + m is step m, of M, of the k-th.
     per_step : 1/Δ of a step Δ.
     last : M − 1.
     """

@@ -262,7 +262,9 @@ def _columns_of_rows(_context, table, places):
         in_all = lambda number: ir.Constant(whole, [number] * lanes)  # noqa: E731
         rows = builder.and_(builder.bitcast(arguments[1], whole), in_all(LOWEST_BITS))
         first = builder.mul(rows, in_all(COLUMNS))
-        starts = [builder.gep(data, [builder.extract_element(first, INT32(k))]) for k in range(lanes)]
+        starts = [
+            builder.gep(data, [builder.extract_element(first, INT32(k))]) for k in range(lanes)
+        ]
         columns = []
         for c in range(0, COLUMNS, 2):
             pairs = [_two_numbers(builder, start, c) for start in starts]

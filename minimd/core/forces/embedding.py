@@ -91,10 +91,14 @@ def sum_cluster_densities(work, domain):
         own_slot = arrays.ghosts.home[slot // n_lanes] * n_lanes + slot % n_lanes
         x, y, z = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
         at = broadcast(x, zero), broadcast(y, zero), broadcast(z, zero)
+        after = rows.entries[np.uintp(rows.start[slot])]
+        ahead = separations(coordinates, arrays.memory.far, after, at, lanes)
         own = zero
         for entry in range(np.uintp(rows.start[slot]), np.uintp(stops[slot])):
-            now = rows.entries[entry]
-            r2 = separations(coordinates, arrays.memory.far, now, at, lanes)[3]
+            now = after
+            r2 = ahead[3]
+            after = rows.entries[entry + np.uintp(1)]
+            ahead = separations(coordinates, arrays.memory.far, after, at, lanes)
             ghost = np.uintp(now & GHOST_BITS)
             numbers = parameters_of_lanes(work.source, own_slot, first + np.intp(ghost), lanes)
             to_own, to_other = densities(work.law, r2, numbers[1:])

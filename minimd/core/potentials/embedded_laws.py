@@ -166,8 +166,9 @@ def tabulated(r2, table, parameters):
     table : Cubics of g and z.
     parameters : (F′ᵢ, F′ⱼ, first row of the pair of species).
     """
-    r, place, t = _place(r2, table)
-    g0, g1, g2, g3, z0, z1, z2, z3 = columns_at(table.rows, place + parameters[2])
+    r2, r, x = _within(r2, table)
+    place, t = step_at(x, parameters[2])
+    g0, g1, g2, g3, z0, z1, z2, z3 = columns_at(table.rows, place)
     _, slope = cubic(t, g0, g1, g2, g3)
     return _of_pair(r2, r, cubic(t, z0, z1, z2, z3), (parameters[0] + parameters[1]) * slope, table)
 
@@ -175,8 +176,8 @@ def tabulated(r2, table, parameters):
 @scalar
 def tabulated_densities(r2, table, parameters):
     """(g, g), see tabulated."""
-    _, place, t = _place(r2, table)
-    g = _density(place + parameters[2], t, table)[0]
+    _, _, x = _within(r2, table)
+    g = _density(x, parameters[2], table)[0]
     return g, g
 
 
@@ -189,10 +190,11 @@ def tabulated_both_ways(r2, table, parameters):
     table : Cubics of gᵢ and z.
     parameters : (F′ᵢ, F′ⱼ, first row of the pair of species, of the pair in the other order).
     """
-    r, place, t = _place(r2, table)
-    g0, g1, g2, g3, z0, z1, z2, z3 = columns_at(table.rows, place + parameters[2])
+    r2, r, x = _within(r2, table)
+    place, t = step_at(x, parameters[2])
+    g0, g1, g2, g3, z0, z1, z2, z3 = columns_at(table.rows, place)
     _, first = cubic(t, g0, g1, g2, g3)
-    _, second = _density(place + parameters[3], t, table)
+    _, second = _density(x, parameters[3], table)
     slopes = parameters[0] * first + parameters[1] * second
     return _of_pair(r2, r, cubic(t, z0, z1, z2, z3), slopes, table)
 
@@ -200,22 +202,23 @@ def tabulated_both_ways(r2, table, parameters):
 @scalar
 def tabulated_densities_both_ways(r2, table, parameters):
     """(gᵢ, gⱼ), see tabulated_both_ways."""
-    _, place, t = _place(r2, table)
-    first = _density(place + parameters[2], t, table)[0]
-    return first, _density(place + parameters[3], t, table)[0]
+    _, _, x = _within(r2, table)
+    return _density(x, parameters[2], table)[0], _density(x, parameters[3], table)[0]
 
 
 @scalar
-def _place(r2, table):
-    """r, and the step and t of a table there, see step_at."""
-    r = sqrt(r2)
-    place, t = step_at(r * table.per_step, table)
-    return r, place, t
+def _within(r2, table):
+    """r², r, and r in steps, of a distance, or of the end of a table, where also what is no number ends."""
+    end = table.end / table.per_step
+    within = select(r2 < end * end, r2, end * end)
+    r = sqrt(within)
+    return within, r, r * table.per_step
 
 
 @scalar
-def _density(place, t, table):
+def _density(x, row, table):
     """g and g′ [1/step]."""
+    place, t = step_at(x, row)
     g0, g1, g2, g3, _, _, _, _ = columns_at(table.rows, place)
     return cubic(t, g0, g1, g2, g3)
 
@@ -232,15 +235,14 @@ def _of_pair(r2, r, z, slopes, table):
 
 @scalar
 def tabulated_embedding(rho, table, parameters):
-    """F(ρ) from a table of Cubics, beyond its last density a straight line, before the first its cubic.
+    """F(ρ) from a table of Cubics, beyond its last density a straight line, below zero the cubic of the first step.
     parameters : (row,), the first of the function."""
     x = rho * table.per_step
-    place, _ = step_at(max(x, 0.0), table)
-    step = place - MAGIC
-    c = table.rows[np.uintp(step + parameters[0])]
-    value, slope = cubic(min(x - step, 1.0), c[0], c[1], c[2], c[3])
-    slope = slope * table.per_step
-    return value + slope * max(rho - (table.last + 1.0) / table.per_step, 0.0), slope
+    inside = min(max(x, 0.5), table.end)
+    place, t = step_at(inside, parameters[0])
+    c = table.rows[np.uintp(place - MAGIC)]
+    value, slope = cubic(t + (x - inside), c[0], c[1], c[2], c[3])
+    return value, slope * table.per_step
 
 
 EmbeddedLaw = law_type("EmbeddedLaw", embedded)

@@ -6,7 +6,7 @@
 V is the volume, x are positions in units of the spacing of points, φ is a product of three windows: see mesh_window.py.
 Forces are minus the gradient of this energy, less their sum, of which each atom bears a share by its mass: that is the
 motion under U where the center of mass is held in its place. Charges are put on the planes of the mesh by chunks that
-own them, in the order of atoms on each: the same bits for any number of threads. Those of the transforms depend on the
+own them, row by row of where atoms start: the same bits for any number of threads. Those of the transforms depend on the
 builds of numpy and scipy.
 
 T. Darden, D. York, L. Pedersen, J. Chem. Phys. 98, 10089 (1993); U. Essmann et al., ibid. 103, 8577 (1995).
@@ -47,7 +47,7 @@ class Mesh(
     ByAddress,
     namedtuple(
         "Mesh",
-        "positions charges shares inverse shape pieces starts seen order begins points sums forces width",
+        "positions charges shares inverse shape pieces starts edges seen order begins points sums forces width",
     ),
 ):
     """What the sum works on.
@@ -59,9 +59,10 @@ class Mesh(
     shape : (5,) int, points in each direction; in a row, with those that repeat its beginning; that an atom sees.
     pieces : (D, width) of the window.
     starts : (N, 3) int, the first points that atoms see.
-    seen : (N · 6 · width,) φ and dφ/dt of each atom in the three directions.
-    order : (N,) int, atoms by the plane where they start.
-    begins : (planes + 1,) int, of each plane in order.
+    edges : (N, 3) t of the pieces.
+    seen : (N · 6 · width,) φ and dφ/dt of each atom, in order, in the three directions.
+    order : (N,) int, atoms by the row where they start, so that those after one another see nearly the same points.
+    begins : (rows + 1,) int, of each row in order.
     points : of the mesh, row by row.
     sums : (chunks, 3) of forces.
     forces : (N, 3) output.
@@ -70,18 +71,15 @@ class Mesh(
 
 
 @called_kernel
-def see_points(mesh, chunk):
-    """Which points the atoms of a chunk see, and how.
+def find_points(mesh, chunk):
+    """The first points that the atoms of a chunk see.
 
-        φ(m − x) and its slope, from the pieces: a polynomial of t for each point, by Horner's rule
-
-    mesh : Mesh; starts and seen of these atoms are overwritten.
+    mesh : Mesh; starts and edges of these atoms are overwritten.
     chunk : number of the chunk.
     """
     n = mesh.charges.size
     n_chunks = mesh.sums.shape[0]
     shape = mesh.shape
-    width = np.uintp(count(mesh.width))
 
     for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
         x, y, z = mesh.positions[i, 0], mesh.positions[i, 1], mesh.positions[i, 2]
@@ -89,14 +87,7 @@ def see_points(mesh, chunk):
             s = x * mesh.inverse[0, d] + y * mesh.inverse[1, d] + z * mesh.inverse[2, d]
             edge = shape[d] * (s - np.floor(s)) - 0.5 * shape[4]
             first = np.ceil(edge)
-            t = broadcast(2.0 * (first - edge) - 1.0, zeros(mesh.width))
-            value = slope = zeros(mesh.width)
-            for k in range(mesh.pieces.shape[0] - 1, -1, -1):
-                slope = fma(slope, t, value)
-                value = fma(value, t, load(mesh.pieces[k], 0, mesh.width))
-            at = np.uintp(6 * i + 2 * d) * width
-            store(mesh.seen, at, value)
-            store(mesh.seen, at + width, slope)
+            mesh.edges[i, d] = 2.0 * (first - edge) - 1.0
             mesh.starts[i, d] = int(first) % shape[d]
 
     return GO_ON
@@ -104,23 +95,51 @@ def see_points(mesh, chunk):
 
 @called_kernel
 def sort_atoms(mesh, _chunk):
-    """Atoms by the plane where they start: order and begins, by counting; equal ones keep their order."""
+    """Atoms by the row where they start: order and begins, by counting; equal ones keep their order."""
     begins = mesh.begins
+    n_rows = mesh.shape[1]
     for k in range(begins.size):
         begins[k] = 0
     for i in range(mesh.order.size):
-        begins[mesh.starts[i, 0] + 1] += 1
+        begins[mesh.starts[i, 0] * n_rows + mesh.starts[i, 1] + 1] += 1
     for k in range(begins.size - 1):
         begins[k + 1] += begins[k]
 
     for i in range(mesh.order.size):
-        plane = mesh.starts[i, 0]
-        mesh.order[begins[plane]] = i
-        begins[plane] += 1
+        row = mesh.starts[i, 0] * n_rows + mesh.starts[i, 1]
+        mesh.order[begins[row]] = i
+        begins[row] += 1
 
     for k in range(begins.size - 1, 0, -1):
         begins[k] = begins[k - 1]
     begins[0] = 0
+    return GO_ON
+
+
+@called_kernel
+def see_points(mesh, chunk):
+    """How the atoms of a chunk, in order, see their points.
+
+        φ(m − x) and its slope, from the pieces: a polynomial of t for each point, by Horner's rule
+
+    mesh : Mesh; seen of these atoms is overwritten.
+    """
+    n = mesh.charges.size
+    n_chunks = mesh.sums.shape[0]
+    width = np.uintp(count(mesh.width))
+
+    for place in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+        i = mesh.order[place]
+        for d in range(3):
+            t = broadcast(mesh.edges[i, d], zeros(mesh.width))
+            value = slope = zeros(mesh.width)
+            for k in range(mesh.pieces.shape[0] - 1, -1, -1):
+                slope = fma(slope, t, value)
+                value = fma(value, t, load(mesh.pieces[k], 0, mesh.width))
+            at = np.uintp(6 * place + 2 * d) * width
+            store(mesh.seen, at, value)
+            store(mesh.seen, at + width, slope)
+
     return GO_ON
 
 
@@ -147,8 +166,9 @@ def put_charges(mesh, chunk):
         plane = start if start >= 0 else start + n_planes
         begin = max(0, first - start)
         end = shape[4] if is_alone else min(shape[4], last - start)
-        for k in range(mesh.begins[plane], mesh.begins[plane + 1]):
-            _put_one(mesh, mesh.order[k], begin, end)
+        row = plane * shape[1]
+        for k in range(mesh.begins[row], mesh.begins[row + shape[1]]):
+            _put_one(mesh, k, begin, end)
 
     for row in range(first * shape[1], last * shape[1]):
         at = row * shape[3]
@@ -165,16 +185,17 @@ def plane_chunks(shape):
 
 
 @scalar
-def _put_one(mesh, i, begin, end):
+def _put_one(mesh, place, begin, end):
     """The charge of an atom on the planes begin to end of those that it sees.
 
-    i : the atom.
+    place : of the atom in order.
     begin, end : of the planes, 0 for the first that it sees.
     """
     shape = mesh.shape
     width = np.uintp(count(mesh.width))
     seen = mesh.seen
-    at = np.uintp(6 * i) * width
+    i = mesh.order[place]
+    at = np.uintp(6 * place) * width
     window = mesh.charges[i] * load(seen, at + np.uintp(4) * width, mesh.width)
 
     for k in range(begin, end):
@@ -183,15 +204,15 @@ def _put_one(mesh, i, begin, end):
         row = mesh.starts[i, 1]
 
         for j in range(shape[4]):
-            place = np.uintp((plane * shape[1] + row) * shape[3] + mesh.starts[i, 2])
+            point = np.uintp((plane * shape[1] + row) * shape[3] + mesh.starts[i, 2])
             weight = seen[at + np.uintp(j) + width + width]
-            store(mesh.points, place, fma(on_plane, weight, load(mesh.points, place, mesh.width)))
+            store(mesh.points, point, fma(on_plane, weight, load(mesh.points, point, mesh.width)))
             row = row + 1 if row + 1 < shape[1] else 0
 
 
 @called_kernel
 def push_from_points(mesh, chunk):
-    """forces += those of the mesh on a chunk of atoms, and their sum.
+    """forces += those of the mesh on a chunk of atoms, in order, and their sum.
 
         F = −q Σ_m v(m) ∂φ(m − x)/∂r: along each direction the slope of its window times the two other windows
 
@@ -207,8 +228,9 @@ def push_from_points(mesh, chunk):
     for d in range(3):
         mesh.sums[chunk, d] = 0.0
 
-    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
-        at = np.uintp(6 * i) * width
+    for place in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+        i = mesh.order[place]
+        at = np.uintp(6 * place) * width
         at_y = at + width + width
         along_x = nothing
         along_y = nothing
@@ -221,8 +243,8 @@ def push_from_points(mesh, chunk):
             slope = nothing
 
             for j in range(shape[4]):
-                place = np.uintp((plane * shape[1] + row) * shape[3] + mesh.starts[i, 2])
-                points = load(mesh.points, place, mesh.width)
+                point = np.uintp((plane * shape[1] + row) * shape[3] + mesh.starts[i, 2])
+                points = load(mesh.points, point, mesh.width)
                 value = fma(points, seen[at_y + np.uintp(j)], value)
                 slope = fma(points, seen[at_y + width + np.uintp(j)], slope)
                 row = row + 1 if row + 1 < shape[1] else 0
@@ -339,9 +361,10 @@ class MeshSum(ChargeSum):
         self._pieces = window.pieces(split.bound, width)
         self._sizes = np.array([a, b, c, c + width, window.points])
         self._starts = np.zeros((n, 3), dtype=np.int64)
+        self._edges = np.zeros((n, 3))
         self._order = np.zeros(n, dtype=np.int64)
         self._seen = np.zeros(6 * n * width)
-        self._begins = np.zeros(a + 1, dtype=np.int64)
+        self._begins = np.zeros(a * b + 1, dtype=np.int64)
         self._points = np.zeros((a, b, c + width))
         self._shares = system.masses / system.masses.sum()
         self._sums = np.zeros((self._n_chunks, 3))
@@ -381,6 +404,7 @@ class MeshSum(ChargeSum):
             shape=self._sizes,
             pieces=self._pieces,
             starts=self._starts,
+            edges=self._edges,
             seen=self._seen,
             order=self._order,
             begins=self._begins,
@@ -389,8 +413,9 @@ class MeshSum(ChargeSum):
             forces=target.forces,
             width=self._width,
         )
-        yield operation(self._calls, see_points, mesh, self._n_chunks)
+        yield operation(self._calls, find_points, mesh, self._n_chunks)
         yield operation(self._calls, sort_atoms, mesh)
+        yield operation(self._calls, see_points, mesh, self._n_chunks)
         yield operation(self._calls, put_charges, mesh, plane_chunks.py_func(self._sizes))
         yield in_python(lambda: self._convolve(target.detail))
         yield operation(self._calls, push_from_points, mesh, self._n_chunks)
@@ -443,11 +468,12 @@ class MeshSum(ChargeSum):
         offsets = np.arange(seen.shape[2])
 
         for block in np.array_split(np.arange(len(seen)), len(seen) // IN_A_BLOCK + 1):
-            starts = self._starts[block, :, None] + offsets
+            atoms = self._order[block]
+            starts = self._starts[atoms, :, None] + offsets
             a, b, c = (starts[:, d] % self.shape[d] for d in range(3))
             points = self._points[a[:, :, None, None], b[:, None, :, None], c[:, None, None, :]]
             windows_of = seen[block].swapaxes(0, 1)
-            potentials[block] = np.einsum("nijk,ni,nj,nk->n", points, *windows_of)
+            potentials[atoms] = np.einsum("nijk,ni,nj,nk->n", points, *windows_of)
 
         return potentials
 

@@ -16,6 +16,7 @@ from annotated_types import Ge, Gt, MaxLen
 from pydantic_core import PydanticUndefined
 
 from minimd.core.integrators.barostats import COUPLINGS
+from minimd.core.potentials.embedded import FORMS
 from minimd.core.potentials.pair import MIXING
 from minimd.core.potentials.truncation import TRUNCATIONS
 from minimd.core.structure.lattice import BASES
@@ -42,6 +43,7 @@ CHOICES = {
     "method": METHODS,
     "coupling": COUPLINGS,
     "kind": KINDS,
+    "law": FORMS,
     "axis": "abc",
 }
 MEANINGS = {
@@ -110,7 +112,9 @@ MEANINGS = {
         "sigma": "distance where u = 0",
         "species": "the two species",
         "file": "table of this pair, as `file` above",
+        "parameters": "numbers of the law, in its order",
     },
+    "files": {"text": "text of the file"},
     "tables": {"r": "distances", "u": "energies, one for each distance"},
     "potential, tabulated": {
         "type": "type of the potential",
@@ -123,6 +127,23 @@ MEANINGS = {
         "truncation": "how the law goes to zero at the cutoff",
         "switch_start": 'distance where `"switched"`, `"charmm"` and `"smooth"` begin; if not given, 0.8 of the cutoff',
         "bonded_scale": "factors for pairs one, two and three bonds apart",
+    },
+    "potential, embedded-atom": {
+        "type": "type of the potential",
+        "file": (
+            "file of tables for LAMMPS' `eam`, `eam/alloy` or `eam/fs`, in eV and Å; its path is relative to the scene "
+            "file; or a name in `[files]`"
+        ),
+        "law": "law by its name, instead of `file`",
+        "parameters": (
+            "numbers of the law, the same for all species, in the order of [metals](metals.md#by-name) and in the "
+            "units of the scene: eV and Å, or reduced"
+        ),
+        "species": "for each species its numbers, `{ Cu = [0.0124, 3.61, 39.4, 9.0, 6.0] }`; instead of `parameters`",
+        "pairs": "numbers for two different species, see below",
+        "cutoff": "r_c; required in a periodic cell",
+        "truncation": 'how φ and g go to zero at the cutoff; published parameters mean `"truncated"`',
+        "switch_start": 'distance where `"switched"`, `"charmm"` and `"smooth"` begin; if not given, 0.8 of the cutoff',
     },
     "dynamics": {
         "method": "integration method",
@@ -238,9 +259,17 @@ NOTES = {
     ),
     "potential.pairs": "Write one such table for each pair of species, below the `[[potential]]` to which it belongs.",
     "potential, tabulated": "Give either `file` or `pairs`.",
+    "potential, embedded-atom": (
+        "Metals. Give either `file`, and nothing else, or `law` with either `parameters` or `species`. The page on "
+        "[metals](metals.md) has the laws and whole scenes."
+    ),
     "potential, coulomb": "The charges are those of `[structure]`: from its `file`, or from its key `charges`.",
     "tables": (
         "The table `[tables.X]` is used instead of a file named X. The file of a run stores its scene with such tables."
+    ),
+    "files": (
+        "The text in `[files.X]` is used instead of a file named X, by `embedded-atom`. The file of a run stores its "
+        "scene with such texts."
     ),
     "barostat": (
         "Optional. Stochastic cell rescaling keeps the pressure constant, at the temperature of `[dynamics]`; see "

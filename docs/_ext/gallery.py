@@ -11,6 +11,7 @@ FONT_SIZE = 14  # of pictures that are shown at three fifths of their size
 # In this order; an example that is not named here comes last.
 THEMES = {
     "Liquids": "liquid_argon constant_pressure equation_of_state viscosity live mixture spce_water",
+    "Metals": "metal",
     "Heat baths and ensembles": "thermostats ensemble_checks stretched_chain",
     "Molecules and rigid bonds": "rigid_nitrogen timestep_gain bead_chain rigid_chain rigid_ring",
     "Laws and forces of your own": "own_law own_force compiled_force compiled_drag",

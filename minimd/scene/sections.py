@@ -109,12 +109,19 @@ def read_table(path: Path) -> Numbers:
 def read_text(path: Path) -> str:
     """The text of a file.
     Raises ValueError, with the path, for one that cannot be read."""
+    if path.exists() and not path.is_file():
+        raise ValueError(f"file {str(path)!r} is not a regular file")
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise ValueError(
             f"file {str(path)!r} cannot be read: {error.strerror or error}; its path is taken relative to the scene"
         ) from None
+
+
+def _quoted(text: str) -> str:
+    """A string of TOML, which forbids one control character more than JSON."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def as_sections(tables: Mapping[str, Numbers], texts: Mapping[str, str], units: str) -> str:
@@ -125,10 +132,10 @@ def as_sections(tables: Mapping[str, Numbers], texts: Mapping[str, str], units: 
     (*_, energy) = KEY_UNITS[units]["energy"]
     text = ""
     for name, table in tables.items():
-        title = json.dumps(name, ensure_ascii=False)
+        title = _quoted(name)
         text += f"\n[tables.{title}]\nr{length} = {table.r}\nu{energy} = {table.u}\n"
     for name, content in texts.items():
-        title, of_file = (json.dumps(part, ensure_ascii=False) for part in (name, content))
+        title, of_file = (_quoted(part) for part in (name, content))
         text += f"\n[files.{title}]\ntext = {of_file}\n"
     return text
 

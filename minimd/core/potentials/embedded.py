@@ -127,8 +127,8 @@ class EmbeddedAtom(Nonbonded):
     def from_file(cls, file: str | os.PathLike[str]) -> EmbeddedAtom:
         """The potential in a file for LAMMPS' eam, eam/alloy or eam/fs (funcfl, setfl), for systems in units of ASE.
 
-        The format is that of the ending, .fs for eam/fs, else what the file holds. Between the points of the tables
-        are the cubics of LAMMPS, so that both give the same energies in all digits.
+        The format is told by what the file holds, not by its name. Between the points of the tables are the cubics of
+        LAMMPS, so that both give the same energies in all digits.
         Raises OSError for a file that cannot be read; ValueError for one that holds something else.
         """
         return cls(read_tables(file))

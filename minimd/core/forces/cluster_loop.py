@@ -63,6 +63,16 @@ class SlopesByLane(ByAddress, namedtuple("SlopesByLane", "of_slots source")):
     """
 
 
+class TwoKindsOfRows(ByAddress, namedtuple("TwoKindsOfRows", "full bare is_bare")):
+    """Charges beside another law, which is zero for all pairs of some species, as hydrogens of water have it: their rows
+    are bare.
+
+    full : ChargesByLane, whose source is ByLane.
+    bare : ChargesByLane for the law of charges alone.
+    is_bare : (S,) bool, by species.
+    """
+
+
 @by_type
 def parameters_of_lanes(source, slot, cluster, lanes):
     """Parameters of pairs of the atom in a slot with the lanes of a cluster: numbers, or vectors if species differ."""
@@ -224,11 +234,63 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
 
     arrays : ClusterArrays.
     law : law type.
-    parameters : SameForAll or ByLane.
+    parameters : SameForAll, ByLane, ChargesByLane, SlopesByLane or TwoKindsOfRows.
     sums : with TOTALS each pair is added to the domain, with PER_ATOM half of it to each atom.
     steps : () or, in fixed-point arithmetic, Steps.
-    Indices in the inner loop are unsigned: the compiler need not check for those that count from the end.
     """
+    rows = arrays.rows
+    lanes = arrays.clusters.lanes
+    n_lanes = count(lanes)
+    first = arrays.domains.first[domain]
+    block = DIMENSIONS * n_lanes
+    forces = sums.forces[arrays.domains.place[domain] * block :]
+    stops = rows.stops[rows.layers[0] - 1]
+    energy, virial = _none_of(zeros(lanes))
+    first_slot, last_slot = slots_of(domain, arrays)
+    for slot in range(first_slot, last_slot):
+        if rows.start[slot] == stops[slot] and not with_energy(sums):
+            continue  # in a gas many rows are empty
+        lane = slot % n_lanes
+        home = arrays.ghosts.home[slot // n_lanes]
+        pull, size2, energy, virial = added_row(
+            law, parameters, (domain, slot, home * n_lanes + lane), arrays, sums, steps, (energy, virial)
+        )
+        place = (home - first) * block + lane
+        _give_back(forces, place, pull, stops[slot] - rows.start[slot], lanes)
+        if lanes_beyond(size2, steps):
+            arrays.memory.is_out[domain] = 1
+        if with_energy(sums) and (sums.detail == PER_ATOM or lane == n_lanes - 1):
+            _book(sums, slot if sums.detail == PER_ATOM else APART * domain, energy, virial, steps)
+            energy, virial = _none_of(zeros(lanes))
+
+
+@by_type
+def added_row(law, parameters, row, arrays, sums, steps, so_far):
+    """See _added_row; of two kinds of rows those that are bare have a simpler law."""
+    if parameters.instance_class is not TwoKindsOfRows:
+        return lambda law, parameters, row, arrays, sums, steps, so_far: _added_row(
+            law, parameters, row, arrays, sums, steps, so_far
+        )
+
+    def either(law, parameters, row, arrays, sums, steps, so_far):
+        if parameters.is_bare[parameters.full.source.species[row[2]]]:
+            return _added_row(law.charges, parameters.bare, row, arrays, sums, steps, so_far)
+        return _added_row(law, parameters.full, row, arrays, sums, steps, so_far)
+
+    return either
+
+
+@scalar
+def _added_row(law, parameters, row, arrays, sums, steps, so_far):
+    """The entries of a row: forces are added to the ghosts; returned are Σ f r_ij, its square where forces are watched,
+    and energy and virial.
+
+    row : domain, slot, and the slot of the same atom among those of the ghosts.
+    so_far : energy and virial before.
+    Indices in the loop are unsigned: the compiler need not check for those that count from the end.
+    """
+    domain, slot, own_slot = row
+    energy, virial = so_far
     rows = arrays.rows
     memory = arrays.memory
     lanes = arrays.clusters.lanes
@@ -241,54 +303,42 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
     zero = zeros(lanes)
     scale = scale_of(steps, zero)
     stops = rows.stops[rows.layers[0] - 1]
-    energy, virial = _none_of(zero)
-    first_slot, last_slot = slots_of(domain, arrays)
-    for slot in range(first_slot, last_slot):
-        if rows.start[slot] == stops[slot] and not with_energy(sums):
-            continue  # in a gas many rows are empty
-        home = arrays.ghosts.home[slot // n_lanes] - first
-        lane = slot % n_lanes
-        place = home * block + lane
-        x, y, z = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
-        at = broadcast(x, zero), broadcast(y, zero), broadcast(z, zero)
-        after = rows.entries[np.uintp(rows.start[slot])]
-        ahead = separations(coordinates, memory.far, after, at, lanes)
-        fx = fy = fz = nothing
-        size2 = zero
-        for entry in range(np.uintp(rows.start[slot]), np.uintp(stops[slot])):
-            if looks_ahead(nothing):
-                now = after
-                dx, dy, dz, r2 = ahead
-                after = rows.entries[entry + np.uintp(1)]
-                ahead = separations(coordinates, memory.far, after, at, lanes)
-            else:
-                now = rows.entries[entry]
-                dx, dy, dz, r2 = separations(coordinates, memory.far, now, at, lanes)
-            ghost = np.uintp(now & GHOST_BITS)
-            own_slot = (first + home) * n_lanes + lane
-            numbers = parameters_of_lanes(parameters, own_slot, first + np.intp(ghost), lanes)
-            near = r2 < numbers[0]
-            u, f = evaluate_law(law, r2, numbers[1:])
-            f = select(near, f, 0.0)
-            g = as_impulse(f, scale)
-            size2 = summed_squares(g, size2, steps)
-            fx, fy, fz = plus_product(g, dx, fx), plus_product(g, dy, fy), plus_product(g, dz, fz)
-            push(forces, ghost, g, (dx, dy, dz))
-            if with_energy(sums):
-                u = in_steps(select(near, u, 0.0), steps)
-                energy = energy + u
-            if by_pair(sums, steps):
-                pull = f * dx, f * dy, f * dz
-                virial = plus_virials(pull, (dx, dy, dz), virial, steps)
-                if sums.detail == PER_ATOM:
-                    at_ghost = arrays.domains.window[domain] + np.intp(ghost)
-                    _share(sums, at_ghost, u, pull, (dx, dy, dz), steps, lanes)
-        _give_back(forces, place, (fx, fy, fz), stops[slot] - rows.start[slot], lanes)
-        if lanes_beyond(size2, steps):
-            memory.is_out[domain] = 1
-        if with_energy(sums) and (sums.detail == PER_ATOM or lane == n_lanes - 1):
-            _book(sums, slot if sums.detail == PER_ATOM else APART * domain, energy, virial, steps)
-            energy, virial = _none_of(zero)
+    place = (own_slot // n_lanes - first) * block + slot % n_lanes
+    x, y, z = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
+    at = broadcast(x, zero), broadcast(y, zero), broadcast(z, zero)
+    after = rows.entries[np.uintp(rows.start[slot])]
+    ahead = separations(coordinates, memory.far, after, at, lanes)
+    fx = fy = fz = nothing
+    size2 = zero
+    for entry in range(np.uintp(rows.start[slot]), np.uintp(stops[slot])):
+        if looks_ahead(nothing):
+            now = after
+            dx, dy, dz, r2 = ahead
+            after = rows.entries[entry + np.uintp(1)]
+            ahead = separations(coordinates, memory.far, after, at, lanes)
+        else:
+            now = rows.entries[entry]
+            dx, dy, dz, r2 = separations(coordinates, memory.far, now, at, lanes)
+        ghost = np.uintp(now & GHOST_BITS)
+        numbers = parameters_of_lanes(parameters, own_slot, first + np.intp(ghost), lanes)
+        near = r2 < numbers[0]
+        u, f = evaluate_law(law, r2, numbers[1:])
+        f = select(near, f, 0.0)
+        g = as_impulse(f, scale)
+        size2 = summed_squares(g, size2, steps)
+        fx, fy, fz = plus_product(g, dx, fx), plus_product(g, dy, fy), plus_product(g, dz, fz)
+        push(forces, ghost, g, (dx, dy, dz))
+        if with_energy(sums):
+            u = in_steps(select(near, u, 0.0), steps)
+            energy = energy + u
+        if by_pair(sums, steps):
+            pull = f * dx, f * dy, f * dz
+            virial = plus_virials(pull, (dx, dy, dz), virial, steps)
+            if sums.detail == PER_ATOM:
+                at_ghost = arrays.domains.window[domain] + np.intp(ghost)
+                _share(sums, at_ghost, u, pull, (dx, dy, dz), steps, lanes)
+
+    return (fx, fy, fz), size2, energy, virial
 
 
 @scalar
@@ -427,6 +477,8 @@ def _fill_lanes(source, arrays):
         return fill_charges
     if source.instance_class is SlopesByLane:
         return lambda source, arrays: _fill_lanes(source.source, arrays)
+    if source.instance_class is TwoKindsOfRows:
+        return lambda source, arrays: _fill_lanes(source.full, arrays)
 
     def fill(source, arrays):
         for slot in range(arrays.domains.numbers[GHOSTS] * count(arrays.clusters.lanes)):

@@ -26,11 +26,12 @@ from minimd.core.forces.cluster_loop import (
     SlopesByLane,
     Sums,
     TotalSums,
+    TwoKindsOfRows,
     add_forces_of_laws,
     prepare_loop,
 )
 from minimd.core.forces.options import FIXED_POINT, Options, described, pool_for
-from minimd.core.forces.pair_laws import ListTerm, PairLaws, skin_for
+from minimd.core.forces.pair_laws import ListTerm, PairLaws, bare_species, skin_for
 from minimd.core.neighbors.buffers import Buffers
 from minimd.core.neighbors.cluster_list import ClusterList
 from minimd.core.neighbors.cluster_memory import clear, collected
@@ -257,7 +258,7 @@ class ClusterTerm(ListTerm):
 
     def _source(
         self, k: int, law: PairLaw, system: System
-    ) -> SameForAll | ByLane | ChargesByLane | SlopesByLane:
+    ) -> SameForAll | ByLane | ChargesByLane | SlopesByLane | TwoKindsOfRows:
         """Where the loop finds the numbers of law k: the same for all pairs, by species, and with charges by atom.
 
         The memory of columns is kept as long as the list is.
@@ -277,7 +278,12 @@ class ClusterTerm(ListTerm):
         if law.charges is None:
             return source
         charges = self._memory.array(f"charges of law {k}", np.float64, slots)
-        return ChargesByLane(charges, law.charges, source)
+        full = ChargesByLane(charges, law.charges, source)
+        is_bare = bare_species(law)
+        if not is_bare.any():
+            return full
+        bare = ChargesByLane(charges, law.charges, SameForAll((law.cutoff**2,)))
+        return TwoKindsOfRows(full, bare, is_bare)
 
 
 def _key(target: Target) -> tuple[Any, ...]:

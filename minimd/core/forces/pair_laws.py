@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from math import isfinite
 
 import numpy as np
+from numpy.typing import NDArray
 
 from minimd.core.forces.embedding import EmbeddingPasses
 from minimd.core.forces.options import Options
@@ -140,6 +141,21 @@ def deepest(law: PairLaw) -> float:
                 depth = max(depth, -u)
 
     return depth if isfinite(depth) else 0.0
+
+
+def bare_species(law: PairLaw) -> NDArray[np.bool_]:
+    """Which species have no law but that of charges, (S,): the law beside it is zero for all their pairs."""
+    inner = getattr(law.law, "law", None)
+    is_zero = np.zeros(law.table.shape[:2], dtype=bool)
+    if law.charges is None or inner is None or len(is_zero) == 1:
+        return np.zeros(len(is_zero), dtype=bool)
+
+    for pair in np.ndindex(*is_zero.shape):
+        _, cutoff2, *numbers = law.table[pair].tolist()
+        distances = [x * cutoff2**0.5 for x in SOUGHT_AT]
+        is_zero[pair] = all(law_at(inner, r, tuple(numbers)) == (0.0, 0.0) for r in distances)
+
+    return is_zero.all(axis=1)
 
 
 def skin_for(

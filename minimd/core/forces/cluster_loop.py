@@ -64,7 +64,7 @@ class SlopesByLane(ByAddress, namedtuple("SlopesByLane", "of_slots source")):
 
 
 class TwoKindsOfRows(ByAddress, namedtuple("TwoKindsOfRows", "full bare is_bare")):
-    """Charges beside another law, which is zero for all pairs of some species, as hydrogens of water have it: their rows
+    """Charges beside another law, which is zero for all pairs of some species, as of the hydrogens of water: their rows
     are bare.
 
     full : ChargesByLane, whose source is ByLane.
@@ -239,59 +239,6 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
     steps : () or, in fixed-point arithmetic, Steps.
     """
     rows = arrays.rows
-    lanes = arrays.clusters.lanes
-    n_lanes = count(lanes)
-    first = arrays.domains.first[domain]
-    block = DIMENSIONS * n_lanes
-    forces = sums.forces[arrays.domains.place[domain] * block :]
-    stops = rows.stops[rows.layers[0] - 1]
-    energy, virial = _none_of(zeros(lanes))
-    first_slot, last_slot = slots_of(domain, arrays)
-    for slot in range(first_slot, last_slot):
-        if rows.start[slot] == stops[slot] and not with_energy(sums):
-            continue  # in a gas many rows are empty
-        lane = slot % n_lanes
-        home = arrays.ghosts.home[slot // n_lanes]
-        pull, size2, energy, virial = added_row(
-            law, parameters, (domain, slot, home * n_lanes + lane), arrays, sums, steps, (energy, virial)
-        )
-        place = (home - first) * block + lane
-        _give_back(forces, place, pull, stops[slot] - rows.start[slot], lanes)
-        if lanes_beyond(size2, steps):
-            arrays.memory.is_out[domain] = 1
-        if with_energy(sums) and (sums.detail == PER_ATOM or lane == n_lanes - 1):
-            _book(sums, slot if sums.detail == PER_ATOM else APART * domain, energy, virial, steps)
-            energy, virial = _none_of(zeros(lanes))
-
-
-@by_type
-def added_row(law, parameters, row, arrays, sums, steps, so_far):
-    """See _added_row; of two kinds of rows those that are bare have a simpler law."""
-    if parameters.instance_class is not TwoKindsOfRows:
-        return lambda law, parameters, row, arrays, sums, steps, so_far: _added_row(
-            law, parameters, row, arrays, sums, steps, so_far
-        )
-
-    def either(law, parameters, row, arrays, sums, steps, so_far):
-        if parameters.is_bare[parameters.full.source.species[row[2]]]:
-            return _added_row(law.charges, parameters.bare, row, arrays, sums, steps, so_far)
-        return _added_row(law, parameters.full, row, arrays, sums, steps, so_far)
-
-    return either
-
-
-@scalar
-def _added_row(law, parameters, row, arrays, sums, steps, so_far):
-    """The entries of a row: forces are added to the ghosts; returned are Σ f r_ij, its square where forces are watched,
-    and energy and virial.
-
-    row : domain, slot, and the slot of the same atom among those of the ghosts.
-    so_far : energy and virial before.
-    Indices in the loop are unsigned: the compiler need not check for those that count from the end.
-    """
-    domain, slot, own_slot = row
-    energy, virial = so_far
-    rows = arrays.rows
     memory = arrays.memory
     lanes = arrays.clusters.lanes
     n_lanes = count(lanes)
@@ -299,26 +246,79 @@ def _added_row(law, parameters, row, arrays, sums, steps, so_far):
     block = DIMENSIONS * n_lanes
     coordinates = memory.coordinates[first * block :]  # of this window, as the forces
     forces = sums.forces[arrays.domains.place[domain] * block :]
-    nothing = broadcast(0, load(forces, 0, lanes))
-    zero = zeros(lanes)
-    scale = scale_of(steps, zero)
+    window = first, coordinates, memory.far, forces
     stops = rows.stops[rows.layers[0] - 1]
-    place = (own_slot // n_lanes - first) * block + slot % n_lanes
-    x, y, z = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
-    at = broadcast(x, zero), broadcast(y, zero), broadcast(z, zero)
-    after = rows.entries[np.uintp(rows.start[slot])]
-    ahead = separations(coordinates, memory.far, after, at, lanes)
+    zero = zeros(lanes)
+    energy, virial = _none_of(zero)
+    first_slot, last_slot = slots_of(domain, arrays)
+    for slot in range(first_slot, last_slot):
+        if rows.start[slot] == stops[slot] and not with_energy(sums):
+            continue  # in a gas many rows are empty
+        home = arrays.ghosts.home[slot // n_lanes] - first
+        lane = slot % n_lanes
+        place = home * block + lane
+        x, y, z = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
+        at = broadcast(x, zero), broadcast(y, zero), broadcast(z, zero)
+        entries = rows.entries, np.uintp(rows.start[slot]), np.uintp(stops[slot])
+        row = (first + home) * n_lanes + lane, at, entries, arrays.domains.window[domain]
+        pull, size2, energy, virial = added_row(
+            law, parameters, row, window, sums, steps, (energy, virial)
+        )
+        _give_back(forces, place, pull, stops[slot] - rows.start[slot], lanes)
+        if lanes_beyond(size2, steps):
+            memory.is_out[domain] = 1
+        if with_energy(sums) and (sums.detail == PER_ATOM or lane == n_lanes - 1):
+            _book(sums, slot if sums.detail == PER_ATOM else APART * domain, energy, virial, steps)
+            energy, virial = _none_of(zero)
+
+
+@by_type
+def added_row(law, parameters, row, window, sums, steps, so_far):
+    """See _added_row; of two kinds of rows those that are bare have a simpler law."""
+    if parameters.instance_class is not TwoKindsOfRows:
+        return lambda law, parameters, row, window, sums, steps, so_far: _added_row(
+            law, parameters, row, window, sums, steps, so_far
+        )
+
+    def either(law, parameters, row, window, sums, steps, so_far):
+        if parameters.is_bare[parameters.full.source.species[row[0]]]:
+            return _added_row(law.charges, parameters.bare, row, window, sums, steps, so_far)
+        return _added_row(law, parameters.full, row, window, sums, steps, so_far)
+
+    return either
+
+
+@scalar
+def _added_row(law, parameters, row, window, sums, steps, so_far):
+    """The entries of a row: forces are added to the ghosts; returned are Σ f r_ij, its square where forces are watched,
+    and energy and virial.
+
+    row : slot of the atom among those of the ghosts; its position; entries, the first and that behind the last; the
+        first ghost of the window among those of all windows.
+    window : its first ghost, coordinates, far of Memory, forces.
+    so_far : energy and virial before.
+    Indices in the loop are unsigned: the compiler need not check for those that count from the end.
+    """
+    own_slot, at, (entries, start, stop), first_of_all = row
+    first, coordinates, far, forces = window
+    energy, virial = so_far
+    lanes = at[0]
+    nothing = broadcast(0, load(forces, 0, lanes))
+    zero = broadcast(0.0, lanes)
+    scale = scale_of(steps, zero)
+    after = entries[start]
+    ahead = separations(coordinates, far, after, at, lanes)
     fx = fy = fz = nothing
     size2 = zero
-    for entry in range(np.uintp(rows.start[slot]), np.uintp(stops[slot])):
+    for entry in range(start, stop):
         if looks_ahead(nothing):
             now = after
             dx, dy, dz, r2 = ahead
-            after = rows.entries[entry + np.uintp(1)]
-            ahead = separations(coordinates, memory.far, after, at, lanes)
+            after = entries[entry + np.uintp(1)]
+            ahead = separations(coordinates, far, after, at, lanes)
         else:
-            now = rows.entries[entry]
-            dx, dy, dz, r2 = separations(coordinates, memory.far, now, at, lanes)
+            now = entries[entry]
+            dx, dy, dz, r2 = separations(coordinates, far, now, at, lanes)
         ghost = np.uintp(now & GHOST_BITS)
         numbers = parameters_of_lanes(parameters, own_slot, first + np.intp(ghost), lanes)
         near = r2 < numbers[0]
@@ -335,8 +335,7 @@ def _added_row(law, parameters, row, arrays, sums, steps, so_far):
             pull = f * dx, f * dy, f * dz
             virial = plus_virials(pull, (dx, dy, dz), virial, steps)
             if sums.detail == PER_ATOM:
-                at_ghost = arrays.domains.window[domain] + np.intp(ghost)
-                _share(sums, at_ghost, u, pull, (dx, dy, dz), steps, lanes)
+                _share(sums, first_of_all + np.intp(ghost), u, pull, (dx, dy, dz), steps, lanes)
 
     return (fx, fy, fz), size2, energy, virial
 

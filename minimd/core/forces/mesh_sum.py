@@ -6,8 +6,8 @@
 V is the volume, x are positions in units of the spacing of points, φ is a product of three windows: see mesh_window.py.
 Forces are minus the gradient of this energy, less their sum, of which each atom bears a share by its mass: that is the
 motion under U where the center of mass is held in its place. Charges are put on the planes of the mesh by chunks that
-own them, row by row of where atoms start: the same bits for any number of threads. Those of the transforms depend on the
-builds of numpy and scipy.
+own them, row by row of where atoms start: the same bits for any number of threads. Those of the transforms depend on
+the builds of numpy and scipy.
 
 T. Darden, D. York, L. Pedersen, J. Chem. Phys. 98, 10089 (1993); U. Essmann et al., ibid. 103, 8577 (1995).
 """

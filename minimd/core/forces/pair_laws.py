@@ -155,7 +155,7 @@ def bare_species(law: PairLaw) -> NDArray[np.bool_]:
         distances = [x * cutoff2**0.5 for x in SOUGHT_AT]
         is_zero[pair] = all(law_at(inner, r, tuple(numbers)) == (0.0, 0.0) for r in distances)
 
-    return is_zero.all(axis=1)
+    return np.asarray(is_zero.all(axis=1))
 
 
 def skin_for(

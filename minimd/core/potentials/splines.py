@@ -29,7 +29,7 @@ class Identical:
 
 
 class Cubics(Identical, namedtuple("Cubics", "rows per_step end")):
-    """Functions, or pairs of them, on the same steps, one after the other; each ends with a step in which it is a straight line.
+    """Functions, or pairs of them, on the same steps, one after the other. Each ends with a straight line.
 
     rows : (K · M, 4 or 8) c₀ to c₃ of K functions, or of both of K pairs; row k M + m is step m, of M, of the k-th.
     per_step : 1/Δ of a step Δ.

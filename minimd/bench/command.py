@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 REPEATS = 7
 REPEATS_QUICK = 3
 PEER_NAMES = (
-    "lammps, lammps-checked, lammps-tuned, lammps-shake, lammps-plain, lammps-omp, gromacs, openmm, openmm-pme, ase, "
-    "asap3"
+    "lammps, lammps-checked, lammps-tuned, lammps-shake, lammps-plain, lammps-omp, gromacs, gromacs-safe, openmm, "
+    "openmm-pme, ase, asap3"
 )
 SCENE_NAMES = (
     "melt, cutoff-4, wca, kob-andersen, gas, droplet, slab, npt, chains, chain, decane, dumbbells, triangles, water, "
@@ -72,20 +72,21 @@ def _outcome(name: str, arguments: Namespace, repeats: int) -> "Outcome":
 
         return run_scaling(arguments.threads, quick, repeats)
 
-    from minimd.bench.peers import BESIDE_SCENES, PeersOptions, able_peers, run_peers
+    from minimd.bench.peers import BESIDE_SCENES, PeersOptions, run_peers
     from minimd.bench.scenes import SCENES
 
     scenes = (arguments.scene,)
     cells: tuple[int, ...] = (5, 10) if quick else (5, 10, 20, 40)
     threads = arguments.threads
-    peers = arguments.peers
+    offered: tuple[str, ...] = ()
     if arguments.scenes is not None:
         scenes = tuple(dict.fromkeys(arguments.scenes or SCENES))
         cells = (10,)
         threads = threads or (1,)
-        peers = peers or able_peers(BESIDE_SCENES, scenes)
+        offered = BESIDE_SCENES
 
-    return run_peers(PeersOptions(scenes, arguments.cells or cells, threads, peers, repeats))
+    cells = arguments.cells or cells
+    return run_peers(PeersOptions(scenes, cells, threads, arguments.peers, repeats, offered))
 
 
 def counts(text: str) -> tuple[int, ...]:
@@ -101,10 +102,11 @@ def words(text: str) -> tuple[str, ...]:
 SEVERAL = {"nargs": "*"}
 COMMAND = Command("bench", "measure the speed of minimd: compared with other engines, and run time against error",
                   "Measure the speed of minimd: compared with other engines, and run time against error.", below=(
-    benchmark("peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3",
+    benchmark("peers", "the same scene in minimd, LAMMPS, GROMACS, OpenMM, ASE and asap3",
         Argument("--scene", f"{SCENE_NAMES} (default: melt)", more={"default": "melt"}),
-        Argument("--scenes", "several scenes (default: all) beside LAMMPS with its list checked, water beside OpenMM "
-                 "too, in one table (default of --cells: 10, of --threads: 1)", None, "NAME", SEVERAL),
+        Argument("--scenes", "several scenes (default: all) beside LAMMPS with its list checked, melt and water beside "
+                 "GROMACS, water beside OpenMM, in one table (default of --cells: 10, of --threads: 1)", None, "NAME",
+                 SEVERAL),
         Argument("--cells", "sizes: 4 N³ atoms, or about as many; water: 3 N³ (default: 5,10,20,40)", counts, "N,..."),
         Argument("--threads", "numbers of threads, for engines that can use several (default: 1 and all cores)", counts,
                  "T,...", {"default": ()}),

@@ -6,9 +6,7 @@ All engines start from the same positions and velocities.
 import contextlib
 import ctypes
 import os
-import re
 import shutil
-import subprocess
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -22,7 +20,17 @@ import numpy as np
 
 import minimd as md
 from minimd.bench import scenes
-from minimd.bench.scenes import CUTOFF, PLANS, SHIFT, SKIN_LAMMPS, WATER, BenchScene, pairs_in_range
+from minimd.bench.gromacs import BUFFER, SAFE_BUFFER, GromacsRun
+from minimd.bench.scenes import (
+    COULOMB_KJ_NM,
+    CUTOFF,
+    PLANS,
+    SHIFT,
+    SKIN_LAMMPS,
+    WATER,
+    BenchScene,
+    pairs_in_range,
+)
 from minimd.core.structure.constraints import lengths_of
 from minimd.core.structure.observables import Array
 from minimd.lammps.model import Model
@@ -44,41 +52,7 @@ TUNED_SKINS = {
 }
 # atoms: with more, GROMACS' sums in float32 differ from those of other engines by more than the comparison allows
 SUMMED_WELL = 32_000
-# kJ/mol/ps, the drift that GROMACS allows from its list; with the default, 0.005, it drifts a thousand times more than
-# minimd
-BUFFER = 1e-7
-GROMACS_PARAMETERS = f"""
-integrator = md
-dt = {{timestep:.17g}}
-nsteps = -1
-cutoff-scheme = Verlet
-verlet-buffer-tolerance = {BUFFER:g}
-vdwtype = Cut-off
-vdw-modifier = None
-rvdw = {CUTOFF}
-coulombtype = Cut-off
-rcoulomb = {CUTOFF}
-comm-mode = None
-continuation = yes
-nstlog = 1000000000
-nstenergy = 1000000000
-nstcalcenergy = 1000000000
-"""
-GROMACS_TOPOLOGY = """
-[ defaults ]
-1 1 no 1.0 1.0
-[ atomtypes ]
-A 18 1.0 0.0 A 4.0 4.0  ; 4 ε σ⁶ and 4 ε σ¹²
-[ moleculetype ]
-A 1
-[ atoms ]
-1 A 1 A A 1 0.0 1.0
-[ system ]
-melt
-[ molecules ]
-A {n_atoms}
-"""
-COULOMB_OPENMM = 138.9354576  # kJ nm/(mol e²)
+MESH_ORDERS = (4, 5, 6)  # that GROMACS tries
 ARGON = 18  # asap3 needs a chemical element; the masses are those of the scene
 
 
@@ -315,7 +289,7 @@ def _openmm_system(scene: BenchScene) -> Any:
     force.setUseDispersionCorrection(False)
     force.setEwaldErrorTolerance(scene.accuracy)
     wells = scene.law.table(own.species_names).diagonal()[-2:].T  # ε, σ of each species
-    charges = own.charges * np.sqrt(own.units.coulomb / COULOMB_OPENMM)
+    charges = own.charges * np.sqrt(own.units.coulomb / COULOMB_KJ_NM)
     species = own.species_index * scene.law.depends_on_species
 
     for mass, charge, well in zip(own.masses, charges, wells[species].tolist(), strict=True):
@@ -399,85 +373,20 @@ def _on_ase(name: str, atoms: Any, dynamics: Any, shift: Callable[[], float]) ->
     return LoadedEngine(name, 1, "double", potential, total, dynamics.run)
 
 
-def gromacs(scene: BenchScene, threads: int) -> LoadedEngine:
-    """GROMACS' leapfrog in mixed precision, with a list that is as safe as minimd's; nm, u, ps and kJ/mol stand for σ,
-    m, τ and ε. Each run is a process. The seconds are those of GROMACS' own clock, without the start of the program."""
-    from MDAnalysis import Universe
-
-    folder = tempfile.TemporaryDirectory(prefix="minimd-gromacs-")  # removed with the engine
-    edges = scene.edges
-    timestep = scene.method.timestep
-    place = Path(folder.name)
-    environment = os.environ | {"GMX_MAXBACKUP": "-1", "GMX_SUPPRESS_DUMP": "1"}
-
-    def call(command: str, options: str, answers: str = "") -> None:
-        """answers : to the questions of gmx.
-        Raises RuntimeError with the last words that gmx printed, if it fails."""
-        process = subprocess.run(
-            ["gmx", "-quiet", command, *options.split()],
-            cwd=place,
-            input=answers,
-            capture_output=True,
-            text=True,
-            env=environment,
-            check=False,
-        )
-        if process.returncode:
-            raise RuntimeError(f"gmx {command} failed: {' '.join(process.stderr.split()[-40:])}")
-
-    def run(n_steps: int) -> float:
-        options = f"-deffnm run -s run.tpr -cpo run.cpt -c last.gro -nsteps {n_steps} -noappend"
-        if (place / "run.cpt").exists():
-            options += " -cpi run.cpt"
-        for old in place.glob("run.part*"):
-            old.unlink()
-        call("mdrun", f"{options} -ntmpi 1 -ntomp {threads} -nb cpu")
-        (file,) = place.glob("run.part*.log")
-        log = file.read_text(encoding="utf-8", errors="replace")
-        return float(re.findall(r"^ +Time: +\S+ +(\S+)", log, re.M)[-1])
-
-    def energies() -> list[float]:
-        """Potential and kinetic energy [ε]."""
-        run(0)
-        (file,) = place.glob("run.part*.edr")
-        call("energy", f"-f {file.name} -o run.xvg -dp", "Potential\nKinetic-En.\n\n")
-        last = (place / "run.xvg").read_text(encoding="utf-8").splitlines()[-1]
-        return [float(number) for number in last.split()[1:]]
-
-    def total_energy() -> float:
-        potential, kinetic = energies()
-        # in nm; the three decimals of the file are enough for the small term below
-        positions = Universe(str(max(place.glob("last.part*.gro")))).atoms.positions / 10.0
-        now = md.System(positions, cell=edges, species=scene.system.species)
-        forces = md.evaluate(now, scene.potentials).forces
-        # GROMACS' K is the mean of those half a step before and after
-        return potential + kinetic - 0.125 * timestep**2 * float(np.sum(forces**2))
-
-    n_atoms = len(scene.system)
-    (place / "run.mdp").write_text(GROMACS_PARAMETERS.format(timestep=timestep), encoding="utf-8")
-    (place / "run.top").write_text(GROMACS_TOPOLOGY.format(n_atoms=n_atoms), encoding="utf-8")
-    (place / "run.gro").write_text(_gromacs_structure(scene), encoding="utf-8")
-    call("grompp", "-f run.mdp -p run.top -c run.gro -o run.tpr -maxwarn 9")
+def gromacs(
+    scene: BenchScene, threads: int, buffer: float = BUFFER, order: int = 4
+) -> LoadedEngine:
+    """GROMACS' leapfrog in mixed precision, see GromacsRun. Each run is a process."""
+    own = GromacsRun(scene, threads, buffer, order)
     return LoadedEngine(
-        f"GROMACS, buffer {BUFFER:g}", threads, "mixed", lambda: energies()[0], total_energy, run
+        own.name,
+        threads,
+        "mixed",
+        own.potential_energy,
+        own.total_energy,
+        own.run,
+        own.forces,
     )
-
-
-def _gromacs_structure(scene: BenchScene) -> str:
-    """Positions and velocities in GROMACS' format, with nine decimals instead of three; velocities half a step earlier,
-    as needed by leapfrog."""
-    system = scene.system
-    edges = scene.edges
-    forces = md.evaluate(system, scene.potentials).forces
-    velocities = system.velocities - 0.5 * scene.method.timestep * forces
-    positions = system.positions - np.floor(system.positions / edges) * edges
-    line = "%5dA    %5s%5d" + 3 * "%14.9f" + 3 * "%14.10f"
-    lines = ["melt", str(len(system))]
-    for k, (r, v) in enumerate(zip(positions, velocities, strict=True), start=1):
-        number = k % 100000
-        lines.append(line % (number, "A", number, *r, *v))
-    lines += [" ".join(f"{edge:.12f}" for edge in edges), ""]
-    return "\n".join(lines)
 
 
 Load = Callable[[BenchScene, int], LoadedEngine]  # a scene, and a number of threads
@@ -490,7 +399,8 @@ class Peer(NamedTuple):
     threads : whether it takes part with "one" thread, with "each" number that is asked for, or with the "most" only.
     most_atoms : in larger scenes it takes part only if it is asked for.
     scenes : names of the scenes that it can run.
-    installer : the command or program that installs the package; {} stands for its name."""
+    installer : the command or program that installs the package; {} stands for its name.
+    others : as load, with other settings; of charges, the fastest counts."""
 
     package: str
     load: Load
@@ -498,6 +408,7 @@ class Peer(NamedTuple):
     most_atoms: float = np.inf
     scenes: tuple[str, ...] = ("melt", "chains", "dumbbells")
     installer: str = "pip install 'minimd-engine[{}]'"
+    others: tuple[Load, ...] = ()
 
     @property
     def is_installed(self) -> bool:
@@ -510,6 +421,19 @@ class Peer(NamedTuple):
         return f"not installed; {self.installer.format(self.package)} installs it"
 
 
+def _gromacs_peer(buffer: float) -> Peer:
+    load, *others = (partial(gromacs, buffer=buffer, order=order) for order in MESH_ORDERS)
+    return Peer(
+        "gmx",
+        load,
+        "each",
+        SUMMED_WELL,
+        ("melt", *WATER),
+        "the package manager of the system",
+        tuple(others),
+    )
+
+
 SHAKE = partial(lammps, rigid="shake", skins=SKINS | TUNED_SKINS)
 PEERS = {
     "lammps": Peer("lammps", partial(lammps, checked=False)),
@@ -519,9 +443,8 @@ PEERS = {
     "lammps-plain": Peer("lammps", partial(lammps, suffix="", checked=False)),
     # OpenMP allows only one number of threads in a process
     "lammps-omp": Peer("lammps", partial(lammps, suffix="omp", checked=False), threads="most"),
-    "gromacs": Peer(
-        "gmx", gromacs, "each", SUMMED_WELL, ("melt",), "the package manager of the system"
-    ),
+    "gromacs": _gromacs_peer(BUFFER),
+    "gromacs-safe": _gromacs_peer(SAFE_BUFFER),
     "openmm": Peer("openmm", openmm, threads="each"),
     "openmm-pme": Peer("openmm", openmm, "each", scenes=tuple(WATER)),
     # hundreds of times slower

@@ -1,8 +1,10 @@
 """`minimd bench peers`: the same scene in minimd and in other installed engines, or many scenes beside LAMMPS."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import compress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -12,7 +14,7 @@ from minimd.bench.engines import PEERS, Load, LoadedEngine, Minimd
 from minimd.bench.outcome import spread, summary, table, threads_text
 from minimd.bench.scaling import bytes_per_atom
 from minimd.bench.scenes import EXACT, MELT, SCENES, WATER_CUTOFFS, BenchScene, equilibrated
-from minimd.bench.turns import check_agreement, in_turns, thread_numbers
+from minimd.bench.turns import check_agreement, in_turns, thread_numbers, timed
 from minimd.core.compiled.terminal import tell
 from minimd.core.structure.observables import Array
 
@@ -20,12 +22,25 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NO_PEERS = ("none",)
-# whose lists miss no pair
-BESIDE_SCENES = ("lammps-checked", "lammps-tuned", "lammps-shake", "openmm-pme")
+# whose lists miss no pair, but for GROMACS with its default buffer
+BESIDE_SCENES = (
+    "lammps-checked",
+    "lammps-tuned",
+    "lammps-shake",
+    "gromacs",
+    "gromacs-safe",
+    "openmm-pme",
+)
 # accuracies that are tried, of the error that is allowed
 LADDER = 2.0 ** np.arange(5.0, -4.5, -0.5)
+# steps with which settings are compared, and how much slower than the fastest those may be that are measured
+STEPS_TRIED = 100
+TRIED = 1.3
 # in smaller scenes the memory of atoms is not measured: that of Python and of the kernels hides it
 FROM_ATOMS = 256_000
+
+Asked = tuple[Sequence[Load], int]  # settings of which the fastest counts, and a number of threads
+Placed = tuple[int, LoadedEngine]  # an engine with its place among those that are asked for
 
 
 class EngineSpeed(NamedTuple):
@@ -66,13 +81,15 @@ def ratios(rows: Sequence[EngineSpeed], row: EngineSpeed) -> tuple[outcome.Ratio
 class PeersOptions(NamedTuple):
     """Options of run_peers.
     threads : if empty, one thread and all cores.
-    peers : names in PEERS; if empty, all that are installed; "none" for no peer."""
+    peers : names in PEERS; if empty, those of offered that are installed; "none" for no peer.
+    offered : names in PEERS; if empty, all."""
 
     scenes: tuple[str, ...] = (MELT,)
     cells: tuple[int, ...] = (5, 10, 20)
     threads: tuple[int, ...] = ()
     peers: tuple[str, ...] = ()
     repeats: int = 7
+    offered: tuple[str, ...] = ()
 
 
 @dataclass
@@ -232,11 +249,6 @@ def run_peers(options: PeersOptions) -> Peers:
     return Peers(texts, options.repeats, packages, sizes)
 
 
-def able_peers(names: Iterable[str], scenes: Sequence[str]) -> tuple[str, ...]:
-    """Those of some peers that can run one of the scenes."""
-    return tuple(name for name in names if {*scenes} & {*PEERS[name].scenes})
-
-
 def _checked_scenes(options: PeersOptions) -> dict[str, str]:
     """The texts of the scenes, by name.
     Raises ValueError for an unknown scene, or one with too small a cell."""
@@ -261,7 +273,8 @@ def _checked_peers(options: PeersOptions) -> tuple[str, ...]:
         return ()
     allowed = (*PEERS, *NO_PEERS) if len(options.peers) == 1 else tuple(PEERS)
     _check_names("peers", options.peers, allowed)
-    able = able_peers(PEERS, options.scenes)
+    names = options.peers or options.offered or PEERS
+    able = tuple(name for name in names if {*options.scenes} & {*PEERS[name].scenes})
 
     for name in options.peers:
         peer = PEERS[name]
@@ -300,28 +313,30 @@ def _beside(
     if name != MELT:  # the melt is equilibrated while the engines warm up
         scene = equilibrated(scene)
     n_atoms = len(scene.system)
-    asked: list[tuple[Load, int]] = []
+    asked: list[Asked] = []
     for count in dict.fromkeys((1, *threads)):
-        asked.append((Minimd, count))
+        asked.append(((Minimd,), count))
     counts = {"one": (1,), "each": threads, "most": (max(threads),)}
 
     for peer_name in peers:
         peer = PEERS[peer_name]
         is_wanted = peer_name in options.peers or n_atoms <= peer.most_atoms
         if is_wanted and name in peer.scenes:
-            load = partial(_load, peer_name)
-            asked += [(load, count) for count in counts[peer.threads]]
+            loads = [partial(_load, peer_name, load) for load in (peer.load, *peer.others)]
+            asked += [(loads, count) for count in counts[peer.threads]]
 
     if scene.error:
         groups = _accurate(asked, scene)
     else:
-        groups = [{k: load(scene, count) for k, (load, count) in enumerate(asked)}]
+        groups = [[(k, loads[0](scene, count)) for k, (loads, count) in enumerate(asked)]]
 
     for group in groups:
-        check_agreement([*group.values()], scene)
+        check_agreement([engine for _, engine in group], scene)
     tell(f"{name}: the energies agree")
-    places = [k for group in groups for k in group]
-    engines = [engine for group in groups for engine in group.values()]
+    placed = [pair for group in groups for pair in group]
+    if scene.error:
+        placed = _quick(placed)
+    places, engines = zip(*placed, strict=True)
     speeds = n_atoms * in_turns(engines, options.repeats, n_atoms)
     best = dict[int, EngineSpeed]()
 
@@ -339,11 +354,9 @@ def _beside(
     return [best[k] for k in sorted(best)]
 
 
-def _accurate(
-    asked: Sequence[tuple[Load, int]], scene: BenchScene
-) -> list[dict[int, LoadedEngine]]:
-    """For each cutoff that the cell has room for, the engines that are asked for, by their places: each with the least
-    accuracy whose measured error is allowed, without those that do not reach it."""
+def _accurate(asked: Sequence[Asked], scene: BenchScene) -> list[list[Placed]]:
+    """For each cutoff that the cell has room for, the engines that are asked for, with their places: each with the
+    least accuracy whose measured error is allowed, without those that do not reach it."""
     groups = []
     widest = 0.5 * scene.edges.min()
 
@@ -351,31 +364,59 @@ def _accurate(
         exact = scene.cut(cutoff, EXACT)
         forces = Minimd(exact).forces
         charges = exact._replace(potentials=exact.potentials[1:])
-        scale = np.linalg.norm(Minimd(charges).forces)
-        group = dict[int, LoadedEngine]()
+        scale = float(np.linalg.norm(Minimd(charges).forces))
+        group: list[Placed] = []
 
-        for k, (load, count) in enumerate(asked):
-            for accuracy in scene.error * LADDER:
-                engine = load(scene.cut(cutoff, accuracy), count)
-                error = np.linalg.norm(forces - engine.forces) / scale
+        for k, (loads, count) in enumerate(asked):
+            for load in loads:
+                with_accuracy = lambda accuracy: load(scene.cut(cutoff, accuracy), count)  # noqa: E731
+                engine, error = _least_accurate(with_accuracy, scene.error, forces, scale)
                 engine.name += f", r_c {cutoff:g} Å, error {error:.1e}"
                 if error <= scene.error:
-                    group[k] = engine
+                    group.append((k, engine))
                     tell(f"{scene.name}: {engine.name}")
-                    break
-            else:
-                tell(f"{scene.name}: {engine.name}: left out, as no accuracy is high enough")
+                else:
+                    tell(f"{scene.name}: {engine.name}: left out, as no accuracy is high enough")
 
         groups.append(group)
 
     return groups
 
 
-def _load(name: str, scene: BenchScene, threads: int) -> LoadedEngine:
+def _least_accurate(
+    load: Callable[[float], LoadedEngine], allowed: float, forces: Array, scale: float
+) -> tuple[LoadedEngine, float]:
+    """An engine with the least accuracy whose error is allowed, and this error, found by bisection; or the most
+    accurate one.
+    forces, scale : the exact ones (N, 3), and what their error is divided by."""
+
+    def measured(accuracy: float) -> tuple[LoadedEngine, float]:
+        engine = load(accuracy)
+        return engine, float(np.linalg.norm(forces - engine.forces)) / scale
+
+    ladder = (allowed * LADDER).tolist()
+    is_allowed = lambda accuracy: measured(accuracy)[1] <= allowed  # noqa: E731
+    rung = bisect_left(ladder, True, hi=len(ladder) - 1, key=is_allowed)
+    return measured(ladder[rung])
+
+
+def _quick(placed: Sequence[Placed]) -> list[Placed]:
+    """Without the engines that are much slower in a short run than another at the same place."""
+    seconds = [timed(engine.run, STEPS_TRIED)[1] for _, engine in placed]
+    least = dict[int, float]()
+    for (k, _), duration in zip(placed, seconds, strict=True):
+        least[k] = min(duration, least.get(k, duration))
+    is_quick = [
+        duration <= TRIED * least[k] for (k, _), duration in zip(placed, seconds, strict=True)
+    ]
+    return [*compress(placed, is_quick)]
+
+
+def _load(name: str, load: Load, scene: BenchScene, threads: int) -> LoadedEngine:
     """A peer that has loaded the scene.
     Raises ValueError for any failure of the peer."""
     try:
-        return PEERS[name].load(scene, threads)
+        return load(scene, threads)
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(

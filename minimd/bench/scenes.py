@@ -61,6 +61,7 @@ DECANE_ANGLE = np.radians(114.0)
 # largest errors of the forces of charges, of their rms, by scene; cutoffs [Å] that each engine tries
 WATER = {"water": 2.5e-4, "water-fine": 1e-5}
 WATER_CUTOFFS = (8.0, 9.0, 10.0, 12.0)
+COULOMB_KJ_NM = 138.9354576  # k_e [kJ nm/(mol e²)], in OpenMM and GROMACS
 EXACT = 1e-9  # accuracy of the sum with which errors are found
 
 

@@ -79,13 +79,16 @@ def test_ratios_of_the_table(fakes):
 
 
 def test_several_scenes_are_in_one_table_beside_the_fastest_peer_with_its_fastest_cutoff(fakes, monkeypatch, tmp_path):
-    cut = [{k: FakeEngine(f"{who} {s}", 1, "double", s) for k, who in ((1, "peer"), (0, "minimd"))} for s in (3, 2, 4)]
-    monkeypatch.setattr(peers, "_accurate", lambda *_: [*cut[:2], {0: cut[2][0]}])
+    both = ("minimd", "peer")
+    cut = [[(k, FakeEngine(f"{both[k]} {s}", 1, "double", s)) for k in (0, 1)] for s in (3, 2, 4)]
+    monkeypatch.setattr(peers, "_accurate", lambda *_: [*cut[:2], cut[2][:1]])
     outcome = run_peers(ONCE._replace(scenes=("melt", "chains", "water")))
     melt, chains, water = ([cell.split(" (")[0] for cell in row] for row in cells_of(markdown(outcome))[:3])
     assert melt == ["melt", "256", "0.0853", "fast", "0.0171", "5.00"]
     assert chains == ["chains", "200", "0.0667", "fast", "0.0133", "5.00"]
     assert water == ["water", "192", "0.0000960", "peer 2", "0.0000960", "1"]
+    in_turns = [len(engine.steps) > 2 for pairs in cut for _, engine in pairs]  # after the energies and a short run
+    assert in_turns == [False, False, True, True, False, False]
     write(outcome, tmp_path)
     assert (tmp_path / "bench_peers.png").stat().st_size > 10_000
 
@@ -97,10 +100,39 @@ def test_command_measures_scenes_beside_lammps_with_both_of_its_skins_and_water_
     table = cells_of(capsys.readouterr().out)
     names = ["LAMMPS -sf opt, list checked", "LAMMPS -sf opt, list checked, skin 0.6 σ"]
     of_water = ["minimd", "LAMMPS -sf opt, fix shake, list checked, skin 1 Å", "OpenMM CPU"]
+    if engines.PEERS["gromacs"].is_installed:
+        of_water[2:2] = ["GROMACS, buffer 0.005", "GROMACS, buffer 1e-07"]
     rows = [row[0].split(", r_c ") for row in table[2:] if row[0] not in ("engine", ":---")]
-    assert [row[0] for row in rows] == ["minimd", *names, *of_water]
+    plain = [re.sub(r"(GROMACS) \d\S+ [^ ,]+(.*), nstlist \d+, order [456]", r"\1\2", row[0]) for row in rows]
+    assert plain == ["minimd", *names, *of_water]
     assert (table[0][0], table[1][0], table[0][3] in names) == ("wca", "water", True)
     assert all(0.3 < float(row[1].split()[-1]) / scenes.WATER["water"] <= 1.0 for row in rows[3:])
+
+
+@pytest.mark.skipif(not engines.PEERS["gromacs"].is_installed, reason="gromacs is not installed")
+def test_lists_of_gromacs_last_as_long_as_a_cell_of_19_angstrom_has_room_for_their_buffer():
+    scene = scenes.equilibrated(scenes.SCENES["water"](6))
+    for cutoff, buffer, steps in ((8.0, 0.005, 10), (8.0, 1e-7, 5), (9.0, 1e-7, 2)):
+        engine = engines.gromacs(scene.cut(cutoff, 1e-4), 1, buffer, 5)
+        assert f"buffer {buffer:g}, nstlist {steps}, order 5" in engine.name
+
+
+def test_the_least_accuracy_of_the_ladder_that_reaches_an_error_is_found_by_bisection():
+    tried = []
+
+    def load(accuracy):
+        tried.append(accuracy)
+        engine = FakeEngine("peer", 1, "double", 1.0)
+        engine.forces = np.full((1, 3), 3.0 * accuracy)
+        return engine
+
+    scale = np.sqrt(3.0)  # so that errors are three times the accuracy
+    for allowed in (1e-3, 1e-5):
+        tried.clear()
+        _, error = peers._least_accurate(load, allowed, np.zeros((1, 3)), scale)
+        right = next(3.0 * accuracy for accuracy in allowed * peers.LADDER if 3.0 * accuracy <= allowed)
+        assert (error, len(tried) <= 6) == (pytest.approx(right), True)
+    assert peers._least_accurate(load, 1.0, np.full((1, 3), 1e9), scale)[1] > 1.0  # out of reach
 
 
 def test_spread_is_the_median_of_ratios_over_turns_and_costs_are_by_atoms_and_by_pairs():

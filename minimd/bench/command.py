@@ -16,8 +16,8 @@ PEER_NAMES = (
     "openmm-pme, ase, asap3"
 )
 SCENE_NAMES = (
-    "melt, cutoff-4, wca, kob-andersen, gas, droplet, slab, npt, chains, chain, decane, dumbbells, triangles, water, "
-    "water-fine"
+    "melt, cutoff-4, wca, kob-andersen, gas, droplet, slab, npt, chains, chain, decane, dumbbells, triangles, copper, "
+    "water, water-fine"
 )
 QUICK = flag("--quick", "take only a few minutes: fewer sizes, methods and rounds")
 

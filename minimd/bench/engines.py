@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
+from io import StringIO
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -22,6 +23,7 @@ import minimd as md
 from minimd.bench import scenes
 from minimd.bench.gromacs import BUFFER, SAFE_BUFFER, GromacsRun
 from minimd.bench.scenes import (
+    COPPER,
     COULOMB_KJ_NM,
     CUTOFF,
     PLANS,
@@ -29,19 +31,20 @@ from minimd.bench.scenes import (
     SKIN_LAMMPS,
     WATER,
     BenchScene,
+    copper_tables,
     pairs_in_range,
 )
 from minimd.core.structure.constraints import lengths_of
 from minimd.core.structure.observables import Array
-from minimd.lammps.model import Model
+from minimd.lammps.model import METALS, Model
 from minimd.lammps.program import LIBRARIES
 from minimd.lammps.script import held, write_atoms
 
 # of the fix shake of LAMMPS
 SHAKE_TOLERANCE = 1e-12
 SHAKE_ITERATIONS = 100
-# σ, of LAMMPS' benchmark, where it is not that of the melt; Å for water
-SKINS = {"chain": 0.4} | dict.fromkeys(WATER, 1.0)
+# σ, of LAMMPS' benchmark, where it is not that of the melt; Å for copper and water
+SKINS = {"chain": 0.4} | dict.fromkeys((COPPER, *WATER), 1.0)
 # σ, the fastest of several, for 4000 atoms on a Zen 4
 TUNED_SKINS = {
     "wca": 0.6,
@@ -166,13 +169,16 @@ def lammps(
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scene.data")
         write_atoms(file, model, model.box, scene.system.velocities)
+        tables = Path(folder, METALS)
+        if model.tables is not None:
+            tables.write_text(model.tables.as_text(), encoding="utf-8")
         program.commands_list(
             [
                 "units lj",
                 "atom_style full",
                 f"special_bonds lj/coul {factors}",
                 f'read_data "{file}"',
-                *model.commands(),
+                *(line.replace(METALS, str(tables)) for line in model.commands()),
                 f"neighbor {skin} bin",
                 f"neigh_modify delay 0 every {rebuilding}",
                 f"timestep {scene.method.timestep:.17g}",
@@ -327,13 +333,19 @@ def _on_one_core(threads: int) -> Iterator[None]:
 
 
 def ase(scene: BenchScene, _threads: int) -> LoadedEngine:
-    """ASE's calculator LennardJones and its VelocityVerlet; Å, eV, u and ASE's unit of time stand for σ, ε, m and τ."""
+    """ASE's calculators LennardJones and EAM and its VelocityVerlet; Å, eV, u and ASE's unit of time stand for σ, ε, m
+    and τ."""
+    from ase.calculators.eam import EAM
     from ase.calculators.lj import LennardJones
     from ase.md.verlet import VelocityVerlet
 
     from minimd.core.structure.ase_atoms import atoms_from_system
 
     atoms = atoms_from_system(scene.system)
+    if scene.name == COPPER:
+        atoms.calc = EAM(potential=StringIO(copper_tables().as_text()), form="alloy")
+        dynamics = VelocityVerlet(atoms, scene.method.timestep)
+        return _on_ase("ASE (serial)", atoms, dynamics, lambda: 0.0)
     atoms.calc = LennardJones(sigma=1.0, epsilon=1.0, rc=CUTOFF, smooth=False)
     # ASE's calculator adds a shift for each pair
     shift = lambda: SHIFT * pairs_in_range(scene, atoms.positions)  # noqa: E731
@@ -437,7 +449,7 @@ def _gromacs_peer(buffer: float) -> Peer:
 SHAKE = partial(lammps, rigid="shake", skins=SKINS | TUNED_SKINS)
 PEERS = {
     "lammps": Peer("lammps", partial(lammps, checked=False)),
-    "lammps-checked": Peer("lammps", lammps, scenes=tuple(PLANS)),
+    "lammps-checked": Peer("lammps", lammps, scenes=(*PLANS, COPPER)),
     "lammps-tuned": Peer("lammps", partial(lammps, skins=TUNED_SKINS), scenes=tuple(TUNED_SKINS)),
     "lammps-shake": Peer("lammps", SHAKE, scenes=("dumbbells", "triangles", *WATER)),
     "lammps-plain": Peer("lammps", partial(lammps, suffix="", checked=False)),
@@ -448,6 +460,6 @@ PEERS = {
     "openmm": Peer("openmm", openmm, threads="each"),
     "openmm-pme": Peer("openmm", openmm, "each", scenes=tuple(WATER)),
     # hundreds of times slower
-    "ase": Peer("ase", ase, most_atoms=4000, scenes=("melt",)),
+    "ase": Peer("ase", ase, most_atoms=4000, scenes=("melt", COPPER)),
     "asap3": Peer("asap3", asap3, scenes=("melt",)),
 }

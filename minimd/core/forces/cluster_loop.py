@@ -130,13 +130,15 @@ def by_pair(sums, steps):
 
 
 @by_type
-def looks_ahead(vector):
+def looks_ahead(vector, parameters):
     """Whether the loop computes separations one entry ahead, so that the processor has work while it waits for the law.
 
-    It does with vectors of 512 bits: processors that have them have the 32 registers it needs, and gain a twentieth.
+    It does with vectors of 512 bits: processors that have them have the 32 registers it needs, and gain a twentieth. So
+    do embedded atoms, whose law takes long.
     """
-    answer = vector.lanes * vector.element.bitwidth == 512
-    return lambda vector: answer
+    is_long = parameters.instance_class is SlopesByLane
+    answer = is_long or vector.lanes * vector.element.bitwidth == 512
+    return lambda vector, parameters: answer
 
 
 class LoopWork(ByAddress, namedtuple("LoopWork", "laws sums")):
@@ -311,7 +313,7 @@ def _added_row(law, parameters, row, window, sums, steps, so_far):
     fx = fy = fz = nothing
     size2 = zero
     for entry in range(start, stop):
-        if looks_ahead(nothing):
+        if looks_ahead(nothing, parameters):
             now = after
             dx, dy, dz, r2 = ahead
             after = entries[entry + np.uintp(1)]

@@ -169,16 +169,14 @@ def lammps(
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scene.data")
         write_atoms(file, model, model.box, scene.system.velocities)
-        tables = Path(folder, METALS)
-        if model.tables is not None:
-            tables.write_text(model.tables.as_text(), encoding="utf-8")
+        commands = _with_tables(model, Path(folder, METALS))
         program.commands_list(
             [
                 "units lj",
                 "atom_style full",
                 f"special_bonds lj/coul {factors}",
                 f'read_data "{file}"',
-                *(line.replace(METALS, str(tables)) for line in model.commands()),
+                *commands,
                 f"neighbor {skin} bin",
                 f"neigh_modify delay 0 every {rebuilding}",
                 f"timestep {scene.method.timestep:.17g}",
@@ -207,6 +205,13 @@ def lammps(
         run,
         forces,
     )
+
+
+def _with_tables(model: Model, file: Path) -> list[str]:
+    """The commands of a model, whose tables, if it has some, are written to a file."""
+    if model.tables is not None:
+        file.write_text(model.tables.as_text(), encoding="utf-8")
+    return [line.replace(METALS, str(file)) for line in model.commands()]
 
 
 def _lammps_model(scene: BenchScene) -> Model:

@@ -19,8 +19,6 @@ import minimd as md
 from minimd.core.console.quiet import quiet
 from minimd.core.forces.forces import Potential
 from minimd.core.potentials.embedded_files import EmbeddedTables
-from minimd.core.potentials.embedded_laws import parts
-from minimd.core.potentials.law import law_at
 from minimd.core.potentials.pair import Nonbonded
 from minimd.core.potentials.truncation import TruncationName
 from minimd.core.structure.lattice import constant_from_density, crystal
@@ -408,20 +406,17 @@ def _water(name: str, n: int) -> BenchScene:
 
 
 def copper_tables() -> EmbeddedTables:
-    """Tables of copper with 500 points, as the file of LAMMPS' benchmark in.eam has them, and with its cutoff: the law
-    of F. Cleri and V. Rosato (1993), smooth at the cutoff."""
+    """Tables of copper with 500 points, and with the cutoff, of the file in LAMMPS' benchmark in.eam: the law of F. Cleri
+    and V. Rosato (1993), switched off from 4.5 Å on."""
     cutoff = 4.95
-    potential = md.EmbeddedAtom("gupta", (0.0855, 1.224, 10.96, 2.278, 2.556), cutoff, "smooth")
-    _, *numbers = potential.table(["Cu"])[0, 0].tolist()
-    of_pair, of_density = parts(tuple(numbers))
     r = 0.01 * np.arange(500)
     rho = 0.1 * np.arange(500)
-    near = np.where(r > 0.0, r, 0.5 * r[1])
-    law: Any = potential.law
-    phi = np.array([law_at(law.pair, x, of_pair)[0] for x in near.tolist()])
-    g = np.array([law_at(law.density, x, of_density)[0] for x in near.tolist()])
-    functions = -np.sqrt(rho)[None], g[None, None], (r * phi)[None, None]
-    return EmbeddedTables("gupta", ("Cu",), np.array([63.546]), 0.1, 0.01, cutoff, *functions)
+    x = np.clip((cutoff - r) / 0.45, 0.0, 1.0)
+    switch = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+    density = 1.224**2 * np.exp(-4.556 * (r / 2.556 - 1.0)) * switch
+    pair = 0.171 * np.exp(-10.96 * (r / 2.556 - 1.0)) * switch
+    functions = -np.sqrt(rho)[None], density[None, None], (r * pair)[None, None]
+    return EmbeddedTables("copper", ("Cu",), np.array([63.546]), 0.1, 0.01, cutoff, *functions)
 
 
 def _copper(n: int) -> BenchScene:

@@ -292,6 +292,11 @@ WRONG = {
     "no law": (lambda: md.EmbeddedAtom(None, (1.0,) * 5), TypeError, "three functions"),
     "file": (lambda: md.EmbeddedAtom("Cu.eam.alloy"), ValueError, "law must be one of"),
     "count": (lambda: md.EmbeddedAtom("gupta", (1.0,) * 4), ValueError, "5 numbers"),
+    "mixing": (
+        lambda: md.EmbeddedAtom("gupta", {"Cu": COPPER}, 5.5, mixing="geometric"),
+        ValueError,
+        "function of the tuples",
+    ),
     "cutoff": (lambda: md.evaluate(system_of(), md.EmbeddedAtom("gupta", COPPER)), ValueError, "cutoff"),
     "species": (
         lambda: md.evaluate(system_of(), md.EmbeddedAtom("gupta", {"Al": COPPER}, 5.5)),

@@ -136,6 +136,11 @@ class EmbeddedAtom(Nonbonded):
     def as_law(self) -> tuple[Any, Any, Any]:
         """See Nonbonded."""
         self.given: Any = self.law
+        if isinstance(self.mixing, str):
+            raise ValueError(
+                "mixing of EmbeddedAtom must be a function of the tuples of two species, or pairs={...} in its place; "
+                f"mixing = {self.mixing!r} is for Lennard-Jones"
+            )
         if isinstance(self.given, EmbeddedTables):
             return self._of_tables(self.given)
         self.laws = _checked_laws(self.given)

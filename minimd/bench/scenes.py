@@ -406,8 +406,8 @@ def _water(name: str, n: int) -> BenchScene:
 
 
 def copper_tables() -> EmbeddedTables:
-    """Tables of copper with 500 points, and with the cutoff, of the file in LAMMPS' benchmark in.eam: the law of F. Cleri
-    and V. Rosato (1993), switched off from 4.5 Å on."""
+    """Tables of copper with 500 points and the cutoff of the file in LAMMPS' benchmark in.eam: the law of F. Cleri and
+    V. Rosato (1993), switched off from 4.5 Å on."""
     cutoff = 4.95
     r = 0.01 * np.arange(500)
     rho = 0.1 * np.arange(500)

@@ -28,16 +28,17 @@ def lines(*columns):
     )
 
 
-def setfl(elements=("Cu", "Al"), both_ways=False):
-    """The text of a file for eam/alloy, or for eam/fs."""
+def setfl(elements=("Cu", "Al"), both_ways=False, cutoff=CUTOFF, offset=0.0):
+    """The text of a file for eam/alloy, or for eam/fs.
+    offset : added to densities and r φ, which then do not end at zero."""
     r, rho = STEP * np.arange(N_R), 0.25 * np.arange(N_RHO)
     text = ["made for tests", "of simple functions", "in eV and Å", f"{len(elements)} {' '.join(elements)}"]
-    text.append(f"{N_RHO} 0.25 {N_R} {STEP} {CUTOFF}")
+    text.append(f"{N_RHO} 0.25 {N_R} {STEP} {cutoff}")
     for element in elements:
         text += ["29 63.55 3.6 fcc", lines(embedding(rho, element))]
-        text += [lines(density(r, element, at)) for at in (elements if both_ways else elements[:1])]
+        text += [lines(density(r, element, at) + offset) for at in (elements if both_ways else elements[:1])]
     for k, first in enumerate(elements):
-        text += [lines(r * pair(r, first, second)) for second in elements[: k + 1]]
+        text += [lines(r * pair(r, first, second) + offset) for second in elements[: k + 1]]
     return "\n".join(text) + "\n"
 
 

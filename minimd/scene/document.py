@@ -83,13 +83,16 @@ class Document:
         return potentials
 
     def contents(self, kept_in: str) -> dict[str, Any]:
-        """The contents of all files of potentials that are kept in a section, by name.
+        """The contents of the files of potentials that a section has room for and does not hold, by name.
         Raises ValueError as potentials."""
         contents: dict[str, Any] = {}
+        held = getattr(self.sections, kept_in)
         for place, section in self._sections():
             if isinstance(section, WithFiles) and section.kept_in == kept_in:
                 with blamed_on(place):
-                    contents |= {name: SOURCES[kept_in](self, name) for name in section.files}
+                    for name in section.files:
+                        if name not in held:
+                            contents[name] = SOURCES[kept_in](self, name)
         return contents
 
     def _sections(self) -> Iterator[tuple[str, Any]]:
@@ -100,18 +103,8 @@ class Document:
     def whole_text(self) -> str:
         """The text of the scene with all tables and files of potentials added to it: no other files are needed to make
         the potentials again."""
-        tables, texts = (
-            {
-                name: content
-                for name, content in self.contents(kept_in).items()
-                if name not in inside
-            }
-            for kept_in, inside in (
-                ("tables", self.sections.tables),
-                ("files", self.sections.files),
-            )
-        )
-        return self.text + as_sections(tables, texts, self.sections.units)
+        files = self.contents("tables"), self.contents("files")
+        return self.text + as_sections(*files, self.sections.units)
 
     def method(self) -> Splitting:
         """The integrator with its time step and its bath.

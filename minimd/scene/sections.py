@@ -109,14 +109,15 @@ def read_table(path: Path) -> Numbers:
 def read_text(path: Path) -> str:
     """The text of a file.
     Raises ValueError, with the path, for one that cannot be read."""
-    if path.exists() and not path.is_file():
-        raise ValueError(f"file {str(path)!r} is not a regular file")
     try:
-        return path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise ValueError(
-            f"file {str(path)!r} cannot be read: {error.strerror or error}; its path is taken relative to the scene"
-        ) from None
+        if path.is_file():
+            return path.read_text(encoding="utf-8", errors="replace")
+        reason = "it is not a regular file" if path.exists() else "it does not exist"
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+    raise ValueError(
+        f"file {str(path)!r} cannot be read: {reason}; its path is taken relative to the scene"
+    )
 
 
 def _quoted(text: str) -> str:

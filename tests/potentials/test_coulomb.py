@@ -11,6 +11,7 @@ from scipy.special import erfc
 from wrong_calls import answered
 
 import minimd as md
+from minimd.core.forces import pair_laws
 from minimd.core.forces.options import Options
 from minimd.core.forces.pair_laws import PairLaws
 from minimd.core.potentials.coulomb import ChargedLaw
@@ -284,3 +285,42 @@ def test_excluded_pairs_across_a_boundary_and_charges_that_cannot_change():
     with pytest.raises(AttributeError, match="charges"):
         system.charges = np.zeros(81)
     assert np.array_equal(system.copy().charges, system.charges)
+
+
+def soft(r2, strength, length):
+    """Far below its cutoff it is zero."""
+    r = np.sqrt(r2)
+    x = np.maximum(0.0, 1.0 - r / length)
+    return strength * x * x, 2.0 * strength * x / (length * r)
+
+
+WELLS = {"O": (0.0067, 3.17), "H": (0.0, 1.0)}
+BESIDE = {
+    "a law that ends early": md.PairPotential(
+        soft,
+        {"O": (5.0, 2.0), "H": (50.0, 0.9)},
+        5.0,
+        "truncated",
+        mixing=lambda a, b: (max(a[0], b[0]), min(a[1], b[1])),
+    ),
+    "bare hydrogens": md.LennardJones(WELLS, cutoff=5.0),
+    "wells between unlike species": md.LennardJones(WELLS, cutoff=5.0, pairs={("H", "O"): (0.01, 1.5)}),
+}
+
+
+@pytest.mark.parametrize("name", BESIDE)
+def test_species_without_another_law_have_the_same_forces_on_both_lists(name, monkeypatch):
+    """Clusters skip the law beside that of charges in rows of atoms that have none."""
+    rng = np.random.default_rng(2)
+    places = 1.65 * np.indices((8, 8, 8)).reshape(3, -1).T + rng.uniform(-0.4, 0.4, (512, 3))
+    species = np.where(np.arange(512) % 3, "H", "O")
+    charges = np.where(species == "O", -0.8, 0.4)
+    system = md.System(places, cell=13.2, species=species, charges=charges - charges.mean(), masses=1.0)
+    results = []
+    for clusters_from in (32, 10_000):
+        monkeypatch.setattr(pair_laws, "CLUSTERS_FROM", clusters_from)
+        results.append(md.evaluate(system, [BESIDE[name], md.Coulomb(5.0)]))
+    ours, expected = results
+    assert ours.potential_energy == pytest.approx(expected.potential_energy, rel=1e-12)
+    assert ours.forces == pytest.approx(expected.forces, abs=1e-10)
+    assert ours.virial == pytest.approx(expected.virial, rel=1e-9, abs=1e-9)

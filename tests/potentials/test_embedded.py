@@ -248,6 +248,19 @@ def test_a_table_ends_in_a_straight_line_and_begins_with_its_cubic(tmp_path):
     assert np.isfinite(md.evaluate(crowded, potential).forces).all()
 
 
+def test_energy_and_force_agree_beyond_the_last_distance_of_a_file(tmp_path):
+    """Straight lines go on from tables that do not end at zero, to the cutoff."""
+    file = tmp_path / "beyond.eam"
+    file.write_text(metals.setfl(("Cu",), cutoff=5.52, offset=0.01))
+    potential = md.EmbeddedAtom.from_file(file)
+    x, h = 5.49, 1e-4
+    pair = md.System([[0, 0, 0], [x, 0, 0]], species=["Cu", "Cu"], masses=63.5, units=md.units.ASE)
+    low, high = (float(potential.pair_energy(r, "Cu", "Cu")) for r in (x - h, x + h))
+    force = md.evaluate(pair, potential).forces[1, 0]
+    assert abs(force) > 1e-4
+    assert force == pytest.approx((low - high) / (2.0 * h), rel=1e-6)
+
+
 def test_written_tables_are_read_back_to_the_bit(tmp_path):
     for kind in TEXTS:
         tables = from_text(kind, tmp_path).given
@@ -261,9 +274,15 @@ def test_written_tables_are_read_back_to_the_bit(tmp_path):
 
 SETFL, FUNCFL = TEXTS["eam/alloy"], TEXTS["eam"]
 WRONG_FILES = {
-    "empty": ("", "five numbers"),
-    "text": ("a\nb\nc\nd\ne\nf\n", "five numbers"),
-    "number": (SETFL.replace("e-01", "e-0x", 1), "could not convert|must be"),
+    "empty": ("", "five finite numbers"),
+    "text": ("a\nb\nc\nd\ne\nf\n", "five finite numbers"),
+    "number": (SETFL.replace("e-01", "e-0x", 1), "F of Cu must be finite numbers; number"),
+    "infinite step": (SETFL.replace(f"{metals.N_RHO} 0.25", f"{metals.N_RHO} inf", 1), "five finite numbers"),
+    "infinite number": (SETFL.replace(f"{metals.N_RHO} 0.25", "inf 0.25", 1), "five finite numbers"),
+    "tiny step": (SETFL.replace(f"{metals.N_RHO} 0.25", f"{metals.N_RHO} 1e-320", 1), "five finite numbers"),
+    "variable": (SETFL.replace("2 Cu Al", "2 Cu $(sqrt(4))", 1), "letters and digits"),
+    "no element": (SETFL.replace("2 Cu Al", "2 Cu NULL", 1), "letters and digits"),
+    "funcfl blank": (FUNCFL.replace("29 63.55 3.6 fcc", "", 1), "atomic number"),
     "nan": (SETFL.replace("\n0.0000000000000000e+00", "\nnan", 1), "must be finite"),
     "short": (SETFL[: len(SETFL) // 2], "need"),
     "long": (SETFL + "1.0\n", "need"),
@@ -292,6 +311,16 @@ WRONG = {
     "no law": (lambda: md.EmbeddedAtom(None, (1.0,) * 5), TypeError, "three functions"),
     "file": (lambda: md.EmbeddedAtom("Cu.eam.alloy"), ValueError, "law must be one of"),
     "count": (lambda: md.EmbeddedAtom("gupta", (1.0,) * 4), ValueError, "5 numbers"),
+    "length": (
+        lambda: md.EmbeddedAtom("gupta", (*COPPER[:4], -2.5), 5.0),
+        ValueError,
+        "r0 of 'gupta' must be positive",
+    ),
+    "lengths": (
+        lambda: md.EmbeddedAtom("finnis-sinclair", {"W": (1.0, 0.0, *TUNGSTEN[2:])}, 5.0),
+        ValueError,
+        "d of 'finnis-sinclair' for 'W' must be positive",
+    ),
     "mixing": (
         lambda: md.EmbeddedAtom("gupta", {"Cu": COPPER}, 5.5, mixing="geometric"),
         ValueError,

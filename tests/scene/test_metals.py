@@ -140,7 +140,7 @@ WRONG = [  # the scene, what stands there, what is written instead, and what the
     (COPPER, FILE, 'law = "gupta", parameters = [0.1, 1.0, 9.0, 2.0, 2.5]', "cutoff", "periodic cell"),
     (COPPER, "copper.eam", "nickel.eam", "potential[0]", "nickel.eam", "cannot be read", "relative to the scene"),
     (COPPER, "/copper.eam", "", "potential[0]", "'tables'", "regular file"),
-    (COPPER, "tables/copper.eam", "alloy.xyz", "potential[0]", "five numbers"),
+    (COPPER, "tables/copper.eam", "alloy.xyz", "potential[0]", "five finite numbers"),
     (COPPER, '"Cu"', '"Ni"', "names of elements", "'Ni'"),
     (COPPER + "[files.nickel]\ntext = ''\n", "", "", "no potential uses files.'nickel'"),
     (COPPER + '[files."tables/copper.eam"]\n', "", "", "files.tables/copper.eam.text is missing"),

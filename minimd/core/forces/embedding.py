@@ -31,7 +31,7 @@ from minimd.core.potentials.pair_loop import (
     row_of,
     separation,
 )
-from minimd.core.potentials.term import PER_ATOM, TOTALS, PairLaw, Target
+from minimd.core.potentials.term import PER_ATOM, TOTALS, Embedding, Target
 from minimd.core.structure.system import System
 
 
@@ -87,8 +87,9 @@ def sum_cluster_densities(work, domain):
     first_slot, last_slot = slots_of(domain, arrays)
 
     for slot in range(first_slot, last_slot):
-        place = (arrays.ghosts.home[slot // n_lanes] - first) * block + slot % n_lanes
-        own_slot = arrays.ghosts.home[slot // n_lanes] * n_lanes + slot % n_lanes
+        home = arrays.ghosts.home[slot // n_lanes]
+        place = (home - first) * block + slot % n_lanes
+        own_slot = home * n_lanes + slot % n_lanes
         x, y, z = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
         at = broadcast(x, zero), broadcast(y, zero), broadcast(z, zero)
         after = rows.entries[np.uintp(rows.start[slot])]
@@ -181,15 +182,14 @@ class EmbeddingPasses:
     slopes : (N,) F′(ρ), in the order of a pair list [energy/density].
     """
 
-    def __init__(self, law: PairLaw, system: System) -> None:
-        assert law.embedding is not None
+    def __init__(self, law: tuple, embedding: Embedding, system: System) -> None:
         n_atoms = len(system)
-        table = law.embedding.table
+        table = embedding.table
         species = system.species_index if len(table) > 1 else np.zeros(n_atoms, dtype=np.int64)
         self.slopes = np.zeros(n_atoms)
         self._density = np.zeros(n_atoms)
-        self._law = law.law
-        self._all = Embeddings(law.embedding.law, from_table(table), species, np.zeros(n_atoms))
+        self._law = law
+        self._all = Embeddings(embedding.law, from_table(table), species, np.zeros(n_atoms))
         laws = self._law, self._all.law
         self._sum_of_clusters = loop_for(sum_cluster_densities, *laws)
         self._late = loop_for(embed_late, *laws)

@@ -11,7 +11,8 @@ from minimd.core.forces.options import Options
 from minimd.core.neighbors.cluster_search import LAYERS
 from minimd.core.neighbors.verlet_list import LEAST_SKIN, VerletList, best_skin
 from minimd.core.potentials.coulomb import with_charges
-from minimd.core.potentials.law import law_at, runs_on_vectors
+from minimd.core.potentials.law import law_at, nested, runs_on_vectors
+from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.term import OwnTerm, PairLaw, Target
 from minimd.core.structure.bond_graph import among, pairs_by_bonds_apart
 from minimd.core.structure.system import System, local_density
@@ -99,7 +100,7 @@ class ListTerm(OwnTerm):
     def __init__(self, system: System, laws: PairLaws) -> None:
         self._pair_laws = laws
         self._passes = [
-            EmbeddingPasses(law, system) if law.embedding is not None else None
+            law.embedding and EmbeddingPasses(law.law, law.embedding, system)
             for law in laws.members
         ]
         self.fits_grid = not any(self._passes)
@@ -144,18 +145,12 @@ def deepest(law: PairLaw) -> float:
 
 
 def bare_species(law: PairLaw) -> NDArray[np.bool_]:
-    """Which species have no law but that of charges, (S,): the law beside it is zero for all their pairs."""
-    inner = getattr(law.law, "law", None)
-    is_zero = np.zeros(law.table.shape[:2], dtype=bool)
-    if law.charges is None or inner is None or len(is_zero) == 1:
-        return np.zeros(len(is_zero), dtype=bool)
-
-    for pair in np.ndindex(*is_zero.shape):
-        _, cutoff2, *numbers = law.table[pair].tolist()
-        distances = [x * cutoff2**0.5 for x in SOUGHT_AT]
-        is_zero[pair] = all(law_at(inner, r, tuple(numbers)) == (0.0, 0.0) for r in distances)
-
-    return np.asarray(is_zero.all(axis=1))
+    """Which species have no law but that of charges, (S,): the other is Lennard-Jones, with ε = 0 for all of them."""
+    beside = getattr(law.law, "law", ())
+    is_known = any(isinstance(part, LennardJonesLaw) for part in nested(beside))
+    if law.charges is None or not is_known or len(law.table) == 1:
+        return np.zeros(len(law.table), dtype=bool)
+    return np.asarray((law.table[..., -2] == 0.0).all(axis=1))
 
 
 def skin_for(

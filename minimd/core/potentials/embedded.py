@@ -51,7 +51,7 @@ from minimd.core.potentials.pair import (
 from minimd.core.potentials.splines import cubics
 from minimd.core.potentials.term import Embedding
 from minimd.core.potentials.truncation import TRUNCATIONS, TruncationName
-from minimd.core.structure.checks import checked_choice
+from minimd.core.structure.checks import checked_choice, checked_number
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
 
@@ -67,12 +67,14 @@ class EmbeddedLaws(NamedTuple):
     density : g(r).
     embedding : F(ρ).
     parameters : their names; empty for a user's functions.
+    lengths : the names of those that are lengths, and positive.
     """
 
     pair: Any
     density: Any
     embedding: Any
     parameters: tuple[str, ...] = ()
+    lengths: tuple[str, ...] = ()
 
 
 FORMS = {
@@ -81,15 +83,17 @@ FORMS = {
         SuttonChenDensity(),
         SuttonChenEmbedding(),
         ("epsilon", "a", "c", "n", "m"),
+        ("a",),
     ),
     "finnis-sinclair": EmbeddedLaws(
         FinnisSinclairPair(),
         FinnisSinclairDensity(),
         FinnisSinclairEmbedding(),
         ("A", "d", "beta", "c", "c0", "c1", "c2"),
+        ("d", "c"),
     ),
     "gupta": EmbeddedLaws(
-        GuptaPair(), GuptaDensity(), GuptaEmbedding(), ("A", "xi", "p", "q", "r0")
+        GuptaPair(), GuptaDensity(), GuptaEmbedding(), ("A", "xi", "p", "q", "r0"), ("r0",)
     ),
 }
 FormName = Literal["sutton-chen", "finnis-sinclair", "gupta"]  # the keys of FORMS
@@ -155,7 +159,7 @@ class EmbeddedAtom(Nonbonded):
         self.cutoff = tables.cutoff
         self.truncation = "truncated"
         pairs = [*tables.pairs()]
-        on_r = cubics(tables.dr, [functions for _, _, functions in pairs])
+        on_r = cubics(tables.dr, [functions for _, _, functions in pairs], tables.cutoff)
         on_rho = cubics(tables.drho, tables.embedding[:, None])
         n_rows = len(on_r.rows) // len(pairs)
         rows = {(a, b): float(k * n_rows) for k, (a, b, _) in enumerate(pairs)}
@@ -179,12 +183,13 @@ class EmbeddedAtom(Nonbonded):
         """See Nonbonded."""
         values = super()._checked_numbers(numbers, of)
         names = self.laws.parameters
+        whose = f"of {self.given!r}" + ("" if of is None else f" for {of!r}")
         if names and len(values) != len(names):
-            whose = "" if of is None else f" of {of!r}"
             raise ValueError(
-                f"parameters of {self.given!r}{whose} must be {len(names)} numbers, ({', '.join(names)}); they are "
-                f"{shown(numbers)}"
+                f"parameters {whose} must be {len(names)} numbers, ({', '.join(names)}); they are {shown(numbers)}"
             )
+        for name in self.laws.lengths:
+            checked_number(f"{name} {whose}", values[names.index(name)], "positive and finite")
         return values
 
     def _truncated_law(self) -> Any:
@@ -197,17 +202,13 @@ class EmbeddedAtom(Nonbonded):
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
         if not isinstance(self.given, EmbeddedTables):
             return super()._parameters_of(a, b)
-        self._check_elements(a, b)
-        return self._by_pair[a, b]
-
-    def _check_elements(self, *names: Any) -> None:
-        """Raise ValueError for a species of which the tables have none."""
-        for name in names:
+        for name in (a, b):
             if name not in self.parameters:
                 raise ValueError(
                     f"the tables of {self.given.file!r} are of {listed(self.parameters)}, the system has species "
                     f"{name!r}: species must have the names of elements"
                 )
+        return self._by_pair[a, b]
 
     def _numbers_of_laws(self, parameters: Parameters, cutoff: float) -> Parameters:
         if isinstance(self.given, EmbeddedTables):
@@ -225,8 +226,7 @@ class EmbeddedAtom(Nonbonded):
         """See Nonbonded."""
         if not isinstance(self.parameters, dict):
             return Embedding(self.laws.embedding, np.array([self.parameters]))
-        names = [*species_names]
-        table = [self.parameters[name] for name in names]
+        table = [self.parameters[name] for name in species_names]
         return Embedding(self.laws.embedding, np.array(table))
 
     def bind(self, system: System) -> PairTerm:

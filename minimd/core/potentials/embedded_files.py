@@ -10,6 +10,7 @@ Energies are in eV, lengths in Å. A file of one element is the same in the firs
 """
 
 import os
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -23,6 +24,7 @@ from minimd.core.structure.checks import checked_path
 
 Array = NDArray[np.float64]
 COMMENTS = 3  # lines of a setfl file
+ELEMENT = re.compile(r"(?!NULL)[A-Za-z][\w+-]*")  # LAMMPS gets it
 OF_ELEMENT = 4  # words: atomic number, mass, lattice constant, lattice
 HARTREE_BOHR = 27.2 * 0.529  # eV Å, the factors of LAMMPS for effective charges
 # by how much the cutoff may be beyond the last distance, relative to it: tables end there, or one step before
@@ -72,7 +74,7 @@ class EmbeddedTables:
         n_rho, n_r = self.embedding.shape[1], self.pair.shape[-1]
         lines = [
             "tables of embedded atoms",
-            self.file,
+            repr(self.file),
             "written by minimd",
             f"{n} {' '.join(self.elements)}",
         ]
@@ -106,6 +108,8 @@ def read_tables(file: str | os.PathLike[str]) -> EmbeddedTables:
     """The tables in a file of one of the three formats.
     Raises OSError for a file that cannot be read; ValueError for one that holds something else."""
     path = checked_path("file", file)
+    if path.exists() and not path.is_file():
+        raise ValueError(f"file {str(path)!r} is not a regular file")
     try:
         return tables_from(path.name, path.read_text(encoding="utf-8", errors="replace"))
     except ValueError as error:
@@ -115,7 +119,7 @@ def read_tables(file: str | os.PathLike[str]) -> EmbeddedTables:
 def tables_from(name: str, text: str) -> EmbeddedTables:
     """The tables in the text of such a file.
     Raises ValueError for one that holds something else."""
-    lines = text.splitlines()
+    lines = text.replace("\r\n", "\n").split("\n")
     return _setfl(name, lines) if _is_setfl(lines) else _funcfl(name, lines)
 
 
@@ -132,11 +136,14 @@ def _is_setfl(lines: list[str]) -> bool:
 def _header(line: str, where: str) -> Header:
     words = line.split()
     try:
-        n_rho, drho, n_r, dr, cutoff = map(_number, words)
-    except ValueError:
+        numbers = [_number(word) for word in words]
+        n_rho, drho, n_r, dr, cutoff = numbers
+        if not np.isfinite([*numbers, 1.0 / drho, 1.0 / dr]).all():
+            raise ValueError
+    except (ValueError, ZeroDivisionError):
         raise ValueError(
-            f"{where} must be five numbers, nrho drho nr dr cutoff, of a table of embedded atoms (funcfl, setfl, "
-            f"eam.fs); it is {shown(line)}"
+            f"{where} must be five finite numbers, nrho drho nr dr cutoff, of a table of embedded atoms "
+            f"(funcfl, setfl, eam.fs); it is {shown(line)}"
         ) from None
     header = Header(int(n_rho), drho, int(n_r), dr, cutoff)
     is_whole = header.n_rho == n_rho and header.n_r == n_r
@@ -174,21 +181,26 @@ class Words:
         size = int(np.prod(shape))
         words = self.words[self._at : self._at + size]
         self._at += size
-        try:
-            values = np.array(words, dtype=np.float64)
-        except ValueError:
-            values = np.array(list(map(_number, words)))
+        values = np.empty(size)
+        for k, word in enumerate(words):
+            try:
+                values[k] = _number(word)
+            except ValueError:
+                values[k] = np.nan
         wrong = np.flatnonzero(~np.isfinite(values))
         if wrong.size:
-            raise ValueError(f"{what} must be finite; number {wrong[0] + 1} is {words[wrong[0]]}")
+            k = wrong[0]
+            raise ValueError(f"{what} must be finite numbers; number {k + 1} is {shown(words[k])}")
         return values.reshape(shape)
 
 
 def _setfl(name: str, lines: list[str]) -> EmbeddedTables:
     elements = tuple(lines[COMMENTS].split()[1:])
     n = len(elements)
-    if len({*elements}) < n:
-        raise ValueError(f"elements must be different; they are {' '.join(elements)}")
+    if len({*elements}) < n or not all(map(ELEMENT.fullmatch, elements)):
+        raise ValueError(
+            f"elements must be different, and names of letters and digits; they are {shown(' '.join(elements))}"
+        )
     header = _header(lines[COMMENTS + 1] if len(lines) > COMMENTS + 1 else "", "the fifth line")
     n_rho, _, n_r, _, _ = header
     words = Words(lines[COMMENTS + 2 :])
@@ -225,11 +237,12 @@ def _funcfl(name: str, lines: list[str]) -> EmbeddedTables:
     from ase.data import chemical_symbols
 
     header = _header(lines[2] if len(lines) > 2 else "", "the third line, or in setfl the fifth,")
-    number, *_ = of_element = lines[1].split()
-    if not (len(of_element) == OF_ELEMENT and number.isdecimal()):
+    of_element = lines[1].split()
+    if not (len(of_element) == OF_ELEMENT and of_element[0].isdecimal()):
         raise ValueError(
             f"the second line must begin with an atomic number; it is {shown(lines[1])}"
         )
+    number = of_element[0]
     element = chemical_symbols[int(number)] if int(number) < len(chemical_symbols) else number
     n_rho, _, n_r, _, _ = header
     words = Words(lines[3:])

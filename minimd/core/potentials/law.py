@@ -138,27 +138,27 @@ def checked_law(law: Any) -> Any:
     return law if isinstance(law, tuple) and hasattr(type(law), "formula") else user_law(law)
 
 
-def _nested(law: tuple) -> Iterator[tuple]:
+def nested(law: tuple) -> Iterator[tuple]:
     """A law type, and those inside; also tuples of the numbers or arrays of one, which have no formula."""
     yield law
     for inner in law:
         if isinstance(inner, tuple):
-            yield from _nested(inner)
+            yield from nested(inner)
 
 
 def is_user_law(law: tuple) -> bool:
     """True if the law type, or the one inside it, was made by user_law."""
-    return any(isinstance(inner, UserLaw) for inner in _nested(law))
+    return any(isinstance(inner, UserLaw) for inner in nested(law))
 
 
 def reads_table(law: tuple) -> bool:
     """True if the law type, or the one inside it, is a table with a search for the place: vectors cannot do that."""
-    return any(getattr(inner, "is_scalar", False) for inner in _nested(law))
+    return any(getattr(inner, "is_scalar", False) for inner in nested(law))
 
 
 def is_recognized(law: tuple) -> bool:
     """False if the law type, or the one inside it, is that of a user's law that the disk cache cannot recognize."""
-    return all(getattr(inner, "is_recognized", True) for inner in _nested(law))
+    return all(getattr(inner, "is_recognized", True) for inner in nested(law))
 
 
 def loop_for(loop: Any, *laws: tuple) -> Any:

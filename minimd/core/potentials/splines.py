@@ -7,6 +7,7 @@ The cubic of each step has the values of the table, and slopes by differences, a
 
 from collections import namedtuple
 from collections.abc import Iterable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ class Identical:
 
 
 class Cubics(Identical, namedtuple("Cubics", "rows per_step end")):
-    """Functions, or pairs of them, on the same steps, one after the other. Each ends with a straight line.
+    """Functions, or pairs of them, on the same steps, one after the other; each ends with straight lines.
 
     rows : (K · M, 4 or 8) c₀ to c₃ of K functions, or of both of K pairs; row k M + m is step m, of M, of the k-th.
     per_step : 1/Δ of a step Δ.
@@ -39,20 +40,26 @@ class Cubics(Identical, namedtuple("Cubics", "rows per_step end")):
     __slots__ = ()
 
 
-def cubics(step: float, values: Iterable[Sequence[NDArray[np.float64]]]) -> Cubics:
-    """Functions, or pairs of them, with these values, each (M,), at 0, Δ, 2Δ …
+def cubics(
+    step: float, values: Iterable[Sequence[NDArray[np.float64]]], reach: float = 0.0
+) -> Cubics:
+    """Functions, or pairs of them, with these values, each (M,), at 0, Δ, 2Δ …; beyond the last, straight lines.
+
+    reach : to which the lines go, at least [as step].
 
     Slopes are differences of order 4, (f₋₂ − 8 f₋₁ + 8 f₁ − f₂)/12, of order 2 beside the ends, and of order 1 at them:
     those with which LAMMPS (pair_style eam) reads a file, so that energies agree in all digits.
     """
-    functions = [np.hstack([*map(_coefficients, of_row)]) for of_row in values]
+    rows_of = partial(_coefficients, n_steps=int(np.ceil(reach / step)) + 1)
+    functions = [np.hstack([*map(rows_of, of_row)]) for of_row in values]
     coefficients = np.concatenate(functions)
     rows = Buffers().array("rows", np.float64, *coefficients.shape)
     rows[:] = coefficients
     return Cubics(rows, 1.0 / step, len(functions[0]) - 0.75)
 
 
-def _coefficients(f: NDArray[np.float64]) -> NDArray[np.float64]:
+def _coefficients(f: NDArray[np.float64], n_steps: int) -> NDArray[np.float64]:
+    """c₀ to c₃ of as many steps, at least as many as points."""
     slopes = np.gradient(f)
     slopes[2:-2] = (f[:-4] - f[4:] + 8.0 * (f[3:-1] - f[1:-3])) / 12.0
     rise = np.diff(f)
@@ -60,7 +67,9 @@ def _coefficients(f: NDArray[np.float64]) -> NDArray[np.float64]:
     bend = np.diff(slopes)
     middle = 0.5 * (f[:-1] + f[1:]) - 0.125 * bend
     columns = (middle, 1.5 * rise - 0.5 * mean, 0.5 * bend, 2.0 * (mean - rise))
-    beyond = [f[-1] + 0.5 * slopes[-1], slopes[-1], 0.0, 0.0]
+    beyond = np.zeros((max(1, n_steps - len(rise)), 4))
+    beyond[:, 0] = f[-1] + slopes[-1] * (np.arange(len(beyond)) + 0.5)
+    beyond[:, 1] = slopes[-1]
     return np.vstack([np.column_stack(columns), beyond])
 
 
@@ -69,8 +78,8 @@ def step_at(x, row):
     """MAGIC + row + k, see simd.vector, and t.
     row : the first one of the function.
 
-    x − ½ is rounded to a whole number when MAGIC is added. At a point of the table this may give the step before it,
-    whose end is the same."""
+    x − ½ is rounded to a whole number when MAGIC is added. At a point of the table, but the first, this may give the
+    step before it, whose end is the same."""
     from_middle = x - 0.5
     start = MAGIC + row
     place = from_middle + start

@@ -432,8 +432,9 @@ def _copper(n: int) -> BenchScene:
     return BenchScene(COPPER, text, system, (md.EmbeddedAtom(copper_tables()),), heat, (), method)
 
 
-SCENES: dict[str, Callable[[int], BenchScene]] = {COPPER: _copper}
+SCENES: dict[str, Callable[[int], BenchScene]] = {}
 SCENES |= {name: partial(_planned, name) for name in PLANS}
+SCENES[COPPER] = _copper
 SCENES |= {name: partial(_water, name) for name in WATER}
 melt = SCENES[MELT]
 

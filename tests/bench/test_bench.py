@@ -16,7 +16,7 @@ from minimd.commands import main as cli
 N_ATOMS = 256  # four cells along each edge
 PEER_SECONDS, ASE_SECONDS = 0.015, 0.35  # a step of a fake peer on one thread; more than 5 s in all the steps of a turn
 ONCE = PeersOptions(cells=(4,), threads=(1,), repeats=1)
-COMPILED = {"kob-andersen", "npt", "chain", "decane", "triangles", "water-fine"}  # scenes with kernels of their own
+COMPILED = {"kob-andersen", "npt", "chain", "decane", "triangles", "copper", "water-fine"}  # scenes with kernels of their own
 RATIOS = [  # 256 atoms / seconds of a step; peers are beside minimd on as many threads, minimd beside itself on one
     ["minimd", "1", "double", "0.0853", "", "1"],    ["minimd", "2", "double", "0.142", "", "1.67"],
     ["fast", "1", "single", "0.0171", "5.00", ""],   ["fast", "2", "single", "0.0341", "4.17", ""],
@@ -206,7 +206,9 @@ def test_scenes_and_peers_are_those_that_the_command_names_and_begin_with_molecu
     for name, build in scenes.SCENES.items():
         scene = build(7)
         assert (scene.name, len(scene.system)) == (name, pytest.approx(4 * 7**3, rel=0.25))
-        assert f"Δt* {scene.method.timestep:g}, " in scene.text or (name in scenes.WATER and "Δt 2 fs, " in scene.text)
+        step = scene.method.timestep
+        in_fs = name in (scenes.COPPER, *scenes.WATER)
+        assert (f"Δt {step / md.units.fs:.0f} fs, " if in_fs else f"Δt* {step:g}, ") in scene.text
         assert scene.text.endswith(("NPT" if scene.barostat else "NVE", "Langevin"))
         i, j = md.neighbor_list("ij", scene.system, 0.85)
         assert (np.abs(i - j) < 4).all()  # atoms of one molecule

@@ -16,7 +16,7 @@ from minimd.commands import main as cli
 N_ATOMS = 256  # four cells along each edge
 PEER_SECONDS, ASE_SECONDS = 0.015, 0.35  # a step of a fake peer on one thread; more than 5 s in all the steps of a turn
 ONCE = PeersOptions(cells=(4,), threads=(1,), repeats=1)
-COMPILED = {"kob-andersen", "npt", "chain", "decane", "triangles", "copper", "water-fine"}  # scenes with kernels of their own
+COMPILED = {"kob-andersen", "npt", "chain", "decane", "triangles", "copper", "water-fine"}  # with kernels of their own
 RATIOS = [  # 256 atoms / seconds of a step; peers are beside minimd on as many threads, minimd beside itself on one
     ["minimd", "1", "double", "0.0853", "", "1"],    ["minimd", "2", "double", "0.142", "", "1.67"],
     ["fast", "1", "single", "0.0171", "5.00", ""],   ["fast", "2", "single", "0.0341", "4.17", ""],

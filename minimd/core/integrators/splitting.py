@@ -39,6 +39,9 @@ class Splitting(Method):
     n steps and then m have the same bits as n + m. Where kicks and drifts follow each other, also those of two steps,
     they are made in one pass over memory, each with its own rounding: velocity Verlet costs what leapfrog costs.
 
+    A memory is undone with a step that is undone, and stored with each restart. Give each simulation a method of its
+    own.
+
     Parameters, Raises : as Method.
 
     Attributes of each method
@@ -46,9 +49,7 @@ class Splitting(Method):
     name, substeps, source : key in METHODS; kicks and drifts of one step; literature.
     conserves_momentum : true unless a bath acts on each atom separately.
     is_thermostat : whether a bath acts at all.
-    memory : (M,) float64, what a bath of yours remembers between steps, such as ξ of Nosé and Hoover, changed in place;
-        None without. It is undone with a step that is undone, and stored with each restart. Give each simulation a
-        method of its own.
+    memory : (M,) float64, what a bath of yours remembers, such as ξ of Nosé and Hoover, changed in place; or None.
 
     Attributes computed from them
     -----------------------------

@@ -18,7 +18,6 @@ from minimd.core.compiled.snapshot import FunctionSnapshot
 from minimd.core.potentials.bonded import Bond
 from minimd.core.potentials.declared import NOT_NEGATIVE, POSITIVE, declared, each, groups
 from minimd.core.potentials.law import evaluate_law, is_recognized, is_user_law, user_law
-from minimd.core.potentials.term import TOTALS
 from minimd.core.potentials.truncation import Shifted
 
 LAW = """
@@ -95,7 +94,7 @@ def on_a_pair(md, law):
 def on_clusters_and_bonds(md, law):
     points = [[1.1 * i, 1.1 * j, 1.1 * k] for i in range(6) for j in range(6) for k in range(6)]
     forces = md.Forces(md.System(points, cell=6.6), md.PairPotential(law, (1.0,), 2.0))
-    sums = forces.compute(TOTALS)
+    sums = forces.compute(md.potentials.TOTALS)
     assert "cluster list" in forces.pair_search
     bonded = md.evaluate(md.System([[0, 0, 0], [1, 0, 0]], bonds=[(0, 1)]), md.BondPotential(law, (1.0,)))
     return [sums.potential_energy, bonded.potential_energy]

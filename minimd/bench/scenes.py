@@ -429,7 +429,9 @@ def _copper(n: int) -> BenchScene:
     system.velocities[:] = maxwell_boltzmann(system.masses, heat, system.units.k_B, SEED)
     text = "Copper, embedded atoms from tables of 500 points: fcc, 1600 K, r_c 4.95 Å, Δt 5 fs, NVE"
     method = md.VelocityVerlet(5.0 * md.units.fs)
-    return BenchScene(COPPER, text, system, (md.EmbeddedAtom(copper_tables()),), heat, (), method)
+    return BenchScene(
+        COPPER, text, system, (md.EmbeddedAtom.of_tables(copper_tables()),), heat, (), method
+    )
 
 
 SCENES: dict[str, Callable[[int], BenchScene]] = {}

@@ -377,7 +377,7 @@ class EmbeddedAtomSection(WithFiles):
         """The potential that the section describes.
         text_of : returns the text of a file."""
         if self.file is not None:
-            return EmbeddedAtom(tables_from(self.file, text_of(self.file)))
+            return EmbeddedAtom.of_tables(tables_from(self.file, text_of(self.file)))
         species = self.species or {}
         own: Any = self.parameters and tuple(self.parameters)
         by_species: Any = {name: tuple(numbers) for name, numbers in species.items()}

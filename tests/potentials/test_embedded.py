@@ -359,8 +359,6 @@ def test_tables_need_elements_and_units_of_ase(tmp_path):
     reduced = md.System(system_of().positions, species=["Cu"] * 108, cell=11.7)
     with pytest.raises(ValueError, match="units of ASE"):
         md.evaluate(reduced, potential)
-    with pytest.raises(ValueError, match="nothing beside them"):
-        md.EmbeddedAtom(potential.given, cutoff=5.0)
     assert repr(potential) == "EmbeddedAtom.from_file('metal.eam')"
 
 

@@ -144,7 +144,7 @@ def looks_ahead(vector, parameters):
 class LoopWork(ByAddress, namedtuple("LoopWork", "laws sums")):
     """What the loop does.
 
-    laws : tuple of (law type, SameForAll, ByLane or ChargesByLane).
+    laws : tuple of (law type, its parameters, see add_cluster_forces).
     sums : Sums, TotalSums or ForceSums.
     """
 

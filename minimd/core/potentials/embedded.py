@@ -119,7 +119,7 @@ class EmbeddedAtom(Nonbonded):
     """
 
     alone: ClassVar[Parameters] = (0.0, 0.0)
-    law: FormName | OwnLaws | EmbeddedTables = declared(kind.given, of=LAW)
+    law: FormName | OwnLaws = declared(kind.given, of=LAW)
     parameters: Parameters | ByLabel = declared(kind.given, of=OF_SPECIES, default=())
     cutoff: Cutoff | None = CUTOFF
     truncation: TruncationName = TRUNCATION
@@ -135,7 +135,12 @@ class EmbeddedAtom(Nonbonded):
         LAMMPS, so that both give the same energies in all digits.
         Raises OSError for a file that cannot be read; ValueError for one that holds something else.
         """
-        return cls(read_tables(file))
+        return EmbeddedAtom.of_tables(read_tables(file))
+
+    @staticmethod
+    def of_tables(tables: EmbeddedTables) -> EmbeddedAtom:
+        """The potential in tables in units of ASE."""
+        return EmbeddedAtomOfTables(tables)
 
     def as_law(self) -> tuple[Any, Any, Any]:
         """See Nonbonded."""
@@ -145,39 +150,8 @@ class EmbeddedAtom(Nonbonded):
                 "mixing of EmbeddedAtom must be a function of the tuples of two species, or pairs={...} in its place; "
                 f"mixing = {self.mixing!r} is for Lennard-Jones"
             )
-        if isinstance(self.given, EmbeddedTables):
-            return self._of_tables(self.given)
         self.laws = _checked_laws(self.given)
         return EmbeddedLaw(self.laws.pair, self.laws.density), self.parameters, self.pairs
-
-    def _of_tables(self, tables: EmbeddedTables) -> tuple[Any, Any, Any]:
-        """The same for tables: the parameters of a pair are the rows of its functions."""
-        if self.cutoff is not None or self.parameters != () or self.pairs or self.switch_start:
-            raise ValueError(
-                "tables of embedded atoms hold all parameters and the cutoff: give EmbeddedAtom nothing beside them"
-            )
-        self.cutoff = tables.cutoff
-        self.truncation = "truncated"
-        pairs = [*tables.pairs()]
-        on_r = cubics(tables.dr, [functions for _, _, functions in pairs], tables.cutoff)
-        on_rho = cubics(tables.drho, tables.embedding[:, None])
-        n_rows = len(on_r.rows) // len(pairs)
-        rows = {(a, b): float(k * n_rows) for k, (a, b, _) in enumerate(pairs)}
-        n_steps = len(on_rho.rows) // len(tables.elements)
-        own = {element: (float(k * n_steps),) for k, element in enumerate(tables.elements)}
-        self.laws = EmbeddedLaws(None, None, TabulatedEmbedding(on_rho))
-        if tables.is_symmetric:
-            return TabulatedEmbedded(on_r), own, {pair: (row,) for pair, row in rows.items()}
-        both_orders = {(a, b): (row, rows[b, a]) for (a, b), row in rows.items()}
-        return TabulatedBothWays(on_r), own, both_orders
-
-    def _checked_parameters(
-        self, parameters: Any, pairs: Any
-    ) -> tuple[Parameters | dict[Label, Parameters], dict]:
-        """See Nonbonded."""
-        if isinstance(self.given, EmbeddedTables):
-            return parameters, pairs
-        return super()._checked_parameters(parameters, pairs)
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
         """See Nonbonded."""
@@ -194,25 +168,10 @@ class EmbeddedAtom(Nonbonded):
 
     def _truncated_law(self) -> Any:
         """See Nonbonded."""
-        if isinstance(self.given, EmbeddedTables):
-            return self.plain_law
         around = TRUNCATIONS[self.truncation].around
         return type(self.plain_law)(around(self.laws.pair), around(self.laws.density))
 
-    def _parameters_of(self, a: Any, b: Any) -> Parameters:
-        if not isinstance(self.given, EmbeddedTables):
-            return super()._parameters_of(a, b)
-        for name in (a, b):
-            if name not in self.parameters:
-                raise ValueError(
-                    f"the tables of {self.given.file!r} are of {listed(self.parameters)}, the system has species "
-                    f"{name!r}: species must have the names of elements"
-                )
-        return self._by_pair[a, b]
-
     def _numbers_of_laws(self, parameters: Parameters, cutoff: float) -> Parameters:
-        if isinstance(self.given, EmbeddedTables):
-            return parameters
         of_pair = self._truncated(self.laws.pair, parameters, cutoff)
         return (*of_pair, *self._truncated(self.laws.density, parameters, cutoff))
 
@@ -229,15 +188,6 @@ class EmbeddedAtom(Nonbonded):
         table = [self.parameters[name] for name in species_names]
         return Embedding(self.laws.embedding, np.array(table))
 
-    def bind(self, system: System) -> PairTerm:
-        """See Nonbonded. Raises ValueError also for tables, which are in eV and Å, and a system in other units."""
-        if isinstance(self.given, EmbeddedTables) and system.units != ASE:
-            raise ValueError(
-                f"the tables of {self.given.file!r} are in eV and Å; the system must be in the units of ASE, it is in "
-                f"{system.units.name}"
-            )
-        return super().bind(system)
-
     def _energy_at(self, r: float, numbers: Parameters, first: Any, second: Any) -> float:
         """φ(r) + F(gᵢ) + F(gⱼ): of two atoms that are alone."""
         energy = super()._energy_at(r, numbers, first, second)
@@ -249,22 +199,80 @@ class EmbeddedAtom(Nonbonded):
     def _densities(self, r: float, numbers: Parameters) -> tuple[float, float]:
         """What two atoms at a distance give each other."""
         law: Any = self.law
-        if isinstance(self.given, EmbeddedTables):
-            first, second = law.densities.py_func(r * r, law.table, (*self.alone, *numbers))
-            return first, second
         density = law_at(law.density, r, parts(numbers)[1])[0]
         return density, density
 
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
-        if isinstance(self.given, EmbeddedTables):
-            return {"law": self.given}
         return super().arguments() | {"law": self.given}
 
+
+class EmbeddedAtomOfTables(EmbeddedAtom):
+    """Embedded atoms from the tables of a file, see EmbeddedAtom.from_file."""
+
+    law: EmbeddedTables = declared(kind.given, of="the tables of a file")  # type: ignore[assignment]
+    parameters: Parameters | ByLabel = declared(kind.given, init=False, default=())
+    cutoff: Cutoff | None = declared(kind.given, init=False, default=None)
+    truncation: TruncationName = declared(kind.given, init=False, default="truncated")
+    mixing: None = declared(kind.given, init=False, default=None)
+    pairs: None = declared(kind.given, init=False, default=None)
+    switch_start: None = declared(kind.given, init=False, default=None)
+
+    def as_law(self) -> tuple[Any, Any, Any]:
+        """See Nonbonded: the parameters of a pair are the rows of its functions."""
+        tables = self.given = self.law
+        self.cutoff = tables.cutoff
+        pairs = [*tables.pairs()]
+        on_r = cubics(tables.dr, [functions for _, _, functions in pairs], tables.cutoff)
+        on_rho = cubics(tables.drho, tables.embedding[:, None])
+        n_rows = len(on_r.rows) // len(pairs)
+        rows = {(a, b): float(k * n_rows) for k, (a, b, _) in enumerate(pairs)}
+        n_steps = len(on_rho.rows) // len(tables.elements)
+        own = {element: (float(k * n_steps),) for k, element in enumerate(tables.elements)}
+        self.laws = EmbeddedLaws(None, None, TabulatedEmbedding(on_rho))
+        if tables.is_symmetric:
+            return TabulatedEmbedded(on_r), own, {pair: (row,) for pair, row in rows.items()}
+        both_orders = {(a, b): (row, rows[b, a]) for (a, b), row in rows.items()}
+        return TabulatedBothWays(on_r), own, both_orders
+
+    def bind(self, system: System) -> PairTerm:
+        """See Nonbonded. Raises ValueError also for a system in other units than eV and Å, those of the tables."""
+        if system.units != ASE:
+            raise ValueError(
+                f"the tables of {self.given.file!r} are in eV and Å; the system must be in the units of ASE, it is in "
+                f"{system.units.name}"
+            )
+        return super().bind(system)
+
+    def _checked_parameters(
+        self, parameters: Any, pairs: Any
+    ) -> tuple[Parameters | dict[Label, Parameters], dict]:
+        """See Nonbonded: those of a pair differ from those of the reverse pair."""
+        return parameters, pairs
+
+    def _truncated_law(self) -> Any:
+        """See Nonbonded."""
+        return self.plain_law
+
+    def _parameters_of(self, a: Any, b: Any) -> Parameters:
+        for name in (a, b):
+            if name not in self.parameters:
+                raise ValueError(
+                    f"the tables of {self.given.file!r} are of {listed(self.parameters)}, the system has species "
+                    f"{name!r}: species must have the names of elements"
+                )
+        return self._by_pair[a, b]
+
+    def _numbers_of_laws(self, parameters: Parameters, cutoff: float) -> Parameters:
+        return parameters
+
+    def _densities(self, r: float, numbers: Parameters) -> tuple[float, float]:
+        law: Any = self.law
+        first, second = law.densities.py_func(r * r, law.table, (*self.alone, *numbers))
+        return first, second
+
     def __repr__(self) -> str:
-        if isinstance(self.given, EmbeddedTables):
-            return f"EmbeddedAtom.from_file({self.given.file!r})"
-        return super().__repr__()
+        return f"EmbeddedAtom.from_file({self.given.file!r})"
 
 
 def _checked_laws(given: Any) -> EmbeddedLaws:

@@ -107,9 +107,9 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         self.plain_law, parameters, by_pair = self.as_law()
         self._is_tried = not is_user_law(self.plain_law)
         # each class has a cutoff and a truncation, in their places among its arguments
-        arguments = super().arguments()
-        self.truncation: TruncationName = arguments["truncation"]
-        self._given_cutoff = arguments["cutoff"]
+        given: Any = self
+        self.truncation: TruncationName = given.truncation
+        self._given_cutoff = given.cutoff
         self._cutoffs = _checked_cutoffs(self._given_cutoff)
         self.law: Any = self._truncated_law()
         self.cutoff: Any = max(self._cutoffs.values())

@@ -28,8 +28,13 @@ BRIDGES = {  # folders and modules that may import ase or MDAnalysis when they a
     *("core/structure/elements.py", "core/files/structure_file.py", "core/files/ase_writer.py"),
     *("core/files/turned_cell.py", "judge/dynamics.py", "judge/scenes.py"),
 }
-# reach for private names of OpenMM and LAMMPS; for the topology of MDAnalysis, which alone tells what was guessed
-FOREIGN = {"minimd.bench.engines", "minimd.core.structure.mdanalysis_atoms"}
+# reach for private names of OpenMM and LAMMPS; for the topology of MDAnalysis, which alone tells what was guessed;
+# for what Numba knows of a function, and for flags that were set
+FOREIGN = {
+    "minimd.bench.engines",
+    "minimd.core.structure.mdanalysis_atoms",
+    "minimd.core.compiled.typing_memory",
+}
 HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "openmm", "minimd.lammps"}
 FILES = re.compile(r"A step of a liquid is these files:\n\n```\n(.*?)```", re.S)
 RINGS = ["compiled console structure neighbors potentials constraints integrators forces", "engine"]

@@ -14,6 +14,7 @@ from llvmlite import ir
 from numba import extending, types
 from numba.core import cgutils
 from numba.extending import NativeValue, intrinsic, models, typeof_impl
+from numba.np.numpy_support import as_dtype
 
 WORD = 8  # bytes of a number, an address or a size
 
@@ -128,7 +129,7 @@ def _array(context, builder, kind, address, place):
     model = context.data_model_manager[kind]
     word = ir.IntType(8 * WORD)
     element = context.get_data_type(kind.dtype)
-    itemsize = word(context.get_abi_sizeof(element))
+    itemsize = word(as_dtype(kind.dtype).itemsize)
     n = kind.ndim
     sizes = [_word(builder, word, address, place + 1 + k) for k in range(2 * n)]
     shape = sizes[:n]

@@ -30,6 +30,7 @@ from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 from numba.extending import overload
 
+from minimd.core.compiled import typing_memory
 from minimd.core.compiled.code_cache import FailedCompilations, KernelCache
 from minimd.core.compiled.machine import NEWEST, restrict_features
 from minimd.core.compiled.terminal import tell
@@ -38,6 +39,9 @@ from minimd.core.compiled.terminal import tell
 class PartLibrary(JITCodeLibrary):
     """The code of a part of a kernel, for the library of the kernel to link. Nobody can call it.
     Numba would optimize each part as a whole, and again as a part of what calls it, and so on up to the kernel."""
+
+    def _optimize_functions(self, module: object) -> None:
+        """Left to the kernel."""
 
     def _optimize_final_module(self) -> None:
         """Left to the kernel."""
@@ -69,8 +73,10 @@ class PartCompiler(Compiler):
 
 
 restrict_features(os.environ.get("MINIMD_VECTORS", NEWEST))
+typing_memory.remember()
 
-DECORATED = rb"^from minimd\.core\.compiled\.kernels import (\([^)]*)?.*\b(\w*kernel|inlined|scalar|by_type|type_of)\b"
+WORDS = rb"\w*kernels?|inlined|scalar|by_type|type_of"
+DECORATED = rb"^from minimd\.core\.compiled\.kernels import (\([^)]*)?.*\b(" + WORDS + rb")\b"
 HOLDS_KERNELS = re.compile(DECORATED + rb"|^from numba\b", re.M)
 IMPORTED = re.compile(r"^from (minimd[\w.]*) import (\([^)]*\)|.*)", re.M)
 WAIT_BEFORE_TELLING = 1.0  # seconds of compiling before the user is told
@@ -163,6 +169,10 @@ class PartOfKernel(CalledKernel):
     def __init__(self, py_func: Callable, locals: Any = None, targetoptions: Any = None) -> None:
         super().__init__(py_func, locals, targetoptions, pipeline_class=PartCompiler)
 
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Called by Numba, which would compile another form for each constant that is passed."""
+        return super().get_call_template(tuple(map(types.unliteral, args)), kws)
+
 
 NOT_FROM_OUTSIDE = {
     "nopython": True,
@@ -203,9 +213,15 @@ def by_type(choose: Callable) -> Callable:
     def compiled_only(*arguments):
         raise NotImplementedError(f"{choose.__name__} can be called from compiled kernels only")
 
-    options: Any = {"no_cfunc_wrapper": True, "pipeline_class": PartCompiler}
-    overload(compiled_only, jit_options=options)(choose)
+    in_kernels(compiled_only)(choose)
     return compiled_only
+
+
+def in_kernels(function: Callable) -> Callable:
+    """Decorator of what a function of Python is in kernels: given the Numba types of its arguments, it returns what to
+    compile, or None to leave them to others."""
+    options: Any = {"no_cfunc_wrapper": True, "pipeline_class": PartCompiler}
+    return overload(function, jit_options=options)
 
 
 def type_of(formula: Callable, python: Callable | None = None) -> Callable[[type], type]:

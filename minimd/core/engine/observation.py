@@ -31,8 +31,8 @@ class Look:
     @cached_property
     def kinetic_energy(self) -> float:
         """K [energy]."""
-        step = self.grid.energy if self.grid else 0.0
-        return float(observables.kinetic_energy(*self.motion, step))
+        rounding = (self.grid.energy,) if self.grid else ()
+        return float(observables.kinetic_energy(*self.motion, *rounding))
 
     @property
     def total_energy(self) -> float:
@@ -42,7 +42,8 @@ class Look:
     @property
     def momentum(self) -> Any:
         """(3,)."""
-        return observables.momentum(*self.motion, self.grid.momentum if self.grid else 0.0)
+        rounding = (self.grid.momentum,) if self.grid else ()
+        return observables.momentum(*self.motion, *rounding)
 
     @cached_property
     def drift(self) -> Any:

@@ -273,7 +273,7 @@ def fill_ghosts(domain, arrays):
                     ghosts.lanes[ghost] = (1 << clusters.filled[k]) - 1
                     ghosts.bottom[ghost] = clusters.bottom[k] + image_z
                     ghosts.top[ghost] = clusters.top[k] + image_z
-                    start = k * DIMENSIONS * n_lanes
+                    start = np.uintp(k * DIMENSIONS * n_lanes)
                     positions = loaded(clusters.positions, start, lanes)
 
                     for d, x in enumerate(plus(positions, offsets_of(start, clusters))):

@@ -1,14 +1,17 @@
 """Queries about neighbors: the list in ASE's form, the closest pair."""
 
-from typing import NamedTuple
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.console.words import shown
 from minimd.core.neighbors.pair_list import PairList, check_size
+from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import LARGEST, checked_kind, checked_number
 from minimd.core.structure.system import System
+from minimd.core.structure.vectors import Array
 
 QUANTITIES = "ijdDS"
 BEYOND = 1.0 + 1e-9  # of a distance: the reach that finds a pair at this distance
@@ -94,26 +97,40 @@ def closest_pair(system: System) -> ClosestPair | None:
 
     fractional = np.einsum("ij,jk->ik", system.positions[known], cell.inverse)
     fractional = np.where(cell.pbc, fractional - np.floor(fractional), fractional)
-    wrapped = fractional @ cell.lattice
+    from scipy.spatial import KDTree
 
-    best = ClosestPair(0, 0, np.inf)
-    if known.size > 1:
-        from scipy.spatial import KDTree
-
-        distances, partners = KDTree(wrapped).query(wrapped, k=2)
-        i = int(np.argmin(distances[:, 1]))
-        j = int(partners[i, 0] if partners[i, 0] != i else partners[i, 1])
-        best = ClosestPair(min(i, j), max(i, j), distances[i, 1])
-
-    # an atom and its own image
-    own = np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf)
-    reach = BEYOND * min(best.distance, own)
-    from_faces = np.minimum(fractional, 1.0 - fractional) * cell.heights
-    near = np.flatnonzero((from_faces[:, cell.pbc] <= reach).any(axis=1))
-    if near.size and reach > 0.0:
-        first, second, d = neighbor_list("ijd", System(wrapped[near], cell=cell), reach)
-        if d.min(initial=np.inf) < best.distance:
-            p = np.argmin(d)
-            best = ClosestPair(near[first[p]], near[second[p]], d[p])
-
+    tree = KDTree(fractional @ cell.lattice)
+    distances, partners = tree.query(tree.data, k=2)
+    i = int(np.argmin(distances[:, 1]))
+    j = int(partners[i, 0] if partners[i, 0] != i else partners[i, 1])
+    best = ClosestPair(min(i, j), max(i, j), distances[i, 1])
+    if cell.is_periodic:
+        best = min(
+            best, _closest_image(tree, fractional, cell, best.distance), key=attrgetter("distance")
+        )
     return ClosestPair(int(known[best.first]), int(known[best.second]), float(best.distance))
+
+
+def _closest_image(tree: Any, fractional: Array, cell: Cell, distance: float) -> ClosestPair:
+    """An atom and the closest image of an atom, or of itself; at infinity if none is within a distance [length].
+
+    tree : KDTree of the atoms in the cell.
+    fractional : (n, 3) their coordinates in cell.lattice.
+    """
+    own = np.linalg.norm(cell.lattice[cell.pbc], axis=1).min()
+    reach = BEYOND * min(distance, own)
+    margin = np.where(cell.pbc, reach / cell.heights, np.inf)
+    most = np.where(cell.pbc, np.ceil(margin), 0)
+    grid = np.meshgrid(*(np.arange(-n, n + 1) for n in most), indexing="ij")
+    steps = np.stack(grid, axis=-1).reshape(-1, 3)
+    best = ClosestPair(0, 0, np.inf)
+
+    for step in steps[: len(steps) // 2]:  # the opposite steps have the same pairs
+        images = fractional + step
+        near = np.flatnonzero(((images >= -margin) & (images <= 1.0 + margin)).all(axis=1))
+        distances, partners = tree.query(images[near] @ cell.lattice)
+        if distances.min(initial=np.inf) < best.distance:
+            k = np.argmin(distances)
+            i, j = sorted((near[k], partners[k]))
+            best = ClosestPair(i, j, distances[k])
+    return best

@@ -10,9 +10,8 @@ The three laws of one potential take the same parameters, of a species or of a p
 from math import exp, sqrt
 
 import numpy as np
-from numba.extending import overload
 
-from minimd.core.compiled.kernels import by_type, scalar
+from minimd.core.compiled.kernels import by_type, in_kernels, scalar
 from minimd.core.compiled.simd import fma, select
 from minimd.core.compiled.simd.vector import MAGIC, columns_at
 from minimd.core.potentials.law import evaluate_law, law_type
@@ -25,7 +24,7 @@ def parts(parameters):
     return parameters[:half], parameters[half:]
 
 
-@overload(parts)
+@in_kernels(parts)
 def _parts(parameters):
     half = len(parameters) // 2
     return lambda parameters: (parameters[:half], parameters[half:])

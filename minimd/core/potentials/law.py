@@ -23,9 +23,8 @@ import numpy as np
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
-from numba.extending import overload
 
-from minimd.core.compiled.kernels import by_type, kernel, scalar, type_of, without_cache
+from minimd.core.compiled.kernels import by_type, in_kernels, kernel, scalar, type_of, without_cache
 from minimd.core.compiled.simd import lane, load, total, with_lane
 from minimd.core.compiled.simd.vector import count, lanes_for, loaded_columns
 from minimd.core.compiled.snapshot import FunctionSnapshot
@@ -58,7 +57,7 @@ def evaluate_law(law, r2, parameters):
     return formula(r2, *law, parameters) if law else formula(r2, *parameters)
 
 
-@overload(evaluate_law)
+@in_kernels(evaluate_law)
 def _evaluate_law(law, r2, parameters):
     if not isinstance(law, types.BaseNamedTuple):
         return None

@@ -14,7 +14,7 @@ at hand: one for AVX-512, two for AVX2, four for NEON. So a law for numbers comp
 How to add an operation. If LLVM has an instruction or a function for it, make an intrinsic with `_instruction` or
 `_function`, see arithmetic.py, or write an `@intrinsic`: it gets the Numba types of its arguments, and returns the
 signature `result(arguments)` and a function that emits instructions with llvmlite's IRBuilder. Bind it to the Python
-name that laws use with `_bind` or `@overload`. Without an instruction, apply a function lane by lane: see `bind_one`.
+name that laws use with `_bind` or `@in_kernels`. Without an instruction, apply a function lane by lane: see `bind_one`.
 """
 
 import minimd.core.compiled.simd.functions  # noqa: F401 - lets those of math and numpy act on vectors

@@ -5,9 +5,9 @@ import operator
 
 import numpy as np
 from numba import types
-from numba.extending import intrinsic, overload
+from numba.extending import intrinsic
 
-from minimd.core.compiled.kernels import scalar
+from minimd.core.compiled.kernels import in_kernels, scalar
 from minimd.core.compiled.simd.vector import (
     Vector,
     broadcast,
@@ -73,7 +73,7 @@ def fma(a, b, c):
     return a * b + c
 
 
-@overload(fma)
+@in_kernels(fma)
 def _fma(a, b, c):
     if isinstance(a, Vector):
         return lambda a, b, c: _multiply_add(a, broadcast(b, a), broadcast(c, a))
@@ -90,7 +90,7 @@ def select(mask, a, b):
     return np.where(mask, a, b)
 
 
-@overload(select)
+@in_kernels(select)
 def _select(mask, a, b):
     if isinstance(mask, Vector):
         if isinstance(a, Vector):
@@ -106,7 +106,7 @@ def _select(mask, a, b):
 def _bind(function, operation) -> None:
     """Let a Python operator do an operation where one argument is a vector and the other a vector or a number."""
 
-    @overload(function)
+    @in_kernels(function)
     def of_vectors(a, b):
         if isinstance(a, Vector) and (a == b or isinstance(b, types.Number)):
             return lambda a, b: operation(a, broadcast(b, a))
@@ -118,7 +118,7 @@ def _bind(function, operation) -> None:
 def _bind_choice(function, beats) -> None:
     """Let max or min, of a vector and a vector or a number, keep the lane that beats the other."""
 
-    @overload(function)
+    @in_kernels(function)
     def of_vectors(a, b):
         if isinstance(a, Vector):
             return lambda a, b: select(beats(a, b), a, broadcast(b, a))
@@ -138,13 +138,13 @@ _bind_choice(max, operator.gt)
 _bind_choice(min, operator.lt)
 
 
-@overload(operator.neg)
+@in_kernels(operator.neg)
 def _negative(x):
     return (lambda x: 0.0 - x) if isinstance(x, Vector) else None
 
 
-@overload(operator.ipow)
-@overload(operator.pow)
+@in_kernels(operator.ipow)
+@in_kernels(operator.pow)
 def _power(x, exponent):
     """The powers that laws use, one of which the compiler picks for a constant exponent; others lane by lane."""
     if isinstance(exponent, Vector) and (x == exponent or isinstance(x, types.Number)):
@@ -180,7 +180,7 @@ def _powers(bases, exponents):
 def bind_one(function, operation=None) -> None:
     """Let a function of one number act on vectors: by an operation, or lane by lane if there is none."""
 
-    @overload(function)
+    @in_kernels(function)
     def of_vector(x):
         if not isinstance(x, Vector):
             return None

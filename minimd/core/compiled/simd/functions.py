@@ -12,9 +12,8 @@ the Elementary Functions (1980)): r has all its digits for |x| up to some 10⁹.
 import math
 
 import numpy as np
-from numba.extending import overload
 
-from minimd.core.compiled.kernels import scalar
+from minimd.core.compiled.kernels import in_kernels, scalar
 from minimd.core.compiled.simd.arithmetic import bind_one, fma, select
 from minimd.core.compiled.simd.vector import MAGIC, Vector, as_floats, bits_of, broadcast, float_of
 
@@ -45,7 +44,7 @@ def polynomial(t, c):
     return total
 
 
-@overload(polynomial)
+@in_kernels(polynomial)
 def _polynomial(t, c):
     if len(c) == 2:
         return lambda t, c: fma(t, c[1], c[0])
@@ -143,7 +142,7 @@ for _name, _operation in _OPERATIONS.items():
         bind_one(getattr(_module, _name), _operation)
 
 
-@overload(math.atan2)
-@overload(np.arctan2)
+@in_kernels(math.atan2)
+@in_kernels(np.arctan2)
 def _arctangent(y, x):
     return (lambda y, x: arctangent(y, x)) if isinstance(y, Vector) and y == x else None

@@ -13,9 +13,9 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.registry import cpu_target
-from numba.extending import intrinsic, models, overload, register_model
+from numba.extending import intrinsic, models, register_model
 
-from minimd.core.compiled.kernels import by_type, scalar
+from minimd.core.compiled.kernels import by_type, in_kernels, scalar
 
 INT32 = ir.IntType(32)
 COLUMNS = 8  # of a table of two cubics
@@ -311,7 +311,7 @@ def columns_at(table, places):
     return tuple(table[int(places - MAGIC)].tolist())
 
 
-@overload(columns_at)
+@in_kernels(columns_at)
 def _columns_at(table, places):
     if isinstance(places, Vector):
         return lambda table, places: _columns_of_rows(table, places)

@@ -90,6 +90,17 @@ def normal(stream):
             return x
 
 
+@kernel
+def normals(key, atom, contact, step, n):
+    """The first n normal numbers of Philox(key, counter=[0, atom, contact, step]); all of these are uint64."""
+    stream = new_stream(key)
+    start_stream(stream, atom, contact, step)
+    numbers = np.empty(n)
+    for k in range(n):
+        numbers[k] = normal(stream)
+    return numbers
+
+
 @inlined
 def sum_of_squares(stream, n):
     """The sum of the squares of n normal numbers, for n > 2 twice a gamma variate.

@@ -20,9 +20,15 @@ from minimd.core.integrators.state import Bath
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.errors import RangeError
-from minimd.core.structure.observables import Array, center, kinetic_energy, momentum, momentum_flux
+from minimd.core.structure.observables import (
+    Array,
+    center,
+    kinetic_energy,
+    momentum,
+    pressure_tensor,
+)
 from minimd.core.structure.system import System
-from minimd.core.structure.vectors import strained
+from minimd.core.structure.vectors import inverse_of, strain_state
 
 LARGEST_STRAIN = 0.2  # of the cell at once: a bath that strains it more does not act slowly
 # times the volume at the start: a liquid grows by a factor of some 3 up to its critical point
@@ -155,6 +161,9 @@ class CellRescaling:
         strain = self.barostat.strain(before, duration, noise_number)
         largest = float(np.abs(strain).max())
         if not largest <= LARGEST_STRAIN:
+            if not np.isfinite(sums.virial).all() and np.isfinite(sums.forces).all():
+                cure = "take one that does, such as a calculator with a stress"
+                raise ValueError(f"a barostat needs the virial, but a potential gives none: {cure}")
             target = f"{self.barostat.pressure:.3g} {self._system.units.pressure}"
             why = f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {target}"
             cure = "equilibrate first, take a longer relaxation_time, or check the unit of the pressure"
@@ -190,24 +199,23 @@ class CellRescaling:
         If the total momentum is constant, it is no thermal motion; its degrees of freedom add k_B T/V.
         """
         system = self._system
-        volume = float(self._system.volume or 0.0)
+        volume = float(system.volume or 0.0)
         moving = system.velocities
         masses = system.masses
         virial = sums.virial
-        if not np.isfinite(virial).all() and np.isfinite(sums.forces).all():
-            cure = "take one that does, such as a calculator with a stress"
-            raise ValueError(f"a barostat needs the virial, but a potential gives none: {cure}")
         if self._molecules is not None:
             virial = virial - self._inner_virial(sums.forces)
+            virial = 0.5 * (virial + virial.T)
             moving = self._molecules.centers(moving)
             masses = self._molecules.masses
-        tensor = momentum_flux(moving, masses) + 0.5 * (virial + virial.T)
+        pressure = pressure_tensor(moving, masses, virial, volume)
         if bath.conserves_momentum:
             total = momentum(moving, masses)
-            tensor += thermal * np.eye(3) - np.outer(total, total) / masses.sum()
-        tensor = tensor if back is None else back @ tensor @ back.T
+            pressure += (thermal * np.eye(3) - np.outer(total, total) / masses.sum()) / volume
+        if back is not None:
+            pressure = back @ pressure @ back.T
         energy = kinetic_energy(system.velocities, system.masses) + sums.potential_energy
-        return ThermodynamicState(tensor / volume, volume, energy, thermal)
+        return ThermodynamicState(pressure, volume, energy, thermal)
 
     def _inner_virial(self, forces: Array) -> Array:
         """Σ (r − R) ⊗ F [energy], (3, 3): the virial of atoms minus that of molecules, without rigid bonds."""
@@ -226,16 +234,12 @@ class CellRescaling:
             vectors, rotation = turned_back(before.vectors, vectors)
         cell = before.strained(vectors)
         drift = center(system.velocities, system.masses, bath.conserves_momentum)
-        inverse = np.asarray(np.linalg.inv(stretch))
+        inverse, _ = inverse_of(stretch)
         if self._molecules is None:
-            turned = np.eye(3) if rotation is None else rotation
-            strained(system.positions, stretch @ turned, system.positions)
-            strained(
-                system.velocities,
-                inverse @ turned,
-                system.velocities,
-                drift - drift @ inverse @ turned,
-            )
+            if rotation is not None:
+                stretch = stretch @ rotation
+                inverse = inverse @ rotation
+            strain_state(system.positions, system.velocities, stretch, inverse, drift)
         else:
             positions, velocities = self._moved_molecules(
                 stretch, system.velocities - drift, inverse, cell, rotation

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from minimd.core.compiled.program import Operation, Program, in_python
+from minimd.core.compiled.program import Operation, in_python
 from minimd.core.console.display import Rows
 from minimd.core.console.quiet import quiet, warn
 from minimd.core.constraints.constraint_set import ConstraintSet
@@ -194,7 +194,7 @@ class Engine:
             forces = self.interactions
             power = (lambda: forces.power) if forces.depend_on_time else None
             work = forces.version, lambda: forces.pool
-            source = ForceSource(self._forces_at, *work, self._running, power, self._taken)
+            source = ForceSource(self._forces_at, *work, forces.running, power, self._taken)
             self._steps = Steps(self._method, self._state, self.surroundings, source)
             self._steps_of = made_of
         return self._steps
@@ -209,12 +209,6 @@ class Engine:
         yield from interactions.operations(
             interactions.target(TOTALS if with_energy else FORCES, unit)
         )
-
-    @contextmanager
-    def _running(self, program: Program) -> Iterator[None]:
-        self.interactions.follow_cell()
-        with self.interactions.running(program):
-            yield
 
     def _taken(self, with_energy: bool, unit: float) -> None:
         target = self.interactions.target(TOTALS if with_energy else FORCES, unit)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress, run_at
 from minimd.core.compiled.fixed_point import MOST
-from minimd.core.compiled.kernels import DirectCalls, called_kernel, scalar
+from minimd.core.compiled.kernels import DirectCalls, called_kernel, kernel, scalar
 from minimd.core.compiled.program import GO_ON, OUT_OF_RANGE, Operation, operation
 from minimd.core.compiled.simd import lane
 from minimd.core.compiled.simd.vector import BITS, count
@@ -109,6 +109,19 @@ def _collect(domain, evaluation):
                 forces[i, 2] = lane(z, k_lane)
 
 
+@kernel
+def add_domains(of_domains, energies, virials):
+    """Add the sums of domains, every APART-th row, to the first energy and virial."""
+    for c in range(SUMS):
+        total = 0.0
+        for row in range(0, of_domains.shape[0], APART):
+            total += of_domains[row, c]
+        if c == 0:
+            energies[0] += total
+        else:
+            virials[0, c - 1] += total
+
+
 NONE = np.zeros(0)
 
 
@@ -138,7 +151,7 @@ class ClusterTerm(ListTerm):
 
     def suits(self, system: System) -> bool:
         """See ListTerm: a cell without room for the list needs another one."""
-        return bool(system.cell.heights.min() >= self.list.cutoff + self.list.skin)
+        return bool(min(system.cell.heights.tolist()) >= self.list.cutoff + self.list.skin)
 
     def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
@@ -184,9 +197,7 @@ class ClusterTerm(ListTerm):
         key = _key(target)
         sums = self._evaluations[key][1].sums
         if target.detail == TOTALS:
-            energy, *virial = sums.of_rows[::APART].sum(axis=0)
-            target.energies[0] += energy
-            target.virials[0] += virial
+            add_domains(sums.of_rows, target.energies, target.virials)
         else:
             self._add_each(sums, target.energies, target.virials)
             del self._evaluations[key]  # large

@@ -5,16 +5,22 @@ from __future__ import annotations
 from collections import namedtuple
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from math import nan
 from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
-from minimd.core.compiled.kernels import DirectCalls, announce_compilation, called_kernel
+from minimd.core.compiled.kernels import (
+    DirectCalls,
+    announce_compilation,
+    called_kernel,
+    kernel,
+)
 from minimd.core.compiled.program import (
     GO_ON,
     Operation,
@@ -113,8 +119,6 @@ def special_terms(system: System, members: Sequence[PairLaw], laws: PairLaws) ->
 
 # the skin is chosen anew when atoms are faster or slower by this factor: its optimum is flat
 CHANGED_SPEED = 2.0
-# places of xx yy zz yz xz xy in a (3, 3) tensor
-VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
 
 
 class Clearing(ByAddress, namedtuple("Clearing", "forces n_chunks")):
@@ -132,8 +136,40 @@ def clear_forces(clearing, chunk):
     return GO_ON
 
 
-@dataclass(frozen=True)
-class ForceResult:
+class Accumulators(ByAddress, namedtuple("Accumulators", "energies virials")):
+    """Energies and virials of a Target."""
+
+
+@called_kernel
+def clear_accumulators(accumulators, _chunk):
+    """Energies and virials = 0."""
+    energies, virials = accumulators
+    for i in range(energies.size):
+        energies[i] = 0.0
+        for c in range(virials.shape[1]):
+            virials[i, c] = 0.0
+    return GO_ON
+
+
+@kernel
+def totals_of(energies, virials):
+    """The sums of energies, (N,), and of virials, (N, 6) as xx yy zz yz xz xy, as (3, 3) [energy]."""
+    energy = 0.0
+    xx = yy = zz = 0.0
+    yz = xz = xy = 0.0
+    for i in range(energies.size):
+        energy += energies[i]
+        xx, yy, zz = xx + virials[i, 0], yy + virials[i, 1], zz + virials[i, 2]
+        yz, xz, xy = yz + virials[i, 3], xz + virials[i, 4], xy + virials[i, 5]
+    return energy, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+NONE = np.zeros(0)
+UNKNOWN = np.broadcast_to(nan, (3, 3))
+NO_VIRIALS = np.zeros((0, 6))
+
+
+class ForceResult(NamedTuple):
     """What one evaluation of the forces has given; energies and virials only if they were asked for.
 
     forces : (N, 3) [energy/length], in the memory of Forces, which the next evaluation overwrites.
@@ -145,9 +181,9 @@ class ForceResult:
 
     forces: NDArray[np.float64]
     potential_energy: float = nan
-    virial: NDArray[np.float64] = field(default_factory=lambda: np.full((3, 3), nan))
-    energies: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    virials: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 6)))
+    virial: NDArray[np.float64] = UNKNOWN
+    energies: NDArray[np.float64] = NONE
+    virials: NDArray[np.float64] = NO_VIRIALS
     has_energy: bool = False
 
 
@@ -424,7 +460,8 @@ class Forces:
         if self._timed:
             yield in_python(self._tell_time)
         if target.detail != FORCES:
-            yield in_python(lambda: clear(target))
+            accumulators = Accumulators(target.energies, target.virials)
+            yield operation(self._calls, clear_accumulators, accumulators)
         if not (with_lists and with_lists[0].assigns):
             yield operation(self._calls, clear_forces, self._clearing, self._clearing.n_chunks)
         for term in (*with_lists, *linked):
@@ -443,11 +480,13 @@ class Forces:
 
     @contextmanager
     def running(self, program: Program) -> Iterator[None]:
-        """Context in which a program with operations of these forces runs: makes lists ready, compiles what is not
-        compiled yet; at the end, takes note of what the operations have done to the lists.
+        """Context in which a program with operations of these forces runs: binds the potentials again if the cell was
+        changed, makes lists ready, compiles what is not compiled yet; at the end, takes note of what the operations
+        have done to the lists.
 
         Raises TypeError if a user's law does not compile.
         """
+        self.follow_cell()
         for pairs in self._lists:
             pairs.ready(self.system.positions, self.system.cell)
         try:
@@ -468,20 +507,17 @@ class Forces:
         if target.detail == FORCES:
             return ForceResult(self.forces)
         tail_energy, trace = self._tails
-        tail_virial = trace / 3.0
-        sums = ForceResult(
-            self.forces,
-            float(target.energies.sum()) + tail_energy,
-            target.virials.sum(axis=0)[VOIGT] + np.eye(3) * tail_virial,
-            has_energy=True,
-        )
+        energy, virial = totals_of(target.energies, target.virials)
+        if trace:
+            virial += np.eye(3) * (trace / 3.0)
+        sums = ForceResult(self.forces, energy + tail_energy, virial, has_energy=True)
         if target.detail == TOTALS:
             return sums
         n_atoms = len(self.system)
         isotropic = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
         energies = target.energies + tail_energy / n_atoms
-        virials = target.virials + isotropic * tail_virial / n_atoms
-        return replace(sums, energies=energies, virials=virials)
+        virials = target.virials + isotropic * (trace / 3.0 / n_atoms)
+        return sums._replace(energies=energies, virials=virials)
 
     def version(self) -> tuple[int, ...]:
         """Of the memory that operations work on."""
@@ -548,12 +584,6 @@ class Forces:
             energy += tail[0]
             trace += tail[1]
         return energy, trace
-
-
-def clear(target: Target) -> None:
-    """Energies and virials = 0."""
-    target.energies[:] = 0.0
-    target.virials[:] = 0.0
 
 
 def _refuse(_answer: int) -> None:

@@ -7,13 +7,14 @@ total energy minus reservoir energy changes only by errors of the time step.
 
 from dataclasses import dataclass, field, fields
 from math import inf, log, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from minimd.core.compiled.normal_numbers import normals
 from minimd.core.console.display import Displayed, Rows, as_text
 from minimd.core.integrators.method import Array
-from minimd.core.integrators.thermostats import philox
+from minimd.core.integrators.thermostats import STEPS, key_of
 from minimd.core.structure.checks import checked_choice, checked_count, checked_number
 from minimd.core.structure.observables import SEEDS
 
@@ -24,8 +25,7 @@ COUPLINGS = ("isotropic", "triclinic", "x", "y", "z", "xy", "xz", "yz", "xyz")
 OWN_STREAM = 1  # of random numbers; the stream of thermostats is 0
 
 
-@dataclass(frozen=True)
-class ThermodynamicState:
+class ThermodynamicState(NamedTuple):
     """What a barostat needs to know about a state.
     pressure : P, (3, 3) [energy/length³], kinetic part included.
     volume : V [length³].
@@ -94,6 +94,7 @@ class StochasticCellRescaling(Displayed):
     coupling: str = "isotropic"
     every: int = 50
     mask: Array = field(init=False, compare=False)  # of the strains that 𝒫 keeps
+    _key: Array = field(init=False, compare=False)  # of the noise
 
     def __post_init__(self) -> None:
         checked_number("pressure", self.pressure, "finite")
@@ -107,6 +108,7 @@ class StochasticCellRescaling(Displayed):
         axes = np.array([axis in self.coupling for axis in AXES], dtype=np.float64)
         mask = np.ones((3, 3)) if self.coupling == "triclinic" else np.diag(axes)
         object.__setattr__(self, "mask", mask)
+        object.__setattr__(self, "_key", key_of(self.seed))
 
     def __repr__(self) -> str:
         arguments = (f"{name}={value!r}" for name, value in self._stated())
@@ -129,12 +131,12 @@ class StochasticCellRescaling(Displayed):
         """ε, (3, 3).
         duration : h [time].
         number : of the step; it selects the noise."""
-        white = philox(self.seed, 0, number, OWN_STREAM).standard_normal((3, 3))
+        white = normals(self._key, OWN_STREAM, 0, np.uint64(number % STEPS), 9).reshape(3, 3)
         if self.coupling == "isotropic":
             variance = 0.5 * state.thermal * self.compressibility * duration / self.relaxation_time
             change = self._drift_of_root(state, duration) + sqrt(variance) * white[0, 0]
             larger = 1.0 + change / sqrt(state.volume)  # λ′/λ
-            return np.diag(np.full(3, 2.0 / 3.0 * log(larger) if larger > 0.0 else -inf))
+            return np.diag(3 * [2.0 / 3.0 * log(larger) if larger > 0.0 else -inf])
         slowness = 3.0 * state.volume * self.relaxation_time
         spread = sqrt(2.0 * state.thermal * self.compressibility * duration / slowness)
         return self._drift_of_strain(state, duration) + spread * self.mask * 0.5 * (white + white.T)
@@ -162,7 +164,7 @@ class StochasticCellRescaling(Displayed):
 
     def _drift_of_root(self, state: ThermodynamicState, duration: float) -> float:
         """b = −(βλh/2τ) (P₀ − P − k_B T/2V) [√volume]."""
-        pressure = float(np.trace(state.pressure)) / 3.0
+        pressure = float(state.pressure.trace()) / 3.0
         excess = pressure - self.pressure + 0.5 * state.thermal / state.volume
         root = sqrt(state.volume)
         return 0.5 * self.compressibility * root * duration / self.relaxation_time * excess
@@ -175,8 +177,8 @@ class StochasticCellRescaling(Displayed):
 
 def exponential(strain: Array) -> Array:
     """e^ε of a symmetric (3, 3) matrix."""
-    if np.count_nonzero(strain) == np.count_nonzero(np.diag(strain)):
-        return np.diag(np.exp(np.diag(strain)))
+    if strain[0, 1] == strain[0, 2] == strain[1, 2] == 0.0:
+        return np.diag(np.exp(strain.diagonal()))
     values, vectors = np.linalg.eigh(strain)
     return np.asarray((vectors * np.exp(values)) @ vectors.T)
 

@@ -14,6 +14,7 @@ from math import exp, sqrt
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.fixed_point import in_steps, is_fixed, on_grid
@@ -47,6 +48,11 @@ def philox(seed: int, contact: int, step: int, stream: int = 0) -> np.random.Gen
     """The generator of random numbers for a contact with a bath in a step."""
     counter = np.array([0, stream, contact, step % STEPS], dtype=np.uint64)
     return np.random.Generator(np.random.Philox(key=seed, counter=counter))
+
+
+def key_of(seed: int) -> NDArray[np.uint64]:
+    """The key of Philox, (2,)."""
+    return np.array([seed % 2**64, seed >> 64], dtype=np.uint64)
 
 
 class Noise(ByAddress, namedtuple("Noise", "key counts begun contact")):
@@ -121,8 +127,7 @@ class Thermostat(Splitting):
 
     def noise_at(self, moment: Moment) -> "Noise":
         """What selects the noise of a contact."""
-        key = np.array([self.seed % 2**64, self.seed >> 64], dtype=np.uint64)
-        return Noise(key, moment.counts, moment.begun, moment.contact)
+        return Noise(key_of(self.seed), moment.counts, moment.begun, moment.contact)
 
     def touch(
         self, state: State, duration: float, around: Surroundings, moment: Moment

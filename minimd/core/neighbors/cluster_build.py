@@ -6,10 +6,10 @@ from collections import namedtuple
 import numpy as np
 
 from minimd.core.compiled.by_address import ByAddress
-from minimd.core.compiled.kernels import called_kernel, filling_kernel
+from minimd.core.compiled.kernels import called_kernel, filling_kernel, kernel
 from minimd.core.compiled.program import GO_ON, JUMP, NEEDS_ROOM, NOT_FINITE
 from minimd.core.compiled.simd import bits_from_mask
-from minimd.core.compiled.simd.vector import count, gathered, loaded
+from minimd.core.compiled.simd.vector import count, gathered, loaded, stored
 from minimd.core.neighbors.cluster_memory import place
 from minimd.core.neighbors.cluster_search import (
     BUILDS,
@@ -19,7 +19,12 @@ from minimd.core.neighbors.cluster_search import (
     find_rows,
     make_work,
 )
-from minimd.core.neighbors.clusters import DIMENSIONS, columns_fit, fill_column
+from minimd.core.neighbors.clusters import (
+    DIMENSIONS,
+    columns_fit,
+    count_columns,
+    fill_column,
+)
 from minimd.core.neighbors.domains import (
     BLOCKS,
     GHOSTS,
@@ -28,7 +33,7 @@ from minimd.core.neighbors.domains import (
     fill_shifts,
     sort_ghosts,
 )
-from minimd.core.neighbors.search import counting_sort
+from minimd.core.neighbors.search import WIDER, counting_sort, transformed
 from minimd.core.neighbors.verlet_list import count_not_finite
 from minimd.core.structure.vectors import dot, minus
 
@@ -216,3 +221,41 @@ def exclude_pairs(building, domain):
                 partner = np.uintp(values[p])
                 exclude(domain, slot, building.slot_of[partner], arrays, image)
     return GO_ON
+
+
+@kernel
+def follow_strain(building, strain, lattice, inverse, heights, region):
+    """A list follows the cell, strained with all atoms; False if that needs other columns, and so a new list.
+
+    building : Building, whose clusters have origins of their own.
+    strain : (3, 3) of all positions since the list was built.
+    lattice, inverse, heights : of the Cell now.
+    region : of the columns, see region_of."""
+    arrays = building.arrays
+    columns = arrays.columns
+    clusters = arrays.clusters
+    images = building.images
+    smallest = np.inf
+    n_lanes = count(clusters.lanes)
+    numbers = np.empty(5, dtype=np.int64)
+    n_atoms = building.positions.shape[0]
+    count_columns(heights, region, columns.is_crossed, n_atoms, columns.distance, n_lanes, numbers)
+    for d in range(5):
+        if numbers[d] != (columns.counts[d] if d < 3 else columns.reach[d - 3]):
+            return False
+
+    for d in range(DIMENSIONS):
+        columns.along[d] = WIDER * columns.distance / heights[d]
+        smallest = min(smallest, heights[d])
+        for c in range(DIMENSIONS):
+            for held in (columns.lattice, clusters.wrapping.lattice, images.lattice):
+                held[d, c] = lattice[d, c]
+            columns.inverse[d, c] = images.inverse[d, c] = inverse[d, c]
+    images.safe_distance2[0] = (0.5 * smallest) ** 2
+    fill_shifts(columns, arrays.memory.shifts)
+
+    for k in range(clusters.column_start[-1]):
+        start = np.uintp(k * DIMENSIONS * n_lanes)
+        at = loaded(clusters.origins, start, clusters.lanes)
+        stored(clusters.positions, start, transformed(at, strain))
+    return True

@@ -1,23 +1,24 @@
 """The cluster list with a skin: rows of clusters for the vector loop."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.core.compiled.kernels import DirectCalls
+from minimd.core.compiled.kernels import DirectCalls, code_for, types_of
 from minimd.core.compiled.program import Operation, Program, operation
 from minimd.core.compiled.simd.vector import lanes_for
 from minimd.core.compiled.threads import MOST_CHUNKS, ThreadPool
 from minimd.core.neighbors import cluster_build
-from minimd.core.neighbors.cluster_build import Building
+from minimd.core.neighbors.cluster_build import Building, follow_strain
 from minimd.core.neighbors.cluster_search import BUILDS, IN_USE, LAYERS
 from minimd.core.neighbors.cluster_store import ClusterStore
 from minimd.core.neighbors.clusters import DIMENSIONS, Columns, make_columns, region_of
 from minimd.core.neighbors.verlet_list import VerletList, partners, raise_not_finite
 from minimd.core.structure.cell import Cell, Images
-from minimd.core.structure.vectors import Array, strained
+from minimd.core.structure.vectors import Array
 
 NO_PARTNERS = np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64)
 
@@ -72,6 +73,7 @@ class ClusterList(VerletList):
         self._images = Images.of(Cell.of(None))
         self._positions = np.zeros((n_atoms, DIMENSIONS))  # where the operations find them
         self._calls = DirectCalls()
+        self._follow: Callable | None = None  # code of follow_strain
         self._program = Program(self.operations, lambda: self.version, pool)
 
     def operations(self) -> Iterator[Operation]:
@@ -229,16 +231,14 @@ class ClusterList(VerletList):
         """Number of their ghosts."""
         return int(self.domains.ghost[-1])
 
-    def _strain(self, strain: Array, before: Cell, cell: Cell) -> None:
+    def _strain(self, strain: Array, _before: Cell, cell: Cell) -> None:
         if self.clusters.origins is self.clusters.positions:  # from now on they are not the same
             self._fit(is_strained=True)
             self.clusters.origins[:] = self.clusters.positions
-        strained(self._blocks(self.clusters.origins), strain, self._blocks(self.clusters.positions))
-        self._images.take(cell)
-        self.clusters.wrapping.lattice[:] = cell.lattice
-        before.follow(cell, self.memory.shifts)
         self.arrays.rows.limits2[:] = [self._limit2(width) for width in self._widths]
-        if self._region is not None:
-            columns = make_columns(cell, self._n_atoms, self._reach, self.lanes, self._region)
-            if self._columns.move_to(columns):
-                self._columns_of = cell, self._region
+        region: Any = self._region
+        arguments = self.building, strain, cell.lattice, cell.inverse, cell.heights, region
+        if self._follow is None:
+            self._follow = code_for(follow_strain, types_of(arguments))
+        if self._follow(*arguments):
+            self._columns_of = cell, region

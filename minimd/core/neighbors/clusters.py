@@ -136,38 +136,50 @@ def region_of(cell: Cell, positions: Array, reach: float) -> Array:
 
 
 def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: Array) -> Columns:
-    """Columns so wide that the atoms of a cluster fill about a cube of them.
-    region : see region_of."""
-    origin = region[:3]
-    extent = region[3:6]
-    filled = region[6] * extent.prod()
+    """Columns of a region of a cell, see region_of and count_columns."""
+    extent = region[3:6].copy()
     is_crossed = cell.pbc & (extent == 1.0)
-    widths = cell.heights * extent
-    n_lanes = lanes.size
-
-    cube = (n_lanes * widths.prod() / filled) ** (1.0 / 3.0)
-    # a flat scene has few; many that are empty would cost time
-    most = max(1.0, min(filled, n_atoms) / n_lanes)
-    across = np.clip(widths[:2] / cube, 1.0, most)
-    across = np.maximum(1.0, np.rint(across * min(1.0, (most / across.prod()) ** 0.5)))
-    bins = max(1.0, min(filled, n_atoms / ATOMS_PER_BIN) / across.prod())
-
-    needed = np.ceil(WIDER * reach * across / widths[:2])
-    needed = np.minimum(needed, np.where(is_crossed[:2], across, across - 1.0))
-
-    counts = np.array([*across, bins]).astype(np.int64)
+    numbers = np.zeros(5, dtype=np.int64)
+    count_columns(cell.heights, region, is_crossed, n_atoms, reach, lanes.size, numbers)
     return Columns(
-        counts,
+        numbers[:3],
         reach,
-        needed.astype(np.int64),
+        numbers[3:],
         cell.pbc,
         is_crossed,
         WIDER * reach / cell.heights,
-        origin.copy(),
-        extent.copy(),
+        region[:3].copy(),
+        extent,
         cell.lattice.copy(),
         cell.inverse.copy(),
     )
+
+
+@kernel
+def count_columns(heights, region, is_crossed, n_atoms, distance, n_lanes, numbers):
+    """Counts and reach of Columns, so wide that the atoms of a cluster fill about a cube.
+
+    heights : of the Cell.
+    region : see region_of.
+    is_crossed, distance : of Columns.
+    numbers : (5,) int, output, counts and reach."""
+    filled = region[6] * (region[3] * region[4] * region[5])
+    a = heights[0] * region[3]
+    b = heights[1] * region[4]
+    cube = (n_lanes * (a * b * (heights[2] * region[5])) / filled) ** (1.0 / 3.0)
+    # a flat scene has few; many that are empty would cost time
+    most = max(1.0, min(filled, n_atoms) / n_lanes)
+    along_a = min(max(1.0, a / cube), most)
+    along_b = min(max(1.0, b / cube), most)
+    fewer = min(1.0, (most / (along_a * along_b)) ** 0.5)
+    n_a = max(1.0, np.rint(along_a * fewer))
+    n_b = max(1.0, np.rint(along_b * fewer))
+    numbers[0] = n_a
+    numbers[1] = n_b
+    numbers[2] = max(1.0, min(filled, n_atoms / ATOMS_PER_BIN) / (n_a * n_b))
+    for d, (n, width) in enumerate(((n_a, a), (n_b, b))):
+        needed = np.ceil(WIDER * distance * n / width)
+        numbers[3 + d] = min(needed, n if is_crossed[d] else n - 1.0)
 
 
 @kernel

@@ -19,7 +19,7 @@ from minimd.core.neighbors.verlet_list import (
 )
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.system import System, local_density
-from minimd.core.structure.vectors import Array, strained
+from minimd.core.structure.vectors import Array, strain_vectors
 
 MOST_PAIRS = 2**30  # 8 bytes each
 MOST_OF_AN_ATOM = 2**18  # pairs, in the mean: a reach of some 40 atoms
@@ -87,7 +87,7 @@ class PairList(VerletList):
         return self._original.copy()
 
     def _strain(self, strain: Array, before: Cell, cell: Cell) -> None:
-        strained(self._original, strain, self._reference)
+        strain_vectors(self._original, strain, np.zeros(3), self._reference)
         before.follow(cell, self.offsets)
         before.follow(cell, self.pairs.translations)
         self.limit2 = self._limit2(self.skin)

@@ -1,6 +1,7 @@
 """When a list of neighbors must be built anew: the one rule for all lists."""
 
 from abc import ABC, abstractmethod
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -73,8 +74,8 @@ class VerletList(ABC):
     skin. True displacements count: an atom moved by a lattice vector has moved. L. Verlet, Phys. Rev. 159, 98 (1967).
 
     A list can follow a homogeneous strain F of cell and atoms, r → r F. Pairs that are not listed were farther apart
-    than the reach R, so that they are now farther apart than s R, s being the smallest singular value of F. So the list
-    holds until an atom has moved, beside the strain, by more than (s R − r_c)/2.
+    than the reach R, so that they are now farther apart than s R, s being the smallest singular value of F, or less.
+    So the list holds until an atom has moved, beside the strain, by more than (s R − r_c)/2.
     cutoff : [length].
     skin : [length], ≥ 0.
     n_builds : how often it was built.
@@ -124,11 +125,12 @@ class VerletList(ABC):
         """Adapt the list to a cell that was strained with all positions. The result depends on the cell alone."""
         if self._cell is None or self._built_in is None:
             return
-        if not np.array_equal(cell.reduction, self._cell.reduction):
+        is_same = cell.reduction is self._cell.reduction
+        if not (is_same or np.array_equal(cell.reduction, self._cell.reduction)):
             self._cell = None  # other lattice vectors: a new list
             return
         strain = self._built_in.inverse @ cell.lattice
-        self._stretch = float(np.linalg.svd(strain, compute_uv=False)[-1])
+        self._stretch = least_stretch(strain)
         self._strain(strain, self._cell, cell)
         self._cell = cell
 
@@ -157,6 +159,22 @@ class VerletList(ABC):
 
     def settle(self) -> None:  # noqa: B027 - there may be nothing to do
         """After operations: take note of what they have done to the list."""
+
+
+@kernel
+def least_stretch(strain):
+    """A lower bound of the smallest singular value of F, (3, 3), exact if the rows of F are orthogonal:
+    s² ≥ min_i (C_ii − Σ_j≠i |C_ij|) with C = F Fᵀ (circles of Gershgorin)."""
+    least = np.inf
+    for i in range(3):
+        bound = 0.0
+        for j in range(3):
+            product = 0.0
+            for c in range(3):
+                product += strain[i, c] * strain[j, c]
+            bound += product if i == j else -abs(product)
+        least = min(least, bound)
+    return sqrt(max(0.0, least))
 
 
 @kernel

@@ -2,7 +2,8 @@
 
 from collections import namedtuple
 from dataclasses import dataclass, field
-from functools import cached_property
+from itertools import compress
+from math import sqrt
 from typing import Self
 
 import numpy as np
@@ -14,7 +15,7 @@ from minimd.core.compiled.machine import EPS
 from minimd.core.console.display import Displayed, Rows, as_text
 from minimd.core.console.words import shown
 from minimd.core.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers
-from minimd.core.structure.vectors import Array, follow_lattice
+from minimd.core.structure.vectors import Array, follow_lattice, inverse_of
 
 # images among which one length is searched for: 40 cells in each of three directions
 MOST_IMAGES = 2**16
@@ -24,9 +25,10 @@ OPEN = (
     "in a direction that does not repeat give length 0, or any length and pbc=False there, such as "
     "pbc=(True, True, False) of a slab"
 )
-SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
 # combinations of vectors that could be shorter
 COMBINED = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
+ALL = np.ones(3, dtype=bool)  # directions
+SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
 
 
 @dataclass(frozen=True, repr=False)
@@ -44,6 +46,9 @@ class Cell(Displayed):
     reduction : (3, 3) int; lattice = reduction @ vectors on periodic rows, zero on open ones.
     inverse : (3, 3) array [1/length]; positions @ inverse are fractional coordinates in lattice.
     heights : (3,) array [length]; distance of the two faces across each direction of lattice.
+    volume : of the cell [length³]; None unless all three directions are periodic.
+    safe_distance2 : squared length below which a vector is certainly its own minimum image:
+        (smallest periodic height/2)² [length²]; infinite if there is none.
     """
 
     vectors: Array
@@ -52,6 +57,8 @@ class Cell(Displayed):
     reduction: NDArray[np.int64] = field(init=False)
     inverse: Array = field(init=False)
     heights: Array = field(init=False)
+    volume: float | None = field(init=False)
+    safe_distance2: float = field(init=False)
 
     def __post_init__(self) -> None:
         self.__dict__.update(vectors=_as_matrix(self.vectors), pbc=_as_flags(self.pbc))
@@ -59,12 +66,15 @@ class Cell(Displayed):
         self._complete(*_reduced(self.vectors, self.pbc))
 
     def _complete(self, lattice: Array, reduction: NDArray[np.int64]) -> None:
-        inverse = np.linalg.inv(lattice)
+        inverse, heights, determinant = faces_of(lattice)
+        periodic = list(compress(heights.tolist(), self.pbc.tolist()))
         self.__dict__.update(
-            lattice=np.ascontiguousarray(lattice),
-            reduction=np.ascontiguousarray(reduction),
-            inverse=np.ascontiguousarray(inverse),
-            heights=1.0 / np.linalg.norm(inverse, axis=0),
+            lattice=lattice,
+            reduction=reduction,
+            inverse=inverse,
+            heights=heights,
+            volume=abs(determinant) if len(periodic) == 3 else None,
+            safe_distance2=(0.5 * min(periodic, default=np.inf)) ** 2,
         )
         self.__setstate__(self.__dict__)
 
@@ -87,17 +97,14 @@ class Cell(Displayed):
     def of_reduction(cls, vectors: Array, reduction: NDArray[np.int64]) -> "Cell":
         """A cell periodic in all directions whose reduced lattice is known: reduction @ vectors."""
         cell = object.__new__(cls)
-        cell.__dict__.update(vectors=np.array(vectors), pbc=np.ones(3, dtype=bool))
-        cell._complete(reduction @ cell.vectors, np.array(reduction))
+        cell.__dict__.update(vectors=np.array(vectors), pbc=ALL)
+        cell._complete(lattice_of(cell.vectors, reduction), reduction)
         return cell
 
     def strained(self, vectors: Array) -> "Cell":
         """The cell after a small change of its vectors, all periodic; the reduction stays the same while it is one."""
         cell = Cell.of_reduction(vectors, self.reduction)
-        length2 = (cell.lattice**2).sum(axis=1)
-        combined = ((COMBINED @ cell.lattice) ** 2).sum(axis=1)
-        is_reduced = (combined[:, None] >= SHORTER * length2)[COMBINED != 0].all()
-        return cell if is_reduced else Cell(vectors, self.pbc)
+        return cell if is_reduced(cell.lattice) else Cell(vectors, self.pbc)
 
     def __repr__(self) -> str:
         return f"Cell({self.vectors.tolist()}, pbc={self.pbc.tolist()})"
@@ -118,16 +125,6 @@ class Cell(Displayed):
     def is_periodic(self) -> bool:
         """True if any direction repeats."""
         return bool(self.pbc.any())
-
-    @cached_property
-    def volume(self) -> float | None:
-        """Volume of the cell [length³]; None unless all three directions are periodic."""
-        return float(abs(np.linalg.det(self.vectors))) if self.pbc.all() else None
-
-    @property
-    def safe_distance2(self) -> float:
-        """Squared length below which a vector is certainly its own minimum image: (smallest height/2)² [length²]."""
-        return float((0.5 * self.heights[self.pbc].min()) ** 2) if self.is_periodic else np.inf
 
     def wrapped(self, positions: Array) -> Array:
         """Positions moved by lattice vectors into the cell spanned by vectors, where it is periodic; a new array."""
@@ -161,6 +158,40 @@ class Images(ByAddress, namedtuple("Images", "lattice inverse pbc safe_distance2
         """Those of another cell."""
         for name, array in zip(self._fields, self, strict=True):
             array[:] = getattr(cell, name)
+
+
+@kernel
+def lattice_of(vectors, reduction):
+    """reduction @ vectors, (3, 3) both."""
+    lattice = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for c in range(3):
+                lattice[i, c] += reduction[i, j] * vectors[j, c]
+    return lattice
+
+
+@kernel
+def faces_of(lattice):
+    """The inverse of a lattice, the distances of the two faces across each vector, (3,) [length], the determinant."""
+    inverse, determinant = inverse_of(lattice)
+    heights = np.empty(3)
+    for k in range(3):
+        x, y, z = inverse[0, k], inverse[1, k], inverse[2, k]
+        heights[k] = 1.0 / sqrt(x * x + y * y + z * z)
+    return inverse, heights, determinant
+
+
+@kernel
+def is_reduced(lattice):
+    """Whether no combination of lattice vectors is shorter than one of them (Minkowski's conditions)."""
+    for i, j, k in COMBINED:
+        combined2 = _length2(0.0, 0.0, 0.0, i, j, k, lattice)
+        for d, times in enumerate((i, j, k)):
+            x, y, z = lattice[d, 0], lattice[d, 1], lattice[d, 2]
+            if times != 0 and combined2 < SHORTER * (x * x + y * y + z * z):
+                return False
+    return True
 
 
 @scalar

@@ -119,6 +119,12 @@ def momentum_flux(velocities, masses):
 
 
 @kernel
+def pressure_tensor(velocities, masses, virial, volume):
+    """P = (Σ m v ⊗ v + W) / V [energy/length³], (3, 3)."""
+    return (momentum_flux(velocities, masses) + virial) / volume
+
+
+@kernel
 def absolute_momentum(velocities, masses):
     """Σ |m v| [mass length/time]: the scale with which a change of the total momentum is compared."""
     total = 0.0

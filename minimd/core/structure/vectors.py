@@ -63,23 +63,12 @@ def times(x, u):
     return x * u[0], x * u[1], x * u[2]
 
 
-NOWHERE = np.zeros(3)
-
-
-def strained(vectors: Array, matrix: Array, out: Array, shift: Array = NOWHERE) -> None:
-    """out = vectors @ matrix + shift; both may be one array.
-    vectors, out : (n, 3) or (n, 3, m).
-    matrix : (3, 3).
-    shift : (3,)."""
-    multiply_blocks(as_blocks(vectors), np.ascontiguousarray(matrix), shift, as_blocks(out))
-
-
 def follow_lattice(translations: Array, before: Array, after: Array) -> None:
     """Translations by lattice vectors, (n, 3) or (n, 3, m), become the same multiples of other ones, in place.  before,
     after : (3, 3) rows."""
     follow_blocks(
         as_blocks(translations),
-        np.ascontiguousarray(np.linalg.inv(before)),
+        inverse_of(np.array(before, order="C"))[0],
         np.ascontiguousarray(after),
     )
 
@@ -90,13 +79,57 @@ def as_blocks(vectors: Array) -> Array:
 
 
 @kernel
-def multiply_blocks(vectors, matrix, shift, out):
-    """See strained."""
-    for i in range(vectors.shape[0]):
-        for k in range(vectors.shape[2]):
-            x, y, z = vectors[i, 0, k], vectors[i, 1, k], vectors[i, 2, k]
+def inverse_of(matrix):
+    """The inverse of a (3, 3) matrix, and its determinant, by elimination with the largest pivots (Gauss, Jordan)."""
+    left = matrix.copy()
+    right = np.eye(3)
+    determinant = 1.0
+
+    for k in range(3):
+        pivot = k
+        for i in range(k + 1, 3):
+            pivot = i if abs(left[i, k]) > abs(left[pivot, k]) else pivot
+        determinant *= left[pivot, k] if pivot == k else -left[pivot, k]
+        for c in range(3):
+            left[k, c], left[pivot, c] = left[pivot, c], left[k, c]
+            right[k, c], right[pivot, c] = right[pivot, c], right[k, c]
+        for i in range(3):
+            factor = left[i, k] / left[k, k] if i != k else 0.0
             for c in range(3):
-                out[i, c, k] = x * matrix[0, c] + y * matrix[1, c] + z * matrix[2, c] + shift[c]
+                left[i, c] -= factor * left[k, c]
+                right[i, c] -= factor * right[k, c]
+
+    for k in range(3):
+        for c in range(3):
+            right[k, c] /= left[k, k]
+    return right, determinant
+
+
+@kernel
+def strain_vectors(vectors, matrix, shift, out):
+    """out = vectors @ matrix + shift; both may be one array.
+    vectors, out : (n, 3).
+    matrix : (3, 3).
+    shift : (3,)."""
+    for i in range(vectors.shape[0]):
+        x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
+        for c in range(3):
+            out[i, c] = x * matrix[0, c] + y * matrix[1, c] + z * matrix[2, c] + shift[c]
+
+
+@kernel
+def strain_state(positions, velocities, stretch, inverse, drift):
+    """r ← r S,  v ← V + (v − V) S′, in place.
+
+    positions, velocities : (N, 3).
+    stretch, inverse : S and S′, (3, 3).
+    drift : V, (3,)."""
+    shift = np.empty(3)
+    for c in range(3):
+        moved = drift[0] * inverse[0, c] + drift[1] * inverse[1, c] + drift[2] * inverse[2, c]
+        shift[c] = drift[c] - moved
+    strain_vectors(positions, stretch, np.zeros(3), positions)
+    strain_vectors(velocities, inverse, shift, velocities)
 
 
 @kernel

@@ -112,7 +112,8 @@ def opened(path: str | Path, layout: Layout = MINIMD) -> h5py.File:
     if not is_right:
         h5.close()
         raise ValueError(
-            f"file {str(path)!r} was not written by {layout.program}; it has no group {layout.group!r}"
+            f"file {str(path)!r} was not written by {layout.program}; it has no group {layout.group!r}; the last frame "
+            "of a file of GROMACS is read by minimd.ase.system_from_file"
         )
     return admitted(h5, path, layout)
 

@@ -1,5 +1,6 @@
 """The site: sphinx-build -W docs site.  Nothing is fetched while it is built; its pages make no request to any host."""
 
+import shutil
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -51,12 +52,14 @@ EXAMPLES = """Examples
 Each answers a question about physics, in at most sixty lines, and prints what it finds beside the known value. All
 pictures and outputs were made when this site was built. Every script can be downloaded at the end of its page.
 """
+# path integrals are shown without their result where i-PI is not installed
+RUN = r"\.py$" if shutil.which("i-pi") else r"(?<!path_integrals)\.py$"
 FOLDERS = {name: DOCS.parent / folder for name, folder in (("gallery", "examples"), ("course", "course"))}
 FOLDERS = {name: folder for name, folder in FOLDERS.items() if folder.is_dir()}
 sphinx_gallery_conf = {
     "examples_dirs": [gallery.prepare(folder, DOCS / "_build" / name, EXAMPLES) for name, folder in FOLDERS.items()],
     "gallery_dirs": list(FOLDERS),
-    "filename_pattern": r"\.py$",
+    "filename_pattern": RUN,
     "within_subsection_order": "gallery.by_theme",
     "image_scrapers": ("matplotlib", "gallery.saved_pictures"),
     "reset_modules": ("matplotlib", "gallery.large_fonts"),

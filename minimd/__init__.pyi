@@ -16,6 +16,7 @@ from minimd.core.diagnosis.timestep import (
     advise_timestep as advise_timestep,
 )
 from minimd.core.engine.record import Record as Record
+from minimd.core.files.gromacs_h5md import to_gromacs as to_gromacs
 from minimd.core.files.h5md_reader import (
     read_observers as read_observers,
     read_record as read_record,

@@ -12,7 +12,7 @@ FONT_SIZE = 14  # of pictures that are shown at three fifths of their size
 THEMES = {
     "Liquids": "liquid_argon constant_pressure equation_of_state viscosity live mixture spce_water",
     "Metals": "metal",
-    "Heat baths and ensembles": "thermostats ensemble_checks stretched_chain",
+    "Heat baths and ensembles": "thermostats ensemble_checks stretched_chain path_integrals",
     "Molecules and rigid bonds": "rigid_nitrogen timestep_gain bead_chain rigid_chain rigid_ring",
     "Laws and forces of your own": "own_law own_force compiled_force compiled_drag",
     "To the last bit, and how smooth": "to_the_last_bit droplet_born precision smooth_cutoff",

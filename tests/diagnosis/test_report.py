@@ -45,6 +45,13 @@ def conserved():
     return liquid_run(1000)
 
 
+def test_the_speed_is_in_millions_of_atom_steps_of_each_second_of_the_steps(conserved):
+    seconds = conserved.guard.seconds  # of wall time, without compilation and observations
+    (speed,) = re.findall(r"^speed +(\S+) Matom-steps/s;", str(conserved.report()), re.M)
+    assert float(speed) == pytest.approx(1e-6 * len(conserved.system) * 1000 / seconds, rel=1e-3)  # as printed
+    assert "steps/s" not in str(conserved.report()).replace("Matom-steps/s", "")  # one number
+
+
 def test_the_report_tells_conserved_from_not(conserved):
     scaled = lambda factor: lambda run: np.multiply(run.velocities, factor, out=run.velocities)  # noqa: E731
     good, runs = conserved.report(), ((1000, 0.99), (2000, 1.0 + 1e-5))

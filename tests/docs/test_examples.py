@@ -3,6 +3,7 @@
 import os
 import re
 import runpy
+import shutil
 from ast import literal_eval
 from inspect import signature
 from pathlib import Path
@@ -65,6 +66,10 @@ def run(here, capsys):
 def test_script_runs(path, run):
     if path.stem == "ensemble_checks":
         pytest.importorskip("physical_validation")
+    if path.stem == "path_integrals" and shutil.which("i-pi") is None:
+        with pytest.raises(SystemExit, match="pip install ipi"):
+            run(shortened(path))
+        pytest.skip("i-PI is not installed")
     told = run(shortened(path))
     assert "(" in told  # the known value
     assert not [bad for bad in ("nan", "THE TOTAL") if bad in told]  # the verdict of a report that is not content

@@ -164,11 +164,13 @@ def drift_of_walk(time: Array, series: Array, blocks: int = BLOCKS_OF_WALK) -> D
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run cost: steps, seconds, list builds, force evaluations (not those that only observations need, of a
-    method that begins with a drift); and in words its lists, its constraints and the work it did not need.
+    """What a run cost: atoms, steps, seconds, list builds, force evaluations (not those that only observations need, of
+    a method that begins with a drift); and in words its lists, its constraints and the work it did not need.
+    seconds : of wall time, of the steps alone.
     peak_memory : bytes that the process has held at most so far, or None if that is unknown.
     observing : seconds that observers of minimd.observers took besides those of the steps."""
 
+    n_atoms: int
     n_steps: int
     seconds: float
     list_builds: int
@@ -181,7 +183,9 @@ class Cost:
 
     def rows(self) -> Rows:
         """Rows of a report."""
-        speed = f"{self.n_steps / self.seconds:.4g} steps/s" if self.seconds > 0.0 else "no steps"
+        speed = "no steps"
+        if self.seconds > 0.0:
+            speed = f"{1e-6 * self.n_atoms * self.n_steps / self.seconds:.4g} Matom-steps/s"
         work = f"{self.n_evaluations} force evaluations, {self.pair_search}, built {self.list_builds} times"
         rows = [("speed", f"{speed}; {work}")]
         if self.observing > 0.0:

@@ -45,6 +45,7 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     is_free = engine.conserves_momentum
     solvers = f"{bonds.summary}; at most {bonds.iterations} iterations in a drift" if bonds else ""
     cost = Cost(
+        n_atoms=len(engine.system),
         n_steps=guard.n_steps,
         seconds=guard.seconds,
         list_builds=interactions.n_builds,

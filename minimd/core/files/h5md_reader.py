@@ -10,6 +10,7 @@ a child process.
 import faulthandler
 import os
 import pickle
+import re
 import signal
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -18,11 +19,11 @@ from dataclasses import dataclass
 from functools import partial
 from math import prod
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5g, h5l, h5o, h5t
+from h5py import h5a, h5d, h5g, h5l, h5o, h5t, h5z
 
 import minimd.core.diagnosis.shadow_energy  # noqa: F401 - registers an observable, of runs and of files
 from minimd.core.console.display import Displayed, Rows
@@ -55,10 +56,35 @@ from minimd.core.structure.units import SYSTEMS, UnitSystem
 
 Found = TypeVar("Found")
 
+
+class Layout(NamedTuple):
+    """What files of a program hold, besides groups and plain numbers.
+    program : its name.
+    group : in the root of all its files.
+    texts, packed : the paths of datasets that may be texts, or packed by PACKING."""
+
+    program: str
+    group: str
+    texts: re.Pattern[str]
+    packed: re.Pattern[str]
+
+
+MINIMD = Layout(
+    "minimd",
+    "minimd",
+    re.compile("minimd/(species_names|crash_report/(findings|words|simulation))"),
+    re.compile("(?!)"),  # nothing
+)
+GROMACS = Layout(
+    "GROMACS",
+    "particles",
+    re.compile("h5md/modules/gromacs_topology/[^/]+/(particle|residue)_name_table"),
+    re.compile("particles/.+/(step|time)"),
+)
+PACKING = {h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE}
+LARGEST_CHUNK = 2**20  # bytes of what is packed, which are unpacked at once
 NUMBERS = (h5t.INTEGER, h5t.FLOAT, h5t.ENUM)  # bools and species are enumerations
 TEXTS = (*NUMBERS, h5t.STRING)
-CRASH_TEXTS = ("findings", "words", "simulation")
-MAY_BE_TEXTS = ("minimd/species_names", *(f"minimd/crash_report/{name}" for name in CRASH_TEXTS))
 LAYOUTS = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
 MOST_TEXTS = 256  # attributes of an object, and texts in an attribute; minimd has some 30
 DEEPEST = 8  # groups in groups; minimd has 5
@@ -74,12 +100,34 @@ MEMORY = 2**32
 SIZES = 64
 
 
-def opened(path: str | Path) -> h5py.File:
-    """Open a minimd file for reading. A commit that was interrupted is finished first.
+def opened(path: str | Path, layout: Layout = MINIMD) -> h5py.File:
+    """Open a file of minimd, or of another layout, for reading. A commit that was interrupted is finished first.
 
-    Raises FileNotFoundError if it does not exist.  ValueError if it is not HDF5, or not written by minimd.  OSError if
+    Raises FileNotFoundError if it does not exist.  ValueError if it is not HDF5, or not of this layout.  OSError if
     it is damaged, as admitted.  BlockingIOError if a run is writing it.
     """
+    h5 = _opened_hdf5(path)
+    with damage_told(path):
+        is_right = h5.id.links.exists(layout.group.encode())
+    if not is_right:
+        h5.close()
+        raise ValueError(
+            f"file {str(path)!r} was not written by {layout.program}; it has no group {layout.group!r}; the last frame "
+            "of a file of GROMACS is read by minimd.ase.system_from_file"
+        )
+    return admitted(h5, path, layout)
+
+
+def layout_of(path: str | Path) -> Layout:
+    """The layout of an H5MD file: minimd's, unless it has the group of the other, and not that of minimd.
+    Raises as opened."""
+    with _opened_hdf5(path) as h5, damage_told(path):
+        links = h5.id.links
+        is_other = links.exists(GROMACS.group.encode()) and not links.exists(MINIMD.group.encode())
+        return GROMACS if is_other else MINIMD
+
+
+def _opened_hdf5(path: str | Path) -> h5py.File:
     if not checked_path("file", path).is_file():
         raise FileNotFoundError(f"file {str(path)!r} does not exist; give the .h5md file of a run")
     try:
@@ -89,7 +137,7 @@ def opened(path: str | Path) -> h5py.File:
                 f"file {str(path)!r} is not an HDF5 file; give the .h5md file of a run"
             )
 
-        h5 = h5py.File(path, "r")
+        return h5py.File(path, "r")
     except (OSError, RuntimeError) as error:
         message = sentence(error)
         known = [reason for sign, reason in REASONS.items() if sign in message]
@@ -97,24 +145,17 @@ def opened(path: str | Path) -> h5py.File:
         kind = BlockingIOError if isinstance(error, BlockingIOError) else OSError
         raise kind(f"file {str(path)!r} cannot be opened: {reason}") from error
 
-    with damage_told(path):
-        is_ours = h5.id.links.exists(b"minimd")
-    if not is_ours:
-        h5.close()
-        raise ValueError(f"file {str(path)!r} was not written by minimd; it has no group 'minimd'")
-    return admitted(h5, path)
 
-
-def admitted(h5: h5py.File, path: str | Path) -> h5py.File:
-    """The file, if all of it is of the kinds that minimd writes, lies in the file, and is not larger than it.  path :
-    for messages.
+def admitted(h5: h5py.File, path: str | Path, layout: Layout = MINIMD) -> h5py.File:
+    """The file, if all of it is of the kinds of a layout, lies in the file, and is not larger than it.
+    path : for messages.
     Raises OSError, with the name of the first thing that is not, and closes the file."""
     try:
         with damage_told(path):
-            problem = _strange_thing(h5)
+            problem = _strange_thing(h5, layout)
         if problem:
             raise OSError(
-                f"file {str(path)!r} is refused: {problem}; minimd writes no such thing; do not use this file"
+                f"file {str(path)!r} is refused: {problem}; {layout.program} writes no such thing; do not use this file"
             )
     except BaseException:
         h5.close()
@@ -122,8 +163,8 @@ def admitted(h5: h5py.File, path: str | Path) -> h5py.File:
     return h5
 
 
-def _strange_thing(h5: h5py.File) -> str:
-    """The first thing that minimd does not write, in words; empty if there is none.  No link out of the file is
+def _strange_thing(h5: h5py.File, layout: Layout) -> str:
+    """The first thing that is not of a layout, in words; empty if there is none.  No link out of the file is
     followed, and no number read."""
     room = h5.id.get_filesize()
     seen = {h5o.get_info(h5.id).addr}
@@ -152,7 +193,7 @@ def _strange_thing(h5: h5py.File) -> str:
             if is_second:
                 continue
             seen.add(address)
-            problem, n_bytes = _strange_in(item, name)
+            problem, n_bytes = _strange_in(item, name, layout)
             room -= n_bytes
             if problem:
                 return f"{name!r} {problem}"
@@ -162,7 +203,7 @@ def _strange_thing(h5: h5py.File) -> str:
     return ""
 
 
-def _strange_in(item: Any, name: str) -> tuple[str, int]:
+def _strange_in(item: Any, name: str, layout: Layout) -> tuple[str, int]:
     """What is strange in a group or dataset, in words, and the number of bytes that it asks for."""
     n_attributes = h5a.get_num_attrs(item)
     if n_attributes > MOST_TEXTS:
@@ -193,10 +234,15 @@ def _strange_in(item: Any, name: str) -> tuple[str, int]:
         return "is a dataset whose numbers lie in other files", 0
     if properties.get_layout() not in LAYOUTS:
         return "is a dataset that consists of parts of others", 0
-    if properties.get_nfilters() > 0:
+    filters = {properties.get_filter(k)[0] for k in range(properties.get_nfilters())}
+    if filters and not (layout.packed.fullmatch(name) and filters <= PACKING):
         return "is a dataset whose numbers pass through filters", 0
-    if kind.get_class() not in (TEXTS if name in MAY_BE_TEXTS else NUMBERS):
+    if kind.get_class() not in (TEXTS if layout.texts.fullmatch(name) else NUMBERS):
         return "is a dataset of other things than numbers", 0
+    if filters:
+        if prod(properties.get_chunk()) * kind.get_size() > LARGEST_CHUNK:
+            return f"is a dataset in packed chunks of more than {LARGEST_CHUNK} bytes", 0
+        return "", n_bytes + item.get_storage_size()
     return "", n_bytes + prod(item.get_space().get_simple_extent_dims()) * kind.get_size()
 
 

@@ -1,7 +1,7 @@
 """The door for structure files: what comes in is what the file states, whoever reads it.
 
     reader        formats
-    minimd        LAMMPS data; .h5md
+    minimd        LAMMPS data; .h5md of minimd and of GROMACS
     MDAnalysis    PDB, GRO, MOL2, ... : see OF_MDANALYSIS
     ASE           all others
 
@@ -26,7 +26,8 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.core.console.quiet import quiet, warn
 from minimd.core.console.whole_file import text_of
 from minimd.core.console.words import listed
-from minimd.core.files.h5md_reader import looked_at, read_file
+from minimd.core.files.gromacs_h5md import gromacs_structure
+from minimd.core.files.h5md_reader import GROMACS, layout_of, looked_at, read_file
 from minimd.core.files.lammps_data import read_lammps_data
 from minimd.core.structure.ase_atoms import LABELS, TYPES, stated_of, system_arguments
 from minimd.core.structure.bond_graph import GROUPS, Joined, joined_in
@@ -226,7 +227,9 @@ class Door(NamedTuple):
         of_lammps = self.atom_style or self.lammps_units
         if of_lammps and form not in (LAMMPS, DUMP):
             raise ValueError(f"{self.source} is no LAMMPS file; leave {of_lammps!r} out")
-        if form == ".h5md":
+        if form == ".h5md" and layout_of(self.path) is GROMACS:
+            structure = self._of_gromacs(masses)
+        elif form == ".h5md":
             structure = self._of_minimd(masses)
         elif form == LAMMPS:
             structure = self._of_lammps(masses)
@@ -256,11 +259,7 @@ class Door(NamedTuple):
 
     def _of_minimd(self, masses: Any) -> Structure:
         system = read_file(self.path).system
-        if self.units is not None and self.units != system.units:
-            raise ValueError(
-                f"{self.source} states units = {system.units.name!r}; it cannot be read with units = "
-                f"{self.units.name!r}"
-            )
+        self._check_units(system.units)
         labels = system.species.tolist()
         names = [str(label) for label in labels]
         stated = Stated(self.source, names, system.positions, None, system.masses)
@@ -268,6 +267,22 @@ class Door(NamedTuple):
         arguments = arguments_of(system)
         arguments |= {"masses": weights, "species": species_of(symbols, labels)}
         return Structure(arguments, stated)
+
+    def _of_gromacs(self, masses: Any) -> Structure:
+        self._check_units(ASE)
+        arguments, stated = gromacs_structure(self.path, self.source)
+        weights, symbols = identified(stated, masses, self.elements)
+        species = species_of(symbols, stated.names)
+        arguments = dict.fromkeys(GROUPS) | arguments | {"masses": weights, "species": species}
+        return Structure(arguments, stated)
+
+    def _check_units(self, stated: UnitSystem) -> None:
+        """Raise ValueError if other units were asked for than those of the file."""
+        if self.units is not None and self.units != stated:
+            raise ValueError(
+                f"{self.source} states units = {stated.name!r}; it cannot be read with units = "
+                f"{self.units.name!r}"
+            )
 
     def _of_lammps(self, masses: Any) -> Structure:
         data = read_lammps_data(self.path, self.atom_style)

@@ -141,16 +141,22 @@ def open_trajectories(
 
 def _new_writer(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -> Writer:
     module, name, keywords = FORMATS[file.suffix.lower()]
-    try:
-        claim = Claim(file, overwrite=overwrite)
-    except OSError as error:
-        raise type(error)(f"output {str(file)!r} cannot be written: {error.strerror}") from None
+    claim = claimed(file, overwrite)
     try:
         make: Callable[..., Writer] = getattr(import_module(module), name)
         return make(claim, engine, **{keyword: options[keyword] for keyword in keywords})
     except BaseException:
         claim.release()
         raise
+
+
+def claimed(file: Path, overwrite: bool) -> Claim:
+    """A claim on a new file.
+    Raises OSError as Claim, with the name of the file."""
+    try:
+        return Claim(file, overwrite=overwrite)
+    except OSError as error:
+        raise type(error)(f"output {str(file)!r} cannot be written: {error.strerror}") from None
 
 
 def _brought_to_disk(writers: list[Writer], claim: Claim) -> list[bytes]:

@@ -100,7 +100,7 @@ def potentials_of(arguments: Namespace) -> Any:
 
 def refuse(what: str, place: Path, run: Path, metavar: str) -> NoReturn:
     """Raise FileExistsError for an output; it says how to go on with the run in a file, if there is one."""
-    message = f"{what} {str(place)!r} exists; replace it with --overwrite, write elsewhere with --out {metavar}"
+    message = f"{what} {str(place)!r} exists; write elsewhere with --out {metavar}, delete it with --overwrite"
     if run.suffix.lower() == ".h5md" and run.exists():
         message += f", or go on with the run: minimd resume {run}"
     raise FileExistsError(message)

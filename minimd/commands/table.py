@@ -385,7 +385,7 @@ COMMANDS = (
         written_to("FOLDER", "folder for all files (default: scan)", default=Path("scan")),
         Argument("--plot", "quantity in the picture (default: pressure)", None, "NAME"),
         Argument("--status", "show the state of the scan in a folder, and run nothing", Path, "FOLDER"),
-        OVERWRITE,
+        flag("--overwrite", "delete all members in the folder, and begin anew"),
     ), scan),
     Command("resume", "go on with a run", "Continue the run in an H5MD file and append to it.", (
         RUN_FILE._replace(help="trajectory (.h5md) of a run from a scene file"),

@@ -423,7 +423,7 @@ def test_sums_of_another_convention_do_not_go_on(tmp_path, monkeypatch):
     assert {name: one.n_looks for name, one in found.items()} == {"mean_square_displacement": 0, "profile": 3}
     assert all([check_file(file).comparisons, plot_file(file).exists()])
     go_on = lambda *many: resumed.run(10, every=10, trajectory=file, append=True, observers=many)  # noqa: E731
-    assert_answered(lambda: go_on(*found.values()), ValueError, "mean_square_displacement", "convention 1", "not 2")
+    assert_answered(lambda: go_on(*found.values()), ValueError, "mean_square_displacement", "convention 1", "not 3")
     assert_answered(lambda: go_on(md.observers.Profile(every=7)), ValueError, "with the arguments")
     with pytest.warns(UserWarning, match="profile"):
         go_on()

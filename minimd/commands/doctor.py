@@ -55,10 +55,12 @@ STEPS_TIMED = 200  # half a second on a slow machine
 TURNS = 3
 TASKS_TIMED = 1000
 
+VERDICTS = {True: "OK", False: "FAILED", None: "NOT TESTED"}
 # also one that a killed process has left half written
 KERNEL_FILE = re.compile(r"\.nb[ic](\.[0-9a-f]{32})?$|\.lock$")
 
-Finding = tuple[bool, str]  # whether the test passed, and a sentence
+# whether the test passed, None if what it tests is not installed and not needed; and a sentence
+Finding = tuple[bool | None, str]
 
 
 def examine(tell: Callable[[str], None] = print) -> bool:
@@ -73,8 +75,8 @@ def examine(tell: Callable[[str], None] = print) -> bool:
             except Exception as error:  # of the test, or the end of its process
                 passed = False
                 text = f"{type(error).__name__}: {sentence(error)}"
-            works = works and passed
-            tell(f"{name:<14} {'OK' if passed else 'FAILED'}  {text}")
+            works = works and passed is not False
+            tell(f"{name:<14} {VERDICTS[passed]}  {text}")
     if works:
         tell("minimd works here")
     else:
@@ -249,7 +251,7 @@ def speed() -> Finding:
 
 
 def lammps() -> Finding:
-    """Whether LAMMPS, if it is installed, and mpiexec make some steps of the liquid with minimd's forces."""
+    """Whether LAMMPS and mpiexec, if they are installed, make some steps of the liquid with minimd's forces."""
     from minimd.lammps import hand_over  # slow to load
 
     agreements: list[str] = []
@@ -260,8 +262,8 @@ def lammps() -> Finding:
             with tempfile.TemporaryDirectory() as folder:
                 result = run(folder, processes=processes)
         except FileNotFoundError as missing:
-            reason = f"LAMMPS is needed only for `minimd lammps`: {missing}"
-            return True, "; ".join([*agreements, reason])
+            reason = f"only `minimd lammps` needs it: {missing}"
+            return True if agreements else None, "; ".join([*agreements, reason])
         except HandOverError as failed:
             return False, "; ".join([*agreements, str(failed)])
         agreements.append(f"on {name} forces agree within {result.verification.forces:.0e}")

@@ -100,7 +100,7 @@ def potentials_of(arguments: Namespace) -> Any:
 
 def refuse(what: str, place: Path, run: Path, metavar: str) -> NoReturn:
     """Raise FileExistsError for an output; it says how to go on with the run in a file, if there is one."""
-    message = f"{what} {str(place)!r} exists; replace it with --overwrite, write elsewhere with --out {metavar}"
+    message = f"{what} {str(place)!r} exists; write elsewhere with --out {metavar}, delete it with --overwrite"
     if run.suffix.lower() == ".h5md" and run.exists():
         message += f", or go on with the run: minimd resume {run}"
     raise FileExistsError(message)
@@ -385,7 +385,7 @@ COMMANDS = (
         written_to("FOLDER", "folder for all files (default: scan)", default=Path("scan")),
         Argument("--plot", "quantity in the picture (default: pressure)", None, "NAME"),
         Argument("--status", "show the state of the scan in a folder, and run nothing", Path, "FOLDER"),
-        OVERWRITE,
+        flag("--overwrite", "delete all members in the folder, and begin anew"),
     ), scan),
     Command("resume", "go on with a run", "Continue the run in an H5MD file and append to it.", (
         RUN_FILE._replace(help="trajectory (.h5md) of a run from a scene file"),

@@ -191,8 +191,8 @@ class EnsembleFolder:
                 difference = _difference(self.asked, asked)
                 if difference:
                     raise ValueError(
-                        f"folder {str(self.path)!r} holds another ensemble: {difference}; choose another folder, or "
-                        "replace what is there with resume=False"
+                        f"folder {str(self.path)!r} holds another ensemble: {difference}; new members can be appended "
+                        "at the end of the list; for any other change choose another folder"
                     )
 
                 further = self.asked.parameters[len(asked.parameters) :]
@@ -306,7 +306,8 @@ class EnsembleFolder:
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             reason = f"{type(error).__name__}: {error}"
             raise ValueError(
-                f"{file} is not a description of an ensemble ({reason}); choose another folder, or remove the file"
+                f"{file} is not a description of an ensemble ({reason}); choose another folder, or remove the "
+                "file: all members are then made anew"
             ) from None
 
     def _lines(self, file: Path) -> Iterator[Row]:
@@ -322,7 +323,7 @@ class EnsembleFolder:
                     if not _is_sound(row):
                         raise ValueError(
                             f"{file} is not a journal of members: it has the line {shown(row)}; choose another folder, "
-                            "or remove the file"
+                            "or remove the file: its members are then made anew"
                         )
                     yield row
                 whole += sum(map(len, complete))

@@ -113,9 +113,14 @@ class Member:
         return member_text(self.index, self.parameters)
 
 
+def value_text(value: Value) -> str:
+    """The value of a parameter in tables for readers: fractions to 10 digits, so that 3 · 0.1 is 0.3."""
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
 def member_text(index: int, parameters: Mapping[str, Value]) -> str:
     """A member in words: "member 3 (temperature = 0.8)"."""
-    values = ", ".join(f"{name} = {value}" for name, value in parameters.items())
+    values = ", ".join(f"{name} = {value_text(value)}" for name, value in parameters.items())
     return f"member {index} ({values})" if values else f"member {index}"
 
 

@@ -111,7 +111,7 @@ def ensemble(
     seed : entropy of the SeedSequence from which each member gets a child; None for that of the folder, or a random one
         in a new folder.
     folder : for all files; see minimd.ensemble.folder.
-    resume : False to replace what is in the folder.
+    resume : False to delete all members in the folder, and begin anew.
     members : make only these, such as range(0, 50): other calls, also on other machines, may make others in the same
         folder at the same time. The table has the members of all calls.
     retries : how often a member is tried again in this call if its worker has died, or after an error of files,
@@ -376,7 +376,7 @@ def checked_members(members: range | None, n_members: int, resume: bool) -> rang
         )
     if not resume:
         raise ValueError(
-            f"members = {members} cannot be given with resume = False (--overwrite), which replaces all members"
+            f"members = {members} cannot be given with resume = False (--overwrite), which deletes all members"
         )
     return range(members.start, min(members.stop, n_members))
 

@@ -208,8 +208,7 @@ def scan_scene(
                 is_same = stream.read() == scene.text
             if not is_same:
                 raise ValueError(
-                    f"folder {str(place)!r} holds a scan of another scene, {kept}; choose another folder with --out, "
-                    "or replace it with --overwrite"
+                    f"folder {str(place)!r} holds a scan of another scene, {kept}; choose another folder with --out"
                 )
     title = scene.sections.title
     tell(f"scene          {path}: {title}" if title else f"scene          {path}")

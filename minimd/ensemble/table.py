@@ -32,6 +32,7 @@ from minimd.ensemble.member import (
     file_of,
     member_text,
     read_note,
+    value_text,
 )
 
 if TYPE_CHECKING:
@@ -177,7 +178,9 @@ class EnsembleTable(Displayed):
         rows = [("ensemble", f"{len(self)} members in {self.folder}: {states}")]
         for name in self.parameters:
             values = self[name]
-            limits = f", {values.min()} to {values.max()}" if values.dtype.kind in "if" else ""
+            limits = ""
+            if values.dtype.kind in "if":
+                limits = f", {value_text(values.min())} to {value_text(values.max())}"
             rows.append((name, f"{len(set(values.tolist()))} values{limits}"))
         if self.done.any():
             first, *others = told_averages(self)
@@ -305,7 +308,7 @@ def told_averages(table: EnsembleTable) -> Iterator[str]:
         if name not in (*TOLD, *LEFT_OUT) and "momentum" not in name:
             names.append(name)
     names = names or list(table.observables)
-    columns = [[name, *map(str, rows[name][:MOST_LINES])] for name in table.parameters]
+    columns = [[name, *map(value_text, rows[name][:MOST_LINES])] for name in table.parameters]
     columns.append(["members", *map(str, rows["n_members"][:MOST_LINES])])
 
     for name in names:
@@ -355,7 +358,9 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
     axes = figure.subplots()
     curves = dict[str, list[int]]()
     for k, row in enumerate(rows):
-        values = [f"{parameter.rpartition('.')[2]} = {row[parameter]}" for parameter in others]
+        values = [
+            f"{parameter.rpartition('.')[2]} = {value_text(row[parameter])}" for parameter in others
+        ]
         curves.setdefault(", ".join(values), []).append(k)
 
     for label, members in curves.items():

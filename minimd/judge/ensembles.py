@@ -297,7 +297,7 @@ def row(
     said : what other numbers (G,) mean.
     spare : what is allowed beside the error, since the distribution of the measure is skew.
     """
-    quantity += ": {0:.3f} ± {3:.3f} (finds errors of {4:.1%})"
+    quantity += ": {0:.3f} ± {3:.3f} (an error of {4:.1%} would show)"
     return Law(name, lambda seen: seen.over_runs(measure, said, spare), 1.0, quantity, "{2}", needs)
 
 

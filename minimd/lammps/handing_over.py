@@ -338,7 +338,8 @@ def _checked_job(
     names = {file.name for file in folder.iterdir()} if folder.is_dir() else set()
     if (is_file or names) and not overwrite:
         raise FileExistsError(
-            f"folder {str(folder)!r} exists and is not empty; choose another name, or pass overwrite=True"
+            f"folder {str(folder)!r} exists and is not empty; choose another name, or delete it, with "
+            "all that is in it, by overwrite=True"
         )
 
     if is_file:

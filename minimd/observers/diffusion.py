@@ -44,9 +44,14 @@ ADVICE = 'run longer; of molecules, measure the centers: of="molecules"'
 def diffusion_words(coefficient: float, error: float, units: UnitSystem) -> str:
     """D in words, in Å²/ps and cm²/s, or in reduced units."""
     if units.name != "ASE":
-        return f"{with_error(coefficient, error)} {units.length}²/{units.time}"
+        return f"{_known(coefficient, error)} {units.length}²/{units.time}"
     numbers = np.array([coefficient, error]) / units.to_picosecond
-    return f"{with_error(*numbers)} Å²/ps = ({with_error(*USUAL * numbers)})·10⁻⁵ cm²/s"
+    return f"{_known(*numbers)} Å²/ps = ({_known(*USUAL * numbers)})·10⁻⁵ cm²/s"
+
+
+def _known(value: float, error: float) -> str:
+    """A value with its error; to two digits if it has none."""
+    return with_error(value, error) if error > 0.0 else f"{value:.2g}"
 
 
 class Diffusivity(NamedTuple):
@@ -74,15 +79,18 @@ class Diffusivity(NamedTuple):
             return f"unknown: the run has fewer than four lags that double, up to a quarter of it; {ADVICE}"
         start, end = self.window
         lags = f"lags of {units.shown(start)} to {units.shown(end)}"
-        percent = with_error(100.0 * self.trend, 100.0 * self.trend_error)
+        percent = _known(100.0 * self.trend, 100.0 * self.trend_error)
         change = f"{percent} % when the lag doubles"
         if self.state == DIFFUSIVE:
             value = diffusion_words(self.value, self.error, units)
-            return f"D = {value}, from {lags} (slope: {change}), in this cell"
+            has_error = (
+                "" if self.error > 0.0 else " without an error bar, for which the run is too short"
+            )
+            slope = f"slope: {change}" if np.isfinite(self.trend) else "one octave"
+            return f"D = {value}{has_error}, from {lags} ({slope}), in this cell"
         limit = ""
         if np.isfinite(self.limit):
-            rounded = float(f"{self.limit:.2g}")
-            limit = f"D is below {diffusion_words(rounded, 0.0, units)}; "
+            limit = f"D is below {diffusion_words(self.limit, 0.0, units)}; "
         slope = f"at {lags} the slope of the mean square changes by {change}"
         if self.state == UNKNOWN:
             return f"unknown, {limit}{slope}; {ADVICE}"

@@ -184,7 +184,7 @@ def _output(wanted: str | Path | bool, file: Path, end: str, overwrite: bool) ->
     path = file.with_name(f"{own}.replay.{end}") if wanted is True else Path(wanted)
     if path.exists() and not overwrite and wanted is not True:
         raise FileExistsError(
-            f"output {str(path)!r} exists; choose another name, or replace it with overwrite=True, "
+            f"output {str(path)!r} exists; choose another name, or delete it with overwrite=True, "
             "or --overwrite of the command"
         )
     return path

@@ -200,7 +200,9 @@ def test_findings_come_back_and_a_replay_fails_again_at_the_same_step_on_the_sam
     assert replayed.restart.grid == past.run.restart.grid
     assert make is not chain or (tmp_path / "a.replay.png").read_bytes().startswith(b"\x89PNG")
     other = tmp_path / "a.replay.h5md"  # replaced unless it is named
-    assert_answered(lambda: md.replay(error.file, simulation.potentials, trajectory=other), FileExistsError, "replace")
+    assert_answered(
+        lambda: md.replay(error.file, simulation.potentials, trajectory=other), FileExistsError, "overwrite"
+    )
 
 
 def test_replay_says_when_it_does_not_fail_again_and_what_it_does_not_know(crash_file, tmp_path):
@@ -237,6 +239,9 @@ def test_what_is_no_count_or_no_end_is_refused_and_no_steps_are_none(tmp_path):
     assert sim.record is record
     assert (len(sim.run(np.int64(0))), sim.step) == (1, 0)
     assert np.array_equal(sim.positions, before)
+    sim.run(10)
+    assert_answered(lambda: sim.run(until_step=7), ValueError, "until_step", "7", "step 10")
+    assert (len(sim.run(until_step=10)), sim.step) == (1, 10)
 
 
 def copper(calculator=None):

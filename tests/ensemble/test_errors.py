@@ -63,8 +63,14 @@ def test_another_ensemble_in_the_folder_is_refused_and_another_call_at_the_same_
     monkeypatch.setattr(members.broken, "__qualname__", "melted")
     first = {"seed": 5, "steps": 35, "parameters": {"temperature": [0.4, 0.5]}}
     members.run(tmp_path, **first)
+    content = lambda: {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}  # noqa: E731
+    before = content()
     for change, *shown in CHANGES:
-        assert_answered(partial(members.run, tmp_path, **first | change), ValueError, "another ensemble", *shown)
+        with pytest.raises(ValueError, match="another ensemble") as refused:
+            members.run(tmp_path, **first | change)
+        assert [words for words in shown if words not in str(refused.value)] == []
+        assert "resume" not in str(refused.value)  # which would delete the members
+        assert content() == before
     more = partial(members.run, done_by_hand.folder, run=members.in_own_file, steps=members.STEPS + 20)
     assert_answered(more, ValueError, "steps = 60 there, 80 here")  # that of a function run is not known to go on
     with EnsembleFolder(tmp_path, writes=True):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import time
 
 import members
@@ -15,7 +16,7 @@ from minimd.core.files.h5md_reader import read_file
 from minimd.core.structure.statistics import mean_and_error, with_error
 from minimd.ensemble import member as notes
 from minimd.ensemble.folder import EnsembleFolder
-from minimd.ensemble.table import status, table_of
+from minimd.ensemble.table import status, table_of, told_averages
 
 
 def test_the_table_holds_parameters_means_with_their_errors_and_files(done):
@@ -53,6 +54,15 @@ def test_a_run_of_the_users_gives_numbers_pairs_or_series(done, tmp_path):
     assert np.isnan(table["last_error"]).all()
     averages = table.averaged()
     assert with_error(averages["last_mean"][0], np.nan) in str(table).split()
+
+
+def test_parameters_are_shown_to_ten_digits_and_kept_with_all(tmp_path):
+    values = [0.1 * k for k in (3, 6, 9)]  # 0.3 and so on, but for rounding
+    table = run(tmp_path, parameters={"temperature": values})
+    assert table["temperature"].tolist() == values
+    shown = [*str(table).splitlines(), *told_averages(table)]
+    assert max(map(len, re.findall(r"0\.\d+", " ".join(shown)))) < 12
+    assert any("0.3" in line and "0.9" in line for line in shown)
 
 
 def test_averages_over_sets_of_members_are_those_of_each_set(tmp_path):

@@ -3,6 +3,8 @@
 import copy
 import json
 import pickle
+import re
+import warnings
 from dataclasses import dataclass
 
 import h5py
@@ -257,6 +259,17 @@ def test_lags_beyond_half_of_the_run_have_no_error_bar(run):
         assert (is_known[times > 0.2].any(), is_known[times <= 0.1].all()) == (False, True)
 
 
+def test_a_diffusion_coefficient_without_an_error_bar_has_two_digits(run):
+    looking = run.looking[DISPLACEMENT]
+    end = looking.result().times[-1]
+    for window, is_known in (((0.02, 0.1), True), ((0.5 * end, end), False)):
+        result = looking.result(window=window)
+        number = re.search(r"D = ([\d.e+-]+)", str(result))[1]
+        assert np.isfinite(result.diffusion_error) == is_known
+        assert is_known or number == f"{result.diffusion:.2g}"
+        assert "nan" not in str(result)
+
+
 def test_the_correction_of_yeh_and_hummer(run):
     looking, window = run.looking[DISPLACEMENT], (0.1, 0.3)
     result = looking.result(window=window, viscosity=2.0)
@@ -385,6 +398,18 @@ def test_a_state_of_other_kinds_is_refused(kind, run):
                     refused(state | {"words": np.frombuffer(json.dumps(changed).encode(), np.uint8)})
 
 
+def test_observers_that_a_run_in_many_parts_leaves_behind_are_told_once(tmp_path, recwarn):
+    warnings.simplefilter("always")
+    sim, files = simulation(), [tmp_path / "a.h5md", tmp_path / "b.h5md"]
+    for file in files:
+        for part in range(4):
+            looking = [md.observers.Profile(every=5, name=f"at_{part}")]
+            sim.run(10, every=5, trajectory=file, append="auto", observers=looking)
+    told = [str(warning.message) for warning in recwarn if "at_0" in str(warning.message)]
+    assert [str(file) in sentence for file, sentence in zip(files, told, strict=True)] == [True, True]
+    assert {*md.read_observers(files[0])} == {f"at_{part}" for part in range(4)}
+
+
 @pytest.mark.slow
 def test_sums_of_another_convention_do_not_go_on(tmp_path, monkeypatch):
     """Those of an older version, which gives no number: displacements were not relative to the center of mass."""
@@ -398,9 +423,9 @@ def test_sums_of_another_convention_do_not_go_on(tmp_path, monkeypatch):
     assert {name: one.n_looks for name, one in found.items()} == {"mean_square_displacement": 0, "profile": 3}
     assert all([check_file(file).comparisons, plot_file(file).exists()])
     go_on = lambda *many: resumed.run(10, every=10, trajectory=file, append=True, observers=many)  # noqa: E731
-    assert_answered(lambda: go_on(*found.values()), ValueError, "mean_square_displacement", "convention 1", "not 2")
+    assert_answered(lambda: go_on(*found.values()), ValueError, "mean_square_displacement", "convention 1", "not 3")
     assert_answered(lambda: go_on(md.observers.Profile(every=7)), ValueError, "with the arguments")
-    with pytest.warns(UserWarning, match="which this run does not go on with"):
+    with pytest.warns(UserWarning, match="profile"):
         go_on()
 
 

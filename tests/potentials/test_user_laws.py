@@ -15,6 +15,7 @@ from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.core.compiled.snapshot import FunctionSnapshot
+from minimd.core.files.h5md_schema import other_potentials, potentials_in_words
 from minimd.core.potentials.bonded import Bond
 from minimd.core.potentials.declared import NOT_NEGATIVE, POSITIVE, declared, each, groups
 from minimd.core.potentials.law import evaluate_law, is_recognized, is_user_law, user_law
@@ -219,6 +220,10 @@ def test_a_law_is_declared_once_and_has_constructor_checks_words_and_forces():
     assert [*inspect.signature(QuarticBond).parameters] == ["k", "length", "pairs"]
     assert "k : one number, or one for each [energy]; u = k (r − length)⁴." in QuarticBond.__doc__
     assert repr(QuarticBond(2.0, pairs=[[0, 1]])) == "QuarticBond(k=2.0, length=1.0, pairs=[[0, 1]])"
+    many, others = (QuarticBond(np.linspace(1.0, top, 50), pairs=np.arange(100).reshape(50, 2)) for top in (2.0, 3.0))
+    assert (len(repr(many)) < 80, repr(many)) == (True, repr(others))  # short
+    assert other_potentials(potentials_in_words([many]), [many]) == ""
+    assert other_potentials(potentials_in_words([many]), [others]) != ""  # files know them apart
     for wrong, *shown in ((-1.0, "k", "-1.0"), (np.nan, "k", "nan"), ("soft", "k"), ([[1.0]], "k", "(1, 1)")):
         assert_answered(lambda wrong=wrong: QuarticBond(wrong), ValueError, *shown)
     system = md.System([[0, 0, 0], [1.3, 0, 0], [2.4, 0, 0]], bonds=[[0, 1], [1, 2]])

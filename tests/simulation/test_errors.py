@@ -126,7 +126,7 @@ OTHERS = [  # calls that raise something else, its kind, and what its sentence m
     (lambda: system(units="SI"), TypeError, "units", "'SI'"), (lambda: md.PairPotential(3.0), TypeError, "law", "3.0"),
     (lambda: simulate(trajectory="/no/such/folder/a.h5md"), FileNotFoundError, "'/no/such/folder'"),
     (lambda: setattr(made(), "stp", 3), AttributeError, "'stp'", "did you mean 'step'"),
-    (lambda: setattr(made(), "positions", THREE), AttributeError, "sim.positions[:]"),
+    (lambda: setattr(made(), "forces", THREE), AttributeError, "forces"),
     (lambda: setattr(made(), "timestep", 0.001), AttributeError, "sim.method = VelocityVerlet"),
     (lambda: md.METHODS, AttributeError, "'METHODS'", "minimd.integrators.METHODS"),
     (lambda: md.LenardJones, AttributeError, "'LenardJones'", "'LennardJones'"),

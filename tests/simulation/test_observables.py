@@ -20,6 +20,7 @@ def test_the_present_state_is_measured_whatever_has_changed(argon):
         result = md.evaluate(sim.system, LJ)
         kinetic, n_dof = 0.5 * (sim.velocities**2).sum(), 3 * len(sim.system) - 3
         assert sim.potential_energy == pytest.approx(result.potential_energy, rel=1e-12)
+        assert (sim.kinetic_energy, sim.total_energy - sim.potential_energy) == pytest.approx((kinetic, kinetic))
         assert sim.temperature == pytest.approx(2.0 * kinetic / n_dof, rel=1e-12)
         tensor = -(sim.velocities.T @ sim.velocities + result.virial) / sim.system.volume
         assert sim.stress == pytest.approx(tensor, rel=1e-10, abs=1e-12)

@@ -109,6 +109,27 @@ def test_simulation_works_on_a_copy_and_what_is_fixed_cannot_be_changed(argon):
             array[...] = 0
 
 
+def test_what_is_assigned_to_positions_and_velocities_is_copied_into_their_arrays(argon):
+    assigned, in_place = argon.simulation(), argon.simulation()
+    rng, arrays = np.random.default_rng(5), (assigned.positions, assigned.velocities)
+    positions, velocities = assigned.positions + rng.normal(scale=1e-3, size=(108, 3)), rng.normal(size=(108, 3))
+    assigned.positions, assigned.velocities = positions, velocities.tolist()
+    assert (assigned.positions is arrays[0], assigned.velocities is arrays[1]) == (True, True)
+    in_place.positions[:], in_place.velocities[:] = positions, velocities
+    positions[:] = 0.0  # no longer theirs
+    for wrong in (velocities[1:], velocities.T, 1.0, "v", np.full((108, 3), np.nan), None):
+        assert_answered(lambda wrong=wrong: setattr(assigned, "velocities", wrong), ValueError, "velocities")
+    for sim in (assigned, in_place):
+        sim.run(10, progress=False)
+    assert np.array_equal(assigned.positions, in_place.positions)
+
+
+def test_no_trajectory_is_no_file(argon, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert len(argon.simulation().run(4, every=2, trajectory=None, append="auto", progress=False)) == 3
+    assert [*tmp_path.iterdir()] == []
+
+
 def test_atoms_moved_by_anybody_are_seen_at_the_next_look_and_in_the_next_kick():
     simulation = pair(1.5).simulation()
     simulation.run(5, every=5)

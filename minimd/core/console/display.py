@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from html import escape
 from inspect import signature
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -49,29 +50,36 @@ class Displayed:
         return f"<table><caption {LEFT}>{type(self).__name__}</caption>{rows}</table>"
 
 
-def call_of(one: object, arguments: Mapping[str, Any], always: Iterable[str] = ()) -> str:
+def call_of(
+    one: object, arguments: Mapping[str, Any], always: Iterable[str] = (), most: float = inf
+) -> str:
     """The call that recreates an object, without arguments that have their default values,
-    except for those named in always."""
+    except for those named in always.
+    most : see as_text."""
     parameters = signature(type(one)).parameters
     always = set(always)
     texts = []
     for name, value in arguments.items():
         may_be_default = name in parameters and not isinstance(value, np.ndarray | Mapping)
         if name in always or not (may_be_default and parameters[name].default == value):
-            texts.append(f"{name}={as_text(value)}")
+            texts.append(f"{name}={as_text(value, most)}")
     return f"{type(one).__name__}({', '.join(texts)})"
 
 
-def as_text(value: Any) -> str:
-    """A value as Python writes it: floats to 10 digits, arrays shortened, functions by their names."""
+def as_text(value: Any, most: float = inf) -> str:
+    """A value as Python writes it: floats to 10 digits, arrays shortened, functions by their names.
+    most : numbers of an array, or entries of a mapping; of a longer one its length is written instead."""
     if isinstance(value, float):
         return f"{value:.10g}"
     if isinstance(value, tuple):
-        return f"({', '.join(map(as_text, value))}{',' if len(value) == 1 else ''})"
-    if isinstance(value, Mapping):
+        entries = ", ".join(as_text(entry, most) for entry in value)
+        return f"({entries}{',' if len(value) == 1 else ''})"
+    if isinstance(value, Mapping) and len(value) <= most:
         return f"{{{', '.join(f'{key!r}: {as_text(entry)}' for key, entry in value.items())}}}"
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray) and value.size <= most:
         return shown(value.tolist())
+    if isinstance(value, np.ndarray | Mapping):
+        return f"<{len(value)} entries>"
     if isinstance(value, Callable):  # type: ignore[arg-type]
         return str(getattr(value, "__name__", shown(value)))
     return repr(value)

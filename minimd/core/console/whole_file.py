@@ -68,7 +68,7 @@ def write_whole(file: Path, content: str | bytes, overwrite: bool = True) -> Non
                 # under the lock: no other run makes it meanwhile
                 if not overwrite and file.exists():
                     raise FileExistsError(
-                        f"output {str(file)!r} exists; choose another name, or pass overwrite=True"
+                        f"output {str(file)!r} exists; choose another name, or delete it with overwrite=True"
                     )
                 whole.write(content.encode() if isinstance(content, str) else content)
                 whole.flush()

@@ -197,7 +197,10 @@ class Cost:
             held = f"{self.peak_memory / 1e6:.4g} MB at most so far, of the whole process"
             rows.append(("memory", held))
         if self.skipped:
-            rows.append(("not needed", ", ".join(self.skipped)))
+            unused = (
+                f"{', '.join(self.skipped)}: this scene does not need them, and they take no time"
+            )
+            rows.append(("unused", unused))
         return rows
 
 
@@ -374,9 +377,10 @@ class Report(Displayed):
         rows.append(("temperature", f"{mean} {'of one frame' if has_one_frame else spread}"))
         if self.bath is not None:
             asked, deficit = self.bath
-            setting = f"the thermostat is set to {asked:.4g} {heat}"
+            setting = f"{asked:.4g} {heat} is asked of the thermostat"
             if deficit > self.temperature_error:
-                setting += f"; in steps of this length velocities have {asked - deficit:.4g} {heat}, positions do not"
+                expected = f"{asked - deficit:.4g} {heat} is expected of them"
+                setting += f"; the time step makes velocities too slow: {expected}, positions have what is asked"
             rows.append(("", setting))
         if self.cost is not None:
             rows += self.cost.rows()

@@ -93,17 +93,16 @@ def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[L
     unit = engine.system.units.length
     for skin, widest in zip(interactions.skins, interactions.widest_skins, strict=True):
         steps = 0.5 * skin / stride if stride > 0.0 else np.inf
-        lasts = f"fastest atom {stride:.2g} {unit} a step: list lasts {steps:.3g} steps"
-        verdict = "rebuilt in time"
+        valid = f"valid until an atom has moved by {0.5 * skin:.3g} {unit}, half the skin"
+        fastest = f"the fastest needs {steps:.3g} steps for this"
+        verdict = "always rebuilt before"
         is_good = steps >= FEW_STEPS
         if not is_good:
             cure = "a shorter cutoff (the cell has no room for a wider skin)"
             if skin < ROOM * widest:
                 cure = "a wider skin"
             verdict += f", but at nearly every step; {cure} or a shorter time step is cheaper"
-        lines.append(
-            Line("list margin", f"skin/2 {0.5 * skin:.3g} {unit}, {lasts}", verdict, is_good)
-        )
+        lines.append(Line("neighbor list", f"{valid}; {fastest}", verdict, is_good))
     bonds = engine.constraint_set.bonds
     if bonds is not None:
         turning = float(bonds.velocity_violation(engine.positions, engine.velocities).max())
@@ -146,7 +145,7 @@ def cutoff_lines(
         force_jumps = any(jump.force > CONTINUOUS * (jump.size / jump.cutoff) for jump in jumps)
         verdict = "energy and force are continuous"
         if energy_jumps and has_bath:
-            verdict = "the energy jumps; the bath compensates for this"
+            verdict = "the energy jumps, and E - reservoir with it; the atoms move as if it were shifted to 0"
         elif energy_jumps:
             verdict = "THE ENERGY JUMPS, so that it is not conserved; shift or smooth the potential"
         elif force_jumps:

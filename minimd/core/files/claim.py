@@ -70,7 +70,7 @@ class Claim:
 
         if is_new and is_there and not overwrite:
             raise FileExistsError(
-                errno.EEXIST, "it exists; choose another name, or pass overwrite=True"
+                errno.EEXIST, "it exists; choose another name, or delete it with overwrite=True"
             )
 
         if is_new and HAS_LOCKS:

@@ -54,6 +54,8 @@ FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")
 
 Arrays = dict[str, np.ndarray]  # by name
 Numbers = dict[str, Any]
+# device and inode of the files whose observers a warning has named in this process: a run in many parts warns once
+WARNED: set[tuple[int, int]] = set()
 
 
 class Restart(NamedTuple):
@@ -282,7 +284,7 @@ def restore_observers(
     """Give observers that have not looked yet the state that the file holds for them.
 
     Raises ValueError if the file holds an observer of the same name with other arguments, or in a state of another
-    convention. Warns of observers in the file that the run does not have.
+    convention. Warns of observers in the file that the run does not have, once for each file.
     """
     stored = h5.get(OBSERVERS, {})
     states = restart.states()
@@ -303,10 +305,13 @@ def restore_observers(
             observer.restore(state)
 
     others = set(stored) - {observer.name for observer in observers}
-    if others:
+    place = Path(file).stat()
+    inode = place.st_dev, place.st_ino
+    if others and inode not in WARNED:
+        WARNED.add(inode)
         warn(
             f"file {str(file)!r} holds the observers {listed(sorted(others))}, which this run does not continue; "
-            "to continue them, pass them as observers=[...]"
+            "to continue them, pass them as observers=[...]; later runs in this file do not repeat this warning"
         )
 
 

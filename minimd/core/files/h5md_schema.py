@@ -246,7 +246,11 @@ def read_constraints(group: h5py.Group) -> tuple[Constraint, ...]:
 
 def potentials_in_words(potentials: Sequence[Any]) -> list[str]:
     """The class of each potential, and the call that makes it again."""
-    return [f"{type(potential).__name__}: {potential!r}" for potential in potentials]
+    words = []
+    for potential in potentials:
+        call = getattr(potential, "in_full", potential.__repr__)
+        words.append(f"{type(potential).__name__}: {call()}")
+    return words
 
 
 def _text(stored: Any) -> str:

@@ -20,7 +20,7 @@ from minimd.core.engine.record import Frame
 from minimd.core.files.claim import Claim, read_at
 from minimd.core.structure.checks import checked_flag, checked_path
 
-Paths = str | Path | Sequence[str | Path]
+Paths = str | Path | Sequence[str | Path] | None
 
 
 class Writer(Protocol):
@@ -283,11 +283,11 @@ def _is_h5md(file: Path) -> bool:
 
 
 def named_files(name: str, paths: Paths) -> list[Path]:
-    """The paths of one file or several.
+    """The paths of one file or several, none for None.
     name : of the argument, for messages.
     Raises ValueError for anything that is not a path."""
     several = paths if isinstance(paths, list | tuple) else [paths]
-    return [checked_path(name, path) for path in several]
+    return [checked_path(name, path) for path in several if paths is not None]
 
 
 def first_h5md(paths: Paths) -> Path | None:
@@ -312,7 +312,7 @@ def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] 
     is_there = file.exists()
     if is_there and not overwrite:
         raise FileExistsError(
-            f"output {str(file)!r} exists; choose another name, or pass overwrite=True"
+            f"output {str(file)!r} exists; choose another name, or delete it with overwrite=True"
         )
 
     if not folder.is_dir():

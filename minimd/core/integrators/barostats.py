@@ -111,7 +111,7 @@ class StochasticCellRescaling(Displayed):
         object.__setattr__(self, "_key", key_of(self.seed))
 
     def __repr__(self) -> str:
-        arguments = (f"{name}={value!r}" for name, value in self._stated())
+        arguments = (f"{name}={as_text(value)}" for name, value in self._stated())
         return f"StochasticCellRescaling({', '.join(arguments)})"
 
     def display_rows(self) -> Rows:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from ase import Atoms
 
 FORCES, TOTALS, PER_ATOM = 0, 1, 2  # the detail of an evaluation; each includes the ones before
+ALWAYS = "cutoff", "truncation", "accuracy"  # of the arguments, are shown
+MOST_SHOWN = 6  # numbers of an array, where potentials are printed
 BOND_LOOP = "bond loop"
 VOIGT = (0, 1, 2, 1, 0, 0), (0, 1, 2, 2, 2, 1)  # xx yy zz yz xz xy
 # comparisons of force and energy; from where, and how far atoms move, see _length_of
@@ -245,8 +247,12 @@ class OwnPotential(Displayed):
         """All arguments that recreate this potential, by name."""
         return {}
 
+    def in_full(self) -> str:
+        """The call that recreates this potential, for comparison."""
+        return call_of(self, self.arguments(), ALWAYS)
+
     def __repr__(self) -> str:
-        return call_of(self, self.arguments(), always=("cutoff", "truncation", "accuracy"))
+        return call_of(self, self.arguments(), ALWAYS, MOST_SHOWN)
 
     def display_rows(self) -> Rows:
         """See Displayed."""

@@ -12,7 +12,7 @@ T = TypeVar("T")
 HINTS = dict.fromkeys(
     ("timestep", "dt"), "give it to a new method: sim.method = VelocityVerlet(0.001)"
 )
-ARRAYS = ("positions", "velocities", "forces")
+ARRAYS = ("positions", "velocities")
 
 
 class Closed:
@@ -45,7 +45,7 @@ def _hint(kind: type[Closed], name: str) -> str:
 
 class EngineAttribute(Generic[T]):
     """Attribute of a simulation that reads and sets the one of its engine with this name; read-only with a path.
-    Forces are evaluated if they are not current.
+    Forces are evaluated if they are not current. Positions and velocities are copied into the arrays of the system.
 
     check : function of the engine that raises an error for a value that it cannot have; the old value is then restored.
     """
@@ -74,14 +74,11 @@ class EngineAttribute(Generic[T]):
             raise AttributeError(
                 f"{self._name} of a Simulation cannot be set; make a new Simulation"
             )
+        if self._name == "forces":
+            raise AttributeError("forces of a Simulation are computed and cannot be set")
         if self._name in ARRAYS:
-            if value is getattr(simulation.engine, self._name):
-                return  # sim.positions += shift
-            assign = f"assign into it, sim.{self._name}[:] = values"
-            remedy = "they are computed" if self._name == "forces" else assign
-            raise AttributeError(
-                f"{self._name} of a Simulation is an array that cannot be replaced; {remedy}"
-            )
+            setattr(simulation.engine.system, self._name, value)
+            return
         before = getattr(simulation.engine, self._name)
         setattr(simulation.engine, self._name, value)
         if self._check is not None:

@@ -63,7 +63,7 @@ def stored_potentials(contents: H5MDContents, file: str | Path) -> Any:
 
 def last_step(step: int, n_steps: int | None, until_step: int | None) -> int:
     """The step at which a run ends.
-    Raises ValueError unless exactly one of n_steps and until_step is given."""
+    Raises ValueError unless exactly one of n_steps and until_step is given, or if until_step has passed."""
     if (n_steps is None) == (until_step is None):
         raise ValueError(
             "a run needs either n_steps or until_step; "
@@ -71,4 +71,9 @@ def last_step(step: int, n_steps: int | None, until_step: int | None) -> int:
         )
     if n_steps is not None:
         return step + checked_count("n_steps", n_steps, 0)
-    return checked_count("until_step", until_step, step)
+    end = checked_count("until_step", until_step, 0)
+    if end < step:
+        raise ValueError(
+            f"until_step = {end} has passed, the simulation is at step {step}; give a later one, or n_steps"
+        )
+    return end

@@ -96,8 +96,10 @@ class Simulation(Closed, Displayed):
         'Names of observables besides the usual ones: "shadow_energy" (see minimd.shadow_energy), "stress".',
         check=check_extras,
     )
-    positions = EngineAttribute[Array]("(N, 3) [length], never wrapped.")
-    velocities = EngineAttribute[Array]("(N, 3) [length/time].")
+    positions = EngineAttribute[Array](
+        "(N, 3) [length], never wrapped; what is assigned is copied into this array."
+    )
+    velocities = EngineAttribute[Array]("(N, 3) [length/time]; likewise.")
     forces = EngineAttribute[Array]("(N, 3) [energy/length], of the present state.")
     n_dof = EngineAttribute[int]("Degrees of freedom that share the thermal energy.")
     drift = EngineAttribute[Array](
@@ -113,6 +115,8 @@ class Simulation(Closed, Displayed):
         "Lengths that are held, as they are kept in a run; None without.", "constraint_set.bonds"
     )
     potential_energy = MeasuredAttribute[float]("U [energy].")
+    kinetic_energy = MeasuredAttribute[float]("K [energy].")
+    total_energy = MeasuredAttribute[float]("U + K [energy].")
     temperature = MeasuredAttribute[float]("Kinetic temperature.")
     pressure = MeasuredAttribute[float]("P [energy/length³]; ValueError without a volume.")
     stress = MeasuredAttribute[Array](
@@ -216,7 +220,7 @@ class Simulation(Closed, Displayed):
         *,
         until_step: int | None = None,
         every: int = 100,
-        trajectory: str | Path | Sequence[str | Path] = (),
+        trajectory: str | Path | Sequence[str | Path] | None = None,
         store_forces: bool = False,
         overwrite: bool = False,
         append: bool | Literal["auto"] = False,
@@ -234,7 +238,7 @@ class Simulation(Closed, Displayed):
         Parameters
         ----------
         every : steps between observations, for record, trajectory and observers alike.
-        trajectory : one file or several; the suffix gives the format, see minimd.core.files.trajectory.
+        trajectory : one file or several, None for none; the suffix gives the format, see minimd.core.files.trajectory.
         store_forces : write forces into formats that can hold them.
         overwrite : replace files that exist.
         append : continue the trajectory, an H5MD file whose restart is the state of this simulation; "auto" does so

@@ -35,7 +35,5 @@ motion, flow = md.observers.MeanSquareDisplacement(every=10, of="molecules"), md
 sim.run(n_steps, every=1000, observers=[structure, motion, flow])
 print(flow.result())
 print(motion.result(viscosity=flow.result().viscosity))
-picture = structure.result().plot()
-picture.axes[0].set(xlim=(1.7, None), ylim=(0.0, 3.5))  # beyond the distances within a molecule
-picture.savefig("spce_water.png")
+structure.result().plot().savefig("spce_water.png")
 print(sim.report())

@@ -140,6 +140,64 @@ class EnsembleTable(Displayed):
             ) from error
         return DataFrame(self._columns()).set_index("index")
 
+    def plot(self, quantity: str | None = None) -> Figure:
+        """A figure of one observable against the first parameter that has several numbers as values, with error bars; a
+        curve for each set of values of the others. In a notebook it appears in the cell; .savefig(path) writes a file.
+
+        quantity : name of an observable; if not given, pressure, else potential energy, else the first.
+
+        Raises ValueError if no member is done, or none has such an observable.
+        """
+        from minimd.core.engine.record_picture import Picture
+
+        name = drawn_quantity(self, quantity)
+        rows = self.averaged()
+        several = [
+            parameter for parameter in self.parameters if len(set(rows[parameter].tolist())) > 1
+        ]
+        x_name = next(
+            (parameter for parameter in several if rows.dtype[parameter].kind in "if"), None
+        )
+        others = [parameter for parameter in several if parameter != x_name]
+        figure = Picture(figsize=(7.0, 4.5), dpi=150, layout="constrained")
+        axes = figure.subplots()
+        curves = dict[str, list[int]]()
+        for k, row in enumerate(rows):
+            values = []
+            for parameter in others:
+                value = row[parameter]
+                shown = f"{value:g}" if rows.dtype[parameter].kind == "f" else value
+                values.append(f"{parameter.rpartition('.')[2]} = {shown}")
+            curves.setdefault(", ".join(values), []).append(k)
+
+        for label, members in curves.items():
+            curve = rows[members]
+            x = np.arange(len(curve))
+            if x_name is not None:
+                curve = curve[np.argsort(curve[x_name])]
+                x = curve[x_name]
+            axes.errorbar(
+                x,
+                curve[f"{name}_mean"],
+                curve[f"{name}_error"],
+                marker="o",
+                ms=3.5,
+                lw=1.0,
+                capsize=2.5,
+                label=label.replace("$", r"\$"),
+            )
+
+        unit = self.unit(name).replace("k_B", "$k_B$")
+        quantity = name.replace("_", " ").replace("$", r"\$")
+        axes.set_xlabel(x_name or "set of parameters", parse_math=False)
+        axes.set_ylabel(f"mean {quantity}  [{unit}]" if unit else f"mean {quantity}")
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(alpha=0.25, lw=0.6)
+        axes.set_title(f"{int(self.done.sum())} members, bars: one standard error", fontsize=10)
+        if 1 < len(curves) <= MOST_CURVES:
+            axes.legend(frameon=False, fontsize=8)
+        return figure
+
     def _columns(self) -> dict[str, Any]:
         """The columns of the array, by name."""
         return {name: self.array[name] for name in self.array.dtype.names or ()}
@@ -339,63 +397,10 @@ def drawn_quantity(table: EnsembleTable, quantity: str | None) -> str:
     return quantity
 
 
-def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure:
-    """One quantity against the first parameter that has several numbers as values, with error bars; a curve for each
-    set of values of the others.
-
-    Raises ValueError if no member is done, or none has such a quantity.
-    """
-    from minimd.core.engine.record_picture import Picture
-
-    name = drawn_quantity(table, quantity)
-    rows = table.averaged()
-    several = [
-        parameter for parameter in table.parameters if len(set(rows[parameter].tolist())) > 1
-    ]
-    x_name = next((parameter for parameter in several if rows.dtype[parameter].kind in "if"), None)
-    others = [parameter for parameter in several if parameter != x_name]
-    figure = Picture(figsize=(7.0, 4.5), dpi=150, layout="constrained")
-    axes = figure.subplots()
-    curves = dict[str, list[int]]()
-    for k, row in enumerate(rows):
-        values = [
-            f"{parameter.rpartition('.')[2]} = {value_text(row[parameter])}" for parameter in others
-        ]
-        curves.setdefault(", ".join(values), []).append(k)
-
-    for label, members in curves.items():
-        curve = rows[members]
-        x = np.arange(len(curve))
-        if x_name is not None:
-            curve = curve[np.argsort(curve[x_name])]
-            x = curve[x_name]
-        axes.errorbar(
-            x,
-            curve[f"{name}_mean"],
-            curve[f"{name}_error"],
-            marker="o",
-            ms=3.5,
-            lw=1.0,
-            capsize=2.5,
-            label=label.replace("$", r"\$"),
-        )
-
-    unit = table.unit(name).replace("k_B", "$k_B$")
-    quantity = name.replace("_", " ").replace("$", r"\$")
-    axes.set_xlabel(x_name or "set of parameters", parse_math=False)
-    axes.set_ylabel(f"mean {quantity}  [{unit}]" if unit else f"mean {quantity}")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.25, lw=0.6)
-    axes.set_title(f"{int(table.done.sum())} members, bars: one standard error", fontsize=10)
-    if 1 < len(curves) <= MOST_CURVES:
-        axes.legend(frameon=False, fontsize=8)
-    return figure
-
-
 def save_picture(
     table: EnsembleTable, quantity: str | None = None, out: Path | None = None
 ) -> Path:
     """Save the figure to out, or to a file in the folder named after the quantity.
-    Raises ValueError as picture_of_scan, OSError."""
+    Raises ValueError as EnsembleTable.plot, OSError."""
     place = out or table.folder / f"{drawn_quantity(table, quantity)}.png"
-    return write_picture(picture_of_scan(table, quantity), place)
+    return write_picture(table.plot(quantity), place)

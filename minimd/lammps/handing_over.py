@@ -434,7 +434,9 @@ def _brought_back(
     engine = job.engine
     n_atoms = len(engine.system)
     notes = engine.notes
-    record = Record(engine.system.units, n_atoms, job.folder / TRAJECTORY)
+    record = Record(
+        engine.system.units, n_atoms, job.folder / TRAJECTORY, engine.conserves_momentum
+    )
     end = job.first_step + job.steps
     states: list[tuple[int, Array | None]] = [(job.first_step, None)]
     dump = frames(job.folder / script.FRAMES, n_atoms)

@@ -184,13 +184,15 @@ class RunReader(H5MDReader):
 class RunUniverse(MDAnalysis.Universe):
     """The universe of a run.
     system : System.
-    contents : of its file, apart from frames; a universe in memory has none."""
+    contents : of its file, apart from frames; a universe in memory has none.
+    n_earlier : number of its frames before method, bath or state were changed last."""
 
     system: System
     times: Array  # of frames [ps, or τ]
     conserves_momentum: bool  # whether the run did
     moves_freely: bool  # whether nothing held its center of mass
     contents: H5MDContents
+    n_earlier: int = 0
 
 
 Run = str | Path | Simulation | Frames | RunUniverse
@@ -260,6 +262,7 @@ def universe(
         answer.moves_freely = source.moves_freely
         if isinstance(source, H5MDContents):
             answer.contents = source
+            answer.n_earlier = min(int((steps < source.since).sum()), len(steps) - 1)
         answer.trajectory = reader(turn=turn, **spacing)
     return answer
 
@@ -388,7 +391,7 @@ def radial_distribution(
     run: Run, n_bins: int = 200, r_max: float | None = None
 ) -> RadialDistribution:
     """g(r) by the observer RadialDistribution, in the cell of each frame, without the first bin, from evenly chosen
-    frames. Bonded pairs count like all others.
+    frames since method, bath or state were changed last. Bonded pairs count like all others.
 
     run : an argument of universe, or a universe.
     r_max : as for the observer [length of the file].
@@ -430,13 +433,15 @@ class _Recorded(Engine):
 
 
 def _observe(observer: Any, frames: RunUniverse, most: int) -> None:
-    """Show evenly chosen frames to an observer; what is correlated begins anew where their spacing changes.
+    """Show evenly chosen frames of the last method to an observer; what is correlated begins anew where their spacing
+    changes.
     most : number of frames, about."""
-    stride = ceil(len(frames.times) / most)
-    spacings = np.diff(frames.times[::stride]) / frames.system.units.to_picosecond
+    stride = ceil((len(frames.times) - frames.n_earlier) / most)
+    chosen = slice(frames.n_earlier, None, stride)
+    spacings = np.diff(frames.times[chosen]) / frames.system.units.to_picosecond
     usual = float(np.quantile(spacings, 0.5, method="lower")) if len(spacings) else 1.0
     engine = _Recorded(frames, usual)
-    for k, ts in enumerate(frames.trajectory[::stride]):
+    for k, ts in enumerate(frames.trajectory[chosen]):
         engine.show(ts)
         if k and abs(spacings[k - 1] - usual) > UNEVEN * usual:
             observer.interrupt()
@@ -490,14 +495,14 @@ def mean_square_displacement(run: Run, of: str = "atoms") -> tuple[Array, Array]
     """Lags [ps, or τ], (T,), and ⟨|r(t₀ + lag) − r(t₀)|²⟩ [Å², or σ²], (T,), by the observer MeanSquareDisplacement:
     relative to the center of mass, and without the motion of the cell, as described there.
 
-    If there are many frames or atoms, some of them are used, evenly chosen. Where frames are not evenly spaced, a new
-    series begins.
+    Frames before method, bath or state were changed last are left out. If there are many frames or atoms, some of them
+    are used, evenly chosen. Where frames are not evenly spaced, a new series begins.
     run : an argument of universe, or a universe.
     of : "atoms" or "molecules", whose centers count.
 
     Raises
     ------
-    ValueError : if there is only one frame.  Others as universe.
+    ValueError : if there is only one such frame.  Others as universe.
     """
     diffusion = diffusion_coefficient(run, of=of)
     return diffusion.lags, diffusion.displacements
@@ -522,11 +527,12 @@ def diffusion_coefficient(
         Others as mean_square_displacement.
     """
     with universe_of(run) as frames, quiet():
-        n_frames = len(frames.trajectory)
+        n_frames = len(frames.trajectory) - frames.n_earlier
         if n_frames < 2:
             file = hasattr(frames, "contents") and repr(frames.trajectory.filename)
+            later = " since method, bath or state were changed" * bool(frames.n_earlier)
             raise ValueError(
-                f"a displacement needs at least 2 frames; {file or 'this run'} holds {n_frames}"
+                f"a displacement needs at least 2 frames; {file or 'this run'} holds {n_frames}{later}"
             )
         observer = observers.MeanSquareDisplacement(
             every=1, n_levels=MSD_LEVELS, most_atoms=MSD_ATOMS, of=of, name=""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from abc import abstractmethod
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from inspect import cleandoc
 from math import isfinite
+from textwrap import fill
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -33,6 +34,11 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+LINE = 64  # letters in a line of text in a picture
+FEW_CURVES = 5  # with names in one column
+COLORS = 10  # of curves, before they come again
+AIR = 1.15  # height of a picture, where its highest curve is 1
 
 Array = NDArray[np.float64]
 State = dict[str, NDArray[Any]]
@@ -129,6 +135,7 @@ class ObservedRun:
     spacing : time between observations [time].
     n_dof : degrees of freedom.
     bath_temperature, bath_pressure : of thermostat and barostat; None without them.
+    times : of the first and of the last look so far [time]; of a run that began with an older version of minimd, fewer.
     """
 
     units: str
@@ -138,6 +145,7 @@ class ObservedRun:
     n_dof: int
     bath_temperature: float | None
     bath_pressure: float | None
+    times: list[float] = field(default_factory=list, compare=False)
 
     @classmethod
     def of(cls, engine: Engine, every: int) -> ObservedRun:
@@ -169,6 +177,15 @@ class ObservedRun:
     def n_atoms(self) -> int:
         """The number of atoms N."""
         return sum(self.numbers)
+
+    def frames(self, n: int) -> str:
+        """n looks in words, with the time from the first to the last: "401 frames, 0 to 40 ps"."""
+        words = f"{n} frame{'s' * (n > 1)}"
+        if len(self.times) < min(n, 2) or self.times != sorted(self.times):
+            return words
+        units = self.unit_system
+        ends = " to ".join(f"{time * units.to_picosecond:.6g}" for time in self.times)
+        return f"{words}, {ends} {units.shown_time}"
 
 
 class Series(NamedTuple):
@@ -235,26 +252,33 @@ class Result(Displayed):
         series = self.series()
         if series:
             x, first, *_ = series
-            curves = {curve.name: curve.values for curve in series[1:] if curve.unit == first.unit}
+            curves = [curve for curve in series[1:] if curve.unit == first.unit]
             quantity = f"{first.name}  [{first.unit}]" if first.unit else first.name
             return self.draw_curves(panel, curves, x.name, quantity)
-        text = "\n".join(row for _, row in self.display_rows())
-        style: dict[str, Any] = {"va": "top", "fontsize": 8, "wrap": True, "parse_math": False}
+        text = "\n".join(fill(row, LINE) for _, row in self.display_rows())
+        style: dict[str, Any] = {"va": "top", "fontsize": 8, "parse_math": False}
         panel.axis("off")
-        panel.text(0.0, 1.0, text, transform=panel.transAxes, **style)
+        panel.text(0.0, 1.0, text, transform=panel.transAxes, **style).set_in_layout(False)
         panel.set_title(self.title)
 
-    def draw_curves(self, panel: Axes, curves: dict[str, Array], symbol: str, label: str) -> None:
-        """Draw curves over the abscissa, (T,), by name, with a legend if there are several.
+    def draw_curves(self, panel: Axes, curves: Sequence[Series], symbol: str, label: str) -> None:
+        """Draw curves over the abscissa, with bands of one standard error, and with a legend if there are several.
 
         symbol : of the abscissa.
         label : of the other axis.
         """
         x, unit = self.abscissa()
-        for name, values in curves.items():
-            panel.plot(x, values, lw=1.1, label=name.replace("$", r"\$"))
+        for k, (name, _, values, errors) in enumerate(curves):
+            style = "-" if k < COLORS else "--"
+            (line,) = panel.plot(x, values, style, lw=1.1, label=name.replace("$", r"\$"))
+            if errors is not None:
+                color = line.get_color()
+                panel.fill_between(
+                    x, values - errors, values + errors, color=color, alpha=0.25, lw=0
+                )
         if len(curves) > 1:
-            panel.legend(frameon=False, fontsize=8)
+            columns = 1 + len(curves) // FEW_CURVES
+            panel.legend(frameon=False, fontsize=8, ncols=columns, loc="upper right")
         panel.set(xlabel=f"{symbol}  [{unit}]", ylabel=label, title=self.title)
 
     def plot(self) -> Figure:
@@ -374,6 +398,8 @@ class Accumulator(StoredObserver, Displayed):
         self._look(engine)
         self.sums.close_entry()
         self.last_step = engine.step
+        if self.scene and (self.scene.times or self.n_looks == 1):
+            self.scene.times[1:] = [engine.time]
 
     def interrupt(self) -> None:
         """Do not correlate later looks with earlier ones."""
@@ -397,7 +423,7 @@ class Accumulator(StoredObserver, Displayed):
                 f"{self!r} has not observed any state yet; "
                 f"pass it to a run of {self.every} steps or more: sim.run(n_steps, observers=[...])"
             )
-        return self.scene
+        return replace(self.scene, times=[*self.scene.times])
 
     def _begin(self, engine: Engine) -> None:
         """Check the first run, and set what it settles."""

@@ -512,6 +512,7 @@ class VelocityResult(MotionResult):
     def draw(self, panel: Axes) -> None:
         """See Result."""
         panel.axhline(0.0, color="0.7", lw=0.8)
-        self.draw_curves(panel, {"": self.vacf / self.vacf[0]}, "t", "⟨v(0) · v(t)⟩ / ⟨v²⟩")
+        part = Series("", "", self.vacf / self.vacf[0], self.errors[0] / self.vacf[0])
+        self.draw_curves(panel, [part], "t", "⟨v(0) · v(t)⟩ / ⟨v²⟩")
         last = np.fmax(self.diffusivity.window[1], self.times[min(15, len(self.times) - 1)])
         panel.set(xlim=(0.0, last * self.units.to_picosecond or None))

@@ -12,6 +12,7 @@ from minimd.core.engine.engine import Engine
 from minimd.core.structure.checks import checked_count
 from minimd.core.structure.observables import temperature
 from minimd.observers.accumulator import (
+    AIR,
     Accumulator,
     Array,
     BlockedSums,
@@ -24,6 +25,8 @@ from minimd.observers.arguments import AXES, argument, axis_name, interval, labe
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+HEAT = "#c8501e"  # the color of temperatures
+MOST_UNSURE = 0.2  # relative error of a temperature that is drawn
 EXTENT_WORDS = "lower and upper end of an open axis; atoms outside are not counted"
 # places in the sums, before the densities of each species, and Σ g and Σ m v² of the atoms in each bin
 FRAMES, EXTENT, HEAD = range(3)
@@ -165,7 +168,31 @@ class ProfileResult(Result):
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
-        curves = dict(zip(self.scene.species, self.densities, strict=True))
-        quantity = f"density  [1/{self.units.length}³]"
-        self.draw_curves(panel, curves, f"along {self.axis}", quantity)
-        panel.set(ylim=(0.0, None), title=f"{self.title}, {self.n_frames} frames")
+        units = self.units
+        curves = [
+            Series(f"density {species}", "", *density)
+            for species, *density in zip(
+                self.scene.species, self.densities, self.density_errors, strict=True
+            )
+        ]
+        self.draw_curves(panel, curves, f"along {self.axis}", f"density  [1/{units.length}³]")
+        title = f"density and temperature, mean of {self.scene.frames(self.n_frames)}"
+        panel.set(ylim=(0.0, AIR * self.densities.max()), title=title)
+
+        is_known = self.temperature_error < MOST_UNSURE * self.temperature
+        if is_known.any():
+            beside = panel.twinx()
+            heat = self.temperature[is_known]
+            beside.errorbar(
+                self.z[is_known],
+                heat,
+                self.temperature_error[is_known],
+                color=HEAT,
+                fmt=".",
+                ms=4,
+                elinewidth=0.6,
+            )
+            beside.spines["top"].set_visible(False)
+            unit = units.temperature.replace("k_B", "$k_B$")
+            beside.set(ylim=(0.0, AIR * heat.max()))
+            beside.set_ylabel(f"temperature  [{unit}]", color=HEAT)

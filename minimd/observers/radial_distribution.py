@@ -25,6 +25,7 @@ from minimd.core.structure.checks import checked_count
 from minimd.core.structure.statistics import with_error
 from minimd.core.structure.system import System
 from minimd.observers.accumulator import (
+    AIR,
     Accumulator,
     Array,
     BlockedSums,
@@ -39,6 +40,9 @@ if TYPE_CHECKING:
 
 FRAMES, HEAD = range(2)  # places in the sums: number of frames, then V times the numbers of pairs
 NO_PAIRS = np.zeros((0, 2), dtype=np.int64)
+# of a spike, beside all that is beyond it; and below which g(r) is a gap
+SPIKE = 3.0
+GAP = 0.3
 SPACINGS = 4.0  # in r_max if not given: four shells of neighbors
 R_MAX = "largest distance; if not given, the smaller of 4 (V/N)^(1/3) and half the smallest height of the initial cell"
 
@@ -225,16 +229,54 @@ class RadialDistributionResult(Result):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        k = int(np.argmax(self.g))
         length = self.units.length
-        bins = f"{len(self.r)} bins up to {self.r[-1]:.4g} {length}, {self.n_frames} frames"
-        highest = f"highest at {self.r[k]:.4g} {length}, {with_error(self.g[k], self.error[k])}"
-        return [("g(r)", f"{bins}; {highest}")]
+        lines = [f"{len(self.r)} bins up to {self.r[-1]:.4g} {length}, {self.n_frames} frames"]
+        for pair, g, errors in zip(self.pairs, self.g_of_pairs, self.errors_of_pairs, strict=True):
+            if np.isnan(g).any():
+                continue  # a pair of a species with a single atom
+            first = beyond_spikes(g)
+            k = first + int(np.argmax(g[first:]))
+            highest = f"highest at {self.r[k]:.4g} {length}, {with_error(g[k], errors[k])}"
+            if first:
+                spike = self.r[np.argmax(g[:first])]
+                highest += f", beyond a spike of {g[:first].max():.3g} at {spike:.4g} {length}"
+            lines.append(f"{pair}: {highest}")
+        return [("g(r)" * (k == 0), line) for k, line in enumerate(lines)]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
+        pairs = zip(self.pairs, self.g_of_pairs, self.errors_of_pairs, strict=True)
+        curves = [Series(pair, "", *curve) for pair, *curve in pairs]
         panel.axhline(1.0, color="0.7", lw=0.8)
-        curves = dict(zip(self.pairs, self.g_of_pairs, strict=True))
         self.draw_curves(panel, curves, "r", "g(r)")
-        title = f"{self.title}, {self.n_frames} frames"
-        panel.set(title=title, xlim=(0.0, self.r[-1]), ylim=(0.0, None))
+        panel.set(title=f"{self.title}, {self.scene.frames(self.n_frames)}", xlim=(0.0, self.r[-1]))
+        limit_to_neighbors(panel, self.r, self.g_of_pairs)
+
+
+def beyond_spikes(g: Array) -> int:
+    """The index of g(r), (B,), beyond the spikes of neighbors in a molecule; 0 without them.
+
+    A spike is more than SPIKE times as high as all of g beyond a gap after it, where g is below GAP.
+    """
+    empty = g < GAP
+    ends = np.flatnonzero(empty[:-1] & ~empty[1:]) + 1
+    spikes = [end for end in ends if g[:end].max() > SPIKE * g[end:].max() > SPIKE * GAP]
+    return int(spikes[-1]) if spikes else 0
+
+
+def limit_to_neighbors(panel: Axes, r: Array, curves: Array) -> None:
+    """Let a panel end above the highest of several g(r), (P, B), beyond spikes; a note says so where it cuts them."""
+    curves = np.nan_to_num(curves)
+    highest = max(float(g[beyond_spikes(g) :].max()) for g in curves) or 1.0
+    panel.set_ylim(0.0, AIR * highest)
+    peaks = [(float(r[np.argmax(g)]), float(g.max())) for g in curves if g.max() > AIR * highest]
+    for k, (place, height) in enumerate(sorted(peaks)):
+        panel.annotate(
+            f" ↑ {height:.3g}",
+            (place, 1.0 - 0.08 * k),
+            xycoords=("data", "axes fraction"),
+            va="top",
+            fontsize=8,
+            color="0.3",
+            bbox={"color": "white", "pad": 0.5},
+        )

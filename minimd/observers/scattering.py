@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import partial
 from math import e, pi
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,9 @@ from minimd.observers.accumulator import (
 from minimd.observers.arguments import argument, label, positive, steps
 from minimd.observers.correlator import Product
 from minimd.observers.motion import MOST_ATOMS, MeanSquareDisplacement
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 PEAK = 1.15 * 2.0 * pi  # q (V/N)^(1/3) of the main peak of a simple liquid
 FAR = 3.0  # in q of the peak, the largest q if not given
@@ -228,6 +232,13 @@ class StructureFactorResult(Result):
         highest = f"highest at {self.q[k]:.4g} /{self.units.length}, {s}"
         return [("S(q)", f"{shells}; {highest}")]
 
+    def draw(self, panel: Axes) -> None:
+        """See Result."""
+        panel.axhline(1.0, color="0.7", lw=0.8)
+        self.draw_curves(panel, self.series()[1:], "q", "S(q)")
+        title = f"{self.title}, {self.scene.frames(self.n_frames)}"
+        panel.set(title=title, ylim=(0.0, None))
+
 
 class SelfScattering(MeanSquareDisplacement):
     """F_s(q, t) = ⟨cos q · (r(t₀ + t) − r(t₀))⟩, the self-intermediate scattering function, and the time in which it
@@ -328,3 +339,13 @@ class SelfScatteringResult(Result):
             falls = f"to 1/e in {with_error(time, error)} {units.shown_time}"
         last = f"lags up to {units.shown(self.times[-1])}"
         return [("F_s(q, t)", f"at q = {self.q:.4g} /{units.length}: falls {falls}; {last}")]
+
+    def draw(self, panel: Axes) -> None:
+        """See Result."""
+        symbol = "Fₛ(q, t)"
+        series = self.series()[1:]  # f_s, and f_s_A of species A
+        curves = [curve._replace(name=f"{symbol} {curve.name[4:]}".strip()) for curve in series]
+        panel.axhline(1.0 / e, color="0.7", lw=0.8, ls="--")
+        self.draw_curves(panel, curves, "t", symbol)
+        title = f"{self.title}, q = {self.q:.4g} /{self.units.length}"
+        panel.set(xscale="log", title=title)

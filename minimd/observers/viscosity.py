@@ -127,6 +127,12 @@ class ViscosityResult(Result):
         """Its standard error."""
         return self.plateau.error
 
+    @property
+    def shown(self) -> tuple[float, str]:
+        """The factor and the unit in which η is shown."""
+        units = self.units
+        return (MPA_S, "mPa s") if units.name == "ASE" else (1.0, f"{units.pressure} {units.time}")
+
     def series(self) -> list[Series]:
         """See Result."""
         units = self.units
@@ -141,11 +147,7 @@ class ViscosityResult(Result):
     def display_rows(self) -> Rows:
         """See Displayed."""
         units = self.units
-        factor = 1.0
-        unit = f"{units.pressure} {units.time}"
-        if units.name == "ASE":
-            factor = MPA_S
-            unit = "mPa s"
+        factor, unit = self.shown
         viscosity = with_error(self.viscosity * factor, self.viscosity_error * factor)
         rows = [("viscosity", f"η = {viscosity} {unit}; {self.plateau.said(units)}")]
         enough = ENOUGH * self.plateau.window[0]
@@ -157,15 +159,18 @@ class ViscosityResult(Result):
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
-        times, unit = self.abscissa()
+        times, time = self.abscissa()
+        factor, unit = self.shown
+        viscosity = factor * self.viscosity
         start, end = np.array(self.plateau.window) * self.units.to_picosecond
         panel.axvspan(start, end, color="0.93")
-        panel.axhline(self.viscosity, color="0.6", lw=0.8, ls="--")
-        panel.errorbar(times, self.integral, self.integral_error, lw=1.1, elinewidth=0.6)
+        panel.axhline(viscosity, color="0.6", lw=0.8, ls="--")
+        bars = factor * self.integral_error
+        panel.errorbar(times, factor * self.integral, bars, lw=1.1, elinewidth=0.6)
         panel.set(
-            xlabel=f"t  [{unit}]",
-            ylabel=f"η  [{self.units.pressure} {self.units.time}]",
+            xlabel=f"t  [{time}]",
+            ylabel=f"η  [{unit}]",
             title=f"{self.title}, running integral",
             xlim=(0.0, 2.0 * end or None),
-            ylim=(0.0, 2.0 * self.viscosity if self.viscosity > 0.0 else None),
+            ylim=(0.0, 2.0 * viscosity if viscosity > 0.0 else None),
         )

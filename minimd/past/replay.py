@@ -194,9 +194,9 @@ def _draw(
     rows: list[ReplayedStep], findings: CrashReport, units: UnitSystem, picture: Path
 ) -> None:
     """Draw energy, distance of the closest pair, largest force and largest speed against the step."""
-    from minimd.core.engine.record_picture import four_panels
+    from minimd.core.engine.record_picture import empty_panels
 
-    figure, panels = four_panels()
+    figure, panels = empty_panels(4)
     columns = zip(*rows, strict=True)
     steps, _, energies, _, _, distances, _, forces, _, speeds = map(np.array, columns)
     speeds = speeds / units.to_picosecond

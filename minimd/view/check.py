@@ -177,7 +177,7 @@ def recomputed(run: RunUniverse) -> tuple[Record, list[Array]]:
         )
 
     series = {name: np.array([entry[name] for entry in entries]) for name in entries[0]}
-    record = Record.of(units, len(system), series)
+    record = Record.of(units, len(system), series, run.conserves_momentum)
     return record, [np.array(column) for column in zip(*figures, strict=True)]
 
 

@@ -121,7 +121,7 @@ def run_story(path: Path, frames: int) -> Story:
         marked=(),
         cause=(),
         picture=picture,
-        alternative="Four pictures: change of the total energy, temperature, change of the momentum, and structure; "
+        alternative="Pictures of the run: change of the total energy, temperature, momentum or pressure, structure; "
         "the report has their figures.",
         report=report,
         notes=_left_out(motion, contents.repaired),
@@ -146,7 +146,7 @@ def failure_story(
         source = path
         steps = b""
         report = str(findings)
-        alternative = "Four pictures of the states in the file."
+        alternative = "Pictures of the states in the file."
         notes = [
             "The steps between these states need the potentials of the script: "
             f"minimd.view({path.name!r}, potentials=...)."

@@ -1,22 +1,23 @@
-"""A run in one picture: energy, temperature, momentum, structure."""
+"""A run in one picture: energy, temperature, momentum or pressure, structure, and the results of its observers."""
 
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from minimd.core.console.whole_file import write_picture
 from minimd.core.diagnosis.report import drift
-from minimd.core.engine.record import Record
+from minimd.core.diagnosis.run_report import densities
 from minimd.core.engine.record_picture import (
     ACCENT,
     STRUCTURE,
     STYLE,
-    Array,
-    draw_energy,
-    draw_momentum,
-    draw_temperature,
-    four_panels,
+    draw_quantities,
+    draw_volume,
+    drawn_quantities,
+    empty_panels,
 )
 from minimd.mdanalysis.universes import (
     RunUniverse,
@@ -24,14 +25,18 @@ from minimd.mdanalysis.universes import (
     radial_distribution,
     universe_of,
 )
+from minimd.observers.motion import DisplacementResult
+from minimd.observers.radial_distribution import RadialDistributionResult, limit_to_neighbors
 
 
 def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
     """Draw a minimd file and return the name of the picture.
 
-    Four panels show the change of the total energy per atom, the temperature, the change of the total momentum, and
-    g(r) if the cell is periodic in all directions, else the mean-square displacement.
-    A further panel is drawn for each observer of the run.
+    Four panels or more show the change of the total energy per atom; the temperature; the change of the total momentum
+    if it is conserved, else the pressure, or U per atom without one; volume and pressure if the volume changes; and
+    g(r) if the cell is periodic in all directions, else the mean-square displacement, both since method, bath or state
+    were changed last. The energy has the line of its drift if it should be constant.
+    A further panel is drawn for each observer of the run, and none for structure if an observer has measured it.
     out : the picture, in the format of its suffix; the name of the file with .png if not given.
 
     Raises FileNotFoundError, OSError, ValueError as universe, or if the picture cannot be written.
@@ -45,61 +50,79 @@ def drawn(run: RunUniverse) -> Figure:
     """The figure of plot_file, for a run whose universe is open; it is not written to a file."""
     contents = run.contents
     record = contents.record
-    units = run.system.units
+    quantities = drawn_quantities(record, 3)
+    n = len(quantities)
     answers = [observer.result() for observer in contents.observers.values() if observer.n_looks]
-    figure, panels = four_panels(len(answers))
-    for draw, panel in zip((_energy, draw_temperature, draw_momentum), panels, strict=False):
-        draw(panel, record.time * units.to_picosecond, record)
-        panel.set_xlabel(f"time  [{units.shown_time}]")
-    _structure(panels[3], run)
-    for panel, answer in zip(panels[4:], answers, strict=False):
-        answer.draw(panel)
-    for panel in panels:
+    results = [answer.draw for answer in answers]
+    structure = RadialDistributionResult if _is_bulk(run) else DisplacementResult
+    if not any(isinstance(answer, structure) for answer in answers):
+        results.insert(0, partial(_draw_structure, run=run))
+    figure, panels = empty_panels(n + len(results))
+    draw_quantities(panels, record, quantities)
+    is_constant = "conserved_energy" not in record and not run.n_earlier
+    if is_constant and len(record) > 1:
+        _draw_drift(panels[0], run)
+    if draw_volume in quantities:
+        density, unit = densities(record, run.system.masses.sum())
+        volume = panels[quantities.index(draw_volume)]
+        title = f"volume   (mean density: {density.mean():.4g} {unit})"
+        volume.set_title(title, fontsize=10)
+    for draw, panel in zip(results, panels[n:], strict=True):
+        draw(panel)
         panel.margins(x=0.01)
         panel.title.set_fontsize(10)
-    figure.suptitle(
-        f"{contents.title}, {contents.method}, {contents.n_frames} frames",
-        fontsize=11,
-        parse_math=False,
-    )
+    frames = f"{contents.n_frames} frame{'s' * (contents.n_frames > 1)}"
+    title = f"{contents.title}, {contents.method}, {frames}"
+    figure.suptitle(title, fontsize=11, parse_math=False)
     return figure
 
 
-def _energy(panel: Axes, times: Array, record: Record) -> None:
-    """Change of the total energy per atom since the start, minus heat Q of a bath, with the line of its drift."""
-    change = draw_energy(panel, times, record)
+def _draw_drift(panel: Axes, run: RunUniverse) -> None:
+    """The line of the drift of the total energy, which its legend gives in the words of a report."""
+    record = run.contents.record
+    units = record.units
+    times = record.time * units.to_picosecond
+    rate = drift(times, record.total_energy / record.n_atoms)
+    (curve,) = panel.lines
+    change = np.asarray(curve.get_ydata())
     drifting = change.mean() + drift(times, change).slope * (times - times.mean())
-    panel.plot(times, drifting, color=ACCENT, lw=1.0, ls="--", label="drift")
+    label = f"drift: {rate} {units.energy} per atom per {units.shown_time}"
+    panel.plot(times, drifting, color=ACCENT, lw=1.0, ls="--", label=label)
     panel.margins(y=0.12)
-    panel.legend(frameon=False, fontsize=8, ncols=2, loc="lower right", borderaxespad=0.0)
+    panel.legend(frameon=False, fontsize=8, loc="lower right", borderaxespad=0.0)
 
 
-def _structure(panel: Axes, run: RunUniverse) -> None:
+def _is_bulk(run: RunUniverse) -> bool:
+    return bool(run.system.cell.pbc.all()) and len(run.system) > 1
+
+
+def _draw_structure(panel: Axes, run: RunUniverse) -> None:
     """g(r) if possible, else the mean-square displacement, else a note that there is none."""
     units = run.system.units
-    if run.system.cell.pbc.all() and len(run.system) > 1:
+    frames = f", from step {run.contents.record.step[run.n_earlier]} on" * bool(run.n_earlier)
+    if _is_bulk(run):
         r, g = radial_distribution(run)
         panel.axhline(1.0, color="0.7", lw=0.8)
         panel.plot(r, g, color=STRUCTURE, **STYLE)
         panel.set(
             xlabel=f"r  [{units.length}]",
             ylabel="g(r)",
-            title="radial distribution, all atoms",
+            title=f"radial distribution, all atoms{frames}",
             xlim=(0.0, r[-1]),
-            ylim=(0.0, None),
         )
-    elif run.contents.n_frames > 1:
+        limit_to_neighbors(panel, r, g[None])
+    elif run.contents.n_frames - run.n_earlier > 1:
         panel.plot(*mean_square_displacement(run), color=STRUCTURE, **STYLE)
         panel.set(
             xlabel=f"lag  [{units.shown_time}]",
             ylabel=f"⟨|r(t) − r(0)|²⟩  [{units.length}²]",
-            title="mean-square displacement",
+            title=f"mean-square displacement{frames}",
         )
     else:
         panel.text(
             0.5,
             0.5,
-            "one frame only, no displacement",
+            f"one frame only{frames}, no displacement",
             ha="center",
             va="center",
             transform=panel.transAxes,

@@ -8,12 +8,14 @@ import pytest
 from charged_scenes import ions, run_of
 from h5md_runs import N_ATOMS, PER_PICOSECOND, simulation
 from scene_texts import SMOOTH
+from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.core.engine import record_picture
+from minimd.mdanalysis.universes import mean_square_displacement, universe_of
 from minimd.scene import load_scene, run_scene
 from minimd.view.check import check_file
-from minimd.view.plot import plot_file
+from minimd.view.plot import drawn, plot_file
 
 LJ, ASE = md.units.LJ, md.units.ASE
 SLAB, OPEN = (pytest.param(ASE, cell, marks=pytest.mark.slow) for cell in ("slab", "open"))
@@ -129,3 +131,91 @@ def test_a_title_with_dollars_is_drawn_as_text(tmp_path, here):
     scene = load_scene("a.toml")
     run_scene(scene, trajectory=Path("a.h5md"), tell=lambda _: None, progress=False)
     assert plot_file("a.h5md").read_bytes()[:4] == b"\x89PNG"
+
+
+def titles(figure):
+    """Of its panels, without figures in brackets."""
+    return [panel.get_title().partition("   ")[0].partition(",")[0] for panel in figure.axes]
+
+
+KEPT, DRIVEN = md.VelocityVerlet(0.004), md.LangevinBAOAB(0.004, 0.7, 1.0, seed=1)
+GENTLE = md.StochasticVelocityRescaling(0.004, 0.7, relaxation_time=0.5, seed=1)
+ENERGY, HEAT = ["total energy per atom", "temperature"], ["total energy − heat per atom", "temperature"]
+MOMENTUM, GAS, LIQUID = "total momentum", "mean-square displacement", "radial distribution"
+DRAWN = {  # method, barostat, cell; panels of a record, and of a file
+    "energy": (KEPT, False, "cubic", [*ENERGY, MOMENTUM, "pressure"], [*ENERGY, MOMENTUM, LIQUID]),
+    "open": (KEPT, False, "open", [*ENERGY, MOMENTUM, "potential energy per atom"], [*ENERGY, MOMENTUM, GAS]),
+    "Langevin": (
+        *(DRIVEN, False, "cubic"),
+        *([*HEAT, "pressure", "potential energy per atom"], [*HEAT, "pressure", LIQUID]),
+    ),
+    "open Langevin": (
+        *(DRIVEN, False, "open", [*HEAT, "potential energy per atom"]),
+        [*HEAT, "potential energy per atom", GAS],
+    ),
+    "pressure, Langevin": (
+        *(DRIVEN, True, "cubic", [*HEAT, "volume", "pressure"]),
+        [*HEAT, "volume", "pressure", LIQUID],
+    ),
+    "pressure": (
+        *(GENTLE, True, "cubic", [*HEAT, MOMENTUM, "volume", "pressure"]),
+        [*HEAT, MOMENTUM, "volume", "pressure", LIQUID],
+    ),
+}
+
+
+@pytest.mark.parametrize("of", DRAWN)
+def test_pictures_show_momentum_and_drift_only_where_they_are_conserved_and_volume_where_it_changes(tmp_path, of):
+    method, is_pressed, cell, of_record, of_file = DRAWN[of]
+    start, file = simulation(cell), tmp_path / "a.h5md"
+    barostat = md.StochasticCellRescaling(0.1, 0.1, 5.0, seed=2, every=5) if is_pressed else None
+    sim = md.Simulation(start.system, start.potentials, method, barostat=barostat)
+    record = sim.run(40, every=5, trajectory=file)
+    assert titles(record.plot()) == of_record
+    with universe_of(file) as run:
+        figure = drawn(run)
+    assert titles(figure) == of_file
+    legend = figure.axes[0].get_legend()
+    assert (legend is None) == (method is not KEPT)
+    if legend:
+        slope = float(legend.texts[0].get_text().split()[1])
+        assert slope == pytest.approx(sim.report().energy_drift.slope, rel=0.01)
+    if is_pressed:
+        density = float(figure.axes[of_file.index("volume")].get_title().split()[3])
+        assert density == pytest.approx((N_ATOMS / record.volume).mean(), rel=1e-3)
+
+
+def test_a_file_of_several_temperatures_is_drawn_and_its_motion_measured_since_the_last_change(tmp_path):
+    sim, file = simulation("open"), tmp_path / "a.h5md"
+    for step, temperature in ((100, 0.2), (150, 0.7)):
+        sim.method = md.LangevinBAOAB(0.004, temperature, 1.0, seed=1)
+        sim.run(until_step=step, every=10, trajectory=file, append="auto")
+    with universe_of(file) as run:
+        panel = drawn(run).axes[3]
+        lags, _ = mean_square_displacement(run)
+    assert "from step 100 on" in panel.get_title()
+    assert panel.lines[0].get_xdata()[-1] == lags[-1] == pytest.approx(50 * 0.004)
+    sim.method = md.LangevinBAOAB(0.004, 0.9, 1.0, seed=1)
+    sim.run(0, every=10, trajectory=file, append=True)
+    with universe_of(file) as run:
+        assert "no displacement" in drawn(run).axes[3].texts[0].get_text()
+        assert_answered(lambda: mean_square_displacement(run), ValueError, "2 frames", "holds 1", "changed")
+
+
+def test_what_a_change_of_the_state_spoils_is_not_drawn_as_conserved(tmp_path):
+    sim, file = simulation(), tmp_path / "a.h5md"
+    sim.run(20, every=10, trajectory=file)
+    sim.velocities += 0.1
+    sim.run(20, every=10, trajectory=file, append=True)
+    with universe_of(file) as run:
+        figure = drawn(run)
+    assert (titles(figure)[2], figure.axes[0].get_legend()) == ("pressure", None)
+
+
+def test_structure_that_an_observer_has_measured_is_drawn_once(tmp_path):
+    file = tmp_path / "a.h5md"
+    simulation().run(40, every=10, trajectory=file, observers=[md.observers.RadialDistribution(every=10)])
+    with universe_of(file) as run:
+        figure = drawn(run)
+    assert titles(figure) == [*ENERGY, MOMENTUM, LIQUID]
+    assert "5 frames, 0 to 0.16 τ" in figure.axes[3].get_title()

@@ -9,6 +9,7 @@ import members
 import numpy as np
 import pytest
 from members import STEPS, TEMPERATURES, run
+from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.core.console.whole_file import locked
@@ -130,3 +131,17 @@ def test_a_note_that_was_left_behind_is_not_believed(done):
     descriptor = locked(note)
     assert running in status(done.folder)[1]
     os.close(descriptor)
+
+
+def test_a_table_draws_an_observable_over_its_parameter_with_error_bars(done):
+    rows = done.averaged()
+    (panel,) = done.plot("temperature").axes
+    ((line, _, (bars,)),) = panel.containers
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("temperature", "mean temperature  [ε/$k_B$]")
+    np.testing.assert_array_equal(line.get_xdata(), np.sort(rows["temperature"]))
+    np.testing.assert_array_equal(line.get_ydata(), rows["temperature_mean"][np.argsort(rows["temperature"])])
+    lengths = [np.ptp(bar[:, 1]) for bar in bars.get_segments()]
+    errors = rows["temperature_error"][np.argsort(rows["temperature"])]
+    np.testing.assert_allclose(lengths, 2.0 * errors, rtol=1e-12)
+    assert "pressure" in done.plot().axes[0].get_ylabel()
+    assert_answered(lambda: done.plot("presure"), ValueError, "presure", "pressure")

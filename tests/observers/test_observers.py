@@ -20,6 +20,9 @@ from minimd.core.structure.checks import checked_count
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import argument, label, positive, steps
 from minimd.observers.fluctuations import FEWEST, correlation_times
+from minimd.observers.radial_distribution import RadialDistributionResult, beyond_spikes
+from minimd.observers.time_correlation import Plateau
+from minimd.observers.viscosity import ViscosityResult
 from minimd.scene import parse_scene, resume_run, run_scene
 from minimd.view.check import check_file
 from minimd.view.plot import plot_file
@@ -558,3 +561,72 @@ test_what_cannot_be_observed_is_refused = answered(
     (lambda: seen_by(md.observers.StructureFactor(n_bins=10**9)), ValueError, "n_bins", "1000000000"),
     (lambda: seen_by(md.observers.SelfScattering(q=0.1)), ValueError, "q", "0.1"),
 )
+
+
+def test_pictures_name_what_they_show(run):
+    """F_s on a logarithmic axis, with its errors and q; density with the temperature; frames and times."""
+    answers = {kind: looking.result() for kind, looking in run.looking.items()}
+    figures = {kind: answer.plot() for kind, answer in answers.items()}
+    (scattering,) = figures["self-scattering"].axes
+    q = answers["self-scattering"].q
+    assert (scattering.get_xscale(), len(scattering.collections)) == ("log", 3)
+    assert scattering.get_title().endswith(f"q = {q:.4g} /σ")
+    assert [text.get_text() for text in scattering.get_legend().texts] == ["Fₛ(q, t)", "Fₛ(q, t) A", "Fₛ(q, t) B"]
+
+    profile, beside = figures["profile"].axes
+    assert profile.get_title() == "density and temperature, mean of 51 frames, 0 to 0.4 τ"
+    assert profile.get_ylim()[1] > 1.1 * answers["profile"].densities.max()
+    bars = beside.containers[0].lines[0]
+    known = np.isin(answers["profile"].z, bars.get_xdata())
+    assert known.any()
+    np.testing.assert_array_equal(bars.get_ydata(), answers["profile"].temperature[known])
+    assert figures["structure-factor"].axes[0].get_ylabel() == "S(q)"
+    assert "51 frames, 0 to 0.4 τ" in figures["radial-distribution"].axes[0].get_title()
+
+
+def test_frames_and_times_of_a_run_in_parts_are_those_of_all(tmp_path):
+    sim, looking, file = simulation(), md.observers.RadialDistribution(every=10), tmp_path / "a.h5md"
+    sim.run(20, every=10, trajectory=file, observers=[looking])
+    before = looking.result()
+    again = md.observers.RadialDistribution(every=10)
+    md.Simulation.resume(file, LJ).run(20, every=10, trajectory=file, append=True, observers=[again])
+    assert before.scene.frames(3) == "3 frames, 0 to 0.08 τ"
+    assert again.result().scene.frames(5) == "5 frames, 0 to 0.16 τ"
+    state = looking.state()
+    about = json.loads(bytes(state["words"]))
+    del about["scene"]["times"]  # as an older version wrote it
+    state["words"] = np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)
+    older = md.observers.RadialDistribution(every=10)
+    older.restore(state)
+    sim.run(10, every=10, observers=[older])
+    assert older.result().scene.frames(4) == "4 frames"
+
+
+def test_viscosity_is_drawn_in_the_unit_of_its_text():
+    scene = ObservedRun("ASE", ["Ar"], [108], 1.0, 321, None, None)
+    times, ones = np.arange(9.0), np.ones(9)
+    result = ViscosityResult(scene, times, ones, ones, ones, 0.1 * ones, Plateau(1.0, 0.1, (2.0, 4.0), True), 1e3)
+    (panel,) = result.plot().axes
+    told = float(str(result).split("η = ")[1].split()[0])
+    assert panel.get_ylabel() == "η  [mPa s]"
+    assert panel.lines[0].get_ydata()[0] == pytest.approx(told, rel=1e-2)
+
+
+def test_the_spike_of_bonded_neighbors_is_cut_with_a_note_and_others_are_not():
+    r = np.linspace(0.05, 7.95, 80)
+    liquid = np.where(r > 2.5, 1.0 + 2.0 * np.exp(-((r - 2.8) ** 2)), 0.0)
+    bonded = np.where(abs(r - 0.95) < 0.06, 40.0, liquid)
+    crystal = np.where(np.arange(80) % 20 == 10, 5.0, 0.0)  # peaks and gaps, and all as high
+    scene = ObservedRun("ASE", ["A", "B", "C"], [9, 9, 1], 1.0, 54, None, None)
+    g = np.array([liquid, bonded, crystal, np.full(80, np.nan)])  # no pair of a species with one atom
+    names = ("A-A", "A-B", "B-B", "C-C")
+    result = RadialDistributionResult(scene, r, g[1], 0.0 * r, names, g, 0.1 * g, 5)
+    assert [beyond_spikes(curve) > 0 for curve in g[:3]] == [False, True, False]
+    assert r[beyond_spikes(bonded)] == pytest.approx(2.55)
+    (panel,) = result.plot().axes
+    assert 5.0 < panel.get_ylim()[1] < 6.0
+    assert [text.get_text().strip() for text in panel.texts] == ["↑ 40"]
+    _, of_liquid, of_bonded, _ = str(result).splitlines()
+    for words in (of_liquid, of_bonded):
+        assert f"highest at {r[liquid.argmax()]:.4g} Å, 3.0" in words
+    assert ("spike of 40 at 0.95 Å" in of_bonded, "spike" in of_liquid) == (True, False)

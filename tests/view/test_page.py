@@ -258,8 +258,8 @@ def browser(chromium):
 class Opened:
     """A page in the browser.  requests : addresses that were asked for.  errors : of the console and the program."""
 
-    def __init__(self, browser, file, scheme="light", init=""):
-        self.page = browser(viewport={"width": 500, "height": 500}, color_scheme=scheme)
+    def __init__(self, browser, file, scheme="light", init="", size=(500, 500)):
+        self.page = browser(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme)
         self.requests, self.errors = [], []
         self.page.add_init_script(init or "0")
         self.page.on("request", lambda request: self.requests.append(request.url))
@@ -383,3 +383,23 @@ def test_the_pair_is_marked_in_the_middle_of_the_scene(browser, failed_page):
     middle = np.argwhere(pink).mean(axis=0) / pink.shape
     assert pink.sum() > 500
     np.testing.assert_allclose(middle, 0.5, atol=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("along", [0, 2, None], ids=["a", "c", "cube"])
+@pytest.mark.parametrize("size", [(390, 844), (1440, 900)], ids=["phone", "desk"])
+def test_the_whole_scene_fits_the_screen(browser, tmp_path, along, size):
+    """Of a long cell along each direction, and of a large one; and it fills most of the width or the height."""
+    edges = np.full(3, 120.0)
+    if along is not None:
+        edges = np.where(np.arange(3) == along, 40.0, 4.0)
+    system = md.System(np.random.default_rng(1).random((20, 3)) * edges, cell=edges)
+    nothing = md.LennardJones(1e-12, 1e-3, 0.1, "force-shifted")
+    with pytest.warns(UserWarning, match="within the cutoff"):
+        md.Simulation(system, nothing, md.VelocityVerlet(0.004)).run(0, trajectory=tmp_path / "a.h5md")
+    opened = Opened(browser, md.view(tmp_path / "a.h5md").save(), size=size)
+    image = np.asarray(Image.open(io.BytesIO(opened.pixels())).convert("L"))[3:-3, 3:-3]
+    places = np.argwhere(image < 230)
+    ends = places.min(axis=0), np.array(image.shape) - 1 - places.max(axis=0)
+    assert np.min(ends) > 3
+    assert (np.ptp(places, axis=0) / image.shape).max() > 0.6

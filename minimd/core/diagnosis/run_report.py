@@ -25,6 +25,7 @@ from minimd.core.structure.observables import leaves_out_center, longest
 from minimd.core.structure.statistics import mean_and_error, with_error
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE, GRAM_PER_CM3
+from minimd.core.structure.vectors import Array
 
 CONTINUOUS = 1e-9  # of the law at INSIDE r_c: a smaller jump is rounding
 # of these, the first at which the law has a value: a table may begin late
@@ -171,6 +172,14 @@ def _jump(law: tuple, cutoff2: float, *numbers: float) -> Jump:
     return Jump(cutoff, float(u), float(f) * cutoff, float(size))
 
 
+def densities(record: Record, mass: float) -> tuple[Array, str]:
+    """The densities of a record with volumes, (T,), and their unit: g/cm³ in ASE's units, else atoms per volume.
+    mass : of all atoms."""
+    if record.units == ASE:
+        return mass / GRAM_PER_CM3 / record.volume, "g/cm³"
+    return record.n_atoms / record.volume, f"atoms/{record.units.volume}"
+
+
 def pressure_lines(
     record: Record, mass: float, barostat: StochasticCellRescaling | None, is_free: bool
 ) -> Iterator[Line]:
@@ -193,12 +202,7 @@ def pressure_lines(
         f"standard deviation {record.volume.std():.2g}",
         True,
     )
-    amount = float(record.n_atoms)
-    unit = f"atoms/{units.volume}"
-    if units == ASE:
-        amount = mass / GRAM_PER_CM3
-        unit = "g/cm³"
-    density = amount / record.volume
+    density, unit = densities(record, mass)
     yield Line(
         "density",
         f"{with_error(*mean_and_error(density))} {unit} on average",

@@ -64,18 +64,32 @@ class Record(Displayed):
     units : the UnitSystem of all of them.
     n_atoms : N.
     trajectory : the first .h5md file of the run, with the frames of these entries, or None.
+    conserves_momentum : whether the run does, from the first entry to the last.
     """
 
-    def __init__(self, units: UnitSystem, n_atoms: int, trajectory: Path | None = None) -> None:
+    def __init__(
+        self,
+        units: UnitSystem,
+        n_atoms: int,
+        trajectory: Path | None = None,
+        conserves_momentum: bool = True,
+    ) -> None:
         self.units = units
         self.n_atoms = n_atoms
         self.trajectory = trajectory
+        self.conserves_momentum = conserves_momentum
         self._series: dict[str, list[Any]] = {"step": [], "time": []}
 
     @classmethod
-    def of(cls, units: UnitSystem, n_atoms: int, series: dict[str, NDArray[Any]]) -> Record:
+    def of(
+        cls,
+        units: UnitSystem,
+        n_atoms: int,
+        series: dict[str, NDArray[Any]],
+        conserves_momentum: bool = True,
+    ) -> Record:
         """A record of series that exist already, such as those of a file; step and time must be among them."""
-        record = cls(units, n_atoms)
+        record = cls(units, n_atoms, None, conserves_momentum)
         record._series.update({name: list(values) for name, values in series.items()})
         return record
 
@@ -164,7 +178,8 @@ class Record(Displayed):
         return path
 
     def plot(self) -> Figure:
-        """A figure of the run: changes of total energy per atom and momentum, temperature, pressure or U per atom.
+        """A figure of the run: change of the total energy per atom, temperature, change of the momentum if it is
+        conserved, volume if it changes, and pressure or potential energy per atom.
 
         In a notebook it appears in the cell; .savefig(path) writes a file. Raises ValueError if there are no entries.
         """

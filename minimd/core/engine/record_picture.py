@@ -1,5 +1,6 @@
-"""Pictures of a record: change of the energy, temperature, change of the momentum, pressure. Drawn without a window."""
+"""Pictures of a record: change of the energy, temperature, momentum, volume, pressure. Drawn without a window."""
 
+from collections.abc import Callable, Sequence
 from io import BytesIO
 from typing import Any, Protocol
 
@@ -12,10 +13,11 @@ from minimd.core.structure.units import UnitSystem
 
 INCHES = (10.0, 7.0)
 DOTS_PER_INCH = 150
-ENERGY, TEMPERATURE, MOMENTUM, STRUCTURE, ACCENT = (
+ENERGY, TEMPERATURE, MOMENTUM, VOLUME, STRUCTURE, ACCENT = (
     "#1f5fa8",
     "#c8501e",
     "#5b3f99",
+    "#8a6d1f",
     "#1b7f5c",
     "#222222",
 )
@@ -28,12 +30,16 @@ class DrawnRecord(Protocol):
 
     units: UnitSystem
     n_atoms: int
+    conserves_momentum: bool
 
     def __len__(self) -> int: ...
 
     def __contains__(self, name: str) -> bool: ...
 
     def __getattr__(self, name: str) -> Array: ...
+
+
+Drawing = Callable[[Axes, Array, DrawnRecord], None]
 
 
 class Picture(Figure):
@@ -46,17 +52,14 @@ class Picture(Figure):
         return stream.getvalue()
 
 
-def four_panels(more: int = 0) -> tuple[Picture, list[Axes]]:
-    """An empty picture and its panels, row by row: four, and as many more as asked for."""
-    n_rows = 2 + (more + 1) // 2
-    figure = Picture(
-        figsize=(INCHES[0], INCHES[1] / 2.0 * n_rows), dpi=DOTS_PER_INCH, layout="constrained"
-    )
-    *panels, last = figure.subplots(n_rows, 2).ravel()
-    if more % 2:
-        last.remove()
-    else:
-        panels.append(last)
+def empty_panels(n: int) -> tuple[Picture, list[Axes]]:
+    """An empty picture and its n panels, two in a row."""
+    n_rows = (n + 1) // 2
+    size = (INCHES[0], INCHES[1] / 2.0 * n_rows)
+    figure = Picture(figsize=size, dpi=DOTS_PER_INCH, layout="constrained")
+    panels = figure.subplots(n_rows, 2).ravel().tolist()
+    if n % 2:
+        panels.pop().remove()
     for panel in panels:
         panel.spines[["top", "right"]].set_visible(False)
         panel.grid(alpha=0.25, lw=0.6)
@@ -67,21 +70,43 @@ def picture_of(record: DrawnRecord) -> Picture:
     """See Record.plot."""
     if not len(record):
         raise ValueError("there is nothing to plot: the record has no entries")
-    figure, panels = four_panels()
-    times = record.time * record.units.to_picosecond
-    unit = record.units.shown_time
-    for draw, panel in zip(
-        (draw_energy, draw_temperature, draw_momentum, draw_pressure), panels, strict=True
-    ):
-        draw(panel, times, record)
-        panel.set_xlabel(f"time  [{unit}]")
-        panel.margins(x=0.01)
-        panel.title.set_fontsize(10)
+    quantities = drawn_quantities(record, 4)
+    figure, panels = empty_panels(len(quantities))
+    draw_quantities(panels, record, quantities)
     return figure
 
 
-def draw_energy(panel: Axes, times: Array, record: DrawnRecord) -> Array:
-    """Change of the total energy per atom since the start, minus heat of a bath; returned in the unit of the axis."""
+def drawn_quantities(record: DrawnRecord, fewest: int) -> list[Drawing]:
+    """What is drawn of a record: energy and temperature; momentum, if it is conserved; volume and pressure, if the
+    volume changes; pressure and potential energy as long as there are fewer than `fewest`."""
+    chosen: list[Drawing] = [draw_energy, draw_temperature]
+    if record.conserves_momentum:
+        chosen.append(draw_momentum)
+    if "volume" in record:
+        chosen += [draw_volume, draw_pressure]
+    elif "pressure" in record and len(chosen) < fewest:
+        chosen.append(draw_pressure)
+    if len(chosen) < fewest:
+        chosen.append(draw_potential_energy)
+    return chosen
+
+
+def draw_quantities(
+    panels: Sequence[Axes], record: DrawnRecord, quantities: Sequence[Drawing]
+) -> None:
+    """Draw the quantities of a record against time, each into its panel; panels may be more."""
+    times = record.time * record.units.to_picosecond
+    for draw, panel in zip(quantities, panels, strict=False):
+        draw(panel, times, record)
+        if len(times) == 1:
+            panel.lines[0].set_marker("o")
+        panel.set_xlabel(f"time  [{record.units.shown_time}]")
+        panel.margins(x=0.01)
+        panel.title.set_fontsize(10)
+
+
+def draw_energy(panel: Axes, times: Array, record: DrawnRecord) -> None:
+    """Change of the total energy per atom since the start, minus heat of a bath."""
     energy = record.total_energy
     name = "total energy"
     formula = "(E − E₀)"
@@ -90,21 +115,16 @@ def draw_energy(panel: Axes, times: Array, record: DrawnRecord) -> Array:
         name = "total energy − heat"
         formula = "(E − Q − E₀)"
     change, factor = scaled((energy - energy[0]) / record.n_atoms)
-    panel.plot(times, change, color=ENERGY, label=name, **STYLE)
+    panel.plot(times, change, color=ENERGY, **STYLE)
     panel.set_ylabel(f"{formula} / N  [{factor}{record.units.energy}]")
     kinetic = f"{record.kinetic_energy.mean() / record.n_atoms:.3g} {record.units.energy}"
     panel.set_title(f"{name} per atom   (kinetic energy: {kinetic})")
-    return change
 
 
 def draw_temperature(panel: Axes, times: Array, record: DrawnRecord) -> None:
     """The kinetic temperature, and its mean."""
-    temperature = record.temperature
     unit = record.units.temperature.replace("k_B", "$k_B$")
-    panel.plot(times, temperature, color=TEMPERATURE, **STYLE)
-    panel.axhline(temperature.mean(), color=ACCENT, lw=1.0, ls="--")
-    panel.set(ylabel=f"T  [{unit}]", title=f"temperature   (mean: {temperature.mean():.4g} {unit})")
-    panel.ticklabel_format(axis="y", useOffset=False)
+    _draw_with_mean(panel, times, record.temperature, TEMPERATURE, ("temperature", "T", unit))
 
 
 def draw_momentum(panel: Axes, times: Array, record: DrawnRecord) -> None:
@@ -122,19 +142,35 @@ def draw_momentum(panel: Axes, times: Array, record: DrawnRecord) -> None:
     )
 
 
+def draw_volume(panel: Axes, times: Array, record: DrawnRecord) -> None:
+    """The volume of the cell, and its mean."""
+    names = ("volume", "V", record.units.volume)
+    _draw_with_mean(panel, times, record.volume, VOLUME, names)
+
+
 def draw_pressure(panel: Axes, times: Array, record: DrawnRecord) -> None:
-    """The pressure, or the potential energy per atom if there is no pressure."""
-    name = "potential energy per atom"
-    values = record.potential_energy / record.n_atoms
-    unit = record.units.energy
-    if "pressure" in record:
-        name = "pressure"
-        values = record.pressure
-        unit = record.units.pressure
-    panel.plot(times, values, color=STRUCTURE, **STYLE)
+    """The pressure, and its mean."""
+    names = ("pressure", "P", record.units.pressure)
+    _draw_with_mean(panel, times, record.pressure, STRUCTURE, names)
+
+
+def draw_potential_energy(panel: Axes, times: Array, record: DrawnRecord) -> None:
+    """The potential energy per atom, and its mean."""
+    names = ("potential energy per atom", "U / N", record.units.energy)
+    _draw_with_mean(panel, times, record.potential_energy / record.n_atoms, VOLUME, names)
+
+
+def _draw_with_mean(
+    panel: Axes, times: Array, values: Array, color: str, names: tuple[str, str, str]
+) -> None:
+    """A series, and its mean.
+    names : of the quantity, of its symbol, of its unit."""
+    name, symbol, unit = names
+    panel.plot(times, values, color=color, **STYLE)
     panel.axhline(values.mean(), color=ACCENT, lw=1.0, ls="--")
-    symbol = "P" if name == "pressure" else "U / N"
-    panel.set(ylabel=f"{symbol}  [{unit}]", title=f"{name}   (mean: {values.mean():.4g} {unit})")
+    digits = 6 if np.abs(values.mean()) >= 1e4 else 4
+    mean = f"{values.mean():.{digits}g} {unit}"
+    panel.set(ylabel=f"{symbol}  [{unit}]", title=f"{name}   (mean: {mean})")
     panel.ticklabel_format(axis="y", useOffset=False)
 
 

@@ -462,14 +462,18 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
         if restart.is_earlier:
             repaired = f"the newest restart in {path} is damaged; the one before it is used, of step {state.step}"
         system = _stored_system(group, restart.checkpoint)
+        method = read_method(group)
+        record = _stored_record(h5, system, n_frames)
+        since = int(attributes.get("since", 0))
+        record.conserves_momentum = method["conserves_momentum"] and since <= record.step[0]
         return H5MDContents(
-            record=_stored_record(h5, system, n_frames),
+            record=record,
             system=system,
             restart=restart.checkpoint,
             step=state.step,
             time=state.time,
             timestep=float(attributes["timestep"]),
-            since=int(attributes.get("since", 0)),
+            since=since,
             reservoir_energy=state.reservoir_energy,
             n_frames=n_frames,
             has_forces=f"{TRAJECTORY}/force" in h5,
@@ -478,7 +482,7 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
             repaired=repaired,
             observers=observers,
             lacks_results=lacks_results,
-            **read_method(group),
+            **method,
         )
 
 

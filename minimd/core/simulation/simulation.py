@@ -295,7 +295,9 @@ class Simulation(Closed, Displayed):
                 attached.broken_off(),
             ):
                 system = engine.system
-                self.record = Record(system.units, len(system), first_h5md(trajectory))
+                self.record = Record(
+                    system.units, len(system), first_h5md(trajectory), engine.conserves_momentum
+                )
                 guard.begin_run()
                 attached.begin()
                 is_written = append and start % every != 0

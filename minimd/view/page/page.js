@@ -3,6 +3,7 @@
 const $ = (id) => document.getElementById(id);
 const read = (id) => Uint8Array.from(atob($(id).textContent), (letter) => letter.charCodeAt(0)).buffer;
 const MARKED = "#ff2d95", BOND = 0.25, GHOST = 0.25; // radius of a bond beside that of an atom, opacity of atoms that are not marked
+const MARGIN = 1.08; // size of the scene beside that of what is in it
 
 const rgb = (color) => [1, 3, 5].map((at) => parseInt(color.slice(at, at + 2), 16) / 255); // NGL.Color would make it linear, and darker on the screen
 
@@ -17,7 +18,6 @@ class Scene {
     if (motion.bonds.length) this.addBonds();
     this.addCell();
     if (this.marked.length) this.addMarks();
-    this.home = null;
   }
 
   add(buffer, parameters = {}) {
@@ -103,15 +103,21 @@ class Scene {
     this.stage.viewer.requestRender();
   }
 
-  /** Turned a little, and everything in it. */
+  /** Turned a little, and everything in it: as wide and as high as it then is. */
   showAll() {
+    const turn = new NGL.Quaternion().setFromEuler(new NGL.Euler(0.45, -0.35, 0));
     const points = [...edgesOf(this.motion.about.box).flat()];
     for (let i = 0; i < this.positions.length; i += 3) points.push(this.positions.subarray(i, i + 3));
-    const bounds = (d, best) => points.reduce((found, point) => best(found, point[d]), points[0][d]);
+    const turned = points.map((point) => new NGL.Vector3(...point).applyQuaternion(turn).toArray());
+    const bounds = (d, best) => turned.reduce((found, point) => best(found, point[d]), turned[0][d]);
     const [low, high] = [Math.min, Math.max].map((best) => [0, 1, 2].map((d) => bounds(d, best)));
-    const diagonal = Math.hypot(...low.map((x, d) => high[d] - x)) + 2 * Math.max(...this.motion.about.radii);
-    this.stage.viewerControls.rotate(new NGL.Quaternion().setFromEuler(new NGL.Euler(0.45, -0.35, 0)));
-    this.lookAt(low.map((x, d) => (x + high[d]) / 2), 0.68 * diagonal);
+    const diameter = 2 * Math.max(...this.motion.about.radii);
+    const [wide, tall, deep] = low.map((x, d) => high[d] - x + diameter);
+    const { width, height, perspectiveCamera } = this.stage.viewer;
+    const size = Math.max(tall, (wide * height) / width, 0.7 * deep); // nearer, the camera would be inside
+    const center = new NGL.Vector3(...low.map((x, d) => (x + high[d]) / 2)).applyQuaternion(turn.clone().invert());
+    this.stage.viewerControls.rotate(turn);
+    this.stage.animationControls.zoomMove(center, (-0.5 * MARGIN * size) / Math.tan((perspectiveCamera.fov * Math.PI) / 360), 0);
   }
 
   goToMarks() {

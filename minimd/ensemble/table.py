@@ -163,11 +163,10 @@ class EnsembleTable(Displayed):
         axes = figure.subplots()
         curves = dict[str, list[int]]()
         for k, row in enumerate(rows):
-            values = []
-            for parameter in others:
-                value = row[parameter]
-                shown = f"{value:g}" if rows.dtype[parameter].kind == "f" else value
-                values.append(f"{parameter.rpartition('.')[2]} = {shown}")
+            values = [
+                f"{parameter.rpartition('.')[2]} = {value_text(row[parameter])}"
+                for parameter in others
+            ]
             curves.setdefault(", ".join(values), []).append(k)
 
         for label, members in curves.items():

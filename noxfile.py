@@ -14,14 +14,14 @@ DEV = nox.project.dependency_groups(nox.project.load_toml("pyproject.toml"), "de
 @nox.session
 def lint(session):
     """All hooks of .pre-commit-config.yaml: ruff, codespell, forms of files."""
-    session.install(*DEV)
+    session.install("--no-compile", *DEV)
     session.run("pre-commit", "run", "--all-files", "--show-diff-on-failure", *session.posargs)
 
 
 @nox.session
 def types(session):
     """Type hints, by mypy."""
-    session.install(".[test]", *DEV)
+    session.install("--no-compile", ".[test]", *DEV)
     session.run("mypy", *session.posargs)
 
 
@@ -48,8 +48,8 @@ def lowest(session):
 @nox.session(default=False)
 def docs(session):
     """The site, in the folder site; `-- -D plot_gallery=0` leaves out the outputs of the examples."""
-    session.install(".[docs]")
-    session.run("sphinx-build", "-W", *session.posargs, "docs", "site")
+    session.install("--no-compile", ".[docs]")
+    session.run("sphinx-build", "-WEa", *session.posargs, "docs", "site")
 
 
 @nox.session(default=False)
@@ -68,5 +68,5 @@ def release(session):
 @nox.session(default=False)
 def bench(session):
     """A line in the table of speeds; `-- peers --quick`, or another benchmark."""
-    session.install("--editable", ".")
+    session.install("--no-compile", "--editable", ".")
     session.run("minimd", "bench", *(session.posargs or ("--history", "release/speeds.csv")))

@@ -1,6 +1,6 @@
 """Builds sdist and wheel, and tries the wheel in empty environments: what is to be seen before a release is published.
 
-    python release/try_release.py                 every Python from 3.11 to 3.13 that is found
+    python release/try_release.py                 every Python of the classifiers that is found
     python release/try_release.py PYTHON ...      these Pythons, by their paths
 
 Of the last commit: sdist, then wheel from sdist, in `dist/`; the version is that of `CITATION.cff`, `CHANGELOG.md` and
@@ -21,7 +21,7 @@ from time import monotonic
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-VERSIONS = "3.11", "3.12", "3.13"
+VERSIONS = re.findall(r":: (3\.\d+)$", "\n".join(PROJECT["classifiers"]), re.M)
 BIN = "Scripts" if os.name == "nt" else "bin"
 
 

@@ -72,7 +72,7 @@ def tried(mutant: Mutant, cache: Path) -> str:
     """The test that fails if `old` is `new` in a file; empty if none does."""
     with tempfile.TemporaryDirectory() as folder:
         copy, kept = Path(folder) / "copy", {*cache.iterdir()}
-        ignored = shutil.ignore_patterns(".git", ".venv", "__pycache__", "site", "*_cache")
+        ignored = shutil.ignore_patterns(".git", ".venv", ".nox", "__pycache__", "site", "*_cache")
         shutil.copytree(ROOT, copy, symlinks=True, ignore=ignored)
         source = copy / "minimd" / mutant.file
         text = source.read_text()

@@ -45,6 +45,7 @@ class Calculator(ASECalculator):
         it names them and the law.
     """
 
+    atoms: Any  # ase.Atoms, from the first calculation on
     implemented_properties = "energy free_energy energies forces stress stresses".split()  # noqa: SIM905
 
     def __init__(

@@ -2,6 +2,7 @@
 
 from argparse import Namespace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from minimd.commands.table import Argument, Command, at_least_one, flag, written_to
@@ -46,6 +47,8 @@ def bench(name: str, arguments: Namespace) -> None:
     Raises as the benchmark."""
     from minimd.bench.outcome import markdown, write
 
+    if arguments.history:
+        arguments.refuse("--history measures its own scenes: leave out the benchmark")
     if arguments.out:
         arguments.out.mkdir(parents=True, exist_ok=True)
     default = REPEATS_QUICK if arguments.quick else REPEATS
@@ -53,6 +56,16 @@ def bench(name: str, arguments: Namespace) -> None:
     print(markdown(outcome))
     if arguments.out:
         write(outcome, arguments.out)
+
+
+def history(arguments: Namespace) -> None:
+    """Measure minimd, add a line to a table of speeds, and print the table.
+    Raises as add_line."""
+    from minimd.bench.history import add_line
+
+    if arguments.history is None:
+        arguments.refuse("name a benchmark, or --history FILE")
+    print("\n".join(add_line(arguments.history)))
 
 
 def _outcome(name: str, arguments: Namespace, repeats: int) -> "Outcome":
@@ -101,7 +114,10 @@ def words(text: str) -> tuple[str, ...]:
 
 SEVERAL = {"nargs": "*"}
 COMMAND = Command("bench", "measure the speed of minimd: compared with other engines, and run time against error",
-                  "Measure the speed of minimd: compared with other engines, and run time against error.", below=(
+                  "Measure the speed of minimd: compared with other engines, and run time against error.", (
+        Argument("--history", "measure four scenes in minimd alone, in two minutes; add a line with commit, date, "
+                 "processor and speeds to this table (CSV), and print it", Path, "FILE"),
+    ), history, (
     benchmark("peers", "the same scene in minimd, LAMMPS, GROMACS, OpenMM, ASE and asap3",
         Argument("--scene", f"{SCENE_NAMES} (default: melt)", more={"default": "melt"}),
         Argument("--scenes", "several scenes (default: all) beside LAMMPS with its list checked, melt and water beside "

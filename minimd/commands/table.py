@@ -32,7 +32,7 @@ class Command(NamedTuple):
     """One command.
     run : called with the parsed arguments; returns False if a check failed.
     help : in the list of all commands.
-    below : its own commands, which it has in place of run.
+    below : its own commands, one of which must be named unless it can run without.
     epilog : after its help."""
 
     name: str
@@ -67,7 +67,8 @@ def add(parsers: Any, command: Command) -> None:
         parser.add_argument(argument.name, help=argument.help, **options)
     if command.below:
         word = f"{command.name}mark"
-        subparsers = parser.add_subparsers(metavar=word, title=f"{word}s", required=True)
+        is_needed = command.run is None
+        subparsers = parser.add_subparsers(metavar=word, title=f"{word}s", required=is_needed)
         for below in command.below:
             add(subparsers, below)
 

@@ -144,7 +144,7 @@ def _keys_of(name: Any, keys: Keys) -> list[str]:
 def _written(loc: tuple, reading: Reading) -> tuple[str, Any, Keys]:
     """Path and value at a location of pydantic, as written in the file, as far as it goes; the keys allowed there."""
     path = ""
-    node = reading.document
+    node: Any = reading.document
     for step in loc:
         if isinstance(node, list) and isinstance(step, int):
             path = f"{path}[{step}]"

@@ -2,13 +2,16 @@
 
 import json
 import re
+import shutil
+import subprocess
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.bench import command as bench, engines, ingredients, peers, scaling, scenes, turns, work_precision
+from minimd.bench import command as bench, engines, history, ingredients, peers, scaling, scenes, turns, work_precision
 from minimd.bench.outcome import as_json, markdown, write
 from minimd.bench.peers import EngineSpeed, PeersOptions, run_peers
 from minimd.commands import main as cli
@@ -222,6 +225,37 @@ def test_command_prints_and_writes_the_table(short, capsys, tmp_path):
     assert capsys.readouterr().out == table
     assert re.findall(r"## melt, (\d+) atoms", table) == ["108", "256"]
     assert json.loads((folder / "bench_peers.json").read_text(encoding="utf-8"))["repeats"] == 1
+
+
+def test_the_history_of_speeds_gets_a_line_from_each_measurement(fakes, monkeypatch, capsys, tmp_path):
+    own = FakeEngine("minimd", 1, "double", 0.003)
+    monkeypatch.setattr(peers, "_accurate", lambda *_: [[(0, own)]])
+    file = tmp_path / "speeds.csv"
+    for n in (1, 2):
+        assert cli.main(["bench", "--history", str(file)]) == 0
+        rows = cells_of(capsys.readouterr().out)
+        assert [row[3:] for row in rows] == [["1.33", "1.33", "1.33", "1"]] * n  # 4000 and 3000 atoms, 3 ms a step
+        assert [",".join(row) for row in rows] == file.read_text(encoding="utf-8").splitlines()[1:]
+    (other := tmp_path / "other.csv").write_text("a,b\n")
+    assert cli.main(["bench", "--history", str(other)]) == cli.WRONG_INPUT
+    assert other.read_text() == "a,b\n"
+    for arguments in ([], ["--history", str(file), "scene"]):
+        with pytest.raises(SystemExit, match=str(cli.WRONG_INPUT)):
+            cli.main(["bench", *arguments])
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
+def test_the_history_names_the_commit_of_its_own_sources(monkeypatch, tmp_path):
+    (source := tmp_path / "minimd.py").write_text("1")
+    tree = SimpleNamespace(__file__=str(tmp_path / "minimd" / "__init__.py"), __version__="0.2.0")
+    monkeypatch.setattr(history, "md", tree)
+    assert history.commit() == "0.2.0"  # no repository
+    git = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@b"]
+    for words in (["init", "-q"], ["add", "."], ["commit", "-q", "-m", "first"]):
+        subprocess.run([*git, *words], check=True)
+    assert re.fullmatch("[0-9a-f]{7,}", clean := history.commit())
+    source.write_text("2")
+    assert history.commit() == f"{clean}+"
 
 
 @pytest.mark.slow

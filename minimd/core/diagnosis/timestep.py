@@ -152,7 +152,7 @@ def advise_timestep(
     NonFiniteError : if the forces are not finite.
     TypeError, ValueError : as Simulation.
     """
-    kind = method if isinstance(method, type) else type(method)
+    kind: type = method if isinstance(method, type) else type(method)
     if not issubclass(kind, Splitting):
         wanted = "a splitting, such as VelocityVerlet or VelocityVerlet(0.005)"
         raise TypeError(f"method must be {wanted}; got {shown(method)}")

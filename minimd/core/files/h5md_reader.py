@@ -331,6 +331,7 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
         problem: Exception | None = None
 
         with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("ignore", DeprecationWarning)  # for those who write ASE
             try:
                 contents = look()
             except MemoryError:

@@ -48,7 +48,7 @@ def checked_number(
     Raises ValueError for anything that is not a real number, such as a text or a bool, for what the demand excludes,
     and for numbers whose powers could overflow: above LARGEST or, if they must not be 0, below the smallest."""
     try:
-        number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan
+        number = float(value) if not isinstance(value, bool) and isinstance(value, Real) else nan
     except OverflowError:
         number = inf
 

@@ -1,0 +1,33 @@
+"""What stands around the package agrees: Pythons, addresses, and what outsiders look for."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+AROUND = ["CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "SECURITY.md", "noxfile.py", ".pre-commit-config.yaml"]
+FORMS = ["dependabot.yml", "pull_request_template.md", "ISSUE_TEMPLATE/bug.yml", "ISSUE_TEMPLATE/question.yml"]
+WORKFLOWS = ["ci.yml", "docs.yml", "release.yml"]
+AROUND += [f".github/{name}" for name in FORMS] + [f".github/workflows/{name}" for name in WORKFLOWS]
+if not (REPOSITORY / ".ci").exists():
+    pytest.skip("an sdist has no workflows", allow_module_level=True)
+
+
+@pytest.mark.parametrize("name", AROUND)
+def test_files_that_outsiders_look_for_are_there_and_their_address_is_that_of_the_project(name):
+    source = PROJECT["urls"]["Source"]
+    addresses = re.findall(r"https://github\.com/[\w-]+/[\w-]+", (REPOSITORY / name).read_text(encoding="utf-8"))
+    assert {*addresses} <= {source}
+    assert f'repository-code: "{source}"' in (REPOSITORY / "CITATION.cff").read_text(encoding="utf-8")
+    assert all(url.startswith(source) for name, url in PROJECT["urls"].items() if name != "Documentation")
+
+
+def test_workflows_run_the_pythons_of_the_classifiers():
+    workflow = (REPOSITORY / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
+    (matrix,) = re.findall(r"python: \[(.*)\]", workflow)
+    pythons = re.findall(r":: (3\.\d+)$", "\n".join(PROJECT["classifiers"]), re.M)
+    assert re.findall(r"3\.\d+", matrix) == pythons
+    assert PROJECT["requires-python"] == f">={pythons[0]}"

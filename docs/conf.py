@@ -56,7 +56,8 @@ FOLDERS = {name: folder for name, folder in FOLDERS.items() if folder.is_dir()}
 PAGES = {"gallery": [DOCS / "notebook.md"]}  # in the gallery, with their results
 sphinx_gallery_conf = {
     "examples_dirs": [
-        gallery.prepare(folder, DOCS / "_build" / name, EXAMPLES, PAGES.get(name, ())) for name, folder in FOLDERS.items()
+        gallery.prepare(folder, DOCS / "_build" / name, EXAMPLES, PAGES.get(name, ()))
+        for name, folder in FOLDERS.items()
     ],
     "gallery_dirs": list(FOLDERS),
     "filename_pattern": r"\.py$",

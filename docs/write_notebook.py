@@ -1,6 +1,6 @@
 """Writes examples/notebook.ipynb, the first part of docs/notebook.md as a notebook.
 
-    python docs/write_notebook.py
+python docs/write_notebook.py
 """
 
 import json

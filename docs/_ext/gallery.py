@@ -65,8 +65,10 @@ def with_title(text: str, path: Path) -> str:
 
 
 def script_of(page: Path) -> str:
-    """The cells of a page as a script for sphinx-gallery, whose comments are reStructuredText.  Links to headings lead to
-    their pages."""
+    """The cells of a page as a script for sphinx-gallery, whose comments are reStructuredText.
+
+    Links to headings lead to their pages.
+    """
     (_, head), *cells = parts(page.read_text(encoding="utf-8"))
     title, _, text = head.removeprefix("# ").partition("\n")
     blocks = [f'r"""\n{title}\n{"=" * len(title)}\n{restructured(text)}\n"""']

@@ -10,7 +10,7 @@ import tomllib
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
-import MDAnalysis as mda
+import MDAnalysis
 import numpy as np
 import pytest
 from argon_atoms import define
@@ -44,7 +44,13 @@ SHORTER = {
 }  # fmt: skip
 LONG = "fixed-point lists timestep observers pressure forces own-laws view grade small-systems notebook"  # long runs
 LONG = {f"{name}.md" for name in LONG.split()}
-ELSEWHERE = ("formats.md", "ensembles.md", "fast-forces.md", "blow-up.md", "own-parts.md")  # by tests of their own below
+ELSEWHERE = (
+    "formats.md",
+    "ensembles.md",
+    "fast-forces.md",
+    "blow-up.md",
+    "own-parts.md",
+)  # by tests of their own below
 
 
 def text_of(path):
@@ -115,8 +121,13 @@ def test_the_blow_up_on_its_page_lives_for_some_time_and_names_its_cause(here, c
     assert md.view("hot.crash.h5md", potentials=names["lj"]).summary == f"{n_frames} frames of 500 atoms"
 
 
-PARTS = re.split(r"^## ", text_of(DOCS / "own-parts.md"), flags=re.M)[1:]
-OWN = {f"{part.splitlines()[0]} {k}": script for part in PARTS for k, script in enumerate(code_in(part))}
+def whole_files(page):
+    """The scripts of a page whose sections have whole files, by section and number."""
+    sections = re.split(r"^## ", text_of(DOCS / page), flags=re.M)[1:]
+    return {f"{one.splitlines()[0]} {k}": script for one in sections for k, script in enumerate(code_in(one))}
+
+
+OWN, RECIPES = whole_files("own-parts.md"), whole_files("recipes.md")
 QUICK_PARTS = "An observer 0", "A file format 0"
 
 
@@ -131,13 +142,32 @@ def test_each_part_of_ones_own_is_a_whole_file_that_runs(name, here, monkeypatch
     if name.startswith("An observer"):
         assert 0.8 < float(process.stdout.split(", ")[1]) < 1.3  # of 1.2, which the bath follows
     if name.startswith("A file format"):
-        assert mda.Universe("run.lammpstrj", format="LAMMPSDUMP").trajectory.n_frames == 3
+        assert MDAnalysis.Universe("run.lammpstrj", format="LAMMPSDUMP").trajectory.n_frames == 3
     if name.startswith("A command"):
         run_melt(md.System([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 20)
         command = SimpleNamespace(load=lambda: run(OWN[name], "own-parts.md")["COMMAND"])
         monkeypatch.setattr("minimd.commands.main.entry_points", lambda group: [command])
         assert (main(["moved", "run.h5md"]), main(["moved", "run.h5md", "--most", "1e-9"])) == (0, 1)
         assert "atoms have moved" in capsys.readouterr().out
+
+
+KNOWN = {  # what a recipe prints first, and how far it may be off
+    "Two dimensions 0": (0.3, 0.03),  # the temperature that was asked for
+    "Thermal conductivity 0": (6.9, 1.5),  # of the liquid near its triple point, by a short run
+    "Umbrella sampling 0": (0.0, 0.1),  # largest difference from the exact free energy, in k_B T
+    "Several runs together 0": (22.0, 0.0),  # frames
+    "The virial of each atom 0": (-7.2294, 1e-3),  # ε, of an fcc crystal
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RECIPES)
+def test_each_recipe_is_a_whole_file_that_runs(name, here):
+    Path("recipe.py").write_text(RECIPES[name], encoding="utf-8")
+    process = ended("recipe.py")
+    assert process.returncode == 0, process.stderr
+    value, tolerance = KNOWN.get(name, (0.0, np.inf))
+    assert abs(float(re.search(r"-?\d+(?:\.\d+)?(?:e-?\d+)?", process.stdout)[0]) - value) <= tolerance
 
 
 @pytest.mark.slow

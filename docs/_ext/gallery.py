@@ -143,14 +143,19 @@ def divide(_app: object, name: str, source: list[str]) -> None:
         source[0] = "".join(parts)
 
 
+n_pictures: dict[str, int] = {}  # of a script, of all blocks so far
+
+
 def saved_pictures(_block: tuple, names: dict, conf: dict) -> str:
-    """An image scraper of sphinx-gallery: what a script has saved, if it has drawn nothing with pyplot."""
-    drawn, moved = len(names["image_path_iterator"]), []
-    for path in sorted(Path(names["src_file"]).parent.glob("*.png")):
+    """An image scraper of sphinx-gallery: what a block of a script has saved, if it has drawn nothing with pyplot."""
+    script = names["src_file"]
+    drawn, moved = len(names["image_path_iterator"]) > n_pictures.get(script, 0), []
+    for path in sorted(Path(script).parent.glob("*.png")):
         if drawn:
             path.unlink()
         else:
             moved.append(shutil.move(path, next(names["image_path_iterator"])))
+    n_pictures[script] = len(names["image_path_iterator"])
     return figure_rst(moved, conf["src_dir"])
 
 

@@ -50,6 +50,7 @@ ELSEWHERE = (
     "fast-forces.md",
     "blow-up.md",
     "own-parts.md",
+    "recipes.md",
 )  # by tests of their own below
 
 
@@ -154,7 +155,7 @@ def test_each_part_of_ones_own_is_a_whole_file_that_runs(name, here, monkeypatch
 KNOWN = {  # what a recipe prints first, and how far it may be off
     "Two dimensions 0": (0.3, 0.03),  # the temperature that was asked for
     "Thermal conductivity 0": (6.9, 1.5),  # of the liquid near its triple point, by a short run
-    "Umbrella sampling 0": (0.0, 0.1),  # largest difference from the exact free energy, in k_B T
+    "Umbrella sampling 0": (0.0, 0.2),  # largest difference from the exact free energy, in k_B T
     "Several runs together 0": (22.0, 0.0),  # frames
     "The virial of each atom 0": (-7.2294, 1e-3),  # ε, of an fcc crystal
 }

@@ -17,10 +17,11 @@ SearchEnglish = pytest.importorskip("sphinx.search.en").SearchEnglish
 pytestmark = pytest.mark.slow
 REPOSITORY = Path(__file__).parents[2]
 # of minimd and of other programs, as a newcomer may type them; the search looks for stems
-WORDS = """ramp, heating, annealing, 2D disks, two dimensions, hexatic, Steinhardt, heat flux, thermal conductivity, dielectric,
-dipole, ions, salt, chains, gyration, Rouse, order parameters, chi4, overlap, umbrella, WHAM, Jarzynski, surface tension,
-pressure profile, elastic, virial, Mie, soft core, quartic, table, dump, NoseHoover, NPT, Berendsen, Andersen, thermostat,
-integrator, slab, TIP4P, GPU, pulling, viscosity, stress, SPCE, minimizer, restart, LAMMPS, GROMACS, OpenMM, joining"""
+WORDS = """ramp, heating, annealing, 2D disks, two dimensions, hexatic, Steinhardt, heat flux, thermal conductivity,
+dielectric, dipole, ions, salt, chains, gyration, Rouse, order parameters, overlap, umbrella, WHAM, Jarzynski,
+surface tension, pressure profile, elastic, virial, Mie, soft core, quartic, table, dump, NoseHoover, NPT, Berendsen,
+Andersen, thermostat, integrator, slab, TIP4P, GPU, pulling, viscosity, stress, SPCE, minimizer, restart, LAMMPS,
+GROMACS, OpenMM, join, chi4, ForceField, Tersoff, RESPA"""
 SEARCHED = {"restart": "files", "bond": "bonds", "law": "own-laws", "charg": "water", "gpu": "limits"}  # by stems
 NEEDED = ("sphinx", "myst_parser", "sphinx_gallery", "furo", "sphinx-mathjax-offline")
 

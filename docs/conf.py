@@ -8,7 +8,7 @@ from pathlib import Path
 import minimd
 
 DOCS = Path(__file__).parent
-sys.path.insert(0, str(DOCS / "_ext"))
+sys.path[:0] = [str(DOCS / "_ext"), str(DOCS)]
 
 import gallery  # noqa: E402
 import pages  # noqa: E402
@@ -56,14 +56,19 @@ pictures and outputs were made when this site was built. Every script can be dow
 RUN = r"\.py$" if shutil.which("i-pi") else r"(?<!path_integrals)\.py$"
 FOLDERS = {name: DOCS.parent / folder for name, folder in (("gallery", "examples"), ("course", "course"))}
 FOLDERS = {name: folder for name, folder in FOLDERS.items() if folder.is_dir()}
+PAGES = {"gallery": [DOCS / "notebook.md"]}  # in the gallery, with their results
 sphinx_gallery_conf = {
-    "examples_dirs": [gallery.prepare(folder, DOCS / "_build" / name, EXAMPLES) for name, folder in FOLDERS.items()],
+    "examples_dirs": [
+        gallery.prepare(folder, DOCS / "_build" / name, EXAMPLES, PAGES.get(name, ()))
+        for name, folder in FOLDERS.items()
+    ],
     "gallery_dirs": list(FOLDERS),
     "filename_pattern": RUN,
     "within_subsection_order": "gallery.by_theme",
     "image_scrapers": ("matplotlib", "gallery.saved_pictures"),
     "reset_modules": ("matplotlib", "gallery.large_fonts"),
     "abort_on_example_error": True,
+    "ignore_repr_types": r"record_picture\.Picture",
     "show_signature": False,
     "show_memory": False,
     "min_reported_time": 1e9,

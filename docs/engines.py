@@ -3,23 +3,7 @@
 import numpy as np
 from ase import units
 
-import minimd as md
-from minimd.ase import ForcesFromCalculator
-
 PS, EV = 1000.0 * units.fs, 96.48533212331  # ps in units of ASE; an eV in kJ/mol
-
-
-class Minimd:
-    """minimd.  method : of minimd, for a time step and random numbers."""
-
-    def __init__(self, atoms, timestep, method, temperature_K=None, rng=np.random):
-        self.atoms, chosen = atoms, method(timestep, int(rng.randint(2**31)))
-        self.simulation = md.Simulation(md.System.from_ase(atoms), ForcesFromCalculator(atoms.calc), chosen)
-
-    def run(self, steps):  # noqa: D102 - as of any dynamics
-        self.simulation.make_steps(steps)
-        self.atoms.positions[:] = self.simulation.positions
-        self.atoms.set_velocities(self.simulation.velocities)
 
 
 class OpenMM:

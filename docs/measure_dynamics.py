@@ -21,7 +21,7 @@ import ase.md.nptberendsen
 import ase.md.nvtberendsen
 import ase.md.verlet
 from ase.units import fs
-from engines import Lammps, Minimd, OpenMM
+from engines import Lammps, OpenMM
 
 import minimd as md
 
@@ -43,9 +43,9 @@ OF_ASE = (
      T | {"pressure_au": P, "taut": 50 * fs, "taup": 100 * fs, "compressibility_au": 1.0 / P}),
 )  # fmt: skip
 OF_MINIMD = (
-    ("VelocityVerlet", {}, lambda h, _: md.VelocityVerlet(h)),
-    ("LangevinBAOAB", T, lambda h, seed: md.LangevinBAOAB(h, 300.0, RATE, seed=seed)),
-    ("StochasticVelocityRescaling", T, lambda h, seed: md.StochasticVelocityRescaling(h, 300.0, 50 * fs, seed=seed)),
+    (md.VelocityVerlet, {"kind": "dynamics"}),
+    (md.LangevinBAOAB, LANGEVIN),
+    (md.StochasticVelocityRescaling, T | {"relaxation_time": 50 * fs}),
 )
 OF_OPENMM = (
     ("VerletIntegrator", {}),
@@ -77,8 +77,8 @@ def rows():
     for made, options in OF_ASE:
         said = ", ".join(shown(name, value) for name, value in options.items())
         yield f"ase: `{made.__name__}`", said, partial(md.grade, made, **options)
-    for name, claims, method in OF_MINIMD:
-        yield f"minimd: `{name}`", "", partial(md.grade, Minimd, method=method, **claims)
+    for method, options in OF_MINIMD:
+        yield f"minimd: `{method.__name__}`", "", partial(md.grade, method, **options)
     for name, options in OF_OPENMM if find_spec("openmm") else ():
         yield f"OpenMM: `{name}`", "", partial(md.grade, OpenMM, integrator=name, **options)
     for fixes, claims in OF_LAMMPS if find_spec("lammps") else ():

@@ -16,13 +16,6 @@ from minimd.moved import follow_moved_modules
 
 # in which people look for a name that is not here
 ROOMS = "integrators", "observers", "lattice", "units"
-OF_MDANALYSIS = (
-    "universe",
-    "radial_distribution",
-    "diffusion_coefficient",
-    "mean_square_displacement",
-    "Turn",
-)
 HIDDEN = {"ensemble", "grade", "replay", "view", "water"}  # modules behind functions of these names
 
 _names = LazyNames(__name__)
@@ -59,14 +52,14 @@ def __getattr__(name: str) -> Any:
 
 
 def _hint(name: str) -> str:
-    """Where a name is that is not here, or a public name that is nearly the same."""
-    if name in OF_MDANALYSIS:
-        return f"; it is minimd.mdanalysis.{name}"
+    """Where a name is that is not here, what is in its place, or a public name that is nearly the same."""
+    from minimd.foreign_words import answer_to
+
     for room in ROOMS:
         module = _names.load(room)
         if name in getattr(module, "__all__", dir(module)):
-            return f"; it is minimd.{room}.{name}"
-    return near(name, __all__)
+            return f"; it is minimd.{room}.{name}{answer_to(name)}"
+    return answer_to(name) or near(name, __all__)
 
 
 def __dir__() -> list[str]:

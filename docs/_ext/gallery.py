@@ -2,14 +2,17 @@
 
 import re
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 from plain_docstrings import as_rst
 from sphinx_gallery.scrapers import figure_rst
+from write_notebook import parts
 
 FONT_SIZE = 14  # of pictures that are shown at three fifths of their size
 # In this order; an example that is not named here comes last.
 THEMES = {
+    "The first hour": "notebook",
     "Liquids": "liquid_argon constant_pressure equation_of_state viscosity live mixture spce_water",
     "Metals": "metal",
     "Heat baths and ensembles": "thermostats ensemble_checks stretched_chain path_integrals",
@@ -61,11 +64,36 @@ def with_title(text: str, path: Path) -> str:
     return 'r"""\n' + "\n".join(head).rstrip() + f'\n"""\n{workers}{code}'
 
 
-def prepare(source: Path, target: Path, header: str) -> str:
+def script_of(page: Path) -> str:
+    """The cells of a page as a script for sphinx-gallery, whose comments are reStructuredText.
+
+    Links to headings lead to their pages.
+    """
+    (_, head), *cells = parts(page.read_text(encoding="utf-8"))
+    title, _, text = head.removeprefix("# ").partition("\n")
+    blocks = [f'r"""\n{title}\n{"=" * len(title)}\n{restructured(text)}\n"""']
+    for kind, cell in cells:
+        comment = "\n".join(f"# {line}".rstrip() for line in restructured(cell).splitlines())
+        blocks.append(cell if kind == "code" else f"# %%\n{comment}")
+        if kind == "code":
+            blocks.append("# %%")
+    return "\n\n".join(blocks) + "\n"
+
+
+def restructured(text: str) -> str:
+    """Paragraphs, headings, links and code of Markdown as reStructuredText."""
+    text = re.sub(r"`([^`]+)`", r"``\1``", text)
+    text = re.sub(r"\[([^\]]+)\]\(([\w-]+)\.md(?:#[\w-]+)?\)", r":doc:`\1 <../\2>`", text)
+    text = re.sub(r"\[([^\]]+)\]\(\.\./(\w+)\)", r"\1", text)
+    return re.sub(r"^## (.*)$", lambda match: f"{match[1]}\n{'-' * len(match[1])}", text, flags=re.M)
+
+
+def prepare(source: Path, target: Path, header: str, pages: Sequence[Path] = ()) -> str:
     """Copy the scripts of a folder to another, which sphinx-gallery reads, and return it.
 
     A copy that is up to date is left alone.
     header : the text above the scripts, unless the folder has one in README.rst.
+    pages : that are scripts, too: each with its cells.
     """
     target.mkdir(parents=True, exist_ok=True)
     for path in target.glob("*.png"):
@@ -74,6 +102,7 @@ def prepare(source: Path, target: Path, header: str) -> str:
         path.name: with_title(path.read_text(encoding="utf-8"), target / path.name)
         for path in sorted(source.glob("*.py"))
     }
+    texts |= {page.with_suffix(".py").name: script_of(page) for page in pages}
     own_header = source / "README.rst"
     texts["GALLERY_HEADER.rst"] = own_header.read_text(encoding="utf-8") if own_header.exists() else header
     for path in target.glob("*.py"):
@@ -114,14 +143,19 @@ def divide(_app: object, name: str, source: list[str]) -> None:
         source[0] = "".join(parts)
 
 
+n_pictures: dict[str, int] = {}  # of a script, of all blocks so far
+
+
 def saved_pictures(_block: tuple, names: dict, conf: dict) -> str:
-    """An image scraper of sphinx-gallery: what a script has saved, if it has drawn nothing with pyplot."""
-    drawn, moved = len(names["image_path_iterator"]), []
-    for path in sorted(Path(names["src_file"]).parent.glob("*.png")):
+    """An image scraper of sphinx-gallery: what a block of a script has saved, if it has drawn nothing with pyplot."""
+    script = names["src_file"]
+    drawn, moved = len(names["image_path_iterator"]) > n_pictures.get(script, 0), []
+    for path in sorted(Path(script).parent.glob("*.png")):
         if drawn:
             path.unlink()
         else:
             moved.append(shutil.move(path, next(names["image_path_iterator"])))
+    n_pictures[script] = len(names["image_path_iterator"])
     return figure_rst(moved, conf["src_dir"])
 
 

@@ -22,7 +22,7 @@ def places_of_tests() -> dict[str, Path]:
 def link(match: re.Match, folder: Path) -> str:
     """`examples/kepler.py` as a link to its page, `test_...` as one to its file; other code as it is."""
     name = match[1]
-    if (REPOSITORY / name).is_file() and re.fullmatch(r"examples/\w+\.py", name):
+    if (REPOSITORY / name).is_file() and re.fullmatch(r"examples/\w+\.(py|ipynb)", name):
         return f"[{match[0]}]({relpath(REPOSITORY / 'docs/gallery', folder)}/{Path(name).stem}.rst)"
     if name in places_of_tests():
         words = name if len(name) <= SHORT else f"{name[:SHORT]}…"

@@ -10,6 +10,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from minimd.core.console.words import shown
+from minimd.core.integrators.splitting import Splitting
 from minimd.core.structure.checks import checked_choice, checked_count, checked_kind, checked_number
 from minimd.judge.calling import KINDS, role_of
 from minimd.judge.findings import Grade
@@ -18,7 +19,7 @@ from minimd.judge.steps import grade_step
 
 
 def grade(
-    function: Callable[..., Any],
+    function: Any,
     potential: Any = None,
     *,
     cell: float | Sequence[float] | None = None,
@@ -30,7 +31,9 @@ def grade(
 ) -> Grade:
     """Test your own step, force function or dynamics: which laws it obeys, what is wrong with it, and by how much.
 
-    A class of dynamics, as in ase.md, or a function make(atoms, timestep), is judged by the ensemble that it claims.
+    A class of dynamics, as in ase.md, or a function make(atoms, timestep), is judged by the ensemble that it claims. A
+    Splitting of minimd, an instance or a class, is judged by its kicks and drifts as a step, or, if it is in contact
+    with a bath, as dynamics: temperature_K (300) and a random seed become its temperature and seed.
     A step is a function step(x, v, force, m, dt) -> x, v. Parameters are recognized by their names, in any order, and m
     may be left out. It may return x and v, or change them in place; force is a function of positions. Forces are a
     function forces(positions) -> F or (F, U), a law f(r) or law(r2) -> (u, f), or the force of a pair f(r_ij). What has
@@ -45,7 +48,7 @@ def grade(
 
     Parameters
     ----------
-    function : the step or the force function.
+    function : the step, the force function, the class of dynamics or the splitting.
     potential : a potential of minimd with which forces are compared, such as LennardJones(1.0, 1.0, 2.5).
     cell : edge of the cubic cell, or three edges, if forces are periodic [length].
     cutoff : distance beyond which forces are zero [length].
@@ -66,6 +69,10 @@ def grade(
     """
     if kind is not None:
         checked_choice("kind", kind, ("step", "dynamics", *KINDS))
+    if isinstance(function, Splitting) or (isclass(function) and issubclass(function, Splitting)):
+        from minimd.judge.splittings import as_function
+
+        function, kind = as_function(function, kind, options)
     hint = "a function, as step(x, v, force, m, dt) or forces(positions)"
     checked_kind("function", function, Callable, hint)
     names = list[str]()

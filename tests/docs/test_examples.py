@@ -26,14 +26,14 @@ pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interacti
 SHORTENED = [path for path in [*SCRIPTS, LESSONS[0]] if path.stem not in IN_FULL]
 EACH = [pytest.param(one, marks=[pytest.mark.slow] * (one.stem not in QUICK), id=one.name) for one in SHORTENED]
 TITLES = {  # last line of a cell: the title of its table, and a word in it
-    "system": ("System", "108: 108 X"), "system.cell": ("Cell", "volume"), "lj": ("LennardJones", "switch_start"),
-    "sim": ("Simulation", "velocity-verlet, timestep 0.003 τ"), "sim.report()": ("Report", "verdict"),
-    "sim.method": ("VelocityVerlet", "order 2, symmetric, symplectic"), "table": ("Tabulated", "truncation"),
+    "system": ("System", "500: 500 X"), "lj": ("LennardJones", "switch_start"),
+    "sim": ("Simulation", "velocity-verlet, timestep 0.005 τ"), "sim.report()": ("Report", "verdict"),
+    "sim.method": ("LangevinBAOAB", "friction"), "table": ("Tabulated", "truncation"),
     "md.advise_timestep(system, lj)": ("StepAdvice", "recommended"),
-    "record": ("Record", "21 entries of 108 atoms, step 0 to 200"),
-    "sim.probe_reversibility(10)": ("Reversibility", "reversible to rounding"),
-    "md.evaluate(sim.system, lj)": ("Evaluation", "virial"),
-    "sim.minimize(max_steps=50)": ("Minimization", "largest force"),
+    "record": ("Record", "201 entries of 500 atoms, step 0 to 2000"),
+    "sim.probe_reversibility(50)": ("Reversibility", "reversible to rounding"),
+    "md.evaluate(system, lj)": ("Evaluation", "virial"), "again": ("Simulation", "at"),
+    "motion.result()": ("DisplacementResult", "D = "),
 }  # fmt: skip
 
 
@@ -112,13 +112,22 @@ def test_lesson_in_full_finds_the_known_values(path, run):
         assert float(re.search(r"η = (\S+)", told)[1]) == pytest.approx(3.25, rel=0.25)
 
 
+def test_the_notebook_is_its_page():
+    """If it is not: python docs/write_notebook.py"""
+    written = runpy.run_path(str(REPOSITORY / "docs" / "write_notebook.py"))
+    text = (REPOSITORY / "docs" / "notebook.md").read_text(encoding="utf-8")
+    assert (EXAMPLES / "notebook.ipynb").read_text(encoding="utf-8") == written["notebook"](text)
+    assert len(written["parts"](text)) > 30
+
+
 @pytest.fixture(scope="module")
-def cells():
+def cells(tmp_path_factory):
     """The outputs of each cell of the notebook, run headless, by its last line."""
     nbformat, nbclient, *_ = map(pytest.importorskip, ("nbformat", "nbclient", "ipykernel", "pandas"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(REPOSITORY), os.environ.get("PYTHONPATH")])))
         patch.delenv("MPLBACKEND", raising=False)
+        patch.chdir(tmp_path_factory.mktemp("notebook"))
         notebook = nbformat.read(EXAMPLES / "notebook.ipynb", as_version=4)
         nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
     return {cell.source.splitlines()[-1]: cell.outputs for cell in notebook.cells if cell.cell_type == "code"}
@@ -145,5 +154,5 @@ def test_a_run_shows_one_progress_bar_and_a_record_is_a_picture_and_a_data_frame
     texts += [one.text for one in cells["record"] if one.output_type == "stream"]
     (bar,) = [text for text in texts if "running" in text]
     assert "running: step" not in bar  # the ten lines of a file
-    assert len(shown(cells["record.plot()"])["image/png"]) > 10_000
+    assert len(shown(cells["figure"])["image/png"]) > 10_000
     assert all(word in shown(cells["record.to_pandas()"])["text/html"] for word in ("dataframe", "stress_xy"))

@@ -8,8 +8,9 @@ import re
 import shutil
 import tomllib
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
+import MDAnalysis
 import numpy as np
 import pytest
 from argon_atoms import define
@@ -18,6 +19,7 @@ from references import DATA
 
 import minimd as md
 from minimd.ase import system_from_file
+from minimd.commands.main import main
 from minimd.core.engine.observation import OBSERVABLES
 from minimd.core.engine.record import SERIES
 from minimd.core.files.crash_file import read_crash_report
@@ -40,9 +42,16 @@ SHORTER = {
     "[10, 10, 10]": "[5, 5, 5]", '"melt", 1000, processes=2': '"melt", 40, processes=1',
     ".repeat(6)": ".repeat(4)", "probe_reversibility(200)": "probe_reversibility(50)",
 }  # fmt: skip
-LONG = "fixed-point lists timestep observers pressure forces own-laws view grade small-systems"  # long runs
+LONG = "fixed-point lists timestep observers pressure forces own-laws view grade small-systems notebook"  # long runs
 LONG = {f"{name}.md" for name in LONG.split()}
-ELSEWHERE = ("formats.md", "ensembles.md", "fast-forces.md", "blow-up.md")  # by tests of their own below
+ELSEWHERE = (
+    "formats.md",
+    "ensembles.md",
+    "fast-forces.md",
+    "blow-up.md",
+    "own-parts.md",
+    "recipes.md",
+)  # by tests of their own below
 
 
 def text_of(path):
@@ -54,7 +63,11 @@ def name_of(path):
 
 
 def blocks(path, language="python"):
-    return re.findall(rf"```{language}\n(.*?)```", text_of(path), re.S)
+    return code_in(text_of(path), language)
+
+
+def code_in(text, language="python"):
+    return re.findall(rf"```{language}\n(.*?)```", text, re.S)
 
 
 def run(code, path):
@@ -107,6 +120,55 @@ def test_the_blow_up_on_its_page_lives_for_some_time_and_names_its_cause(here, c
     n_frames = read_file("hot.replay.h5md").n_frames
     assert n_frames > 20
     assert md.view("hot.crash.h5md", potentials=names["lj"]).summary == f"{n_frames} frames of 500 atoms"
+
+
+def whole_files(page):
+    """The scripts of a page whose sections have whole files, by section and number."""
+    sections = re.split(r"^## ", text_of(DOCS / page), flags=re.M)[1:]
+    return {f"{one.splitlines()[0]} {k}": script for one in sections for k, script in enumerate(code_in(one))}
+
+
+OWN, RECIPES = whole_files("own-parts.md"), whole_files("recipes.md")
+QUICK_PARTS = "An observer 0", "A file format 0"
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n not in QUICK_PARTS)) for n in OWN])
+def test_each_part_of_ones_own_is_a_whole_file_that_runs(name, here, monkeypatch, capsys):
+    Path("part.py").write_text(OWN[name], encoding="utf-8")
+    process = ended("part.py")
+    assert process.returncode == 0, process.stderr
+    if name.startswith("A thermostat"):
+        mean, error = map(float, re.search(r"\(([\d.]+), ([\d.]+)\)", process.stdout).groups())
+        assert abs(mean - 1.2) < 4.0 * error < 0.2  # statistics
+    if name.startswith("An observer"):
+        assert 0.8 < float(process.stdout.split(", ")[1]) < 1.3  # of 1.2, which the bath follows
+    if name.startswith("A file format"):
+        assert MDAnalysis.Universe("run.lammpstrj", format="LAMMPSDUMP").trajectory.n_frames == 3
+    if name.startswith("A command"):
+        run_melt(md.System([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 20)
+        command = SimpleNamespace(load=lambda: run(OWN[name], "own-parts.md")["COMMAND"])
+        monkeypatch.setattr("minimd.commands.main.entry_points", lambda group: [command])
+        assert (main(["moved", "run.h5md"]), main(["moved", "run.h5md", "--most", "1e-9"])) == (0, 1)
+        assert "atoms have moved" in capsys.readouterr().out
+
+
+KNOWN = {  # what a recipe prints first, and how far it may be off
+    "Two dimensions 0": (0.3, 0.03),  # the temperature that was asked for
+    "Thermal conductivity 0": (6.9, 1.5),  # of the liquid near its triple point, by a short run
+    "Umbrella sampling 0": (0.0, 0.2),  # largest difference from the exact free energy, in k_B T
+    "Several runs together 0": (22.0, 0.0),  # frames
+    "The virial of each atom 0": (-7.2294, 1e-3),  # ε, of an fcc crystal
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RECIPES)
+def test_each_recipe_is_a_whole_file_that_runs(name, here):
+    Path("recipe.py").write_text(RECIPES[name], encoding="utf-8")
+    process = ended("recipe.py")
+    assert process.returncode == 0, process.stderr
+    value, tolerance = KNOWN.get(name, (0.0, np.inf))
+    assert abs(float(re.search(r"-?\d+(?:\.\d+)?(?:e-?\d+)?", process.stdout)[0]) - value) <= tolerance
 
 
 @pytest.mark.slow

@@ -13,8 +13,15 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 import pytest
 
+SearchEnglish = pytest.importorskip("sphinx.search.en").SearchEnglish
 pytestmark = pytest.mark.slow
 REPOSITORY = Path(__file__).parents[2]
+# of minimd and of other programs, as a newcomer may type them; the search looks for stems
+WORDS = """ramp, heating, annealing, 2D disks, two dimensions, hexatic, Steinhardt, heat flux, thermal conductivity,
+dielectric, dipole, ions, salt, chains, gyration, Rouse, order parameters, overlap, umbrella, WHAM, Jarzynski,
+surface tension, pressure profile, elastic, virial, Mie, soft core, quartic, table, dump, NoseHoover, NPT, Berendsen,
+Andersen, thermostat, integrator, slab, TIP4P, GPU, pulling, viscosity, stress, SPCE, minimizer, restart, LAMMPS,
+GROMACS, OpenMM, join, chi4, ForceField, Tersoff, RESPA"""
 SEARCHED = {"restart": "files", "bond": "bonds", "law": "own-laws", "charg": "water", "gpu": "limits"}  # by stems
 NEEDED = ("sphinx", "myst_parser", "sphinx_gallery", "furo", "sphinx-mathjax-offline")
 
@@ -56,9 +63,25 @@ def test_links_inside_lead_somewhere_and_nothing_is_fetched_from_outside(site):
         assert not re.search(r"url\(\s*['\"]?(?:https?:)?//", sheet.read_text(encoding="utf-8")), sheet.name
 
 
-def test_the_search_finds_the_pages_of_a_word(site):
+@pytest.fixture(scope="module")
+def index(site):
     text = (site / "searchindex.js").read_text(encoding="utf-8")
-    index = json.loads(text[text.index("{") : text.rindex("}") + 1])
+    return json.loads(text[text.index("{") : text.rindex("}") + 1])
+
+
+def test_the_search_finds_words_of_other_programs(index):
+    """On a page with all of them: its words are those that are looked for, as stems."""
+    stem = SearchEnglish({}).stem
+    pages = [index["docnames"].index(name) for name in ("where-is", "limits", "recipes", "own-parts", "temperature")]
+    for words in WORDS.replace("\n", " ").split(", "):
+        found = [set(pages)]
+        for word in words.split():
+            entries = [index[table].get(stem(word.lower()), []) for table in ("terms", "titleterms")]
+            found.append({number for one in entries for number in np.atleast_1d(one).tolist()})
+        assert set.intersection(*found), words
+
+
+def test_the_search_finds_the_pages_of_a_word(index):
     for word, page in SEARCHED.items():
         found = [index[table].get(word, []) for table in ("terms", "titleterms")]  # one number, or several
         assert page in [index["docnames"][number] for numbers in found for number in np.atleast_1d(numbers)]

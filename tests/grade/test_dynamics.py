@@ -14,6 +14,8 @@ from wrong_calls import answered
 
 import minimd as md
 from minimd.commands.main import main
+from minimd.core.integrators.substeps import Thermalize
+from minimd.integrators import Splitting
 from minimd.judge.telling import named
 
 NVT, NPT = {"temperature_K": 300.0, "runs": 16, "steps": 200}, {"pressure": 0.002}
@@ -201,3 +203,41 @@ test_what_cannot_be_judged_is_refused = answered(
     (lambda: md.grade(lambda x, v, dt: (x, v), temperature_K=300.0), TypeError, "temperature_K", "dynamics"),
     (lambda: named("ase.md.bussi:Busi"), ValueError, "Busi"),
 )
+
+
+class Andersen(Splitting):
+    """Of each atom a new velocity, at a rate.  factor : of the temperature, 1 if it is right."""
+
+    name, source = "andersen", "H. C. Andersen, J. Chem. Phys. 72, 2384 (1980)"
+    substeps = (*md.VelocityVerlet.substeps, Thermalize(1.0))
+    is_thermostat, is_symmetric, is_symplectic, conserves_momentum = True, False, False, False
+
+    def __init__(self, timestep, temperature, rate, seed, factor=1.0):
+        super().__init__(timestep)
+        self.temperature, self.rate, self.seed, self.factor = temperature, rate, seed, factor
+
+    def thermalize(self, state, duration, around):
+        rng = np.random.default_rng([self.seed, around.bath.step])
+        is_hit = rng.random(len(state.velocities)) < -np.expm1(-self.rate * duration)
+        spread = np.sqrt(self.factor * around.bath.k_B * self.temperature * state.inverse_masses[is_hit])
+        state.velocities[is_hit] = spread[:, None] * rng.standard_normal((is_hit.sum(), 3))
+
+
+FEW = {"runs": 12, "steps": 200}
+
+
+def test_a_splitting_with_a_bath_is_judged_as_a_class_and_as_an_instance():
+    of_class = md.grade(Andersen, rate=0.1 / fs, **FEW)
+    of_instance = md.grade(Andersen(fs, 300.0, 0.1 / fs, seed=3), **FEW)
+    assert of_class.passed, str(of_class)
+    assert [law.value for law in of_class] == [law.value for law in of_instance]
+    hot = md.grade(Andersen, rate=0.1 / fs, factor=1.4, **FEW)
+    assert hot["ring: temperature"].passed is False
+    with pytest.raises(ValueError, match=r"Andersen.* takes atoms, .*, rate, factor; got rat"):
+        md.grade(Andersen, rat=0.1)
+
+
+def test_a_splitting_with_rigid_bonds_keeps_them():
+    grade = md.grade(md.VelocityVerlet(fs), kind="dynamics", steps=40, **RIGID)
+    assert grade.passed, str(grade)
+    assert grade["rigid bonds"].value < 1e-9

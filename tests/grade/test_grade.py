@@ -163,6 +163,25 @@ def test_parameters_of_a_force_are_what_they_say():
     assert not md.grade(lambda x: pairs(x, lambda r: 1 / r**2)).remarks
 
 
+class UnevenVerlet(md.integrators.Splitting):
+    name, source = "uneven", "a wrong coefficient"
+    substeps = (md.integrators.Kick(0.5), md.integrators.Drift(1.0), md.integrators.Kick(0.4))
+
+
+@pytest.mark.parametrize("name", md.integrators.SPLITTINGS)
+def test_each_splitting_is_judged_by_its_kicks_and_drifts(name):
+    method = md.integrators.SPLITTINGS[name]
+    grade = md.grade(method, order=min(method.order, 2))
+    assert grade.passed, str(grade)
+    assert grade["order"].value == pytest.approx(method.order, abs=0.3)
+    assert grade["cost"].value == method.stages
+
+
+def test_a_wrong_coefficient_of_a_splitting_is_named_of_an_instance_too():
+    for method in (UnevenVerlet, UnevenVerlet(0.01)):
+        assert "velocities change by 0.9 dt F/m" in md.grade(method).faults[0]
+
+
 REFUSED = [  # what is given, options, and what the sentence must contain
     (7, {}, TypeError, "must be a function"),
     (lambda x, v, force, m, dt: None, {}, ValueError, "returns None and does not change x and v"),

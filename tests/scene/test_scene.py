@@ -319,7 +319,7 @@ def test_the_page_of_scenes_has_every_section_and_key_and_is_up_to_date():
 
 def test_the_scenes_of_the_pages_are_scenes(folder):
     np.savetxt("argon.dat", np.column_stack([3.4 * R, 0.01 * U]))
-    pages = [(DOCS / name).read_text(encoding="utf-8") for name in ("scenes.md", "notebook.md")]
+    pages = [(DOCS / name).read_text(encoding="utf-8") for name in ("scenes.md", "own-laws.md")]
     (scene, *_), (section,) = (re.findall(r"```toml\n(.*?)```", page, re.S) for page in pages)
     assert len(scene_of(scene).system()) == 256
     text = f'[structure]\nfile = "pair.xyz"\n{section}[dynamics]\ntimestep_fs = 1.0\nsteps = 0\n'

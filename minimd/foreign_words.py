@@ -1,0 +1,131 @@
+"""Words of the field that are no names of minimd, and what to use here: for the AttributeError of md.Word.
+
+docs/where-is.md has the same words and answers, and a test compares them.
+"""
+
+# words; the answer, and its page in docs/
+WORDS = """
+NVT NoseHoover NoseHooverChain NoseHooverChainNVT Bussi CSVR VRescale Thermostat
+    md.StochasticVelocityRescaling, or md.LangevinBAOAB; minimd.ase has NoseHooverChainNVT and Bussi | temperature
+Langevin Brownian LangevinIntegrator LangevinMiddleIntegrator BAOAB
+    md.LangevinBAOAB; overdamped motion is not here: take a large friction | temperature
+Berendsen NVTBerendsen VelocityRescaling
+    md.StochasticVelocityRescaling, which samples the ensemble; sim.equilibrate only rescales | temperature
+Andersen AndersenThermostat DPD
+    in minimd.ase for scripts of ASE; else a thermostat of your own has ten lines | own-parts
+NPT NPH Barostat ParrinelloRahman MTK BerendsenBarostat MonteCarloBarostat CRescale
+    md.StochasticCellRescaling, as barostat= of a simulation with a thermostat | pressure
+NVE Verlet VerletIntegrator LeapFrog Integrator MD Dynamics
+    md.VelocityVerlet, or another of md.integrators.METHODS | timestep
+Ramp Anneal Annealing Quench Heating
+    an observer that sets sim.method.temperature, or stages with sim.method = ... | own-parts
+Minimizer FIRE BFGS LBFGS ConjugateGradient SteepestDescent Relax Optimizer
+    sim.minimize(), or md.minimize | blow-up
+LJ LennardJonesCut WCA SoftSphere
+    md.LennardJones; WCA has cutoff=2 ** (1 / 6) | forces
+Mie Buckingham Yukawa SoftCore Gaussian BornMayer Custom CustomNonbondedForce PairLaw
+    md.PairPotential(law, parameters, cutoff) with a function of r² | own-laws
+Table TabulatedPotential PairTable
+    md.Tabulated(r, u); of a file: md.Tabulated(*np.loadtxt(file).T[:2]) | own-laws
+Morse QuarticBond QuarticBondPotential ClassTwoBond
+    md.MorseBond, or md.BondPotential(law, parameters) | own-laws
+Ewald PME PPPM Electrostatics ReactionField Wolf Charges
+    md.Coulomb(cutoff, accuracy) | water
+PerAtomVirial AtomicStress Virial Virials
+    md.Forces(system, potentials).compute(PER_ATOM).virials | recipes
+EAM Metal SuttonChen Gupta FinnisSinclair
+    md.EmbeddedAtom | metals
+RESPA MTS MultipleTimestep RK4 RungeKutta4
+    one time step for all forces; Runge-Kutta methods are in md.integrators, for small systems | small-systems
+Tersoff StillingerWeber MEAM SNAP MACE MLPotential
+    not here: pass a calculator of ASE as the potential | limits
+Umbrella UmbrellaSampling Bias Colvar Plumed Metadynamics WHAM MBAR
+    md.Restraint, or md.HarmonicBond on a distance | recipes
+SMD Pull Pulling Jarzynski SteeredMD
+    md.SteeredSpring, and record.work | forces
+ElectricField ExternalField External Efield CustomExternalForce
+    md.ConstantForce(charges[:, None] * E), or md.Field(law, parameters) | forces
+SPC SPCE TIP3P OPC OPC3 Water TIP4P TIP5P
+    md.water("SPC/E"), "TIP3P" or "OPC3"; four sites are not here | water
+Ions NaCl Salt Solvate AddIons
+    not in one call: replace molecules of md.water, or take from_openmm | recipes
+Chain Polymer Chains RandomWalk RadiusOfGyration EndToEnd Rouse
+    numpy, and sim.minimize() for walks that overlap | recipes
+SHAKE RATTLE SETTLE LINCS Constraints FixBondLengths RigidBonds
+    md.DistanceConstraints(pairs) | bonds
+FixAtoms Freeze SetForce
+    md.FixedAtoms(atoms) | bonds
+RigidBody RigidMolecule Rigid
+    md.DistanceConstraints between the atoms of a molecule | bonds
+RDF GofR PairCorrelation
+    md.observers.RadialDistribution | observers
+MSD Diffusion
+    md.observers.MeanSquareDisplacement | observers
+VACF VelocityAutoCorrelation
+    md.observers.VelocityAutocorrelation | observers
+GreenKubo ShearViscosity EinsteinHelfand
+    md.observers.Viscosity | observers
+Deform Strain ChangeBox
+    not during a run; between two, sim.system.cell = md.Cell(vectors, pbc) | where-is
+HeatFlux ThermalConductivity MullerPlathe
+    not here: exchange velocities, in an observer | recipes
+Dielectric DielectricConstant Dipole Dipoles Permittivity
+    not here: from charges and sim.positions, in an observer | recipes
+OrderParameter Hexatic Psi6 Steinhardt CNA Q6
+    not here: md.neighbor_list and numpy, or the package freud | recipes
+SurfaceTension PressureTensor Stress StressTensor Interface
+    sim.stress; in the record: sim.extra_observables = ("stress",) | pressure
+ElasticConstants Elastic
+    not here: stress against strain, as in examples/metal.py | metals
+DensityProfile TemperatureProfile Chunk PressureProfile
+    md.observers.Profile; the pressure in layers is not here, virials of atoms are | observers
+ScatteringFunction IntermediateScattering FsQT Overlap Chi4
+    md.observers.SelfScattering; overlaps are not here | observers
+TwoDimensional Dimension Enforce2D Disks
+    three dimensions only: hold atoms in a plane by md.Restraint | recipes
+Trajectory Dump LAMMPSDump Lammpstrj DCD XTC H5MD XYZ Reporter StateDataReporter DCDReporter Logger
+    sim.run(n, every=..., trajectory="run.h5md") | formats
+Restart Checkpoint Load Resume read_restart
+    md.Simulation.resume(file, potentials) | files
+Atoms Topology Box Particles Molecule read read_lammps_data from_file
+    md.System, or system_from_file of minimd.ase | formats
+ForceField AmberPrmtopFile GromacsTopFile CharmmPsfFile ITP
+    md.from_openmm; types and parameters are given as numbers | forces
+Run Production Context
+    md.Simulation(system, potentials, method), then sim.run(n) | first-steps
+Velocities MaxwellBoltzmann MaxwellBoltzmannDistribution set_velocities Stationary
+    sim.set_temperature(T, seed) | first-steps
+Join Concatenate Merge
+    files by MDAnalysis.Universe(first, [first, second]); runs by md.ensemble | recipes
+Replica ReplicaExchange ParallelTempering REMD Scan Sweep
+    md.ensemble makes many runs; exchanges are not here | ensembles
+MonteCarlo MC GCMC Alchemical FreeEnergy
+    not here; md.SteeredSpring and md.HarmonicBond give free energies of distances | limits
+GPU CUDA OpenCL Kokkos MPI
+    not here: threads= of md.Simulation uses the cores of one machine | limits
+universe radial_distribution mean_square_displacement diffusion_coefficient Turn
+    minimd.mdanalysis.universe, and others of minimd.mdanalysis, for files of runs | formats
+"""
+
+
+def entries() -> list[tuple[list[str], str, str]]:
+    """Words, their answer, and its page."""
+    lines = WORDS.strip().splitlines()
+    found = []
+    for words, rest in zip(lines[::2], lines[1::2], strict=True):
+        answer, page = rest.strip().split(" | ")
+        found.append((words.split(), answer, page))
+    return found
+
+
+def plain(word: str) -> str:
+    """A word in lower case, without underscores."""
+    return word.lower().replace("_", "")
+
+
+def answer_to(name: str) -> str:
+    """What to use in place of a name, with the page that tells it; empty if the word is not known."""
+    for words, answer, page in entries():
+        if plain(name) in map(plain, words):
+            return f"; here: {answer} (docs/{page}.md)"
+    return ""

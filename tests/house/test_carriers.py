@@ -84,6 +84,12 @@ def test_every_place_shows_what_one_function_computes(function, before, tmp_path
     assert factors == pytest.approx(expected, rel=0.01)  # a sentence has three digits
 
 
+def test_all_means_of_one_run_are_of_the_same_temperature(before):
+    """All of them look at each step; the profile has one layer."""
+    for name in ("profile", "fluctuations", "check"):
+        assert before[name] == pytest.approx(before["report"], rel=1e-12), name  # rounding
+
+
 def test_the_shares_of_the_atoms_add_up_to_the_degrees_of_freedom():
     """Fixed atoms, rigid bonds, and the center: once each."""
     system = crystal()

@@ -78,13 +78,14 @@ MEANINGS = {
     "water": {
         "model": "model; its parameters are in the table of [water](water.md)",
         "molecules": "number of molecules; the atoms of each are O, H, H",
-        "density": "density, which determines the edge of the cubic cell",
+        "density": "density of water, which determines the edge of the cubic cell",
+        "ions": "how many of which [ions](water.md#ions), `{ Na = 5, Cl = 5 }`, each in a place of one more molecule",
         "cutoff": (
             "cutoff of Lennard-Jones and charges; if not given, 9 Å, or 0.45 of a shorter edge, with a warning, unless "
             "the atoms are those of a file"
         ),
         "accuracy": "accuracy of the forces of charges, see the potential `coulomb`",
-        "seed": "seed of the orientations",
+        "seed": "seed of the orientations, and of the places of ions",
     },
     "constraints": {
         "pairs": 'pairs of atoms at a fixed distance; `"bonds"` for the bonds of the structure',
@@ -238,9 +239,10 @@ NOTES = {
         "Rigid water: charges, potentials and constraints of a water model, as `md.water` makes them. Further "
         "potentials may be added. Units must be ASE's, and `[constraints]` must not have `pairs`.\n\n"
         "Beside `[structure]` with `file`, the atoms are those of the file, O and H in any order: see "
-        "[water of a file](water.md#water-of-a-file). Then leave out `molecules`, `density`, `seed`, and `bonds` and "
-        "`charges` of the structure. Without `[structure]`, `[water]` alone makes 512 molecules of SPC/E. They stand "
-        "on a lattice, with random orientations: add a `[minimization]`, and an `[equilibration]` or a thermostat."
+        "[water of a file](water.md#water-of-a-file). Then leave out `molecules`, `density`, `ions`, `seed`, and "
+        "`bonds` and `charges` of the structure. Without `[structure]`, `[water]` alone makes 512 molecules of SPC/E. "
+        "They stand on a lattice, with random orientations: add a `[minimization]`, and an `[equilibration]` or a "
+        "thermostat."
     ),
     "constraints": "Optional. Constraints that are not given here are those of the structure file.",
     "potential, lennard-jones": (

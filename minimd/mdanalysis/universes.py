@@ -34,6 +34,7 @@ from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
 from minimd.observers.arguments import interval
 from minimd.observers.motion import DisplacementResult
+from minimd.observers.radial_distribution import RadialDistributionResult
 from minimd.observers.viscosity import ViscosityResult
 
 __all__ = [
@@ -372,7 +373,7 @@ def universe_of(run: Run) -> Iterator[RunUniverse]:
 
 
 class RadialDistribution(NamedTuple):
-    """g(r) of all atoms.
+    """g(r) of all pairs that count.
     r : (B,) [length of the file].
     g : (B,) dimensionless."""
 
@@ -388,24 +389,43 @@ class RadialDistribution(NamedTuple):
 
 
 def radial_distribution(
-    run: Run, n_bins: int = 200, r_max: float | None = None
+    run: Run,
+    n_bins: int = 200,
+    r_max: float | None = None,
+    pairs: str | list[str] | None = None,
+    intramolecular: bool = False,
+    of: str = "atoms",
 ) -> RadialDistribution:
     """g(r) by the observer RadialDistribution, in the cell of each frame, without the first bin, from evenly chosen
-    frames since method, bath or state were changed last. Bonded pairs count like all others.
+    frames since method, bath or state were changed last. Pairs of one molecule are left out where the run knows bonds.
 
     run : an argument of universe, or a universe.
     r_max : as for the observer [length of the file].
+    pairs, intramolecular, of : as for the observer.
 
     Raises
     ------
-    ValueError : if the cell is not periodic in all directions, or there is only one atom.  Others as universe.
+    ValueError : if the cell is not periodic in all directions, there is only one atom, or no such pair.  Others as
+        universe.
     """
+    observer = observers.RadialDistribution(
+        r_max, n_bins, every=1, pairs=pairs, intramolecular=intramolecular, of=of, name=""
+    )
+    result = observed_pairs(run, observer)
+    return RadialDistribution(result.r[1:], result.g[1:])
+
+
+def observed_pairs(
+    run: Run, observer: observers.RadialDistribution | None = None
+) -> RadialDistributionResult:
+    """What an observer that looks at each step, of all pairs if not given, finds in the frames of radial_distribution.
+    Raises as it."""
+    observer = observer or observers.RadialDistribution(every=1)  # type: ignore[call-arg]
+
     with universe_of(run) as frames, quiet():
         most = min(RDF_FRAMES, max(1, RDF_ATOMS // len(frames.system)))
-        observer = observers.RadialDistribution(r_max, n_bins, every=1, name="")
         _observe(observer, frames, most)
-        result = observer.result()
-    return RadialDistribution(result.r[1:], result.g[1:])
+    return observer.result()
 
 
 class _Recorded(Engine):

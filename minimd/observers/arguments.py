@@ -60,6 +60,17 @@ def interval(name: str, value: Any) -> list[float]:
     return numbers
 
 
+def names(name: str, value: Any) -> list[str]:
+    """A text, or several of which no two are the same."""
+    texts = [value] if isinstance(value, str) else value
+    is_list = isinstance(texts, list | tuple) and all(isinstance(text, str) for text in texts)
+    if not is_list or not 0 < len(texts) == len(set(texts)):
+        raise ValueError(
+            f"{name} must be a name, or a list of different names; {name} = {shown(value)}"
+        )
+    return [*texts]
+
+
 def identifier(name: str, value: Any) -> str:
     """Letters, digits and underscores, or nothing."""
     if not isinstance(value, str) or not (value.isidentifier() or not value):

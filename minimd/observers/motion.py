@@ -43,7 +43,7 @@ POINTS = 16  # entries on each level of the correlator
 MOST_ATOMS = "largest number of atoms, chosen evenly, with up to one more for each species; it bounds time and memory"
 XI = 2.837297  # ξ of a cubic cell
 CUBIC = 1e-9  # largest relative deviation of the squares and products of lattice vectors from those of a cube
-OF = "atoms, or molecules (atoms that bonds or rigid lengths connect), whose centers count, each by its number of atoms"
+OF = "atoms, or centers of molecules (atoms that bonds or rigid lengths connect); displacements count by atom"
 AXES = ("x", "y", "z")
 
 

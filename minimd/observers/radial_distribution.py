@@ -4,28 +4,30 @@ from __future__ import annotations
 
 from collections import namedtuple
 from dataclasses import dataclass, field
+from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import DirectCalls, called_kernel
 from minimd.core.compiled.program import GO_ON, Program, operation
 from minimd.core.compiled.simd import lane, load
 from minimd.core.compiled.simd.vector import count
-from minimd.core.compiled.threads import ThreadPool
 from minimd.core.console.display import Rows
+from minimd.core.console.words import listed, shown
 from minimd.core.engine.engine import Engine
 from minimd.core.forces.cluster_loop import separations
 from minimd.core.neighbors.cluster_list import ClusterList
 from minimd.core.neighbors.cluster_search import GHOST_BITS, LAYERS
 from minimd.core.neighbors.clusters import DIMENSIONS
 from minimd.core.structure.cell import Cell
-from minimd.core.structure.checks import checked_count
+from minimd.core.structure.checks import checked_count, checked_flag
+from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.statistics import with_error
 from minimd.core.structure.system import System
 from minimd.observers.accumulator import (
-    AIR,
     Accumulator,
     Array,
     BlockedSums,
@@ -33,26 +35,35 @@ from minimd.observers.accumulator import (
     Result,
     Series,
 )
-from minimd.observers.arguments import argument, label, positive, steps
+from minimd.observers.arguments import (
+    ATOMS,
+    argument,
+    label,
+    names,
+    particles,
+    positive,
+    steps,
+)
+from minimd.observers.molecules import Molecules
+from minimd.observers.motion import OF, of_molecules
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FRAMES, HEAD = range(2)  # places in the sums: number of frames, then V times the numbers of pairs
 NO_PAIRS = np.zeros((0, 2), dtype=np.int64)
-# of a spike, beside all that is beyond it; and below which g(r) is a gap
-SPIKE = 3.0
-GAP = 0.3
 SPACINGS = 4.0  # in r_max if not given: four shells of neighbors
 R_MAX = "largest distance; if not given, the smaller of 4 (V/N)^(1/3) and half the smallest height of the initial cell"
+PAIRS = 'pairs of species, such as "O-O", or a list of them; all if not given'
+INSIDE = "whether pairs of atoms of one molecule count, too; without bonds, or with a single molecule, all pairs count"
 
 
 class PairCounting(
-    ByAddress, namedtuple("PairCounting", "arrays species kinds per_width beyond counts")
+    ByAddress, namedtuple("PairCounting", "arrays labels kinds per_width beyond counts")
 ):
     """arrays : ClusterArrays of a list whose cutoff is r_max.
-    species : (slots,) int, of the atoms in clusters.
-    kinds : (S, S) int, the number of each pair of species.
+    labels : (slots, 2) int, species and molecule of the atoms in clusters.
+    kinds : (2, S, S) int, the number of each pair of species, in two molecules and in one.
     per_width : 1/Δr [1/length].
     beyond : (n,) columns, one for each lane, of pairs farther away: a single one would wait for itself at each of them.
     counts : (K, P, columns) int, its numbers of pairs by kind and bin."""
@@ -62,7 +73,7 @@ class PairCounting(
 def count_pairs(counting, domain):
     """counts[domain, p, k] += number of pairs of kind p, with all images, with k Δr ≤ r < (k + 1) Δr, of the atoms of
     a domain with those of their rows."""
-    arrays, species, kinds, per_width, beyond, _ = counting
+    arrays, labels, kinds, per_width, beyond, _ = counting
     clusters = arrays.clusters
     ghosts = arrays.ghosts
     rows = arrays.rows
@@ -79,7 +90,8 @@ def count_pairs(counting, domain):
     ):
         place = (ghosts.home[slot // n_lanes] - first) * DIMENSIONS * n_lanes + slot % n_lanes
         at = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
-        kinds_of_pairs = kinds[species[slot]]
+        species = labels[slot, 0]
+        molecule = labels[slot, 1]
 
         for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stops[LAYERS - 1, slot])):
             now = rows.entries[entry]
@@ -88,32 +100,47 @@ def count_pairs(counting, domain):
             other = np.uintp(ghosts.owner[first + np.intp(now & GHOST_BITS)]) * np.uintp(n_lanes)
 
             for k in range(np.uintp(n_lanes)):
-                counts[
-                    np.uintp(kinds_of_pairs[np.uintp(species[other + k])]),
-                    np.uintp(lane(places, k)),
-                ] += 1
+                same = np.uintp(labels[other + k, 1] == molecule)
+                kind = kinds[same, species, labels[other + k, 0]]
+                counts[np.uintp(kind), np.uintp(lane(places, k))] += 1
 
     return GO_ON
 
 
 class RadialDistribution(Accumulator):
-    """g(r) of each pair of species, from all pairs and images within r_max.
+    """g(r) of pairs of species, with all images within r_max.
 
         g_ab(r) = ⟨V n_ab(r)⟩ / (N_ab · 4π/3 [(r + Δr/2)³ − (r − Δr/2)³])
 
-    n_ab(r) is the number of pairs in a bin, of N_ab = N_a N_b, or N_a (N_a − 1)/2, pairs. V is the volume at each look;
-    it may change. Bonded pairs count like all others.
+    n_ab(r) is the number of pairs in a bin. V is the volume at each look; it may change. Where bonds or rigid lengths
+    connect the atoms of several molecules, pairs of atoms of one molecule, and of its images, are left out unless
+    intramolecular=True. Of all pairs, N_ab is the number of those that count, so that g goes to 1 where distances are
+    those of independent molecules, also if these are few:
+
+        N_ab = (N_a N_b − Σ n_a n_b) / (1 + δ_ab)           sum over molecules, with n_a atoms of species a in each
+
+    With all pairs Σ n_a n_b is δ_ab N_a, as for molecules of one atom.
 
     Raises ValueError for arguments out of range; when a run begins, for a cell that is not periodic in all directions,
-    or a single atom.
+    a single atom or molecule, or pairs that do not exist.
     """
 
     kind = "radial-distribution"
+    convention = 2  # without pairs of one molecule
     r_max: float | None = argument(positive, R_MAX, None, "length")
     n_bins: int = argument(checked_count, "number of bins", 200)
     every: int = steps(100)
+    pairs: str | list[str] | None = argument(names, PAIRS, None)
+    intramolecular: bool = argument(checked_flag, INSIDE, False)
+    of: str = argument(particles, OF, ATOMS)
     name: str = label()
     reach: float = field(init=False, default=0.0)  # r_max
+    # whether pairs of one molecule are left out
+    is_between: bool = field(init=False, default=False)
+    # of the pairs that count: names, numbers of species, N_ab
+    names_of_pairs: list[str] = field(init=False, default_factory=list)
+    ends: list[list[int]] = field(init=False, default_factory=list)
+    numbers: list[int] = field(init=False, default_factory=list)
 
     def __getstate__(self) -> dict[str, Any]:
         """For pickle and deepcopy: a copy makes a list of its own."""
@@ -121,41 +148,99 @@ class RadialDistribution(Accumulator):
 
     def _begin(self, engine: Engine) -> None:
         system = engine.system
-        if system.volume is None or len(system) < 2:
+        names, labels, _ = self._particles(system)
+        if system.volume is None or len(labels) < 2:
             raise ValueError(
-                "g(r) needs at least two atoms, and a cell that is periodic in all directions; "
+                f"g(r) needs at least two {self.of}, and a cell that is periodic in all directions; "
                 f"this run has {system!r}"
             )
-        spacing = (system.volume / len(system)) ** (1.0 / 3.0)
+        spacing = (system.volume / len(labels)) ** (1.0 / 3.0)
         lowest = float(system.cell.heights.min())
         self.reach = self.r_max or min(SPACINGS * spacing, lowest / 2.0)
 
+        species, molecules = labels.T
+        self.is_between = not self.intramolecular and 1 < int(molecules.max()) + 1 < len(system)
+        total = np.bincount(species)
+        within = np.diag(total)
+        if self.is_between:
+            counts = _counted(species, molecules)
+            within = counts.T @ counts
+        numbers = np.outer(total, total) - within
+
+        ends = [*combinations_with_replacement(range(len(names)), 2)]
+        if self.pairs is not None:
+            known = {f"{names[a]}-{names[b]}": (a, b) for a, b in ends}
+            known |= {f"{names[b]}-{names[a]}": (a, b) for a, b in ends}
+            ends = [known[pair] for pair in self.pairs if pair in known]
+            if len(set(ends)) < len(self.pairs):
+                raise ValueError(
+                    f"pairs must be different ones of the species {listed(names)}, such as "
+                    f"'{names[0]}-{names[-1]}'; pairs = {shown(self.pairs)}"
+                )
+
+        self.ends = [[*pair] for pair in ends]
+        self.numbers = [int(numbers[a, b]) // (1 + (a == b)) for a, b in ends]
+        self.names_of_pairs = [*(self.pairs or (f"{names[a]}-{names[b]}" for a, b in ends))]
+
+    def _particles(self, system: System) -> tuple[list[str], NDArray[np.int64], Molecules | None]:
+        """Names of the species, (n, 2) species and molecule of each particle; and the molecules, if these are meant."""
+        if self.of == ATOMS:
+            labels = np.column_stack([system.species_index, molecules_of(system)])
+            return [*map(str, system.species_names)], labels, None
+        molecules = Molecules(system)
+        formulas, kinds = _formulas(system, molecules.label)
+        return formulas, np.column_stack([kinds, np.arange(len(kinds))]), molecules
+
     def _laid_out(self, scene: ObservedRun) -> None:
-        n = len(scene.numbers)
-        self._pairs = [(a, b) for a in range(n) for b in range(a, n)]
-        self._kinds = np.zeros((n, n), dtype=np.int64)
-        for p, (a, b) in enumerate(self._pairs):
-            self._kinds[a, b] = p
-            self._kinds[b, a] = p
+        n = len(self.numbers)
+        are_pairs = all(len(pair) == 2 and min(pair) >= 0 for pair in self.ends)
+        if not (are_pairs and n == len(self.names_of_pairs) == len(self.ends)):
+            raise ValueError(f"{self.name} cannot have {n} numbers of the pairs {self.ends}")
+        self._known: tuple[NDArray[np.int64], NDArray[np.int64], Molecules | None] | None = (
+            None  # labels, kinds
+        )
         self._list: tuple[int, ClusterList, DirectCalls] | None = None  # of a number of atoms
-        self.sums = BlockedSums(HEAD + len(self._pairs) * self.n_bins)
+        self.sums = BlockedSums(HEAD + n * self.n_bins)
 
     def _look(self, engine: Engine) -> None:
-        system = engine.system
-        counts = self._counts(system, engine.interactions.pool)[:, : self.n_bins]
+        counts = self._counts(engine)
         self.sums.total[FRAMES] += 1.0
-        self.sums.total[HEAD:] += float(system.volume or 0.0) * counts.ravel()
+        self.sums.total[HEAD:] += float(engine.system.volume or 0.0) * counts.ravel()
 
-    def _counts(self, system: System, pool: ThreadPool) -> Array:
-        """(P, columns) numbers of pairs, from a list of clusters; a cell too small for one is repeated."""
-        positions = system.positions
-        species = system.species_index
+    def _kinds(self, n_species: int) -> NDArray[np.int64]:
+        """See PairCounting; the last number is that of pairs that do not count."""
+        n = len(self.ends)
+        kinds = np.full((2, n_species, n_species), n)
+
+        for p, (a, b) in enumerate(self.ends):
+            kinds[:, a, b] = p
+            kinds[:, b, a] = p
+
+        if self.is_between:
+            kinds[1] = n
+        return kinds
+
+    def _counts(self, engine: Engine) -> Array:
+        """(P, B) numbers of pairs, from a list of clusters; a cell too small for one is repeated."""
+        system = engine.system
+        pool = engine.interactions.pool
+        if self._known is None:
+            names, labels, molecules = self._particles(system)
+            self._known = labels, self._kinds(len(names)), molecules
+
+        labels, kinds, molecules = self._known
+        positions: Array = system.positions
+        if molecules is not None:
+            _, first = np.unique(molecules.label, return_index=True)
+            whole = molecules.whole(system)
+            positions = of_molecules(whole, system.masses, molecules.label)[first]
+
         cell = system.cell
         n = np.ceil(self.reach / cell.heights).astype(np.int64)
         if n.max() > 1:
             steps = np.stack(np.meshgrid(*map(np.arange, n)), axis=-1).reshape(-1, 1, 3)
             positions = (steps @ cell.lattice + positions).reshape(-1, 3)
-            species = np.tile(species, n.prod())
+            labels = np.tile(labels, (n.prod(), 1))
             cell = Cell.of(n[:, None] * cell.lattice)
 
         if self._list is None or self._list[0] != len(positions):
@@ -164,18 +249,18 @@ class RadialDistribution(Accumulator):
         _, clusters, calls = self._list
         clusters.update(positions, cell)
         n_lanes = clusters.lanes.size
-        shape = (clusters.n_domains, len(self._pairs), self.n_bins + n_lanes)
+        shape = (clusters.n_domains, len(self.numbers) + 1, self.n_bins + n_lanes)
         counting = PairCounting(
             arrays=clusters.arrays,
-            species=species[clusters.clusters.atom[: clusters.n_clusters * n_lanes]],
-            kinds=self._kinds,
+            labels=labels[clusters.clusters.atom[: clusters.n_clusters * n_lanes]],
+            kinds=kinds,
             per_width=self.n_bins / self.reach,
             beyond=self.n_bins + np.arange(n_lanes, dtype=np.float64),
             counts=np.zeros(shape, dtype=np.int64),
         )
         count_all = operation(calls, count_pairs, counting, clusters.n_domains)
         Program(lambda: [count_all], lambda: 0, pool).run()
-        return counting.counts.sum(axis=0) / n.prod()
+        return counting.counts.sum(axis=0)[:-1, : self.n_bins] / n.prod()
 
     def result(self) -> RadialDistributionResult:
         """g(r) so far, with standard errors.
@@ -183,9 +268,7 @@ class RadialDistribution(Accumulator):
         scene = self.answered()
         edges = np.linspace(0.0, self.reach, self.n_bins + 1)
         shells = 4.0 / 3.0 * np.pi * np.diff(edges**3)
-        n = scene.numbers
-        numbers = np.array([n[a] * (n[b] - (a == b)) / (1.0 + (a == b)) for a, b in self._pairs])
-        names = tuple(f"{scene.species[a]}-{scene.species[b]}" for a, b in self._pairs)
+        numbers = np.array(self.numbers)
 
         def law(sums: Array) -> Array:
             densities = sums[HEAD:].reshape(len(numbers), -1) / (sums[FRAMES] * shells)
@@ -194,9 +277,31 @@ class RadialDistribution(Accumulator):
 
         g, errors = self.sums.estimate(law)
         r = 0.5 * (edges[1:] + edges[:-1])
+        names = tuple(self.names_of_pairs)
         return RadialDistributionResult(
-            scene, r, g[0], errors[0], names, g[1:], errors[1:], self.n_looks
+            scene, r, g[0], errors[0], names, g[1:], errors[1:], self.n_looks, self.is_between
         )
+
+
+def _counted(species: NDArray[np.int64], molecules: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(M, S) numbers of atoms of each molecule.
+    species, molecules : (N,) of the atoms."""
+    counts = np.zeros((molecules.max() + 1, species.max() + 1), dtype=np.int64)
+    np.add.at(counts, (molecules, species), 1)
+    return counts
+
+
+def _formulas(system: System, molecules: NDArray[np.int64]) -> tuple[list[str], NDArray[np.int64]]:
+    """The different formulas of molecules, such as "H2O", and (M,) the number of that of each."""
+    counts = _counted(system.species_index, molecules)
+    formulas, kinds = np.unique(counts, axis=0, return_inverse=True)
+    names = []
+
+    for numbers in formulas.tolist():
+        counted = zip(system.species_names, numbers, strict=True)
+        names.append("".join(f"{name}{n if n > 1 else ''}" for name, n in counted if n))
+
+    return names, kinds.ravel()
 
 
 @dataclass(frozen=True, repr=False)
@@ -204,10 +309,11 @@ class RadialDistributionResult(Result):
     """g(r).
 
     r : (B,) middles of the bins [length].
-    g, error : (B,) of all atoms, and its standard error.
+    g, error : (B,) of all these pairs, and its standard error.
     pairs : names of the pairs of species, P of them.
     g_of_pairs, errors_of_pairs : (P, B).
     n_frames : number of looks.
+    is_between : whether pairs of one molecule are left out.
     """
 
     r: Array
@@ -217,7 +323,12 @@ class RadialDistributionResult(Result):
     g_of_pairs: Array
     errors_of_pairs: Array
     n_frames: int
-    title = "radial distribution"
+    is_between: bool = False
+
+    @property
+    def title(self) -> str:  # type: ignore[override]
+        """See Result."""
+        return "radial distribution" + " between molecules" * self.is_between
 
     def series(self) -> list[Series]:
         """See Result."""
@@ -230,17 +341,16 @@ class RadialDistributionResult(Result):
     def display_rows(self) -> Rows:
         """See Displayed."""
         length = self.units.length
-        lines = [f"{len(self.r)} bins up to {self.r[-1]:.4g} {length}, {self.n_frames} frames"]
+        left_out = ", without pairs of one molecule" * self.is_between
+        lines = [
+            f"{len(self.r)} bins up to {self.r[-1]:.4g} {length}, {self.n_frames} frames{left_out}"
+        ]
         for pair, g, errors in zip(self.pairs, self.g_of_pairs, self.errors_of_pairs, strict=True):
-            if np.isnan(g).any():
-                continue  # a pair of a species with a single atom
-            first = beyond_spikes(g)
-            k = first + int(np.argmax(g[first:]))
-            highest = f"highest at {self.r[k]:.4g} {length}, {with_error(g[k], errors[k])}"
-            if first:
-                spike = self.r[np.argmax(g[:first])]
-                highest += f", beyond a spike of {g[:first].max():.3g} at {spike:.4g} {length}"
-            lines.append(f"{pair}: {highest}")
+            if not g.max() > 0.0:
+                continue  # none so near, or, as NaN, none at all: of a species with a single atom
+            k = int(np.argmax(g))
+            highest = with_error(g[k], errors[k])
+            lines.append(f"{pair}: highest at {self.r[k]:.4g} {length}, {highest}")
         return [("g(r)" * (k == 0), line) for k, line in enumerate(lines)]
 
     def draw(self, panel: Axes) -> None:
@@ -250,33 +360,3 @@ class RadialDistributionResult(Result):
         panel.axhline(1.0, color="0.7", lw=0.8)
         self.draw_curves(panel, curves, "r", "g(r)")
         panel.set(title=f"{self.title}, {self.scene.frames(self.n_frames)}", xlim=(0.0, self.r[-1]))
-        limit_to_neighbors(panel, self.r, self.g_of_pairs)
-
-
-def beyond_spikes(g: Array) -> int:
-    """The index of g(r), (B,), beyond the spikes of neighbors in a molecule; 0 without them.
-
-    A spike is more than SPIKE times as high as all of g beyond a gap after it, where g is below GAP.
-    """
-    empty = g < GAP
-    ends = np.flatnonzero(empty[:-1] & ~empty[1:]) + 1
-    spikes = [end for end in ends if g[:end].max() > SPIKE * g[end:].max() > SPIKE * GAP]
-    return int(spikes[-1]) if spikes else 0
-
-
-def limit_to_neighbors(panel: Axes, r: Array, curves: Array) -> None:
-    """Let a panel end above the highest of several g(r), (P, B), beyond spikes; a note says so where it cuts them."""
-    curves = np.nan_to_num(curves)
-    highest = max(float(g[beyond_spikes(g) :].max()) for g in curves) or 1.0
-    panel.set_ylim(0.0, AIR * highest)
-    peaks = [(float(r[np.argmax(g)]), float(g.max())) for g in curves if g.max() > AIR * highest]
-    for k, (place, height) in enumerate(sorted(peaks)):
-        panel.annotate(
-            f" ↑ {height:.3g}",
-            (place, 1.0 - 0.08 * k),
-            xycoords=("data", "axes fraction"),
-            va="top",
-            fontsize=8,
-            color="0.3",
-            bbox={"color": "white", "pad": 0.5},
-        )

@@ -26,7 +26,7 @@ from minimd.core.potentials.embedded_files import tables_from
 from minimd.core.potentials.pair import FEWEST, MIXING, LennardJones, Tabulated
 from minimd.core.potentials.term import OwnPotential
 from minimd.core.potentials.truncation import TRUNCATIONS
-from minimd.core.structure.checks import checked_count
+from minimd.core.structure.checks import checked_count, checked_flag
 from minimd.core.structure.constraints import (
     Constraint,
     DistanceConstraints,
@@ -49,7 +49,7 @@ from minimd.scene.section import (
     Vector,
     one_of,
 )
-from minimd.scene.water import ModelName, water, water_of, water_potentials
+from minimd.scene.water import ModelName, checked_ions, water, water_of, water_potentials
 
 # types of values
 Column = Annotated[list[FiniteFloat], Field(min_length=FEWEST)]
@@ -142,7 +142,7 @@ def as_sections(tables: Mapping[str, Numbers], texts: Mapping[str, str], units: 
 
 
 # by structure and water: either gives the atoms, and water their charges and bonds
-GIVEN_TWICE = {"lattice", "bonds", "charges", "molecules", "density", "seed"}
+GIVEN_TWICE = {"lattice", "bonds", "charges", "molecules", "density", "ions", "seed"}
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
 OF_FILES = ("format", "masses", "elements", "atom_style", "lammps_units")  # of system_from_file
@@ -203,9 +203,15 @@ class WaterSection(Section):
     model: ModelName = "SPC/E"
     molecules: Annotated[PositiveInt, Field(le=MOST_ATOMS // 3)] = 512
     density: Annotated[Positive, Dimension("density")] = 0.997 * GRAM_PER_CM3
+    ions: dict[str, PositiveInt] | None = None
     cutoff: Length = None
     accuracy: Positive = 1e-5
     seed: NonNegativeInt = 0
+
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
+        checked_ions(self.model, self.ions)  # raises ValueError
+        yield from ()
 
     def system(self, placed: System | None) -> System:
         """The molecules, held rigid.
@@ -216,7 +222,12 @@ class WaterSection(Section):
         else:
             density = self.density / GRAM_PER_CM3
             system, _, rigid = water(
-                self.model, self.molecules, density, cutoff=self.cutoff, seed=self.seed
+                self.model,
+                self.molecules,
+                density,
+                ions=self.ions,
+                cutoff=self.cutoff,
+                seed=self.seed,
             )
         return changed(system, constraints=(*system.constraints, rigid))
 
@@ -225,7 +236,9 @@ class WaterSection(Section):
         density have their default values, and the default cutoff is 9 Å.
         Raises ValueError as water."""
         density = self.density / GRAM_PER_CM3
-        return water_potentials(self.model, self.molecules, density, self.cutoff, self.accuracy)
+        return water_potentials(
+            self.model, self.molecules, density, self.cutoff, self.accuracy, self.ions
+        )
 
 
 class ConstraintsSection(Section):
@@ -534,6 +547,7 @@ class OfObservers(Section):
 
 ARGUMENTS: dict[Any, Any] = {  # of observers, by what they must be
     checked_count: PositiveInt, arguments.levels: PositiveInt, arguments.positive: Positive, arguments.identifier: str,
+    arguments.names: str | list[str], checked_flag: bool,
     arguments.axis_name: Annotated[str, one_of(arguments.AXES)],
     arguments.particles: Annotated[str, one_of(arguments.PARTICLES)],
     arguments.interval: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)],
@@ -620,7 +634,7 @@ class SceneSections(Section):
         if self.water:
             keys = self.structure.model_fields_set | self.water.model_fields_set
             if "structure" in given_sections and keys & GIVEN_TWICE:
-                yield "structure and water give the same; leave lattice, bonds, charges, molecules, density, seed out"
+                yield f"structure and water give the same; leave {', '.join(sorted(GIVEN_TWICE))} out"
             if pairs is not None:
                 yield "constraints.pairs would replace those of water; leave them out"
             if units != "ASE":

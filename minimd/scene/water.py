@@ -1,5 +1,6 @@
-"""Rigid water of three charges, by the name of its model: box, charges, laws, constraints."""
+"""Rigid water of three charges and ions in it, by the name of its model: box, charges, laws, constraints."""
 
+from collections.abc import Mapping
 from math import ceil, cos, radians, sin
 from typing import Any, Literal, NamedTuple
 
@@ -7,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.console.quiet import warn
+from minimd.core.console.words import listed, shown
 from minimd.core.neighbors.queries import neighbor_list
 from minimd.core.potentials.coulomb import Coulomb
 from minimd.core.potentials.pair import LennardJones
@@ -14,10 +16,11 @@ from minimd.core.potentials.term import OwnPotential
 from minimd.core.structure.checks import checked_choice, checked_count, checked_kind, checked_number
 from minimd.core.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.core.structure.lattice import BASES, crystal
-from minimd.core.structure.system import System, changed
+from minimd.core.structure.system import MOST_ATOMS, System, changed
 from minimd.core.structure.units import ASE, GRAM_PER_CM3, KJ_PER_MOL_PER_EV
 
 MASSES = (15.9994, 1.008, 1.008)  # u
+KCAL = 4.184  # kJ
 OH = 1.3  # Å: hydrogens of other molecules are farther away, in hydrogen bonds 1.6 Å and more
 CUTOFF, OF_BOX = 9.0, 0.45  # default cutoff [Å], and the most of the edge of the box that it takes
 SWITCH_FROM = 0.9  # of the cutoff
@@ -51,10 +54,34 @@ MODELS = {
     # W. L. Jorgensen et al., J. Chem. Phys. 79, 926 (1983): u = A/r¹² − C/r⁶ with A = 582 000 kcal Å¹²/mol,
     # C = 595 kcal Å⁶/mol, from which σ⁶ = A/C, ε = C²/(4 A)
     "TIP3P": Model(
-        0.9572, 104.52, 0.417, 4.184 * 595.0**2 / (4.0 * 582e3), (582e3 / 595.0) ** (1.0 / 6.0)
+        0.9572, 104.52, 0.417, KCAL * 595.0**2 / (4.0 * 582e3), (582e3 / 595.0) ** (1.0 / 6.0)
     ),
     # S. Izadi, A. V. Onufriev, J. Chem. Phys. 145, 074501 (2016)
     "OPC3": Model(0.97888, 109.47, 0.447585, 0.68369, 3.17427),
+}
+
+
+class Ion(NamedTuple):
+    """mass : [u].
+    charge : [e].
+    of_models : by the model of water, half the distance of the minimum of u between two ions [Å], and ε [kcal/mol]."""
+
+    mass: float
+    charge: float
+    of_models: dict[str, tuple[float, float]]
+
+
+# I. S. Joung, T. E. Cheatham, J. Phys. Chem. B 112, 9020 (2008), with Lorentz-Berthelot rules
+IONS = {
+    "Li": Ion(6.94, 1.0, {"SPC/E": (0.791, 0.3367344), "TIP3P": (1.025, 0.0279896)}),
+    "Na": Ion(22.98977, 1.0, {"SPC/E": (1.212, 0.3526418), "TIP3P": (1.369, 0.0874393)}),
+    "K": Ion(39.0983, 1.0, {"SPC/E": (1.593, 0.4297054), "TIP3P": (1.705, 0.1936829)}),
+    "Rb": Ion(85.4678, 1.0, {"SPC/E": (1.737, 0.4451036), "TIP3P": (1.813, 0.3278219)}),
+    "Cs": Ion(132.90545, 1.0, {"SPC/E": (2.021, 0.0898565), "TIP3P": (1.976, 0.4065394)}),
+    "F": Ion(18.9984, -1.0, {"SPC/E": (2.257, 0.0074005), "TIP3P": (2.303, 0.0033640)}),
+    "Cl": Ion(35.45, -1.0, {"SPC/E": (2.711, 0.0127850), "TIP3P": (2.513, 0.0355910)}),
+    "Br": Ion(79.904, -1.0, {"SPC/E": (2.751, 0.0269586), "TIP3P": (2.608, 0.0586554)}),
+    "I": Ion(126.90447, -1.0, {"SPC/E": (2.919, 0.0427845), "TIP3P": (2.860, 0.0536816)}),
 }
 
 
@@ -63,32 +90,38 @@ def water(
     n: int = 512,
     density: float = 0.997,
     *,
+    ions: Mapping[str, int] | None = None,
     cutoff: float | None = None,
     accuracy: float = 1e-5,
     seed: int = 0,
 ) -> RigidWater:
-    """Rigid water in a cubic periodic box: the system, its potentials and its constraints, for a Simulation.
+    """Rigid water in a cubic periodic box, with ions if wanted: the system, its potentials and its constraints.
 
-        system, potentials, rigid = md.water("SPC/E", 512)
+        system, potentials, rigid = md.water("SPC/E", 512, ions={"Na": 5, "Cl": 5})
         sim = md.Simulation(system, potentials, md.VelocityVerlet(2.0 * md.units.fs), rigid)
 
-    Molecules stand on a lattice, turned at random: equilibrate before use. Lennard-Jones is switched off over the last
-    tenth of the cutoff, with a tail correction of energy and pressure.
+    Molecules stand on a lattice, turned at random, and ions far apart on places of it: equilibrate before use.
+    Lennard-Jones is switched off over the last tenth of the cutoff, with a tail correction of energy and pressure.
 
     Parameters
     ----------
     model : "SPC/E", "TIP3P" or "OPC3"; the numbers and their sources are in MODELS.
-    n : of molecules, each an O and two H, in this order.
-    density : [g/cm³].
+    n : of molecules, each an O and two H, in this order; behind them the ions.
+    density : of a box full of water [g/cm³]; in it each ion has the volume of a molecule.
+    ions : how many of each, by the names in IONS, which has their parameters in SPC/E and TIP3P.
     cutoff : of Lennard-Jones and charges [Å]; if not given, 9, or 0.45 of the edge of the box if that is less, as for
         fewer than 267 molecules at the density of water; a warning then says so.
     accuracy : see Coulomb.
-    seed : of the orientations.
+    seed : of the orientations, and of the places of ions.
 
-    Raises ValueError for an unknown model, a number of molecules below one, a density or cutoff that is not positive.
+    Raises ValueError for an unknown model, ions without parameters in it, a number of molecules below one, a density
+    or cutoff that is not positive.
     """
-    potentials = water_potentials(model, n, density, cutoff, accuracy)
-    edge = edge_of(n, density)
+    potentials = water_potentials(model, n, density, cutoff, accuracy, ions)
+    counts = checked_ions(model, ions)
+    dissolved = [name for name in counts for _ in range(counts[name])]
+    n_bodies = n + len(dissolved)
+    edge = edge_of(n_bodies, density)
     longest = OF_BOX * edge
     if cutoff is None and longest < CUTOFF:
         warn(
@@ -101,28 +134,66 @@ def water(
 
     for name in ("sc", "bcc", "fcc"):
         n_sites = len(BASES[name])
-        repeat = ceil(round((n / n_sites) ** (1.0 / 3.0), 9))
+        repeat = ceil(round((n_bodies / n_sites) ** (1.0 / 3.0), 9))
         lattices.append((n_sites * repeat**3, name, repeat))
 
     n_places, name, repeat = min(lattices, key=lambda lattice: lattice[0])
     places, _ = crystal(name, [repeat] * 3, edge / repeat)
-    centers = places[np.arange(n) * n_places // n]
+    centers = places[np.arange(n_bodies) * n_places // n_bodies]
     length, angle, *_ = MODELS[model]
     half = radians(0.5 * angle)
     first = [sin(half), 0.0, cos(half)]
     second = [-sin(half), 0.0, cos(half)]
     shape = length * np.array([[0.0, 0.0, 0.0], first, second])
+
     random = np.random.default_rng(checked_count("seed", seed, 0))
     turns = np.linalg.qr(random.normal(size=(n, 3, 3)))[0]
-    positions = (centers[:, None] + shape @ turns).reshape(-1, 3)
+
+    is_ion = _far_apart(centers, edge, len(dissolved), random)
+    molecules = (centers[~is_ion, None] + shape @ turns).reshape(-1, 3)
     system = System(
-        positions,
+        np.concatenate([molecules, random.permutation(centers[is_ion])]),
         masses=1.0,
-        species=["O", "H", "H"] * n,
+        species=["O", "H", "H"] * n + dissolved,
         cell=edge,
         units=ASE,
     )
     return _rigid(system, model, np.arange(3 * n).reshape(n, 3), potentials)
+
+
+def checked_ions(model: str, ions: Mapping[str, int] | None) -> dict[str, int]:
+    """How many ions of each name.
+    Raises ValueError for one that has no parameters with this model, or a number that is not whole."""
+    counts = {}
+    checked_kind("ions", ions or {}, Mapping, "a mapping from names of ions to their numbers")
+
+    for name, count in (ions or {}).items():
+        if name not in IONS or model not in IONS[name].of_models:
+            models = listed(IONS["Na"].of_models)
+            raise ValueError(
+                f"ions must be among {listed(IONS)}, with a model of water among {models}; "
+                f"model = {model!r}, ions = {shown(ions)}"
+            )
+        counts[name] = checked_count(f"ions[{name!r}]", count, 0, MOST_ATOMS // 3)
+
+    return counts
+
+
+def _far_apart(
+    places: NDArray[np.float64], edge: float, n: int, random: np.random.Generator
+) -> NDArray[np.bool_]:
+    """Which n of the places (N, 3) in a cube are chosen: the first at random, each further one farthest from these."""
+    chosen = np.zeros(len(places), dtype=bool)
+    nearest = random.random(len(places)) + 3.0 * edge**2  # squares of distances to the chosen ones
+
+    for _ in range(n):
+        k = int(nearest.argmax())
+        chosen[k] = True
+        apart = places - places[k]
+        apart -= edge * np.rint(apart / edge)
+        nearest = np.minimum(nearest, (apart**2).sum(axis=1))
+
+    return chosen
 
 
 def water_of(
@@ -169,13 +240,17 @@ def _rigid(
     """What water returns, from atoms in their places.
     molecules : (n, 3), indices of O, H, H."""
     length, angle, charge, *_ = MODELS[model]
+    charges = {"O": -2.0 * charge, "H": charge} | {name: ion.charge for name, ion in IONS.items()}
+    masses = {"O": MASSES[0], "H": MASSES[1]} | {name: ion.mass for name, ion in IONS.items()}
+    species = system.species.tolist()
+
     pairs = molecules[:, [[0, 1], [0, 2], [1, 2]]]
     base = 2.0 * length * sin(radians(0.5 * angle))
     lengths = np.tile([length, length, base], len(molecules))
     held = changed(
         system,
-        masses=np.where(system.species == "O", *MASSES[:2]),
-        charges={"O": -2.0 * charge, "H": charge},
+        masses=[masses[name] for name in species],
+        charges=[charges[name] for name in species],
         bonds=pairs[:, :2].reshape(-1, 2),
         constraints=[held for held in system.constraints if isinstance(held, FixedAtoms)],
     )
@@ -196,14 +271,27 @@ def edge_of(n: int, density: float) -> float:
 
 
 def water_potentials(
-    model: ModelName, n: int, density: float, cutoff: float | None, accuracy: float
+    model: ModelName,
+    n: int,
+    density: float,
+    cutoff: float | None,
+    accuracy: float,
+    ions: Mapping[str, int] | None = None,
 ) -> list[OwnPotential]:
     """The potentials of water, without its molecules.  Arguments and errors are those of water."""
     _, _, _, epsilon, sigma = MODELS[checked_choice("model", model, MODELS)]
-    longest = min(CUTOFF, OF_BOX * edge_of(n, density))
+    counts = checked_ions(model, ions)
+
+    n_bodies = checked_count("n", n) + sum(counts.values())
+    longest = min(CUTOFF, OF_BOX * edge_of(n_bodies, density))
     cutoff = longest if cutoff is None else checked_number("cutoff", cutoff, "positive and finite")
     excluded = (0.0, 0.0, 1.0)
     wells: Any = {"O": (epsilon / KJ_PER_MOL_PER_EV, sigma), "H": (0.0, 1.0)}
+
+    for name in counts:
+        half, depth = IONS[name].of_models[model]
+        wells[name] = (depth * KCAL / KJ_PER_MOL_PER_EV, 2.0 ** (5.0 / 6.0) * half)
+
     dispersion = LennardJones(
         wells,
         cutoff=cutoff,

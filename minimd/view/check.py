@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.console.display import Displayed
 from minimd.core.console.words import printable
@@ -18,7 +17,7 @@ from minimd.core.engine.record import SERIES, Record
 from minimd.core.files.h5md_reader import damage, damage_told, frames_of
 from minimd.core.files.turned_cell import as_in_run
 from minimd.core.integrators.thermostats import LangevinBAOAB
-from minimd.core.structure.cell import images_of_length, nearest_vectors
+from minimd.core.structure.cell import images_of_length
 from minimd.core.structure.constraints import DistanceConstraints, lengths_of
 from minimd.core.structure.observables import Array, absolute_momentum, kinetic_energy, momentum
 from minimd.core.structure.system import System
@@ -26,7 +25,7 @@ from minimd.mdanalysis.universes import (
     VERSION,
     RunUniverse,
     diffusion_coefficient,
-    radial_distribution,
+    observed_pairs,
     universe_of,
 )
 from minimd.observers.diffusion import SHORT
@@ -266,17 +265,15 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
         system = universe.system
         if not system.cell.pbc.all() or len(system) < 2:
             return []
-        r, g = radial_distribution(universe)
+        found = observed_pairs(universe)
+        g = found.g[1:]
         # the first interval of this has the first peak
         above = np.append(g >= 0.5 * g.max(), False)
         first = int(np.argmax(above))
         end = first + int(np.argmin(above[first:]))
-        peak = float(r[first + np.argmax(g[first:end])])
-        pairs = joined_pairs(system)
-        lengths = np.linalg.norm(nearest_vectors(system.positions, system.cell, pairs), axis=1)
-        is_bond = (np.abs(lengths - peak) < 0.1 * peak).any()
-        inside = ", between bonded atoms" if is_bond else ""
-        lines = [f"g(r)           first peak at {peak:.3g} {system.units.length}{inside}"]
+        peak = float(found.r[1 + first + np.argmax(g[first:end])])
+        of_molecules = " between molecules" * found.is_between
+        lines = [f"g(r)           first peak{of_molecules} at {peak:.3g} {system.units.length}"]
         if contents.n_frames > 1:
             diffusion = diffusion_coefficient(universe)
             if diffusion.result.diffusivity.state != SHORT:
@@ -285,13 +282,3 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
                 lines.append(f"diffusion      {diffusion}{slowed}")
 
     return lines
-
-
-def joined_pairs(system: System) -> NDArray[np.int64]:
-    """(B, 2) the bonded pairs, and behind them those whose lengths are held fixed."""
-    held = [
-        constraint.pairs
-        for constraint in system.constraints
-        if isinstance(constraint, DistanceConstraints)
-    ]
-    return np.concatenate([system.bonds, *held])

@@ -32,12 +32,13 @@ from minimd.core.files.crash_file import read_crash_report
 from minimd.core.files.h5md_reader import H5MDContents, read_file
 from minimd.core.files.turned_cell import as_in_run
 from minimd.core.forces.forces import Potential
+from minimd.core.structure.constraints import joined_pairs
 from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
 from minimd.mdanalysis.universes import RunUniverse, universe_of
 from minimd.past.replay import replay
-from minimd.view.check import checked, joined_pairs
+from minimd.view.check import checked
 from minimd.view.plot import drawn
 
 LEVELS = 2**16

@@ -22,11 +22,11 @@ from minimd.core.engine.record_picture import (
 from minimd.mdanalysis.universes import (
     RunUniverse,
     mean_square_displacement,
-    radial_distribution,
+    observed_pairs,
     universe_of,
 )
 from minimd.observers.motion import DisplacementResult
-from minimd.observers.radial_distribution import RadialDistributionResult, limit_to_neighbors
+from minimd.observers.radial_distribution import RadialDistributionResult
 
 
 def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
@@ -101,16 +101,9 @@ def _draw_structure(panel: Axes, run: RunUniverse) -> None:
     units = run.system.units
     frames = f", from step {run.contents.record.step[run.n_earlier]} on" * bool(run.n_earlier)
     if _is_bulk(run):
-        r, g = radial_distribution(run)
-        panel.axhline(1.0, color="0.7", lw=0.8)
-        panel.plot(r, g, color=STRUCTURE, **STYLE)
-        panel.set(
-            xlabel=f"r  [{units.length}]",
-            ylabel="g(r)",
-            title=f"radial distribution, all atoms{frames}",
-            xlim=(0.0, r[-1]),
-        )
-        limit_to_neighbors(panel, r, g[None])
+        pairs = observed_pairs(run)
+        pairs.draw(panel)
+        panel.set_title(f"{pairs.title}{frames}")
     elif run.contents.n_frames - run.n_earlier > 1:
         panel.plot(*mean_square_displacement(run), color=STRUCTURE, **STYLE)
         panel.set(

@@ -20,7 +20,6 @@ from minimd.core.structure.checks import checked_count
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import argument, label, positive, steps
 from minimd.observers.fluctuations import FEWEST, correlation_times
-from minimd.observers.radial_distribution import RadialDistributionResult, beyond_spikes
 from minimd.observers.time_correlation import Plateau
 from minimd.observers.viscosity import ViscosityResult
 from minimd.scene import parse_scene, resume_run, run_scene
@@ -610,23 +609,3 @@ def test_viscosity_is_drawn_in_the_unit_of_its_text():
     told = float(str(result).split("η = ")[1].split()[0])
     assert panel.get_ylabel() == "η  [mPa s]"
     assert panel.lines[0].get_ydata()[0] == pytest.approx(told, rel=1e-2)
-
-
-def test_the_spike_of_bonded_neighbors_is_cut_with_a_note_and_others_are_not():
-    r = np.linspace(0.05, 7.95, 80)
-    liquid = np.where(r > 2.5, 1.0 + 2.0 * np.exp(-((r - 2.8) ** 2)), 0.0)
-    bonded = np.where(abs(r - 0.95) < 0.06, 40.0, liquid)
-    crystal = np.where(np.arange(80) % 20 == 10, 5.0, 0.0)  # peaks and gaps, and all as high
-    scene = ObservedRun("ASE", ["A", "B", "C"], [9, 9, 1], 1.0, 54, None, None)
-    g = np.array([liquid, bonded, crystal, np.full(80, np.nan)])  # no pair of a species with one atom
-    names = ("A-A", "A-B", "B-B", "C-C")
-    result = RadialDistributionResult(scene, r, g[1], 0.0 * r, names, g, 0.1 * g, 5)
-    assert [beyond_spikes(curve) > 0 for curve in g[:3]] == [False, True, False]
-    assert r[beyond_spikes(bonded)] == pytest.approx(2.55)
-    (panel,) = result.plot().axes
-    assert 5.0 < panel.get_ylim()[1] < 6.0
-    assert [text.get_text().strip() for text in panel.texts] == ["↑ 40"]
-    _, of_liquid, of_bonded, _ = str(result).splitlines()
-    for words in (of_liquid, of_bonded):
-        assert f"highest at {r[liquid.argmax()]:.4g} Å, 3.0" in words
-    assert ("spike of 40 at 0.95 Å" in of_bonded, "spike" in of_liquid) == (True, False)

@@ -3,6 +3,7 @@
 import json
 from itertools import product
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ from minimd.core.forces.pair_laws import PairLaws
 from minimd.core.potentials.coulomb import ChargedLaw
 from minimd.core.potentials.prolates import error_of, prolate, split_for
 from minimd.core.potentials.term import PER_ATOM, TOTALS
-from minimd.core.structure.units import ASE, BOLTZMANN_EV_PER_K, COULOMB
+from minimd.core.structure.units import ASE, BOLTZMANN_EV_PER_K, COULOMB, KJ_PER_MOL_PER_EV
+from minimd.scene.water import IONS
 
 SHEAR = ((1, 0, 0), (1, 1, 0), (0, -1, 1))
 TRICLINIC = ((1.0, 0.0, 0.0), (0.4, 1.1, 0.0), (-0.3, 0.2, 1.0))
@@ -42,6 +44,8 @@ WRONG = [
     (lambda: md.Simulation(salt(1), md.Coulomb(0.9, method="mesh"), md.VelocityVerlet(0.1), precision="fixed-point"),
      "fixed-point", "waves"),
     (lambda: md.water("TIP5P"), "TIP5P", "SPC/E"), (lambda: md.water(n=0), "n"),
+    (lambda: md.water("OPC3", ions={"Na": 1}), "ions", "'OPC3'", "'TIP3P'"),
+    (lambda: md.water(ions={"Mg": 1}), "ions", "'Mg'"), (lambda: md.water(ions={"Na": -1}), "ions['Na']", "-1"),
 ]  # fmt: skip
 ON_ONE_SPOT = md.System(np.zeros((2, 3)), cell=5.0, charges=[1.0, -1.0])
 test_what_cannot_be_done_is_refused = answered(
@@ -263,6 +267,70 @@ def test_water_by_name_is_rigid_neutral_and_has_its_density(name):
     alone = md.System(system.positions[:3], charges=system.charges[:3], bonds=system.bonds[:2])
     assert md.evaluate(alone, md.Coulomb()).potential_energy == 0.0  # what is within a molecule is excluded
     assert [type(one).__name__ for one in potentials] == ["LennardJones", "Coulomb"]
+
+
+# σ [Å] and ε [kcal/mol] of Joung and Cheatham as OpenMD has them, from another path than the table of minimd
+JOUNG_CHEATHAM = {
+    ("SPC/E", "Na"): (2.15953849277218, 0.3526418), ("SPC/E", "Cl"): (4.83045284975692, 0.0127850),
+    ("TIP3P", "K"): (3.03796462885856, 0.1936829), ("TIP3P", "Br"): (4.64692771382001, 0.0586554),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("model", "name"), JOUNG_CHEATHAM)
+def test_ions_have_the_parameters_of_joung_and_cheatham(model, name):
+    """u of two ions, and of an ion and an oxygen, by the rules of Lorentz and Berthelot."""
+    _, (dispersion, _), _ = md.water(model, 27, ions={name: 2}, cutoff=4.5)
+    (sigma, depth), r = JOUNG_CHEATHAM[model, name], 3.0
+    depth *= 4.184 / KJ_PER_MOL_PER_EV
+    of_oxygen = dispersion.epsilon["O"]
+    for other, epsilon, length in (
+        (name, depth, sigma),
+        ("O", np.sqrt(depth * of_oxygen[0]), 0.5 * (sigma + of_oxygen[1])),
+    ):
+        two = md.System([[0, 0, 0], [r, 0, 0]], cell=20.0, species=[name, other], masses=1.0, units=md.units.ASE)
+        bare = md.LennardJones(dispersion.epsilon, cutoff=4.5, truncation="truncated")
+        expected = 4.0 * epsilon * ((length / r) ** 12 - (length / r) ** 6)
+        assert md.evaluate(two, bare).potential_energy == pytest.approx(expected, rel=1e-7)  # rounding of σ there
+
+
+def test_all_ions_are_those_of_ambers_files():
+    """As OpenMM has them: charges, σ [nm] and ε [kJ/mol]; masses to their rounding."""
+    app = pytest.importorskip("openmm.app")
+    for model, file in (("SPC/E", "spce"), ("TIP3P", "tip3p")):
+        tree = ElementTree.parse(Path(app.__file__).parent / "data" / "amber14" / f"{file}.xml")
+        of_type = {atom.get("type"): atom for atom in tree.iter("Atom") if atom.get("sigma")}
+        masses = {kind.get("name"): float(kind.get("mass")) for kind in tree.iter("Type")}
+        charges = {atom.get("type"): float(atom.get("charge")) for atom in tree.iter("Atom") if atom.get("charge")}
+        system, (dispersion, _), _ = md.water(model, 27, ions=dict.fromkeys(IONS, 1), cutoff=4.5)
+        for name, ion in IONS.items():
+            kind = f"{file}_standard-{name}{'+' if ion.charge > 0 else '-'}"
+            epsilon, sigma = dispersion.epsilon[name]
+            assert 10.0 * float(of_type[kind].get("sigma")) == pytest.approx(sigma, rel=1e-9)
+            assert float(of_type[kind].get("epsilon")) == pytest.approx(KJ_PER_MOL_PER_EV * epsilon, rel=1e-9)
+            assert system.charges[system.species == name] == charges[kind]
+            assert system.masses[system.species == name] == pytest.approx(masses[kind], abs=0.01)
+
+
+def test_ions_stand_far_apart_in_places_of_their_own():
+    """n molecules all the same, each ion with the volume of one; by the seed; net charge is told."""
+    made = [md.water("SPC/E", 54, ions={"Na": 4, "Cl": 4}, cutoff=4.5, seed=seed)[0] for seed in (1, 1, 2)]
+    system = made[0]
+    assert system.species.tolist() == ["O", "H", "H"] * 54 + ["Na"] * 4 + ["Cl"] * 4
+    assert np.array_equal(system.positions, made[1].positions)
+    assert not np.array_equal(system.positions[-8:], made[2].positions[-8:])
+    assert system.volume == pytest.approx(62 / 54 * md.water("SPC/E", 54, cutoff=4.5)[0].volume)
+    assert system.charges.sum() == pytest.approx(0.0, abs=1e-12)
+    edge = system.cell.vectors[0, 0]
+    apart = system.positions[::3][:54, None] - system.positions[-8:]
+    apart -= edge * np.rint(apart / edge)
+    assert np.linalg.norm(apart, axis=2).min() > 2.4
+    apart = system.positions[-8:, None] - system.positions[-8:]
+    apart -= edge * np.rint(apart / edge)
+    distances = np.linalg.norm(apart, axis=2)[np.triu_indices(8, 1)]
+    assert distances.min() > 0.4 * edge  # of random places 0.2
+    charged, potentials, _ = md.water("SPC/E", 27, ions={"Li": 2}, cutoff=4.0)
+    with pytest.warns(UserWarning, match="net charge of the cell is 2 e"):
+        md.evaluate(charged, potentials)
 
 
 def test_water_keeps_its_energy():

@@ -143,6 +143,27 @@ def test_energy_and_virial_are_those_of_the_atoms(name, cell):
     assert totals.potential_energy == pytest.approx(of_atoms.energies.sum(), rel=1e-13, abs=1e-13)
     assert np.trace(totals.virial) == pytest.approx(of_atoms.virials[:, :3].sum(), rel=1e-12, abs=1e-12)
     assert totals.virial == pytest.approx(found.virial, rel=1e-12, abs=1e-12)
+    shares = found.virials.sum(axis=0)[[[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
+    assert shares == pytest.approx(found.virial, rel=1e-12, abs=1e-12)
+
+
+def test_atoms_of_a_term_have_equal_shares_of_its_virial():
+    places = np.array([[0, 0, 0], [1.1, 0, 0], [1.5, 1.0, 0], [2.5, 1.2, 0.7]])
+    angle, torsion = md.HarmonicAngle(3.0, 1.5, [[0, 1, 2]]), md.PeriodicDihedral(2.0, 2, 0.3, [[0, 1, 2, 3]])
+    bond = md.HarmonicBond(5.0, 1.0)
+    for potential, n in ((md.LennardJones(1.0, 1.0), 2), (bond, 2), (angle, 3), (torsion, 4)):
+        found = md.evaluate(md.System(places[:n], bonds=[[0, 1]][: potential is bond]), potential)
+        xx, yy, zz, yz, xz, xy = found.virials.T
+        assert np.abs(found.virials).max() > 0.1
+        for component, whole in ((xx, (0, 0)), (yy, (1, 1)), (zz, (2, 2)), (yz, (1, 2)), (xz, (0, 2)), (xy, (0, 1))):
+            assert component == pytest.approx(np.full(n, found.virial[whole] / n), rel=1e-12, abs=1e-14)
+
+
+def test_virials_of_charges_and_tails_add_up_to_that_of_all():
+    system, potentials, _ = md.water("SPC/E", 27, cutoff=4.0, ions={"Na": 1, "Cl": 1})
+    found = md.evaluate(system, potentials)
+    shares = found.virials.sum(axis=0)[[[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
+    assert shares == pytest.approx(found.virial, abs=1e-12 * np.abs(found.virials).sum())  # rounding
 
 
 @pytest.mark.parametrize(("name", "cell"), INTERNAL)

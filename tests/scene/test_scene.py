@@ -146,6 +146,18 @@ def test_water_of_a_scene_is_that_of_a_script_and_goes_on_from_its_file_alone(fo
     assert load_scene(ARGON.with_name("water.toml")).simulation().n_dof == 747
 
 
+def test_ions_of_a_scene_are_those_of_a_script_and_go_on_from_its_file_alone(folder):
+    text = WATER.replace('"OPC3"', '"TIP3P"').replace("27", "27, ions = { Na = 2, Cl = 2 }")
+    given = {"cutoff": 4.0, "accuracy": 1e-4, "seed": 3}
+    scene, (system, potentials, _) = scene_of(text), md.water("TIP3P", 27, 0.95, ions={"Na": 2, "Cl": 2}, **given)
+    assert list(map(repr, scene.potentials()[:2])) == list(map(repr, potentials))
+    for name in ("positions", "charges", "masses"):
+        assert np.array_equal(getattr(scene.system(), name), getattr(system, name))
+    whole = run_scene(scene, steps=8, trajectory=folder / "whole.h5md", tell=lambda _: None)
+    run_scene(scene, tell=lambda _: None)
+    assert np.array_equal(resume_run("a.h5md", 4, tell=lambda _: None).positions, whole.positions)
+
+
 def mixed_water(model="SPC/E", seed=4):
     """27 molecules of a model, as ASE's atoms: in another order, and wrapped, so that molecules cross faces."""
     system, rng = md.water(model, 27, cutoff=4.0)[0], np.random.default_rng(seed)

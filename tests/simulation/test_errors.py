@@ -318,6 +318,7 @@ OTHER_DOORS = [  # as DOORS; found by a stranger who called everything with ever
     ("Newton", md.integrators.Newton, {"max_iterations": 5, "small": 1e-6}),
     ("run_adaptive", md.integrators.run_adaptive, OF_DECAY),
     ("water", md.water, {"model": "SPC/E", "n": 27, "density": 1.0, "cutoff": 4.0, "accuracy": 1e-4, "seed": 1}),
+    ("water", md.water, {"n": 27, "ions": {"Na": 1}, "cutoff": 4.0}),
     ("to_csv", written, {"path": "a.csv", "overwrite": False}),
     ("SphereWall", on_the_sphere, {"point": [0.0, 0.0, 0.0], "radius": 9.0, "epsilon": 1.0, "cutoff": 2.0}),
     ("RyckaertBellemans", torsion(md.RyckaertBellemans), {"coefficients": [1.0, 2.0]}),

@@ -30,12 +30,17 @@ class Evaluation(Displayed):
     virial : (3, 3) W = Σ f r_ij ⊗ r_ij [energy].
 
     energies : (N,) each atom's share of U [energy].
+    virials : (N, 6) each atom's share of W, as xx yy zz yz xz xy [energy]. Their sum is W to rounding.
+
+    Atoms have equal shares of energy and virial of their pair, bond, angle or dihedral, and of tail corrections. An
+    embedded atom has its own F(ρ), and a charge its own energy in the field of Ewald's waves.
     """
 
     potential_energy: float
     forces: NDArray[np.float64]
     virial: NDArray[np.float64]
     energies: NDArray[np.float64]
+    virials: NDArray[np.float64]
 
     def __repr__(self) -> str:
         return f"Evaluation(potential_energy={self.potential_energy:.10g}, forces of {len(self.forces)} atoms)"
@@ -54,7 +59,7 @@ class Evaluation(Displayed):
 
 
 def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potential]) -> Evaluation:
-    """Potential energy, forces, virial and energies per atom of a System, or of ase.Atoms, as they stand.
+    """Potential energy, forces and virial of a System, or of ase.Atoms, as they stand, also the shares of single atoms.
 
     A warning says if the cell is so thin that atoms are pushed by their own images.
 
@@ -69,7 +74,9 @@ def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potent
     cause = thin_cell(system, forces.potentials)
     if cause:
         warn(f"{cause}; {OPEN_IT}")
-    result = Evaluation(sums.potential_energy, sums.forces, sums.virial, sums.energies)
+    result = Evaluation(
+        sums.potential_energy, sums.forces, sums.virial, sums.energies, sums.virials
+    )
     if not (np.isfinite(result.forces).all() and np.isfinite(result.energies).all()):
         raise NonFiniteError(
             f"forces or energies are not finite: {why_not_finite(system, forces.potentials)}"

@@ -118,7 +118,12 @@ def lengths_of(positions: Array, cell: Cell, constraints: DistanceConstraints) -
     return np.linalg.norm(nearest_vectors(positions, cell, constraints.pairs), axis=1)
 
 
+def joined_pairs(system: Any) -> Indices:
+    """(B, 2) the pairs of atoms that bonds and lengths held fixed connect."""
+    held = [each.pairs for each in system.constraints if isinstance(each, DistanceConstraints)]
+    return np.concatenate([system.bonds, *held])
+
+
 def molecules_of(system: Any) -> Indices:
     """(N,) the number of the molecule of each atom: bonds and lengths held fixed connect the atoms of a molecule."""
-    held = [each.pairs for each in system.constraints if isinstance(each, DistanceConstraints)]
-    return connected(np.concatenate([system.bonds, *held]), len(system))
+    return connected(joined_pairs(system), len(system))

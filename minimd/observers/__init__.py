@@ -2,6 +2,8 @@
 of frames to other programs."""
 
 from minimd.observers.accumulator import Accumulator, Result
+from minimd.observers.chain_shape import ChainShape
+from minimd.observers.dielectric_constant import DielectricConstant
 from minimd.observers.fluctuations import Fluctuations
 from minimd.observers.motion import (
     MeanSquareDisplacement,
@@ -12,6 +14,7 @@ from minimd.observers.profile import Profile
 from minimd.observers.radial_distribution import RadialDistribution
 from minimd.observers.scattering import SelfScattering, StructureFactor
 from minimd.observers.stream import Stream
+from minimd.observers.surface_tension import SurfaceTension
 from minimd.observers.viscosity import Viscosity
 
 KINDS: dict[str, type[Accumulator]] = {
@@ -25,11 +28,16 @@ KINDS: dict[str, type[Accumulator]] = {
         SelfScattering,
         Viscosity,
         Fluctuations,
+        ChainShape,
+        SurfaceTension,
+        DielectricConstant,
     )
 }
 __all__ = [
     "KINDS",
     "Accumulator",
+    "ChainShape",
+    "DielectricConstant",
     "Fluctuations",
     "MeanSquareDisplacement",
     "Profile",
@@ -38,6 +46,7 @@ __all__ = [
     "SelfScattering",
     "Stream",
     "StructureFactor",
+    "SurfaceTension",
     "VelocityAutocorrelation",
     "Viscosity",
     "finite_size_correction",

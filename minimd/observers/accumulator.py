@@ -95,7 +95,16 @@ class BlockedSums:
 
     def parts(self) -> Array:
         """(K, n) sums over each block; a last block that is not full is left out."""
-        return np.diff(self._marks[: self._n_marks], axis=0, prepend=0.0)
+        return np.diff(self.until(), axis=0, prepend=0.0)
+
+    def until(self) -> Array:
+        """(K, n) sums up to the end of each block."""
+        return self._marks[: self._n_marks]
+
+    @property
+    def ends(self) -> NDArray[np.int64]:
+        """(K,) numbers of entries up to the end of each block."""
+        return self._length * np.arange(1, self._n_marks + 1)
 
     def replicas(self, law: Callable[[Array], Any]) -> Array:
         """The result of a law for the sums without one block, (K, ...), for each of K blocks; their spread gives the
@@ -424,6 +433,11 @@ class Accumulator(StoredObserver, Displayed):
                 f"pass it to a run of {self.every} steps or more: sim.run(n_steps, observers=[...])"
             )
         return replace(self.scene, times=[*self.scene.times])
+
+    def _history(self, law: Callable[[Array], Any], sums: Array) -> tuple[Array, Array]:
+        """The times observed at the ends of K blocks, (K,), and the results of a law for sums (K, n), (K, ...)."""
+        times: Array = self.sums.ends * np.float64(self.answered().spacing)
+        return times, np.array([law(each) for each in sums], dtype=np.float64)
 
     def _begin(self, engine: Engine) -> None:
         """Check the first run, and set what it settles."""

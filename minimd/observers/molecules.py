@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +27,7 @@ class Molecules:
 
     def __init__(self, system: System) -> None:
         self.label = molecules_of(system)
-        self.pairs = joined_pairs(system)
+        self.pairs = np.unique(np.sort(joined_pairs(system), axis=1), axis=0)
         self._levels = self._tree()
         whole = self.whole(system)
         bonds = nearest_vectors(system.positions, system.cell, self.pairs)
@@ -44,13 +46,11 @@ class Molecules:
         is_reached = np.zeros(len(self.label), dtype=bool)
         is_reached[np.unique(self.label, return_index=True)[1]] = True
         levels = []
-
         while not is_reached.all():
             next_ones = both_ways[is_reached[both_ways[:, 0]] & ~is_reached[both_ways[:, 1]]]
             level = next_ones[np.unique(next_ones[:, 1], return_index=True)[1]]
             is_reached[level[:, 1]] = True
             levels.append(level)
-
         return levels
 
     def whole(self, system: System) -> Array:
@@ -60,3 +60,44 @@ class Molecules:
             vectors = nearest_vectors(system.positions, system.cell, pairs)
             positions[pairs[:, 1]] = positions[pairs[:, 0]] + vectors
         return positions
+
+
+class MoleculeKind(NamedTuple):
+    """Molecules whose atoms have the same species and numbers of bonds, in the same order.
+
+    name : its formula, with a number if there is another kind of the same formula.
+    atoms : (M, n) int, of each molecule.
+    ends : the places of the two ends of a linear chain among the n atoms; empty for other molecules.
+    """
+
+    name: str
+    atoms: NDArray[np.int64]
+    ends: list[int]
+
+
+def kinds_of(molecules: Molecules, system: System) -> list[MoleculeKind]:
+    """The kinds of molecules of two atoms or more, in the order of their first atoms."""
+    order = np.argsort(molecules.label, kind="stable")
+    degrees = np.bincount(molecules.pairs.ravel(), minlength=len(order))
+    found: dict[tuple[bytes, bytes], list[NDArray[np.int64]]] = {}
+    for atoms in np.split(order, np.cumsum(np.bincount(molecules.label))[:-1]):
+        key = system.species_index[atoms].tobytes(), degrees[atoms].tobytes()
+        found.setdefault(key, []).append(atoms)
+
+    kinds: list[MoleculeKind] = []
+    formulas: list[str] = []
+    for members in found.values():
+        first = members[0]
+        if len(first) == 1:
+            continue
+        n_bonds = degrees[first]
+        is_chain = n_bonds.max() <= 2 and n_bonds.sum() == 2 * len(first) - 2
+        species = zip(*np.unique(system.species_index[first], return_counts=True), strict=True)
+        parts = [f"{system.species_names[s]}{n if n > 1 else ''}" for s, n in species]
+        formula = "".join(parts)
+        formulas.append(formula)
+        number = formulas.count(formula)
+        name = formula if number == 1 else f"{formula}_{number}"
+        ends = np.flatnonzero(n_bonds == 1).tolist() if is_chain else []
+        kinds.append(MoleculeKind(name, np.array(members), ends))
+    return kinds

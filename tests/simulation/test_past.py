@@ -12,6 +12,8 @@ from minimd.view.check import check_file
 
 BATHS = [of(0.004, 0.9, 1.0, seed=3) for of in (md.LangevinBAOAB, md.StochasticVelocityRescaling)]
 
+OF_MOLECULES = "chain-shape", "dielectric-constant"  # which this scene does not have
+
 
 def whole(simulation):
     return simulation.step, simulation.time, simulation.reservoir_energy, *bits(simulation)
@@ -34,7 +36,8 @@ def test_any_step_is_made_again_from_a_file_and_from_its_archive(method, tmp_pat
     assert f"at most {past.worst} steps" in str(past)
     for step in [*range(3, 70, 3), 70]:
         assert whole(past.at(step)) == states[step], step
-    then, now = ([one(every=2) for one in md.observers.KINDS.values()] for _ in range(2))
+    kinds = [of for kind, of in md.observers.KINDS.items() if kind not in OF_MOLECULES]
+    then, now = ([one(every=2) for one in kinds] for _ in range(2))
     other.make_steps(36)
     record, seen = other.run(until_step=64, every=4, observers=then), []
     found = past.observe([*now, lambda sim: seen.append(whole(sim))], 36, 64, every=4)

@@ -102,7 +102,8 @@ def _opened(
 Style = tuple[str, str]
 MOST_TYPES = 500  # of atoms: LAMMPS' tables grow with their square
 KINDS = (
-    "pair potentials and charges (ewald) without exclusions, bonds, harmonic angles and dihedrals"
+    "pair potentials and charges (ewald, no slab) without exclusions, bonds, harmonic angles and "
+    "dihedrals"
 )
 FAR = 100.0  # extents of the scene: the cutoff of a law without one
 SKIN = 0.12  # of the smallest cutoff, or longest bond
@@ -274,7 +275,8 @@ class Model:
     def _take(self, potential: Any, engine: Engine) -> None:
         system = engine.system
         exclusions = getattr(potential, "exclusions", None)
-        if exclusions is not None and len(exclusions):
+        is_slab = getattr(potential, "slab", "none") != "none"
+        if is_slab or (exclusions is not None and len(exclusions)):
             raise _outside(potential, KINDS)
         if isinstance(potential, EmbeddedAtom):
             self.pair_styles.append(self._embedded(potential, system.species_names))

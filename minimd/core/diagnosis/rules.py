@@ -15,7 +15,7 @@ from minimd.core.engine.cell_rescaling import EVAPORATED
 from minimd.core.integrators.order_conditions import accurate_step
 from minimd.core.neighbors.queries import closest_pair
 from minimd.core.potentials.bonded import HarmonicBond
-from minimd.core.potentials.coulomb import SUMS, Coulomb
+from minimd.core.potentials.coulomb import SUMS, Coulomb, spaces
 from minimd.core.potentials.embedded import EmbeddedAtom
 from minimd.core.potentials.pair import Nonbonded
 from minimd.core.structure.bond_graph import among
@@ -217,12 +217,10 @@ def _polar_slab(evidence: Evidence) -> Verdicts:
     units = evidence.units
     cell = system.cell
     laws = [law for law in evidence.potentials if isinstance(law, Coulomb)]
-    has_sum = any(law.method in SUMS for law in laws)
+    has_sum = any(law.method in SUMS and law.slab == "none" for law in laws)
     if not has_sum or cell.volume is None or system.net_charge:
         return
-    inverse = np.linalg.inv(cell.vectors)
-    fractions = np.sort(system.positions @ inverse % 1.0, axis=0)
-    gaps = np.diff(fractions, axis=0, append=fractions[:1] + 1.0)
+    inverse, fractions, gaps = spaces(system)
     second, widest = np.sort(gaps, axis=0)[-2:]
     is_open = widest > np.maximum(EMPTY, WIDER * second)
     if is_open.sum() != 1:
@@ -239,7 +237,7 @@ def _polar_slab(evidence: Evidence) -> Verdicts:
             f"the atoms are a slab with a dipole of {dipole:.3g} e {units.length} "
             f"along the normal of the slab, across {'abc'[axis]}: "
             f"its periodic images make a field of {field:.3g} {units.energy}/(e {units.length}) in it",
-            "give the slab two like faces, or a second slab, turned over, in the same cell",
+            f'Coulomb(..., slab="{"xyz"[axis]}") is without this field',
         )
 
 

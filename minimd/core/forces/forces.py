@@ -35,6 +35,7 @@ from minimd.core.forces.mesh_sum import charge_sum
 from minimd.core.forces.options import FIXED_POINT, Options, pool_for
 from minimd.core.forces.pair_laws import PairLaws, deepest
 from minimd.core.forces.pair_list_term import PairListTerm
+from minimd.core.forces.slab_term import SlabTerm
 from minimd.core.neighbors.verlet_list import Built, VerletList
 from minimd.core.potentials.coulomb import SpecialLaw
 from minimd.core.potentials.laws import Scaled
@@ -92,6 +93,8 @@ def plan(
             terms.append(
                 charge_sum(system, law.charges, law.split, law.method, is_fixed, n_threads)
             )
+            if law.slab != "none":
+                terms.append(SlabTerm(system, law.charges, law.slab))
 
     return terms
 

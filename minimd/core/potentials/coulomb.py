@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY
-from math import inf, sqrt
-from typing import Literal
+from math import inf, log, pi, sqrt
+from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from minimd.core.compiled.kernels import scalar
 from minimd.core.compiled.simd import fma, select
@@ -30,12 +30,14 @@ from minimd.core.structure.bond_graph import checked_pairs
 from minimd.core.structure.system import System
 
 MethodName = Literal["ewald", "waves", "mesh", "reaction-field", "shifted-force"]
+SlabName = Literal["none", "x", "y", "z"]
 SUMS = {
     "ewald": "pairs and waves, by the quicker of two sums",
     "waves": "wave by wave",
     "mesh": "on a mesh",
 }
 METHODS = {**SUMS, "reaction-field": "pairs only", "shifted-force": "pairs only"}
+LAYERS = 2.0  # of exp(−2π g/a), measured up to 1.2: the error of forces, in parts of their rms
 NO_REST: Numbers = (0.0, (0.0, 0.0), (0.0, 0.0))  # of a split whose L is zero
 
 
@@ -113,6 +115,8 @@ class Coulomb(Declared):
     Methods "waves" and "mesh" name the sum over waves, of which "ewald" takes the quicker one. Of pairs only, and of
     unknown error: "reaction-field", as in a uniform medium beyond the cutoff, u = q (1/r + k r² − c),
     k = (ε − 1)/((2ε + 1) r_c³), c = 3ε/((2ε + 1) r_c); "shifted-force", u = q (1/r − 2/r_c + r/r_c²).
+    slab="z" is for one layer of charges along the first two lattice vectors, with empty space along the third: its
+    images, which would act on it, are taken away, also with a net charge, then without background (see slab_term.py).
     Refused at the start: a system without charges, or periodic in some directions only.
     """
 
@@ -138,6 +142,12 @@ class Coulomb(Declared):
     )
     dielectric: float = declared(
         number, "ε of the reaction field, 1 or more; default: infinite, a conductor", default=inf
+    )
+    slab: SlabName = declared(
+        choice,
+        "the lattice vector out of a slab, which lies in empty space",
+        of=get_args(SlabName),
+        default="none",
     )
     bonded_scale: Sequence[float] = declared(
         factors, "factors for pairs one, two and three bonds apart", default=(0.0, 0.0, 1.0)
@@ -169,10 +179,13 @@ class Coulomb(Declared):
             )
         pbc = system.cell.pbc
         is_sum = self.method in SUMS
-        if is_sum and pbc.any() and not pbc.all():
+        is_slab = self.slab != "none"
+        is_partly = pbc.any() and not pbc.all()
+        if (is_sum and is_partly) or (is_slab and not (is_sum and pbc.all())):
             raise ValueError(
-                f"Coulomb needs a cell that is periodic in all directions or in none; pbc = {pbc}: make the cell "
-                'periodic in all three, with empty space, or take method="shifted-force"'
+                f"Coulomb cannot sum charges where pbc = {pbc}, method = {self.method!r}, slab = {self.slab!r}: make "
+                "the cell of a slab periodic in all three directions, three times as high as the slab is thick, and "
+                'give slab="z"; or take method="shifted-force"'
             )
         if self.cutoff is None and (pbc.any() or not is_sum):
             where = "in a periodic cell" if is_sum else f"with method {self.method!r}"
@@ -194,7 +207,9 @@ class CoulombTerm(OwnTerm):
             split = split_for(cutoff, potential.accuracy)
             law = CoulombLaw(split.numbers)
             net_charge = system.net_charge
-            if net_charge != 0.0:
+            if potential.slab != "none":
+                self.warning = _narrow(system, potential)
+            elif net_charge != 0.0:
                 self.warning = f"the net charge of the cell is {net_charge:.6g} e: a uniform background balances it"
         else:
             cutoff = inf
@@ -211,8 +226,32 @@ class CoulombTerm(OwnTerm):
             system.charges * sqrt(system.units.coulomb),
             split,
             potential.method,
+            potential.slab,
             checked_pairs("exclusions", potential.exclusions, len(system)),
         )
+
+
+def spaces(system: System) -> tuple[NDArray, NDArray, NDArray]:
+    """Along each lattice vector, in its parts: the inverse of the vectors, (3, 3); where atoms are, sorted, and the
+    space above each of them, (N, 3) both."""
+    inverse = np.linalg.inv(system.cell.vectors)
+    fractions = np.sort(system.positions @ inverse % 1.0, axis=0)
+    return inverse, fractions, np.diff(fractions, axis=0, append=fractions[:1] + 1.0)
+
+
+def _narrow(system: System, potential: Coulomb) -> str:
+    """The warning that images of a slab act on it by more than the accuracy, see slab_term.py."""
+    inverse, _, gaps = spaces(system)
+    axis = "xyz".index(potential.slab)
+    longest = np.linalg.norm(np.delete(system.cell.vectors, axis, axis=0), axis=1).max()
+    empty = gaps[:, axis].max() / np.linalg.norm(inverse[:, axis])
+    needed = longest / (2.0 * pi) * log(LAYERS / potential.accuracy)
+    if empty >= needed:
+        return ""
+    return (
+        f"the empty space beside a slab must be {needed:.3g} {system.units.length} wide for an accuracy of "
+        f"{potential.accuracy:g}; it is {empty:.3g}: make the cell higher along {potential.slab}"
+    )
 
 
 def _reaction_field(cutoff: float, dielectric: float) -> Numbers:

@@ -62,6 +62,7 @@ class PairLaw(NamedTuple):
         table; None for laws without.
     split : how 1/r is split, if a sum over waves belongs to the law.
     method : of that sum, see Coulomb.
+    slab : see Coulomb.
     exclusions : (P, 2) int, pairs on which it does not act, whatever bonded_scale says.
     embedding : of the atoms, whose slopes F′ are then the first two parameters of the law, and not in the table; None
         for laws without.
@@ -75,6 +76,7 @@ class PairLaw(NamedTuple):
     charges: NDArray | None = None
     split: Split | None = None
     method: str = ""
+    slab: str = "none"
     exclusions: NDArray[np.int64] = checked_pairs("exclusions", None)
     embedding: Embedding | None = None
 

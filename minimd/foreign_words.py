@@ -32,7 +32,7 @@ Morse QuarticBond QuarticBondPotential ClassTwoBond
 Ewald PME PPPM Electrostatics ReactionField Wolf Charges
     md.Coulomb(cutoff, accuracy) | water
 PerAtomVirial AtomicStress Virial Virials
-    md.Forces(system, potentials).compute(PER_ATOM).virials | recipes
+    md.evaluate(system, potentials).virials | pressure
 EAM Metal SuttonChen Gupta FinnisSinclair
     md.EmbeddedAtom | metals
 RESPA MTS MultipleTimestep RK4 RungeKutta4
@@ -48,9 +48,11 @@ ElectricField ExternalField External Efield CustomExternalForce
 SPC SPCE TIP3P OPC OPC3 Water TIP4P TIP5P
     md.water("SPC/E"), "TIP3P" or "OPC3"; four sites are not here | water
 Ions NaCl Salt Solvate AddIons
-    not in one call: replace molecules of md.water, or take from_openmm | recipes
-Chain Polymer Chains RandomWalk RadiusOfGyration EndToEnd Rouse
+    md.water("SPC/E", 512, ions={"Na": 5, "Cl": 5}); other solutes by md.from_openmm | water
+Chain Polymer Chains RandomWalk Rouse
     numpy, and sim.minimize() for walks that overlap | recipes
+RadiusOfGyration Gyration EndToEnd Asphericity
+    md.observers.ChainShape | observers
 SHAKE RATTLE SETTLE LINCS Constraints FixBondLengths RigidBonds
     md.DistanceConstraints(pairs) | bonds
 FixAtoms Freeze SetForce
@@ -70,10 +72,12 @@ Deform Strain ChangeBox
 HeatFlux ThermalConductivity MullerPlathe
     not here: exchange velocities, in an observer | recipes
 Dielectric DielectricConstant Dipole Dipoles Permittivity
-    not here: from charges and sim.positions, in an observer | recipes
+    md.observers.DielectricConstant | observers
 OrderParameter Hexatic Psi6 Steinhardt CNA Q6
     not here: md.neighbor_list and numpy, or the package freud | recipes
-SurfaceTension PressureTensor Stress StressTensor Interface
+SurfaceTension Interface
+    md.observers.SurfaceTension | observers
+PressureTensor Stress StressTensor
     sim.stress; in the record: sim.extra_observables = ("stress",) | pressure
 ElasticConstants Elastic
     not here: stress against strain, as in examples/metal.py | metals

@@ -111,7 +111,7 @@ def _draw_structure(panel: Axes, run: RunUniverse) -> None:
             xlim=(0.0, r[-1]),
         )
         limit_to_neighbors(panel, r, g[None])
-    elif run.contents.n_frames - run.n_earlier > 1:
+    elif run.n_recent > 1:
         panel.plot(*mean_square_displacement(run), color=STRUCTURE, **STYLE)
         panel.set(
             xlabel=f"lag  [{units.shown_time}]",

@@ -333,7 +333,7 @@ def grade(arguments: Namespace) -> bool:
     print(json.dumps(as_dict(result), indent=1) if arguments.json else result)
     if arguments.out:
         draw(result, arguments.out)
-    return result.passed
+    return result.passed is True
 
 
 def option(text: str) -> tuple[str, Any]:

@@ -139,7 +139,7 @@ class Motion:
         off = largest(once - parted) / np.ptp(once)
         cause = ""
         if off >= SAME:
-            cause = ": a step needs more than the atoms hold, or random numbers differ"
+            cause = ": it keeps variables, or random numbers, that are not in the atoms; the samples may still be right"
         return Measurement(off, 0.0 if off < SAME else np.nan, cause)
 
     def center(self) -> Answer:

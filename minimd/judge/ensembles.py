@@ -10,6 +10,9 @@ from scipy.special import polygamma
 from minimd.judge.findings import Law, Measurement, nearest
 from minimd.judge.scenes import SOFT, Array, Frames, Scene, joined
 
+UNSEEN = (
+    0.2  # error of a law that is judged: it must be large enough to show beside that of statistics
+)
 LEAST = 0.2  # mean of a measure, for its error
 ACTED = 0.2  # of the energy, or the volume, is new at the end of a run, at least
 NEVER = 1e-6  # the same, at most, if nothing acts
@@ -57,9 +60,12 @@ class Seen:
         self.runs_p2 = (self.all.p**2).mean(axis=(0, 2))
         self.log_volume = np.log(self.all.volumes).mean()
 
-    def over_runs(self, measure: "Measure", said: "Said", spare: float) -> Measurement:
+    def over_runs(
+        self, measure: "Measure", said: "Said", spare: float, decides: bool
+    ) -> Measurement:
         """The mean of a measure over the runs, and how far it is off beside its error; of several, the worst. The
-        spread of runs goes with the mean: where the mean is small by chance, the spread is too small."""
+        spread of runs goes with the mean: where the mean is small by chance, the spread is too small. A law passes only
+        if an error of UNSEEN would show."""
         values = np.array([np.atleast_1d(measure(run, self)) for run in self.runs])
         means = values.mean(axis=0)
         n = len(values)
@@ -70,7 +76,16 @@ class Seen:
         k = np.argmax(np.abs(means - 1.0) / limits)
         mean = means[k]
         limit = float(limits[k])
-        return Measurement(mean, (mean - 1.0) / limit, said(means, self), errors[k], limit)
+        off = (mean - 1.0) / limit
+        is_unseen = abs(off) < 1.0 and statistical[k] > UNSEEN
+        allowed = ""
+        if self.scene.error > statistical[k]:
+            allowed = f"; {self.scene.error:.1%} of that is allowed to the time step, (ωΔt)²/2"
+        if is_unseen:
+            off = np.nan
+            allowed += ": too coarse to judge"
+        is_open = decides and bool(is_unseen)
+        return Measurement(mean, off, said(means, self), errors[k], limit, allowed, is_open)
 
     def acted(self) -> Measurement:
         """How much of the energy, or of the volume, is new at the end of a run."""
@@ -82,7 +97,7 @@ class Seen:
             return Measurement(min(share, 1.0), 0.0)
         off = 1.0 if share < NEVER else np.nan
         advice = ": too little to judge; take a shorter relaxation time, or more steps="
-        return Measurement(share, off, advice)
+        return Measurement(share, off, advice, is_open=True)
 
 
 Measure: TypeAlias = Callable[[Frames, Seen], Any]
@@ -288,7 +303,13 @@ def of_log_volume(run: Frames, seen: Seen) -> float:
 
 
 def row(
-    name: str, quantity: str, measure: Measure, said: Said, needs: str, spare: float = 0.0
+    name: str,
+    quantity: str,
+    measure: Measure,
+    said: Said,
+    needs: str,
+    spare: float = 0.0,
+    decides: bool = False,
 ) -> Law:
     """A law of an ensemble.
 
@@ -296,9 +317,17 @@ def row(
     measure : of a run, a number or one of each group; 1 if the law holds.
     said : what other numbers (G,) mean.
     spare : what is allowed beside the error, since the distribution of the measure is skew.
+    decides : whether a grade needs its answer.
     """
-    quantity += ": {0:.3f} ± {3:.3f} (an error of {4:.1%} would show)"
-    return Law(name, lambda seen: seen.over_runs(measure, said, spare), 1.0, quantity, "{2}", needs)
+    quantity += ": {0:.3f} ± {3:.3f} (an error of {4:.1%} would show{5})"
+    return Law(
+        name,
+        lambda seen: seen.over_runs(measure, said, spare, decides),
+        1.0,
+        quantity,
+        "{2}",
+        needs,
+    )
 
 
 BONDS = "lengths, and velocities along bonds, are off by {0:.1e}"
@@ -342,7 +371,14 @@ LAWS = (  # of what a scene has
         directions_said,
         "ring",
     ),
-    row("temperature", "kinetic energy over its share of kT", of_temperature, temperature_said, ""),
+    row(
+        "temperature",
+        "kinetic energy over its share of kT",
+        of_temperature,
+        temperature_said,
+        "",
+        decides=True,
+    ),
     row(
         "temperature of positions",
         "<|∇U|²>/(kT <∇²U>) of atoms",
@@ -395,7 +431,14 @@ LAWS = (  # of what a scene has
         "ring",
         0.3,
     ),
-    row("mean volume", "P<V>/kT over its value", of_volume, volume_said, "volume"),
+    row(
+        "mean volume",
+        "P<V>/kT over its value",
+        of_volume,
+        volume_said,
+        "volume",
+        decides=True,
+    ),
     row(
         "balance of pressures",
         "1 + the error of P<V> − <P_int V>, over P<V>",

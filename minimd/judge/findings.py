@@ -24,6 +24,7 @@ class Finding:
     words : what was measured.
     value : the measured number, dimensionless unless the words give a unit; NaN if there is none.
     limit : the largest difference of value from 1 that passes, for laws of dynamics; else NaN.
+    is_open : whether the runs were too short, or too few, to tell.
     cause : what is wrong in general if the law does not hold.
     """
 
@@ -33,6 +34,7 @@ class Finding:
     value: float = nan
     cause: str = ""
     limit: float = nan
+    is_open: bool = False
 
 
 class Measurement(NamedTuple):
@@ -43,6 +45,8 @@ class Measurement(NamedTuple):
     said : what is wrong.
     error : of the number, statistical.
     limit : the largest difference from 1 that passes.
+    allowed : what of the limit is no error of statistics, in words.
+    is_open : whether the runs were too short, or too few, to tell.
     """
 
     value: float
@@ -50,6 +54,8 @@ class Measurement(NamedTuple):
     said: str = ""
     error: float = nan
     limit: float = nan
+    allowed: str = ""
+    is_open: bool = False
 
 
 Answer = tuple[Any, ...]  # a number, how far it is off, and what else the words of a law need
@@ -79,7 +85,8 @@ class Law(NamedTuple):
         words = self.words.format(*numbers)
         cause = self.cause.format(*numbers)
         limit = getattr(numbers, "limit", nan)
-        return Finding(self.name, passed, words, float(value), cause, limit)
+        is_open = passed is None and getattr(numbers, "is_open", False)
+        return Finding(self.name, passed, words, float(value), cause, limit, is_open)
 
 
 def needed(laws: Iterable[Law], has: set[str]) -> list[Law]:
@@ -116,9 +123,11 @@ class Grade(Displayed):
     remarks: tuple[str, ...] = ()
 
     @property
-    def passed(self) -> bool:
-        """Whether every tested law holds and no fault was found."""
-        return not self.faults and all(finding.passed is not False for finding in self.findings)
+    def passed(self) -> bool | None:
+        """Whether every tested law holds and no fault was found; None if that was too short to judge."""
+        if self.faults or any(finding.passed is False for finding in self.findings):
+            return False
+        return None if any(finding.is_open for finding in self.findings) else True
 
     def __iter__(self) -> Iterator[Finding]:
         """The findings, in their order."""
@@ -136,6 +145,9 @@ class Grade(Displayed):
         """The result in one sentence."""
         if self.passed:
             return "nothing wrong was found"
+        if self.passed is None:
+            names = ", ".join(finding.name for finding in self.findings if finding.is_open)
+            return f"too short to judge: {names}; take more runs= or steps="
         failed = [finding.name for finding in self.findings if finding.passed is False]
         laws = "all laws that were tested hold"
         if failed:

@@ -59,7 +59,7 @@ def grade(
     Returns
     -------
     Grade : print it, or show it in a notebook; grade.faults are sentences, grade["order"].value is a number,
-        grade.passed is True if all is right.
+        grade.passed is True if all is right, None if runs were too short to tell.
 
     Raises
     ------

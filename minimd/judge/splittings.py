@@ -63,18 +63,26 @@ def step_of(method: type[Splitting]) -> Function:
 
 
 def dynamics_of(method: type[Splitting]) -> Function:
-    """Dynamics of atoms of ASE in simulations, with a method of their own: rng makes its seed."""
+    """Dynamics of atoms of ASE in simulations, with a method of their own: rng makes its seed. Seed, step and memory
+    go with the atoms, as they do in a restart."""
     own = [*signature(method).parameters]
 
     def make(atoms: Any, timestep: float, rng: Any, **options: Any) -> Any:
-        values = {**options, "timestep": timestep, "rng": int(rng.randint(2**31))}
+        carried = atoms.info
+        carried.setdefault("seed", int(rng.randint(2**31)))
+        values = {**options, "timestep": timestep, "rng": carried["seed"]}
         known = {name: GIVEN.get(name, name) for name in own}
         used = {name: values[key] for name, key in known.items() if key in values}
         forces = ForcesFromCalculator(atoms.calc)
-        simulation = Simulation(System.from_ase(atoms), forces, method(**used))
+        bath = method(**used)
+        if bath.memory is not None:
+            bath.memory = carried.get("memory", bath.memory)
+        simulation = Simulation(System.from_ase(atoms), forces, bath)
+        simulation.step = carried.get("step", 0)
 
         def run(steps: int) -> None:
             simulation.make_steps(steps)
+            carried.update(step=simulation.step, memory=bath.memory)
             atoms.positions[:] = simulation.positions
             atoms.set_velocities(simulation.velocities)
 

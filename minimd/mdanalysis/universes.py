@@ -195,6 +195,11 @@ class RunUniverse(MDAnalysis.Universe):
     contents: H5MDContents
     n_earlier: int = 0
 
+    @property
+    def n_recent(self) -> int:
+        """Number of the other frames, which analyses use; at least 1."""
+        return len(self.times) - self.n_earlier
+
 
 Run = str | Path | Simulation | Frames | RunUniverse
 
@@ -456,7 +461,7 @@ def _observe(observer: Any, frames: RunUniverse, most: int) -> None:
     """Show evenly chosen frames of the last method to an observer; what is correlated begins anew where their spacing
     changes.
     most : number of frames, about."""
-    stride = ceil((len(frames.times) - frames.n_earlier) / most)
+    stride = ceil(frames.n_recent / most)
     chosen = slice(frames.n_earlier, None, stride)
     spacings = np.diff(frames.times[chosen]) / frames.system.units.to_picosecond
     usual = float(np.quantile(spacings, 0.5, method="lower")) if len(spacings) else 1.0
@@ -547,12 +552,11 @@ def diffusion_coefficient(
         Others as mean_square_displacement.
     """
     with universe_of(run) as frames, quiet():
-        n_frames = len(frames.trajectory) - frames.n_earlier
-        if n_frames < 2:
+        if frames.n_recent < 2:
             file = hasattr(frames, "contents") and repr(frames.trajectory.filename)
             later = " since method, bath or state were changed" * bool(frames.n_earlier)
             raise ValueError(
-                f"a displacement needs at least 2 frames; {file or 'this run'} holds {n_frames}{later}"
+                f"a displacement needs at least 2 frames; {file or 'this run'} holds {frames.n_recent}{later}"
             )
         observer = observers.MeanSquareDisplacement(
             every=1, n_levels=MSD_LEVELS, most_atoms=MSD_ATOMS, of=of, name=""

@@ -160,12 +160,7 @@ class ObservedRun:
     def of(cls, engine: Engine, every: int) -> ObservedRun:
         """The properties of the run of an engine."""
         system = engine.system
-        barostat = engine.barostat
-        temperature = engine.method.parameters.get("temperature")
-        pressure = None
-        if barostat is not None:
-            pressure = barostat.pressure
-            temperature = barostat.temperature if temperature is None else temperature
+        temperature, pressure = engine.bath_settings
         numbers = np.bincount(system.species_index, minlength=len(system.species_names))
         return cls(
             units=system.units.name,

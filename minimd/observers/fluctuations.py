@@ -10,7 +10,13 @@ from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
 from minimd.core.structure.observables import temperature
-from minimd.core.structure.statistics import standard_error, with_error
+from minimd.core.structure.statistics import (
+    FEWEST,
+    correlation_times,
+    short_run,
+    standard_error,
+    with_error,
+)
 from minimd.observers.accumulator import Accumulator, Array, BlockedSums, ObservedRun, Result
 from minimd.observers.arguments import label, steps
 
@@ -18,7 +24,6 @@ N_SERIES = 3  # K, U, V
 KINETIC, ENERGY, VOLUME = range(N_SERIES)
 # K, E and V, as weights of K, U, V
 OF_INTEREST = ((1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-FEWEST = 30.0  # correlation times; a run with fewer cannot tell how many it has
 # of the error of the jackknife: the least error; not all of it, because it scatters more than the other estimate
 JACKKNIFE = 0.7
 ENOUGH = 100.0  # correlation times; the error bar of a shorter run is itself too uncertain
@@ -70,7 +75,7 @@ class Fluctuations(Accumulator):
         Raises ValueError before the first look."""
         scene = self.answered()
         reference = np.array(self.reference)
-        times = correlation_times(self.sums)
+        times = lengths(self.sums)
         missing = 2.0 / np.fmax(FEWEST, np.nan_to_num(times, nan=np.inf))
         grown = 1.0 + missing
 
@@ -100,16 +105,14 @@ def moments(sums: Array) -> tuple[Array, Array]:
     return means, products - np.outer(means, means)
 
 
-def correlation_times(sums: BlockedSums) -> Array:
-    """The length of a run in correlation times of K, E and V, (3,): n_c = 2 s²/error², with the variance s² and the
-    standard error of the mean; NaN if there are too few blocks, or if the series is constant."""
+def lengths(sums: BlockedSums) -> Array:
+    """The length of a run in correlation times of K, E and V, (3,); NaN if there are too few blocks, or if the series
+    is constant."""
     parts = sums.parts()
     weights = np.array(OF_INTEREST)
     _, covariance = moments(sums.total)
     errors = standard_error(parts[:, 1 : 1 + N_SERIES] @ weights.T / parts[:, :1])
-    with np.errstate(all="ignore"):
-        variances = np.diag(weights @ covariance @ weights.T)
-        return np.where(errors > 0.0, 2.0 * variances / errors**2, np.nan)
+    return correlation_times(np.diag(weights @ covariance @ weights.T), errors)
 
 
 def _coefficients(sums: Array, reference: Array, scene: ObservedRun, grown: Array) -> Array:
@@ -185,10 +188,6 @@ class FluctuationResult(Result):
                 value = with_error(self.values[k] / size, self.errors[k] / size)
                 rows.append(("", f"{symbol} = {value} {unit}"))
 
-        if self.correlation_times < ENOUGH:
-            slowest = "volume or energy" if np.isfinite(self.compressibility) else "energy"
-            n_times = f"{max(1.0, self.correlation_times):.0f} correlation times"
-            short = f"the run is only {n_times} of the {slowest} long"
-            rows.append(("", f"{short}: THE ERROR BARS ARE LOWER BOUNDS"))
-
-        return rows
+        slowest = "volume or energy" if np.isfinite(self.compressibility) else "energy"
+        short = short_run(self.correlation_times, slowest, ENOUGH)
+        return [*rows, ("", short)] if short else rows

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 HEAT = "#c8501e"  # the color of temperatures
 MOST_UNSURE = 0.2  # relative error of a temperature that is drawn
+STEEP = 0.5  # of the highest value: an axis begins at zero if the lowest is less
 EXTENT_WORDS = "lower and upper end of an open axis; atoms outside are not counted"
 # places in the sums, before the densities of each species, and Σ g and Σ m v² of the atoms in each bin
 FRAMES, EXTENT, HEAD = range(3)
@@ -147,6 +149,11 @@ class ProfileResult(Result):
         """(B,) of all atoms [1/length³]."""
         return np.asarray(self.densities.sum(axis=0))
 
+    @property
+    def is_known(self) -> NDArray[np.bool_]:
+        """(B,) bool, layers whose temperature is known to 20 %."""
+        return self.temperature_error < MOST_UNSURE * self.temperature
+
     def series(self) -> list[Series]:
         """See Result."""
         units = self.units
@@ -164,7 +171,12 @@ class ProfileResult(Result):
         """See Displayed."""
         layers = f"along {self.axis}, {len(self.z)} layers, {self.n_frames} frames"
         between = f"from {self.density.min():.4g} to {self.density.max():.4g} /{self.units.length}³"
-        return [("profile", f"{layers}; density {between}")]
+        rows = [("profile", f"{layers}; density {between}")]
+        heat = self.temperature[self.is_known]
+        if heat.size:
+            unit = self.units.temperature
+            rows.append(("", f"temperature from {heat.min():.4g} to {heat.max():.4g} {unit}"))
+        return rows
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
@@ -177,16 +189,17 @@ class ProfileResult(Result):
         ]
         self.draw_curves(panel, curves, f"along {self.axis}", f"density  [1/{units.length}³]")
         title = f"density and temperature, mean of {self.scene.frames(self.n_frames)}"
-        panel.set(ylim=(0.0, AIR * self.densities.max()), title=title)
+        panel.set(ylim=limits(self.densities), title=title)
 
-        is_known = self.temperature_error < MOST_UNSURE * self.temperature
+        is_known = self.is_known
         if is_known.any():
             beside = panel.twinx()
             heat = self.temperature[is_known]
+            errors = self.temperature_error[is_known]
             beside.errorbar(
                 self.z[is_known],
                 heat,
-                self.temperature_error[is_known],
+                errors,
                 color=HEAT,
                 fmt=".",
                 ms=4,
@@ -194,5 +207,13 @@ class ProfileResult(Result):
             )
             beside.spines["top"].set_visible(False)
             unit = units.temperature.replace("k_B", "$k_B$")
-            beside.set(ylim=(0.0, AIR * heat.max()))
+            beside.set(ylim=limits(np.concatenate([heat - errors, heat + errors])))
             beside.set_ylabel(f"temperature  [{unit}]", color=HEAT)
+
+
+def limits(values: Array) -> tuple[float, float]:
+    """Ends of an axis: from zero, or, where all values are more than half of the highest, from below the lowest."""
+    highest = values.max()
+    lowest = values.min()
+    air = (AIR - 1.0) * highest
+    return (0.0 if lowest < STEEP * highest else lowest - air), highest + air

@@ -138,7 +138,9 @@ def checked(run: RunUniverse, damaged: str = "") -> FileCheck:
         too_long_a_step=contents.too_long_a_step,
     )
     if "temperature" in contents.parameters:  # of a thermostat
-        report = replace(report, bath=(contents.parameters["temperature"], 0.0))
+        changed = "method, bath or state were changed during the run" if run.n_earlier else ""
+        bath = (contents.parameters["temperature"], 0.0)
+        report = replace(report, bath=bath, changed=changed)
     plural = "s" * (contents.n_frames > 1)
     heading = (
         f"file           {Path(run.trajectory.filename)}: {contents.title}\n"
@@ -261,7 +263,6 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
     Raises as universe.
     """
     with universe_of(run) as universe:
-        contents = universe.contents
         system = universe.system
         if not system.cell.pbc.all() or len(system) < 2:
             return []
@@ -274,10 +275,10 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
         peak = float(found.r[1 + first + np.argmax(g[first:end])])
         of_molecules = " between molecules" * found.is_between
         lines = [f"g(r)           first peak{of_molecules} at {peak:.3g} {system.units.length}"]
-        if contents.n_frames > 1:
+        if universe.n_recent > 1:
             diffusion = diffusion_coefficient(universe)
             if diffusion.result.diffusivity.state != SHORT:
-                has_friction = contents.method == LangevinBAOAB.name
+                has_friction = universe.contents.method == LangevinBAOAB.name
                 slowed = ", slowed by the friction of Langevin dynamics" if has_friction else ""
                 lines.append(f"diffusion      {diffusion}{slowed}")
 

@@ -104,7 +104,7 @@ def _draw_structure(panel: Axes, run: RunUniverse) -> None:
         pairs = observed_pairs(run)
         pairs.draw(panel)
         panel.set_title(f"{pairs.title}{frames}")
-    elif run.contents.n_frames - run.n_earlier > 1:
+    elif run.n_recent > 1:
         panel.plot(*mean_square_displacement(run), color=STRUCTURE, **STYLE)
         panel.set(
             xlabel=f"lag  [{units.shown_time}]",

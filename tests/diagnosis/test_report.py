@@ -16,7 +16,7 @@ from wrong_calls import answered
 import minimd as md
 from minimd.commands import main as cli
 from minimd.core.diagnosis.report import DriftRate, conservation_report, drift, drift_of_walk
-from minimd.core.diagnosis.run_report import cutoff_lines
+from minimd.core.diagnosis.run_report import cutoff_lines, pressure_lines
 from minimd.core.engine.record import SERIES, Record
 from minimd.core.files.h5md_reader import read_file
 from minimd.integrators import SPLITTINGS
@@ -64,6 +64,56 @@ def test_the_report_tells_conserved_from_not(conserved):
     cluster = md.Simulation(md.System(liquid(2, jitter=0.0).positions - 1.0), LJ, VERLET)
     cluster.run(500, every=100)  # at rest as a whole: L = 0 is judged by its scale, and rounding is no change
     assert cluster.report().angular_momentum_change < 1e-12
+
+
+def ramp(tmp_path):
+    """A run in which the temperature of the bath goes from 0.5 to 1; the file has one frame since."""
+    sim = simulation()
+    sim.method = md.LangevinBAOAB(0.002, 0.5, friction=1.0, seed=1)
+    sim.set_temperature(0.5, seed=1)
+    heat = lambda sim: setattr(sim.method, "temperature", 0.5 + sim.step / 1000)  # noqa: E731
+    sim.run(500, every=10, trajectory=tmp_path / "ramp.h5md", observers=[heat])
+    return sim
+
+
+def test_a_file_with_one_frame_since_its_bath_was_changed_is_checked(tmp_path):
+    ramp(tmp_path)
+    check = check_file(tmp_path / "ramp.h5md")
+    assert all(one.passed for one in check.comparisons)
+    assert not any("diffusion" in line for line in check.structure)
+
+
+def test_a_change_of_the_bath_is_no_fault_of_the_run(tmp_path):
+    told = ramp(tmp_path).report(), check_file(tmp_path / "ramp.h5md").report
+    for report, words in zip(told, ("the temperature of the bath changed", "method, bath or state"), strict=True):
+        assert report.energy_is_conserved is not False
+        assert words in str(report)
+    drifting = replace(told[0], energy_drift=DriftRate(1.0, 0.01), energy_range=told[0].kinetic_energy)
+    assert drifting.energy_is_conserved is False
+    assert "temperature of the bath changed" in drifting.verdict
+    assert "equilibrate" not in drifting.verdict
+    slight = replace(drifting, energy_range=1e-3 * drifting.kinetic_energy)
+    assert slight.energy_is_conserved is None
+    assert slight.is_quiet
+    assert "whether it drifts cannot be told" in slight.verdict
+
+
+@pytest.mark.parametrize(("length", "is_short"), [(5.0, True), (400.0, False)])
+def test_a_mean_over_few_correlation_times_is_told_to_have_a_lower_bound_as_error(length, is_short):
+    """Temperature, density and pressure of a run of this many correlation times."""
+    series = 1.0 + 0.1 * processes(1, N_SERIES, np.exp(-length / N_SERIES), np.random.default_rng(2))[:, 0]
+    record = record_of(np.full(N_SERIES, 2.0), temperature=series, volume=series, pressure=series)
+    barostat = md.StochasticCellRescaling(1.0, compressibility=0.05, relaxation_time=0.5, seed=3)
+    lines = tuple(pressure_lines(record, 1.0, barostat, False))
+    text = str(conservation_report(record, angular=False, lines=lines))
+    for name in ("temperature", "density", "pressure"):
+        assert (f"correlation times of the {name} long: THE ERROR BARS ARE LOWER BOUNDS" in text) is is_short
+
+
+def test_what_the_time_step_takes_from_the_temperature_is_explained_on_a_page(conserved):
+    report = replace(conserved.report(), bath=(1.0, 0.5))
+    (page,) = re.findall(r"docs/\S+\.md", str(report))
+    assert "## Which temperature?" in (Path(__file__).parents[2] / page).read_text()
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -16,10 +16,9 @@ from minimd.core.diagnosis.report import conservation_report
 from minimd.core.diagnosis.run_report import pressure_lines
 from minimd.core.engine.cell_rescaling import rescaling_of
 from minimd.core.integrators.barostats import ThermodynamicState
-from minimd.core.structure.statistics import mean_and_error, with_error
+from minimd.core.structure.statistics import FEWEST, mean_and_error, with_error
 from minimd.core.structure.units import GRAM_PER_CM3
 from minimd.mdanalysis import universe as universe_of
-from minimd.observers.fluctuations import FEWEST
 from minimd.scene import load_scene, run_scene
 from minimd.view.check import check_file
 

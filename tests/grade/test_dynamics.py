@@ -73,11 +73,22 @@ def test_a_wrong_sampler_is_told_its_fault(wrong, options, words):
     assert any(words in fault for fault in grade.faults), str(grade)
 
 
-@pytest.mark.parametrize("options", [{}, NPT, RIGID])
+@pytest.mark.parametrize("options", [{}, NPT, RIGID | {"steps": 800}])
 def test_an_exact_sampler_passes(options):
-    grade = md.grade(Exact, **NVT, **options)
+    grade = md.grade(Exact, **NVT | options)
     assert grade.passed, str(grade)
     assert "3N − 3" in grade.remarks[0]
+
+
+def test_a_bath_that_is_wrong_beyond_what_the_runs_see_does_not_pass():
+    """A line whose statistical limit is above 20 % has no tick; without a temperature the grade has no verdict."""
+    grade = md.grade(Exact, **NVT | {"runs": 6, "steps": 40}, wrong=hotter(lambda own: own.rng.choice([0.1, 2.7])))
+    assert grade.passed is None, str(grade)
+    assert "too short to judge: ring: temperature" in grade.verdict
+    assert "?" in dict(grade.display_rows())["ring: temperature"]
+    (law,) = (law for law in laws_of(Exact, **NVT | {"runs": 6, "steps": 40}) if repr(law) == "ring: temperature")
+    with pytest.raises(AssertionError, match="too coarse to judge"):
+        law()
 
 
 class Redrawn(VelocityVerlet):
@@ -98,7 +109,7 @@ class Redrawn(VelocityVerlet):
 @pytest.mark.parametrize("how", [{"every": 40}, {"every": 5}, {"probability": 0.05}])
 def test_rare_redraws_of_all_momenta_pass(how):
     grade = md.grade(Redrawn, temperature_K=300.0, runs=8, steps=800, **how)
-    assert grade.passed, str(grade)
+    assert grade.passed is not False, str(grade)
     assert "3N degrees" in grade.remarks[0]
 
 
@@ -106,7 +117,7 @@ def test_laws_are_tests_and_the_command_tells_them_as_json(capsys, tmp_path):
     laws = laws_of(Exact, **NVT, wrong=hotter(lambda _: 2.0))
     with pytest.raises(AssertionError, match="strong"):
         next(law for law in laws if repr(law) == "ring: temperature")()
-    assert next(law for law in laws if repr(law) == "ring: temperature by mass")().passed
+    assert next(law for law in laws if repr(law) == "ring: constant volume")().passed
     options = ["steps=50", "temperature_K=300", "taut=5", "runs=8", "--json", f"--out={tmp_path / 'grade.png'}"]
     main(["grade", "ase.md.bussi:Bussi", *options])
     found = json.loads(capsys.readouterr().out)["passed"]
@@ -229,7 +240,8 @@ FEW = {"runs": 12, "steps": 200}
 def test_a_splitting_with_a_bath_is_judged_as_a_class_and_as_an_instance():
     of_class = md.grade(Andersen, rate=0.1 / fs, **FEW)
     of_instance = md.grade(Andersen(fs, 300.0, 0.1 / fs, seed=3), **FEW)
-    assert of_class.passed, str(of_class)
+    assert of_class.passed is not False, str(of_class)
+    assert of_class["restart"].passed  # seed, step and memory go with the atoms
     assert [law.value for law in of_class] == [law.value for law in of_instance]
     hot = md.grade(Andersen, rate=0.1 / fs, factor=1.4, **FEW)
     assert hot["ring: temperature"].passed is False

@@ -17,10 +17,12 @@ from wrong_calls import answered, assert_answered
 import minimd as md
 from minimd.core.files.h5md_digest import observers_of, read_restart
 from minimd.core.structure.checks import checked_count
+from minimd.core.structure.statistics import FEWEST
 from minimd.core.structure.system import changed
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import argument, label, positive, steps
-from minimd.observers.fluctuations import FEWEST, correlation_times
+from minimd.observers.fluctuations import lengths
+from minimd.observers.profile import limits
 from minimd.observers.time_correlation import Plateau
 from minimd.observers.viscosity import ViscosityResult
 from minimd.scene import parse_scene, resume_run, run_scene
@@ -118,7 +120,7 @@ def stresses(run):
 
 def grown(looking):
     """Factors for deviations of K, E and V, so that their variances contain the part that is missing in a short run."""
-    return np.sqrt(1.0 + 2.0 / np.fmax(FEWEST, np.nan_to_num(correlation_times(looking.sums), nan=np.inf)))
+    return np.sqrt(1.0 + 2.0 / np.fmax(FEWEST, np.nan_to_num(lengths(looking.sums), nan=np.inf)))
 
 
 def tension(run):
@@ -631,6 +633,12 @@ def test_pictures_name_what_they_show(run):
     assert scattering.get_title().endswith(f"q = {q:.4g} /σ")
     assert [text.get_text() for text in scattering.get_legend().texts] == ["Fₛ(q, t)", "Fₛ(q, t) A", "Fₛ(q, t) B"]
 
+    assert "temperature from " in str(answers["profile"])
+    for low, high, begins_at_zero in ((0.63, 0.84, False), (0.0, 0.8, True), (0.8, 0.801, False)):
+        start, end = limits(np.array([low, high]))
+        assert (start == 0.0) == begins_at_zero
+        assert start <= low < high < end
+        assert end - start > 0.2 * high
     profile, beside = figures["profile"].axes
     assert profile.get_title() == "density and temperature, mean of 51 frames, 0 to 0.4 τ"
     assert profile.get_ylim()[1] > 1.1 * answers["profile"].densities.max()

@@ -12,8 +12,10 @@ from minimd.core.structure.observables import Array
 from minimd.core.structure.statistics import (
     FEW,
     block_means,
+    correlation_times,
     independent,
     mean_and_error,
+    short_run,
     with_error,
 )
 
@@ -231,6 +233,7 @@ class Report(Displayed):
     bath : temperature of the thermostat, and how far below it the time step keeps that of the velocities (0 if that is
     unknown); None without a thermostat.
     too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown.
+    changed : a clause, if thermostat or barostat were set to something else during the run; empty if they were not.
     is_at_rest : whether nothing moves except by rounding; changes of momentum then have no scale to be judged by.
     """
 
@@ -260,17 +263,26 @@ class Report(Displayed):
     is_at_rest: bool = False
     bath: tuple[float, float] | None = None
     too_long_a_step: str = ""
+    changed: str = ""
 
     @property
     def energy_is_conserved(self) -> bool | None:
         """True if the drift is zero within its error, or below 1e-6 of the kinetic energy in each ps or τ;
-        None if the run is too short to tell.
+        None if the run is too short to tell, or if the baths were changed and the energy varies by less than a
+        hundredth of the kinetic energy: its error depends on the temperature.
 
         An energy that varies by more than half the kinetic energy is not conserved, whatever its drift: one bad step is
         no drift. Nothing is conserved if an observable is not finite."""
         if self.not_finite or self._varies_too_much:
             return False
-        return self._has_no(self.energy_drift)
+        has_no_drift = self._has_no(self.energy_drift)
+        if self.changed and self._varies_little:
+            return has_no_drift or None
+        return has_no_drift
+
+    @property
+    def _varies_little(self) -> bool:
+        return self.energy_range < QUIET * self.kinetic_energy
 
     @property
     def _varies_too_much(self) -> bool:
@@ -328,9 +340,9 @@ class Report(Displayed):
 
     @property
     def is_quiet(self) -> bool:
-        """Whether the energy stays within a hundredth of the kinetic energy, in a run too short to tell a drift."""
+        """Whether the energy stays within a hundredth of the kinetic energy, in a run that cannot tell a drift."""
         is_open = self.energy_is_conserved is None and self.n_frames >= FEW
-        return is_open and self.energy_range < QUIET * self.kinetic_energy
+        return is_open and self._varies_little
 
     def __str__(self) -> str:
         return "\n".join(f"{name:<{NAME_WIDTH}} {text}" for name, text in self.display_rows())
@@ -375,12 +387,21 @@ class Report(Displayed):
         mean = f"{with_error(self.mean_temperature, self.temperature_error)} {heat}"
         spread = f"on average, standard deviation {self.temperature_deviation:.2g} {heat}"
         rows.append(("temperature", f"{mean} {'of one frame' if has_one_frame else spread}"))
+        times = float(correlation_times(self.temperature_deviation**2, self.temperature_error))
+        short = short_run(times, "temperature")
+        if short:
+            rows.append(("", short))
         if self.bath is not None:
             asked, deficit = self.bath
             setting = f"{asked:.4g} {heat} is asked of the thermostat"
-            if deficit > self.temperature_error:
+            if self.changed:
+                setting += f" at the end; {self.changed}"
+            elif deficit > self.temperature_error:
                 expected = f"{asked - deficit:.4g} {heat} is expected of them"
-                setting += f"; the time step makes velocities too slow: {expected}, positions have what is asked"
+                setting += (
+                    f"; the time step makes velocities too slow: {expected}, positions have what is asked "
+                    "(docs/temperature.md, which temperature?)"
+                )
             rows.append(("", setting))
         if self.cost is not None:
             rows += self.cost.rows()
@@ -404,6 +425,10 @@ class Report(Displayed):
         return f"{self._energy_verdict}; {momentum}"
 
     @property
+    def _change(self) -> str:
+        return f"{self.changed}, and with it the energy or its error"
+
+    @property
     def _energy_verdict(self) -> str:
         taken = " and ".join(["reservoir energy"] * self.has_bath + ["work"] * self.has_work)
         name = f"total energy minus {taken}" if taken else "total energy"
@@ -412,6 +437,8 @@ class Report(Displayed):
             if self.is_quiet:
                 share = self.energy_range / self.kinetic_energy
                 varies = f"varies by {100.0 * share:.1g} % of the kinetic energy"
+            if self.changed:
+                return f"the {name} {varies}; whether it drifts cannot be told: {self._change}"
             return (
                 f"the {name} {varies}; the run is too short to tell whether it drifts: "
                 "its fluctuations last nearly as long as the run"
@@ -424,7 +451,9 @@ class Report(Displayed):
             near = "it oscillates near the limit of stability, or has jumped; reduce the time step"
             return f"THE {name.upper()} VARIES {times}, without a drift: {cause or near}"
         causes = [cause] if cause else []
-        if self.is_settling:
+        if self.changed:
+            causes.append(self._change)
+        elif self.is_settling:
             first, last = self.temperatures
             causes.append(
                 f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, "

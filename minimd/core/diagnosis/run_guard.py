@@ -40,7 +40,8 @@ class RunGuard:
     """Makes the steps of an engine, and finds out what went wrong when one fails.
     seconds, n_steps : of the present run, without compilation.
     observing : seconds of its observers.
-    failed_from : Snapshot from which the last failure can be replayed."""
+    failed_from : Snapshot from which the last failure can be replayed.
+    bath_settings : of the engine, different ones, which observers have set in the present run."""
 
     _snapshots: list[Snapshot]  # at least SNAPSHOTS_APART steps apart
     _first: Mapping[str, Any] | None  # observables at the first look of a run
@@ -52,6 +53,7 @@ class RunGuard:
         self.observing = 0.0
         self.n_steps = 0
         self.failed_from: Snapshot | None = None
+        self.bath_settings: set[tuple[float | None, float | None]] = set()
         self._first_volume = engine.system.volume
         self._checked_timestep = 0.0  # none yet
         self._checked = 0.0, -1  # and after how many beginnings
@@ -72,6 +74,7 @@ class RunGuard:
         self.seconds = 0.0
         self.observing = 0.0
         self.n_steps = 0
+        self.bath_settings = set()
         self._first, self._growth = self._judged_by
         self.engine.interactions.reset_counts()
         if self.engine.constraint_set.bonds is not None:

@@ -22,7 +22,12 @@ from minimd.core.integrators.thermostats import Thermostat
 from minimd.core.potentials.law import law_at
 from minimd.core.potentials.pair import Nonbonded
 from minimd.core.structure.observables import leaves_out_center, longest
-from minimd.core.structure.statistics import mean_and_error, with_error
+from minimd.core.structure.statistics import (
+    correlation_times,
+    mean_and_error,
+    short_run,
+    with_error,
+)
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE, GRAM_PER_CM3
 from minimd.core.structure.vectors import Array
@@ -59,10 +64,21 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     )
     angular = is_free and not engine.system.cell.is_periodic
     lines = static_checks(engine, reversibility)
-    lines += pressure_lines(record, float(engine.system.masses.sum()), engine.barostat, is_free)
+    changes = bath_changes(guard)
+    barostat = None if "pressure" in changes else engine.barostat  # a ramp has no mean
+    lines += pressure_lines(record, float(engine.system.masses.sum()), barostat, is_free)
     advice = too_long_a_step(engine) or ""
     report = conservation_report(record, angular, cost, is_free, lines, engine.n_dof, advice)
-    return replace(report, bath=bath_of(engine))
+    changed = f"the {' and '.join(changes)} of the bath changed during the run" if changes else ""
+    return replace(report, bath=bath_of(engine), changed=changed)
+
+
+def bath_changes(guard: RunGuard) -> list[str]:
+    """Which of temperature and pressure of the baths observers have changed during a run."""
+    settings = zip(
+        ("temperature", "pressure"), zip(*guard.bath_settings, strict=True), strict=False
+    )
+    return [name for name, values in settings if len(set(values)) > 1]
 
 
 def bath_of(engine: Engine) -> tuple[float, float] | None:
@@ -206,7 +222,7 @@ def pressure_lines(
     yield Line(
         "density",
         f"{with_error(*mean_and_error(density))} {unit} on average",
-        f"standard deviation {density.std():.2g}",
+        f"standard deviation {density.std():.2g}{_unless_long(density, 'density')}",
         True,
     )
     if barostat.coupling not in ("isotropic", "triclinic"):
@@ -214,12 +230,23 @@ def pressure_lines(
     missing = 0.0
     if leaves_out_center(record.n_atoms, is_free):
         missing = units.k_B * record.temperature / record.volume
-    mean, error = mean_and_error(record.pressure + missing)
+    pressure = record.pressure + missing
+    mean, error = mean_and_error(pressure)
     is_there = abs(mean - barostat.pressure) <= FAR * error
+    verdict = "NOT REACHED; equilibrate longer"
+    if is_there:
+        verdict = "consistent with it, within three standard errors"
     yield Line(
         "pressure",
         f"{with_error(mean, error)} {units.pressure} on average, {barostat.pressure:.4g} wanted",
-        "reached" if is_there else "NOT REACHED; equilibrate longer",
+        f"{verdict}{_unless_long(pressure, 'pressure')}",
         is_there,
         not is_there,
     )
+
+
+def _unless_long(series: Array, of: str) -> str:
+    """What short_run says of a series, behind a semicolon."""
+    error = mean_and_error(series)[1]
+    short = short_run(float(correlation_times(series.var(), error)), of)
+    return f"; {short}" if short else ""

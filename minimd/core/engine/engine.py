@@ -519,6 +519,19 @@ class Engine:
         return self._method.is_thermostat or self.barostat is not None
 
     @property
+    def bath_settings(self) -> tuple[float | None, float | None]:
+        """Temperature and pressure that thermostat and barostat are set to; None without them, or if a temperature is
+        no number."""
+        temperature = self._method.parameters.get("temperature")
+        if not isinstance(temperature, float | int):
+            temperature = None
+        if self.barostat is None:
+            return temperature, None
+        if temperature is None:
+            temperature = self.barostat.temperature
+        return temperature, self.barostat.pressure
+
+    @property
     def conserves_momentum(self) -> bool:
         """Whether momentum is constant: no fixed atoms, no outside force, no bath of each atom, no counts_center."""
         return self._is_still_under(self._method)

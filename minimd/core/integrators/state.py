@@ -147,7 +147,8 @@ class Bath:
     k_B : [energy/temperature].
     n_dof : degrees of freedom that share the kinetic energy.
     conserves_momentum : of all atoms; then the motion of the center of mass is not a thermal degree of freedom.
-    step, contact : the number of the step, and of the contact within it; both select the noise.
+    step, contact : the number of the step, negative in an equilibration, and of the contact within it; both select
+        the noise.
     energy : given to the system since the start, the reservoir energy [energy].
     heat, thermal : (1,) energy, and (2,) int, n_dof and conserves_momentum, for kernels."""
 

@@ -11,6 +11,8 @@ from minimd.core.structure.checks import checked_numbers
 from minimd.core.structure.vectors import Array
 
 Weighted = Callable[[int], list[tuple[float, Array]]]
+# correlation times; a run with fewer cannot tell how many it has, and its error bars are too small
+FEWEST = 30.0
 FEW = 4  # entries or blocks: from fewer, no error can be estimated
 MOST_BLOCKS = 32  # at this number, blocks are joined in pairs: a long run always has 16 to 31
 # of slow correlations, in parts of the run and of the variance of the mean
@@ -145,6 +147,21 @@ def statistical_inefficiency(series: Any) -> float:
     error = mean_and_error(values)[1]
     variance = float(values.var(ddof=1)) if len(values) > 1 else 0.0
     return len(values) * error**2 / variance if variance > 0.0 else 1.0
+
+
+def correlation_times(variance: Array | float, error: Array | float) -> Array:
+    """The length of a run in correlation times of a series: n_c = 2 s²/error², with the variance s² of the series and
+    the standard error of its mean; NaN where the error is zero or unknown."""
+    with np.errstate(all="ignore"):
+        return np.where(np.greater(error, 0.0), 2.0 * np.divide(variance, np.square(error)), np.nan)
+
+
+def short_run(times: float, of: str, enough: float = FEWEST) -> str:
+    """What error bars are in a run of fewer than enough correlation times; empty in a longer one, or for NaN.
+    of : the quantity that is correlated."""
+    if not times < enough:
+        return ""
+    return f"the run is only {max(1.0, times):.0f} correlation times of the {of} long: THE ERROR BARS ARE LOWER BOUNDS"
 
 
 def block_means(series: Array, blocks: int) -> Array:

@@ -181,6 +181,37 @@ def hints_of(system, potentials, method=0.004, constraints=(), **options):
     return [str(one.message) for one in told]
 
 
+ZIGZAG = md.System(
+    np.column_stack([K, 0.1 * (K % 2), 0 * K]), bonds=ROW.bonds, angles=np.arange(38)[:, None] + [0, 1, 2]
+)
+STRETCH, BEND = md.HarmonicBond(1000.0, 1.01**0.5), md.HarmonicAngle(500.0, np.pi - 2.0 * np.arctan(0.1))
+NETWORKS = {  # scene, and that of its harmonic bonds and angles alone
+    "bonds": ([ROW, STRETCH], STRETCH),
+    "bonds and angles": ([ZIGZAG, [STRETCH, BEND]], [STRETCH, BEND]),
+    "angles between rigid bonds": ([ZIGZAG, BEND, md.DistanceConstraints(ROW.bonds)], BEND),
+    "bonds of a liquid": ([md.System(ROW.positions, bonds=ROW.bonds, masses=2.0), [STRETCH, LJ]], STRETCH),
+}
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_the_limit_of_all_bonds_together_is_told_before_and_after_a_run_with_the_step_advised(name):
+    """At 0.7 of the limit of all, where each bond alone seems safe, and beyond it; at half of it nothing is told."""
+    (system, laws, *rigid), harmonic = NETWORKS[name]
+    limit = md.advise_timestep(system, harmonic, *rigid).limit
+    assert hints_of(system.copy(), laws, 0.5 * limit, *rigid) == []
+    for share in (0.7, 1.03):
+        method = md.VelocityVerlet(share * limit)
+        words = f"Δt·ω = {2.0 * share:.4g}.*{md.units.LJ.shown(limit)}; take "
+        sim = md.Simulation(system.copy(), laws, method, *rigid)
+        sim.set_temperature(1e-8, seed=1)
+        recommended = md.advise_timestep(sim.system, laws, *rigid).recommended
+        with pytest.warns(UserWarning, match=f"{words}{md.units.LJ.shown(recommended)}, as advise_timestep"):
+            sim.run(1)
+        now = md.advise_timestep(sim.system, laws, *rigid).recommended
+        told = f"timestep .*Δt·ω = .*; take {md.units.LJ.shown(now)}, as advise_timestep"
+        assert re.search(told, sim.report().verdict)
+
+
 def like(system, **changes):
     """The same places in the same cell."""
     return md.System(system.positions, **{"velocities": system.velocities, "cell": system.cell} | changes)
@@ -213,8 +244,9 @@ HINTS = {  # scene, and what is said
     "the right depth": (*with_depth(0.0103), None),
     "one that is thermal": (FLOWING, LJ, BATH, None),
     "a start off its lengths": (*STIFF, 0.01, md.DistanceConstraints([[0, 1]], 0.9), "was projected"),
-    "a step too long for a bond": (*STIFF, 0.18, "timestep 0.18 τ .* the bond of atoms 0 and 1 .* 0.1789 τ"),
-    "one that is not": (*STIFF, 0.178, None), "a rigid bond": (*STIFF, 0.18, RIGID, None),
+    "a step too long for a bond": (*STIFF, 0.18, "timestep 0.18 τ .* the bond of atoms 0 and 1; .* 0.1789 τ"),
+    "one near its limit": (*STIFF, 0.17, "timestep 0.17 τ .* 0.1789 τ"),
+    "one that is not": (*STIFF, 0.1, None), "a rigid bond": (*STIFF, 0.18, RIGID, None),
     "a bond with one end fixed": (*STIFF, 0.18, md.FixedAtoms([0]), None),  # 2/ω = 0.4
 }  # fmt: skip
 

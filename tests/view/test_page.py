@@ -201,7 +201,7 @@ def test_a_view_is_shown_in_a_notebook_and_saved(run, tmp_path):
     assert Parts(md.view(still).html).counts.shape == (1, 1, 3)
 
 
-@pytest.mark.filterwarnings("ignore:timestep 0.05 τ is longer than the bond")
+@pytest.mark.filterwarnings("ignore:timestep 0.05 τ is long")
 @pytest.mark.slow
 def test_a_failed_run_shows_its_last_steps_and_marks_the_pair(tmp_path):
     simulation = skewed_chains(timestep=0.05)

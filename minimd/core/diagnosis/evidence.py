@@ -1,11 +1,13 @@
 """What is known about a scene, and about its failure if it has failed: what the rules of the judge look at."""
 
+from collections.abc import Sequence
 from functools import cached_property
-from math import sqrt
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from minimd.core.console.quiet import quiet
 from minimd.core.diagnosis.contacts import Contact, contacts
 from minimd.core.diagnosis.stiffness import Stiffness
 from minimd.core.diagnosis.timestep import OSCILLATION, StepAdvice, advice_at
@@ -22,7 +24,9 @@ USUAL = (8.0 * OSCILLATION) ** 0.5
 OVERLAP = 0.8  # of σ; thermal collisions of a liquid at k_B T = ε end at 0.85 σ
 # of its distance: a pair that a force moves farther in one step overlaps; for laws without a length of their own
 THROWN = 0.1
-ADVICE_SECONDS = 10.0  # at most, for the search of the stiffest mode
+# at most, for the search of the stiffest mode: before a run and in its report; after a failure
+HINT_SECONDS = 1.0
+ADVICE_SECONDS = 10.0
 HALVE = "halve the timestep until the energy is conserved"
 
 
@@ -130,26 +134,62 @@ class Evidence:
 
     @cached_property
     def advice(self) -> StepAdvice | None:
-        """Advice on the time step for the last good state; None if it takes too long or fails."""
+        """Advice on the time step for the present state, after a failure the last good one; None if it takes too long
+        or fails."""
+        seconds = ADVICE_SECONDS if self.failure else HINT_SECONDS
+        return self._advice(self.potentials, seconds)
+
+    @cached_property
+    def network(self) -> StepAdvice | None:
+        """The same for the harmonic bonds and angles alone, rough for many atoms; None without any that can move."""
+        bonds = self.stiffness.harmonic
+        if not self.stiffness.bound:
+            return None
+        return self._advice(bonds, HINT_SECONDS) or self._advice(bonds, ADVICE_SECONDS, True)
+
+    def _advice(
+        self, potentials: Sequence[Any], seconds: float, is_rough: bool = False
+    ) -> StepAdvice | None:
+        at_rest = self.failure is not None
         try:
-            return advice_at(self.engine, ADVICE_SECONDS)
+            with quiet():  # their warnings have been given
+                return advice_at(self.engine, potentials, seconds, at_rest, is_rough)
         except Exception:  # whatever a term of the user's own raises
             return None  # the failure itself must be told
 
     @property
     def recommended(self) -> str:
-        """What advise_timestep recommends for the last good state."""
-        if not self.advice or not self.advice.frequency:
-            return "take a shorter timestep, such as advise_timestep recommends"
+        """What advise_timestep recommends for this state; if that takes too long, about as much."""
+        if not self.advice or self.advice.recommended == inf:
+            usual = self.usual_step(at_rest=self.failure is not None)
+            return f"take some {self.units.shown(usual)}, or ask advise_timestep"
         step = self.units.shown(self.advice.recommended)
-        return f"take {step}, as advise_timestep recommends for the last good state"
+        state = "last good" if self.failure else "present"
+        return f"take {step}, as advise_timestep recommends for the {state} state"
+
+    @property
+    def phase_of_bonds(self) -> float:
+        """Δt·ω of all harmonic bonds and angles together; 0 without any that can move."""
+        return self.network.frequency * self.timestep if self.network else 0.0
+
+    @property
+    def stability_of_bonds(self) -> str:
+        """This Δt·ω beside the limit of the method, as text, if there are harmonic bonds."""
+        network: Any = self.network
+        place = ""
+        if network.bond:
+            place = ", most of all the bond of atoms {} and {}".format(*network.bond)
+        return (
+            f"Δt·ω = {self.phase_of_bonds:.4g} for the harmonic bonds and angles together{place}; "
+            f"{network.method} is stable up to {self.limit:.4g}, which is {self.units.shown(network.limit)}"
+        )
 
     def usual_step(self, at_rest: bool = False) -> float:
-        """A time step with 20 steps in a period of harmonic bonds and of collisions of Lennard-Jones atoms, see
-        Stiffness.collisions; ∞ without both [time]."""
-        bond = self.stiffness.bond
-        fastest = max(self.stiffness.collisions(at_rest), sqrt(bond.square) if bond else 0.0)
-        return USUAL / fastest if fastest else float("inf")
+        """A time step with 20 steps in a period of the harmonic bonds and angles together, and of collisions of
+        Lennard-Jones atoms, see Stiffness.collisions; ∞ without both [time]."""
+        fastest = self.stiffness.collisions(at_rest)
+        collision = USUAL / fastest if fastest else inf
+        return min(collision, self.network.harmonic) if self.network else collision
 
     @property
     def shorter(self) -> str:

@@ -21,8 +21,8 @@ def hints(engine: Engine) -> Iterator[str]:
 
 
 def too_long_a_step(engine: Engine) -> str | None:
-    """A clause if the time step is longer than a harmonic bond allows, or far longer than suits Lennard-Jones atoms;
-    of ε if that is in another unit. None if neither."""
+    """A clause if the time step is beyond or close to the limit of the harmonic bonds and angles, or far longer than
+    suits Lennard-Jones atoms; of ε if that is in another unit. None if neither."""
     verdict = next(long_steps(Evidence(engine)), None)
     return None if verdict is None else verdict.cause
 

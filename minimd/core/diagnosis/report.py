@@ -414,7 +414,8 @@ class Report(Displayed):
             return f"NOTHING IS CONSERVED: {self.not_finite}"
         if self.n_frames < FEW:
             are = "frames are" if self.n_frames > 1 else "frame is"
-            return f"{self.n_frames} {are} too few to judge the energy; run longer, or with a smaller every"
+            few = f"{self.n_frames} {are} too few to judge the energy; run longer, or with a smaller every"
+            return f"{few}{self._and_the_step}"
         momentum = "THE TOTAL MOMENTUM CHANGES: a force is not pairwise."
         if self.is_at_rest:
             momentum = "the atoms are at rest: set_temperature gives them velocities."
@@ -429,6 +430,10 @@ class Report(Displayed):
         return f"{self.changed}, and with it the energy or its error"
 
     @property
+    def _and_the_step(self) -> str:
+        return f"; AND {self.too_long_a_step}" if self.too_long_a_step else ""
+
+    @property
     def _energy_verdict(self) -> str:
         taken = " and ".join(["reservoir energy"] * self.has_bath + ["work"] * self.has_work)
         name = f"total energy minus {taken}" if taken else "total energy"
@@ -441,7 +446,7 @@ class Report(Displayed):
                 return f"the {name} {varies}; whether it drifts cannot be told: {self._change}"
             return (
                 f"the {name} {varies}; the run is too short to tell whether it drifts: "
-                "its fluctuations last nearly as long as the run"
+                f"its fluctuations last nearly as long as the run{self._and_the_step}"
             )
         cause = self.too_long_a_step
         if self.energy_is_conserved:

@@ -9,7 +9,7 @@ from math import pi, sqrt
 import numpy as np
 
 from minimd.core.diagnosis.contacts import OPEN_IT, thin_cell
-from minimd.core.diagnosis.evidence import Evidence, Verdict, is_overlap, strongest
+from minimd.core.diagnosis.evidence import USUAL, Evidence, Verdict, is_overlap, strongest
 from minimd.core.diagnosis.timestep import OSCILLATION
 from minimd.core.engine.cell_rescaling import EVAPORATED
 from minimd.core.integrators.order_conditions import accurate_step
@@ -54,7 +54,9 @@ HOT_STEP = 0.05
 HOT_SPOT = 6.0
 # of ωσ at the minimum of a pair: higher speeds are due to heat, k_B T > 3 ε; at lower ones the step is too long
 FAST = 0.3
-# of the longest stable step: collisions are that much stiffer than the state itself
+# of the longest stable step: in a run bonds come that close to their limit; velocity Verlet: 5 steps in a period
+CLOSE = 0.6
+# likewise: collisions are that much stiffer than the state itself
 NEAR_LIMIT = 0.5
 
 
@@ -77,8 +79,8 @@ def before(evidence: Evidence) -> Verdicts:
 
 
 def long_steps(evidence: Evidence) -> Verdicts:
-    """An ε in another unit; a time step that is too long for a harmonic bond, or for collisions of Lennard-Jones atoms
-    in a liquid. Other forces may allow still less."""
+    """An ε in another unit; a time step that is too long for the harmonic bonds and angles, or for collisions of
+    Lennard-Jones atoms in a liquid. Other forces may allow still less."""
     stiffness = evidence.stiffness
     dt = evidence.timestep
     method = evidence.engine.method
@@ -86,14 +88,13 @@ def long_steps(evidence: Evidence) -> Verdicts:
     depth = evidence.strange_depth
     if depth:
         yield depth
-    bond = stiffness.bond
-    limit = evidence.limit / sqrt(bond.square) if bond else np.inf
-    if bond and dt > limit:
+    close = CLOSE * evidence.limit
+    # the bound spares usual steps the search for the stiffest mode
+    if dt * sqrt(stiffness.bound) > close and evidence.phase_of_bonds > close:
         yield Verdict(
             "long step",
-            f"timestep {evidence.step} is longer than the bond of atoms {bond.i} and {bond.j} allows: "
-            f"for this bond {method.name} is stable up to {shown(limit)}",
-            CHECK_STEP,
+            f"timestep {evidence.step} is long: {evidence.stability_of_bonds}; {evidence.recommended}",
+            "check the unit of the time step",
         )
     fastest = stiffness.collisions(at_rest=True)
     if not fastest * dt > TOO_LONG * OSCILLATION**0.5:
@@ -111,7 +112,8 @@ def long_steps(evidence: Evidence) -> Verdicts:
 
 def _short_step(evidence: Evidence) -> Verdicts:
     """A time step far shorter than the harmonic bonds and the collisions of Lennard-Jones atoms need."""
-    usual = evidence.usual_step()
+    fastest = max(evidence.stiffness.collisions(), sqrt(evidence.stiffness.bound))
+    usual = USUAL / fastest if fastest else np.inf
     is_short = MEANT * usual < evidence.timestep < TOO_SHORT * usual
     # other laws may be stiffer
     laws = evidence.potentials
@@ -120,9 +122,8 @@ def _short_step(evidence: Evidence) -> Verdicts:
         example = ", such as 5 * md.units.fs" if evidence.units == ASE else ""
         yield Verdict(
             "short step",
-            f"timestep {evidence.step} is far shorter than these atoms need: "
-            f"with {evidence.units.shown(usual)} the fastest motion has 20 steps per period",
-            f"check the unit of the time step{example}",
+            f"timestep {evidence.step} is far shorter than the 20 steps in a period that atoms need",
+            f"{evidence.recommended}, and check the unit of the time step{example}",
         )
 
 
@@ -397,19 +398,30 @@ def _constraints(evidence: Evidence) -> Verdicts:
 
 
 def _bonds_and_attraction(evidence: Evidence) -> Verdicts:
-    """A bond whose Δt·ω is beyond the limit of the method; a law that attracts the more the closer two atoms come."""
+    """Bonds whose Δt·ω, of one or of all together, is beyond the limit of the method, or close to it if a bond pushes
+    most strongly; a law that attracts the more the closer two atoms come."""
     limit = evidence.limit
+    pair = evidence.strongest
     bonds = [contact for contact in evidence.contacts if contact.is_bond]
     bond = max(bonds, key=evidence.phase, default=None)
-    if bond and evidence.phase(bond) > limit:
-        phase = f"Δt·ω = {evidence.phase(bond):.3g} (stable up to {limit:.3g})"
+    phase = evidence.phase(bond) if bond else 0.0
+    is_pushed = pair is not None and pair.is_bond
+    if evidence.phase_of_bonds > (CLOSE if is_pushed else 1.0) * limit:
+        alone = f"; Δt·ω of the bond of {bond.atoms} alone is {phase:.4g}" if bond else ""
         yield Verdict(
             "bond",
-            f"timestep {evidence.step} too large for the bond of {bond.atoms}: {phase}",
+            f"timestep {evidence.step} too large: {evidence.stability_of_bonds}{alone}",
+            f"{evidence.recommended}; or hold bonds rigid",
+            bond,
+        )
+    elif bond and phase > limit:
+        yield Verdict(
+            "bond",
+            f"timestep {evidence.step} too large for the bond of {bond.atoms}: "
+            f"Δt·ω = {phase:.3g} (stable up to {limit:.3g})",
             f"{evidence.recommended}; or hold the bond rigid",
             bond,
         )
-    pair = evidence.strongest
     if pair and pair.sinks:
         depth = f"{pair.energy:.3g} {evidence.units.energy}"
         yield Verdict(

@@ -1,8 +1,8 @@
-"""How stiff a scene is: its bonds in closed form, collisions of its Lennard-Jones atoms, the mode of one state."""
+"""How stiff a scene is: bounds of its bonds and angles, collisions of Lennard-Jones atoms, the mode of one state."""
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from minimd.core.compiled.machine import EPS
 from minimd.core.constraints.constraint_set import ConstraintSet
 from minimd.core.forces.forces import Forces
 from minimd.core.neighbors.queries import closest_pair
-from minimd.core.potentials.bonded import HarmonicBond
+from minimd.core.potentials.bonded import Bonded, HarmonicAngle, HarmonicBond
 from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.pair import Nonbonded, curvature_at_minimum
 from minimd.core.structure.bond_graph import among
@@ -26,8 +26,6 @@ ROUNDINGS = 1e-9  # of the largest coordinate: the smallest displacement, with s
 ROUNDINGS_OF_FORCES = 100.0  # in a sum over some fifty neighbors and its projection
 SMALL = 90  # coordinates; up to this number the whole matrix is as cheap as iterations
 ACCURACY = 1e-4  # of ω², relative
-TRIED = 16  # bonds of the highest bare frequencies, whose freedom to stretch is examined
-RIGID = 1e-9  # of its bare 1/μ: a bond to which constraints leave less cannot stretch
 SEED = 1  # of the vector from which iterations start
 # ω of the stiffest mode of a liquid, divided by that of a pair at rest; the modes: 4.8 at T* 0.7, ρ* 0.85; 5.8 at 1.44,
 # 0.8442. (ω/ω_pair)² = cold + heat T*^(7/6) through these two; u″ ∝ u^(7/6) where a wall r⁻¹² stops an atom
@@ -51,14 +49,6 @@ READINGS = (  # of an ε in another unit: its name, its size in eV, and the fact
 )
 
 
-class StiffBond(NamedTuple):
-    """Atoms i and j of a harmonic bond with ω² = k (1/m_i + 1/m_j) [1/time²]."""
-
-    i: int
-    j: int
-    square: float
-
-
 class Stiffness:
     """What is known of a scene without computing forces; each number is computed when it is first asked for."""
 
@@ -73,38 +63,59 @@ class Stiffness:
         self._held: NDArray[np.int64] = no_bonds if bonds is None else bonds.pairs
 
     @cached_property
-    def bond(self) -> StiffBond | None:
-        """The harmonic bond with the highest frequency of its own, ω² = k/μ; None if there is none that can stretch.
-        With other bonds, and if nothing is compressed, the stiffest mode is faster still: ω² is a lower bound for its
-        square."""
-        inverse_masses = self._constraint_set.inverse_masses
-        bonds: list[StiffBond] = []
-        for potential in self._potentials:
-            if isinstance(potential, HarmonicBond):
-                pairs = potential.groups_in(self.system)
-                squares = potential.numbers()["k"] * inverse_masses[pairs].sum(axis=1)
-                squares[among(pairs, self._held)] = 0.0
-                for b in np.argsort(-squares)[:TRIED]:
-                    i, j = pairs[b].tolist()
-                    bonds.append(StiffBond(i, j, float(squares[b])))
-        bonds = [bond for bond in bonds if bond.square > 0.0]
-        if len(self._held):
-            bonds = [bond._replace(square=bond.square * self._free_part(bond)) for bond in bonds]
-        stiffest = max(bonds, key=lambda bond: bond.square, default=None)
-        return stiffest if stiffest is not None and stiffest.square > 0.0 else None
+    def harmonic(self) -> list[Any]:
+        """The potentials of harmonic bonds and angles."""
+        return [law for law in self._potentials if isinstance(law, HarmonicBond | HarmonicAngle)]
 
-    def _free_part(self, bond: StiffBond) -> float:
-        """The fraction of 1/μ that constraints leave to a bond: the relative velocity that a unit impulse along it
-        causes, times μ. From 0 to 1."""
+    @property
+    def stiffest_bond(self) -> NDArray[np.int64]:
+        """The harmonic bond with the largest k (1/m_i + 1/m_j), as (1, 2); (0, 2) without one."""
+        inverse_masses = self._constraint_set.inverse_masses
+        stiffest = np.zeros((0, 2), dtype=np.int64)
+        largest = 0.0
+        for law in self.harmonic:
+            pairs = law.groups_in(self.system)
+            if isinstance(law, HarmonicBond) and len(pairs):
+                squares = law.numbers()["k"] * inverse_masses[pairs].sum(axis=1)
+                b = int(np.argmax(squares))
+                if squares[b] > largest:
+                    largest = squares[b]
+                    stiffest = pairs[b : b + 1]
+        return stiffest
+
+    @cached_property
+    def bound(self) -> float:
+        """ω² that no mode of the harmonic bonds and angles alone exceeds, near their rest angles [1/time²]:
+
+            bonds + angles, each  max Σ_a |∇_a q| p_a/m_a,  p_a = Σ k |∇_a q|
+
+        q is the length of a bond, or an angle; the first sum is over its atoms a, the second over all bonds, or angles,
+        of an atom. For a long straight chain of bonds this is its ω². Row sums bound the eigenvalues (S. Gershgorin) of
+        F G in E. B. Wilson, J. C. Decius, P. C. Cross, Molecular Vibrations (1955), chapter 4."""
+        return sum(self._bound_of(kind) for kind in (HarmonicBond, HarmonicAngle))
+
+    def _bound_of(self, kind: type[Bonded]) -> float:
         system = self.system
-        pair = np.array([bond.i, bond.j])
-        inverse_masses = self._constraint_set.inverse_masses[pair]
-        arm = direction(nearest_vectors(system.positions, system.cell, pair[None])[0])
-        velocities = np.zeros_like(system.positions)
-        velocities[pair] = np.outer(inverse_masses * [-1.0, 1.0], arm)
-        self._constraint_set.project(velocities, system.positions)
-        part = float((velocities[bond.j] - velocities[bond.i]) @ arm / inverse_masses.sum())
-        return part if part > RIGID else 0.0
+        pulls = np.zeros(len(system))
+        terms = []
+        for law in self.harmonic:
+            if not isinstance(law, kind):
+                continue
+            groups = law.groups_in(system)
+            k = np.broadcast_to(law.numbers()["k"], len(groups))
+            slopes = np.ones(groups.shape)
+            if kind is HarmonicBond and len(self._held):
+                k = np.where(among(groups, self._held), 0.0, k)
+            elif kind is HarmonicAngle:
+                for end in (0, 2):
+                    arms = nearest_vectors(system.positions, system.cell, groups[:, [1, end]])
+                    slopes[:, end] = 1.0 / np.linalg.norm(arms, axis=1)
+                slopes[:, 1] = slopes[:, 0] + slopes[:, 2]  # at most
+            np.add.at(pulls, groups.ravel(), (k[:, None] * slopes).ravel())
+            terms.append((groups, np.where(k[:, None] > 0.0, slopes, 0.0)))
+        pulls *= self._constraint_set.inverse_masses
+        rows = [np.einsum("ga,ga->g", slopes, pulls[groups]) for groups, slopes in terms]
+        return max((float(squares.max(initial=0.0)) for squares in rows), default=0.0)
 
     def collisions(self, at_rest: bool = False) -> float:
         """ω of Lennard-Jones atoms that collide in a liquid [1/time]; 0 if there are none.
@@ -235,9 +246,10 @@ class Curvature:
         np.divide(accelerations, self._root, out=weighted, where=self._root > 0.0)
         return weighted.ravel()
 
-    def stiffest(self, guess: Array) -> tuple[float, Array]:
+    def stiffest(self, guess: Array, accuracy: float = ACCURACY) -> tuple[float, Array]:
         """The largest eigenvalue of D [1/time²] and its vector, (N, 3), of length one.
-        guess : (N, 3), of a start."""
+        guess : (N, 3), of a start.
+        accuracy : of ω², relative, at least."""
         if guess.size <= SMALL:
             matrix = np.stack([self.times(unit) for unit in np.eye(guess.size)])
             squares, modes = np.linalg.eigh(0.5 * (matrix + matrix.T))
@@ -248,16 +260,15 @@ class Curvature:
         from scipy.sparse.linalg import LinearOperator, eigsh
 
         operator = LinearOperator((guess.size, guess.size), matvec=self.times, dtype=np.float64)
-        squares, modes = eigsh(operator, k=1, which="LA", v0=guess.ravel(), tol=ACCURACY)
+        squares, modes = eigsh(operator, k=1, which="LA", v0=guess.ravel(), tol=accuracy)
         return float(squares[0]), modes[:, 0].reshape(-1, 3)
 
-    def guess(self, bond: StiffBond | None) -> Array:
-        """A vector that contains a part of every mode, and a large part of the stretching of a bond. (N, 3)."""
+    def guess(self, bond: NDArray[np.int64]) -> Array:
+        """A vector that contains a part of every mode, and a large part of the stretching of a bond. (N, 3).
+        bond : (1, 2), or (0, 2) for none."""
         start = self._start
         vector = np.random.default_rng(SEED).standard_normal(start.shape) / np.sqrt(start.size)
-        if bond is not None:
-            vector += self.stretching(np.array([[bond.i, bond.j]]))[0]
-        return vector
+        return vector + self.stretching(bond).sum(axis=0)
 
     def stretching(self, pairs: NDArray[np.int64]) -> Array:
         """The stretching mode of each pair alone: its atoms move apart, in any direction if they are at the same place.

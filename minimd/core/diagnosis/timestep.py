@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nan, pi
-from time import perf_counter
+from timeit import repeat
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import shown
 from minimd.core.constraints.constraint_set import ConstraintSet
 from minimd.core.diagnosis.contacts import why_not_finite
-from minimd.core.diagnosis.stiffness import COLDEST, Curvature, Stiffness
+from minimd.core.diagnosis.stiffness import ACCURACY, COLDEST, Curvature, Stiffness
 from minimd.core.engine.engine import Engine
 from minimd.core.forces.forces import Forces, Potential
 from minimd.core.integrators.order_conditions import accurate_step, stability_limit
@@ -26,6 +26,9 @@ from minimd.core.structure.units import UnitSystem
 # of the energy of the stiffest mode at the recommended step: 20 velocity Verlet steps a period
 OSCILLATION = 1.0 / 80.0
 EVALUATIONS = 200  # of the forces: as many mostly suffice to find the stiffest mode of many atoms
+# the same with a residual of ROUGH: ω is then right to a hundredth
+FEW_EVALUATIONS = 100
+ROUGH = 0.03
 SHOWN_ATOMS = 4  # of the stiffest mode, at most
 HALF = 0.5  # of a mode: a bond is named if its stretching makes up more
 SHOWN_SHARE = 0.05  # of its kinetic energy, at least
@@ -163,30 +166,39 @@ def advise_timestep(
     return _advice(Forces(system, potentials), constraint_set, method)
 
 
-def advice_at(engine: Engine, seconds: float) -> StepAdvice | None:
+def advice_at(
+    engine: Engine, potentials: Sequence[Potential], seconds: float, at_rest: bool, is_rough: bool
+) -> StepAdvice | None:
     """advise_timestep for the present state of an engine, which is left as it is; None if that would take longer.
-    seconds : it may take at most.
+    potentials : all of the engine, or some.
+    seconds : it may take at most, some.
+    is_rough : whether ω may be off by a hundredth.
+    at_rest : whether velocities are left out: those of a failed run are no temperature.
     Raises NonFiniteError as advise_timestep, and whatever a potential raises."""
     system = engine.system.copy()
-    forces = Forces(system, engine.interactions.potentials, engine.interactions.options)
+    forces = Forces(system, potentials, engine.interactions.options)
     forces.compute()  # compiles
-    started = perf_counter()
-    forces.compute()
-    if (perf_counter() - started) * min(2 * system.positions.size, EVALUATIONS) > seconds:
+    pace = min(repeat(forces.compute, number=1, repeat=3))
+    accuracy, n_evaluations = (ROUGH, FEW_EVALUATIONS) if is_rough else (ACCURACY, EVALUATIONS)
+    if pace * min(2 * system.positions.size, n_evaluations) > seconds:
         return None
-    system.velocities[:] = 0.0  # those of a failed run are no temperature
-    return _advice(forces, ConstraintSet(system, engine.constraints), engine.method)
+    if at_rest:
+        system.velocities[:] = 0.0
+    return _advice(forces, ConstraintSet(system, engine.constraints), engine.method, accuracy)
 
 
 def _advice(
-    forces: Forces, constraint_set: ConstraintSet, method: Splitting | type[Splitting]
+    forces: Forces,
+    constraint_set: ConstraintSet,
+    method: Splitting | type[Splitting],
+    accuracy: float = ACCURACY,
 ) -> StepAdvice:
     system = forces.system
     stiffness = Stiffness(system, forces.potentials, constraint_set)
     curvature = Curvature(forces, constraint_set)
     square = nan
     if curvature.is_finite:
-        square, mode = curvature.stiffest(curvature.guess(stiffness.bond))
+        square, mode = curvature.stiffest(curvature.guess(stiffness.stiffest_bond), accuracy)
     if not np.isfinite(square):
         why = why_not_finite(system, forces.potentials)
         raise NonFiniteError(f"the forces around this state are not finite: {why}")

@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
-from ase.data import atomic_numbers
 from numpy.typing import NDArray
 
 from minimd.core.console import __version__
@@ -333,6 +332,8 @@ def _description(system: System) -> dict[str, Item]:
 def _topology(system: System) -> dict[str, Item]:
     """Masses, charges, elements and names: all atoms are one type of molecule, of which there is one.
     Without a topology of the system residues are its molecules."""
+    from ase.data import atomic_numbers
+
     names = system.species.astype(str)
     elements = names if system.units is ASE else np.full(len(names), "")
     molecules = molecules_of(system)

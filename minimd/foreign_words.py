@@ -5,9 +5,9 @@ docs/where-is.md has the same words and answers, and a test compares them.
 
 # words; the answer, and its page in docs/
 WORDS = """
-NVT NoseHoover NoseHooverChain NoseHooverChainNVT Bussi CSVR VRescale Thermostat
+NVT NoseHoover NoseHooverChain NoseHooverChainNVT Bussi CSVR VRescale Thermostat tcoupl
     md.StochasticVelocityRescaling, or md.LangevinBAOAB; minimd.ase has NoseHooverChainNVT and Bussi | temperature
-Langevin Brownian LangevinIntegrator LangevinMiddleIntegrator BAOAB
+Langevin Brownian LangevinIntegrator LangevinMiddleIntegrator BAOAB sd
     md.LangevinBAOAB; overdamped motion is not here: take a large friction | temperature
 Berendsen NVTBerendsen VelocityRescaling
     md.StochasticVelocityRescaling, which samples the ensemble; sim.equilibrate only rescales | temperature
@@ -15,11 +15,11 @@ Andersen AndersenThermostat DPD
     in minimd.ase for scripts of ASE; else a thermostat of your own has ten lines | own-parts
 NPT NPH Barostat ParrinelloRahman MTK BerendsenBarostat MonteCarloBarostat CRescale
     md.StochasticCellRescaling, as barostat= of a simulation with a thermostat | pressure
-NVE Verlet VerletIntegrator LeapFrog Integrator MD Dynamics
+NVE Verlet VerletIntegrator LeapFrog Integrator MD Dynamics CustomIntegrator
     md.VelocityVerlet, or another of md.integrators.METHODS | timestep
 Ramp Anneal Annealing Quench Heating
     an observer that sets sim.method.temperature, or stages with sim.method = ... | own-parts
-Minimizer FIRE BFGS LBFGS ConjugateGradient SteepestDescent Relax Optimizer
+Minimizer FIRE BFGS LBFGS ConjugateGradient SteepestDescent Relax Optimizer minimizeEnergy
     sim.minimize(), or md.minimize | blow-up
 LJ LennardJonesCut WCA SoftSphere
     md.LennardJones; WCA has cutoff=2 ** (1 / 6) | forces
@@ -34,16 +34,16 @@ Ewald PME PPPM Electrostatics ReactionField Wolf Charges
 PerAtomVirial AtomicStress Virial Virials
     md.evaluate(system, potentials).virials | pressure
 EAM Metal SuttonChen Gupta FinnisSinclair
-    md.EmbeddedAtom | metals
-RESPA MTS MultipleTimestep RK4 RungeKutta4
+    md.EmbeddedAtom; of a file for LAMMPS: md.EmbeddedAtom.from_file(file) | metals
+RESPA MTS MultipleTimestep RK4 RungeKutta4 run_style
     one time step for all forces; Runge-Kutta methods are in md.integrators, for small systems | small-systems
-Tersoff StillingerWeber MEAM SNAP MACE MLPotential
+Tersoff StillingerWeber MEAM SNAP MACE MLPotential sw
     not here: pass a calculator of ASE as the potential | limits
-Umbrella UmbrellaSampling Bias Colvar Plumed Metadynamics WHAM MBAR
+Umbrella UmbrellaSampling Bias Colvar Plumed Metadynamics WHAM MBAR Histogram
     md.Restraint, or md.HarmonicBond on a distance | recipes
 SMD Pull Pulling Jarzynski SteeredMD
     md.SteeredSpring, and record.work | forces
-ElectricField ExternalField External Efield CustomExternalForce
+ElectricField ExternalField External Efield CustomExternalForce gravity
     md.ConstantForce(charges[:, None] * E), or md.Field(law, parameters) | forces
 SPC SPCE TIP3P OPC OPC3 Water TIP4P TIP5P
     md.water("SPC/E"), "TIP3P" or "OPC3"; four sites are not here | water
@@ -53,9 +53,9 @@ Chain Polymer Chains RandomWalk Rouse
     numpy, and sim.minimize() for walks that overlap | recipes
 RadiusOfGyration Gyration EndToEnd Asphericity
     md.observers.ChainShape | observers
-SHAKE RATTLE SETTLE LINCS Constraints FixBondLengths RigidBonds
+SHAKE RATTLE SETTLE LINCS Constraints FixBondLengths RigidBonds HBonds AllBonds addConstraint
     md.DistanceConstraints(pairs) | bonds
-FixAtoms Freeze SetForce
+FixAtoms Freeze SetForce freezegrps
     md.FixedAtoms(atoms) | bonds
 RigidBody RigidMolecule Rigid
     md.DistanceConstraints between the atoms of a molecule | bonds
@@ -73,7 +73,7 @@ HeatFlux ThermalConductivity MullerPlathe
     not here: exchange velocities, in an observer | recipes
 Dielectric DielectricConstant Dipole Dipoles Permittivity
     md.observers.DielectricConstant | observers
-OrderParameter Hexatic Psi6 Steinhardt CNA Q6
+OrderParameter orientorder Hexatic Psi6 Steinhardt CNA Q6
     not here: md.neighbor_list and numpy, or the package freud | recipes
 SurfaceTension Interface
     md.observers.SurfaceTension | observers
@@ -89,24 +89,58 @@ TwoDimensional Dimension Enforce2D Disks
     three dimensions only: hold atoms in a plane by md.Restraint | recipes
 Trajectory Dump LAMMPSDump Lammpstrj DCD XTC H5MD XYZ Reporter StateDataReporter DCDReporter Logger
     sim.run(n, every=..., trajectory="run.h5md") | formats
-Restart Checkpoint Load Resume read_restart
+Restart Checkpoint Load Resume read_restart CheckpointReporter loadCheckpoint
     md.Simulation.resume(file, potentials) | files
-Atoms Topology Box Particles Molecule read read_lammps_data from_file
+Atoms Topology Box Particles Molecule read read_lammps_data from_file read_data read_dump
     md.System, or system_from_file of minimd.ase | formats
 ForceField AmberPrmtopFile GromacsTopFile CharmmPsfFile ITP
     md.from_openmm; types and parameters are given as numbers | forces
-Run Production Context
+Run Production Context nsteps
     md.Simulation(system, potentials, method), then sim.run(n) | first-steps
 Velocities MaxwellBoltzmann MaxwellBoltzmannDistribution set_velocities Stationary
     sim.set_temperature(T, seed) | first-steps
 Join Concatenate Merge
     files by MDAnalysis.Universe(first, [first, second]); runs by md.ensemble | recipes
-Replica ReplicaExchange ParallelTempering REMD Scan Sweep
+Replica ReplicaExchange ParallelTempering REMD Scan Sweep temper
     md.ensemble makes many runs; exchanges are not here | ensembles
 MonteCarlo MC GCMC Alchemical FreeEnergy
     not here; md.SteeredSpring and md.HarmonicBond give free energies of distances | limits
-GPU CUDA OpenCL Kokkos MPI
+GPU CUDA OpenCL Kokkos MPI Platform mpirun
     not here: threads= of md.Simulation uses the cores of one machine | limits
+pcoupl NPTBerendsen MTKNPT FrechetCellFilter UnitCellFilter
+    md.StochasticCellRescaling, or ASE's own classes with minimd.ase.Calculator | pressure
+soft buck CustomBondForce CustomTorsionForce
+    md.PairPotential, md.BondPotential or md.DihedralPotential with functions | own-laws
+coulombtype rcoulomb fourierspacing kspace_style ewaldErrorTolerance NonbondedForce
+    md.Coulomb(cutoff, accuracy): rcoulomb is its cutoff, the mesh follows from the accuracy | charges
+MDLogger attach nstxout
+    sim.run(n, every=..., trajectory="run.h5md", observers=[function]) | own-parts
+velocity gen_vel gen_temp gen_seed setVelocitiesToTemperature CMMotionRemover
+    sim.set_temperature(T, seed); sim.velocities -= sim.drift | temperature
+AveTime TimeAverage RunningAverage Average
+    record = sim.run(n, every=10), then md.mean_and_error(record.pressure) | notebook
+thermo thermo_style getState get_potential_energy get_stress
+    record = sim.run(n, every=100); now sim.potential_energy, sim.stress; without a run md.evaluate | notebook
+Heat EHEX NEMD TwoBaths ThermostatGroup tc_grps
+    a bath for a part of the atoms is a class of twenty lines | own-parts
+pair_style pair_modify special_bonds bond_style angle_style rvdw DispCorr
+    a potential for each: md.LennardJones(..., cutoff, tail_correction=True), md.HarmonicBond, ... | forces
+create_atoms
+    md.lattice.crystal | bonds
+write_data
+    sim.system.write("melt.data") | formats
+neighbor neigh_modify NeighborSkin
+    nothing to set: no pair is ever missed | lists
+reset_timestep
+    sim.step = 0; sim.time = 0.0 | first-steps
+set_initial_charges
+    md.System(..., charges=q) | water
+FixCom
+    taken over from atoms of ASE; else sim.velocities -= sim.drift | ase
+rerun
+    observers of a file: minimd.mdanalysis | formats
+GBSAOBCForce AmoebaMultipoleForce CustomGBForce
+    not here: run these with OpenMM | limits
 universe radial_distribution mean_square_displacement diffusion_coefficient Turn
     minimd.mdanalysis.universe, and others of minimd.mdanalysis, for files of runs | formats
 """

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import minimd as md
-from minimd.foreign_words import WORDS, entries, plain
+from minimd.foreign_words import WORDS, answer_to, entries, plain
 
 REPOSITORY = Path(__file__).parents[2]
 DOCS = REPOSITORY / "docs"
@@ -47,6 +47,14 @@ def test_each_word_has_one_answer_and_its_page_is_there():
     assert len({*map(plain, ALL)}) == len(ALL)
     for _, _, page in entries():
         assert (DOCS / f"{page}.md").exists(), page
+
+
+def test_words_of_the_tables_are_answered_in_python():
+    text = (DOCS / "where-is.md").read_text(encoding="utf-8").partition("## Any word")[0]
+    first_columns = "".join(re.findall(r"^\| (.*?) \|", text, re.M))
+    words = {*re.findall(r"`([A-Za-z]\w*)`", first_columns)} - {*md.__all__}
+    assert len(words) > 50
+    assert [word for word in sorted(words) if not answer_to(word)] == []
 
 
 TEXTS = {name: (DOCS / f"{name}.md").read_text(encoding="utf-8") for name in ("where-is", "limits", "recipes")}

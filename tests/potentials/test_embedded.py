@@ -307,9 +307,13 @@ def test_other_files_are_refused_in_words(name, tmp_path):
 
 
 WRONG = {
-    "name": (lambda: md.EmbeddedAtom("sutton", (1.0,) * 5), ValueError, "sutton-chen"),
+    "name": (
+        lambda: md.EmbeddedAtom("sutton", (1.0,) * 5),
+        ValueError,
+        "law of EmbeddedAtom must be one of 'sutton-chen'",
+    ),
     "no law": (lambda: md.EmbeddedAtom(None, (1.0,) * 5), TypeError, "three functions"),
-    "file": (lambda: md.EmbeddedAtom("Cu.eam.alloy"), ValueError, "law must be one of"),
+    "file": (lambda: md.EmbeddedAtom("Cu.eam.alloy"), ValueError, "EmbeddedAtom.from_file"),
     "count": (lambda: md.EmbeddedAtom("gupta", (1.0,) * 4), ValueError, "5 numbers"),
     "length": (
         lambda: md.EmbeddedAtom("gupta", (*COPPER[:4], -2.5), 5.0),

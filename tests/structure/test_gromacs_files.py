@@ -9,6 +9,7 @@ from h5md_runs import CELLS, simulation
 import minimd as md
 from minimd.ase import system_from_file
 from minimd.core.files.h5md_reader import frames_of, read_file
+from minimd.core.structure.system import arguments_of
 
 PS = md.units.ps
 POSITION, VELOCITY, BOX_EDGES = (f"{ATOMS}/{name}/value" for name in ("position", "velocity", "box/edges"))
@@ -176,15 +177,105 @@ def test_what_was_written_for_gromacs_comes_back(tmp_path):
     made = simulation("triclinic", md.units.ASE)
     made.run(45, every=1, trajectory=tmp_path / "run.h5md")  # more frames than in a commit
     md.to_gromacs(tmp_path / "run.h5md", tmp_path / "traj.h5md")
-    back = system_from_file(tmp_path / "traj.h5md", masses=made.system.masses)
+    back = system_from_file(tmp_path / "traj.h5md")
     assert back.positions == pytest.approx(made.positions, rel=1e-6)  # rounding of float32
     assert back.velocities == pytest.approx(made.velocities, rel=1e-6, abs=1e-6)
     assert back.cell.vectors == pytest.approx(made.system.cell.vectors, rel=1e-6, abs=1e-6)
     assert back.bonds.tolist() == made.system.bonds.tolist()
-    with pytest.raises(ValueError, match="states neither mass nor element"):
-        system_from_file(tmp_path / "traj.h5md")
+    assert back.masses == pytest.approx(made.system.masses, rel=1e-7)
+    assert back.species.tolist() == made.system.species.tolist()
     with pytest.raises(ValueError, match="not written by minimd"):
         read_file(tmp_path / "traj.h5md")
+
+
+def salt_water(topology=None):
+    """Two waters, Na and Cl."""
+    masses, charges = [15.999, 1.008, 1.008] * 2 + [22.99, 35.45], [-0.8476, 0.4238, 0.4238] * 2 + [1.0, -1.0]
+    species, places = ["O", "H", "H"] * 2 + ["Na", "Cl"], 3.0 * np.arange(24.0).reshape(8, 3)
+    return md.System(places, masses=masses, charges=charges, species=species, bonds=BONDS, units=md.units.ASE,
+                     topology=topology)  # fmt: skip
+
+
+def reduced():
+    """Species that are symbols of elements by chance, and atoms of molecules that do not follow each other."""
+    masses, species = np.where(np.arange(8) % 2, 2.0, 1.0), ["B", "A"] * 4
+    return md.System(3.0 * np.arange(24.0).reshape(8, 3), masses=masses, species=species, bonds=[[0, 2], [1, 3]])
+
+
+def named():
+    """Residues of names and numbers of their own: two waters without bonds, and two residues of one molecule."""
+    rows = [["OW", "O", "SOL", "1", "SOL"], ["HW1", "H", "SOL", "1", "SOL"], ["HW2", "H", "SOL", "1", "SOL"]]
+    rows += [[*row[:3], "2", row[4]] for row in rows]
+    rows += [["NA", "Na", "ONE", "7", "ONE"], ["CL", "Cl", "TWO", "8", "ONE"]]
+    system = salt_water(np.array(rows))
+    return md.System(**{**arguments_of(system), "bonds": [[6, 7]]})
+
+
+WATERS = [[name, name, "MOL", number] for number in "12" for name in "OHH"]
+RESIDUES = {
+    salt_water: np.array([*WATERS, ["Na", "Na", "Na", "3"], ["Cl", "Cl", "Cl", "4"]]),
+    reduced: np.array(
+        [["BA"[k % 2], "", *(("MOL", str(1 + k % 2)) if k < 4 else ("BA"[k % 2], str(k - 1)))] for k in range(8)]
+    ),
+}
+
+
+def for_gromacs(system, folder):
+    """The system, in a run that was written as traj.h5md."""
+    run = md.Simulation(system, [], md.VelocityVerlet(0.001))
+    run.run(1, every=1, trajectory=folder / "run.h5md")
+    md.to_gromacs(folder / "run.h5md", folder / "traj.h5md")
+    return run.system
+
+
+@pytest.mark.filterwarnings("ignore:the charges")
+@pytest.mark.parametrize("system", [salt_water, reduced, named])
+def test_masses_charges_elements_and_names_come_back_from_a_file_for_gromacs(tmp_path, system):
+    made = for_gromacs(system(), tmp_path)
+    back = system_from_file(tmp_path / "traj.h5md")
+    assert back.masses.tolist() == made.masses.tolist()
+    assert back.charges.tolist() == made.charges.tolist()
+    assert back.species.tolist() == made.species.tolist()
+    assert back.bonds.tolist() == made.bonds.tolist()
+    residues = made.topology[:, :4] if len(made.topology) else RESIDUES[system]
+    assert back.topology[:, :4].tolist() == residues.tolist()
+
+
+def topology_of(path, molecule):
+    """Of a type of molecule: its attributes, and its datasets by type, dimensions and unit."""
+    with h5py.File(path) as h5:
+        group = h5[TOPOLOGY]
+        assert group.attrs["molecule_block_counts"].dtype == np.int32
+        assert group.attrs["version"].tolist() == [0, 1]
+        return {
+            name: (item.dtype.kind, item.dtype.kind == "S" or item.dtype.itemsize, item.ndim, item.attrs.get("unit"))
+            for name, item in group[molecule].items()
+        }
+
+
+@pytest.mark.filterwarnings("ignore:the charges")
+def test_fields_of_atoms_are_written_as_gromacs_writes_them(tmp_path):
+    write_sample(tmp_path / "sample.h5md")
+    for_gromacs(salt_water(), tmp_path)
+    ours, theirs = topology_of(tmp_path / "traj.h5md", "SYSTEM"), topology_of(tmp_path / "sample.h5md", "SOL")
+    assert set(theirs) - set(ours) == {"id", "sequence"}  # which nobody needs
+    assert [name for name in ours if ours[name] != theirs[name]] == []
+
+
+def test_labels_in_reduced_units_are_no_elements(tmp_path):
+    for_gromacs(reduced(), tmp_path)
+    with h5py.File(tmp_path / "traj.h5md") as h5:
+        assert not h5[f"{TOPOLOGY}/SYSTEM/species"][:].any()
+
+
+def test_a_file_of_gromacs_without_masses_asks_for_elements_of_each_atom(tmp_path):
+    write_sample(tmp_path / "traj.h5md")
+    with h5py.File(tmp_path / "traj.h5md", "r+") as h5:
+        del h5[TOPOLOGY]
+    with pytest.raises(ValueError, match=r"elements=\['O', 'H', 'H', \.\.\.\]"):
+        system_from_file(tmp_path / "traj.h5md")
+    back = system_from_file(tmp_path / "traj.h5md", elements=["O", "H", "H"] * 2 + ["Na", "Cl"])
+    assert back.masses[:2] == pytest.approx([15.999, 1.008])
 
 
 def test_files_for_gromacs_replace_no_others(tmp_path):

@@ -31,6 +31,7 @@ from minimd.core.files.h5md_reader import GROMACS, frames_of, opened, read_file
 from minimd.core.files.h5md_schema import factors, has_edges
 from minimd.core.files.trajectory import checked_output, claimed
 from minimd.core.structure.cell import Cell
+from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.elements import Stated
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
@@ -43,6 +44,7 @@ VERSION = 0  # of the topology, its first number: another may mean another layou
 FAR = 1e9  # nm, or nm/ps
 LARGE = 2**31
 FRAMES_AT_ONCE = 16  # in a commit
+ALL = "SYSTEM"  # type of molecule of what is written
 NM_PER_PS = "nm ps-1"
 # of what is written
 UNITS = {"box/edges": "nm", "position": "nm", "velocity": NM_PER_PS, "force": "kJ mol-1 nm-1"}
@@ -246,8 +248,10 @@ def to_gromacs(run: str | Path, file: str | Path, overwrite: bool = False) -> No
 
     Positions, velocities and forces, if the run stored them, are in nm, nm/ps and kJ/mol/nm; for reduced numbers 1 σ is
     1 Å and 1 τ is 1 ps, as in other files. A cell in another orientation than that of GROMACS (a along x, b in the xy
-    plane) is turned, and the vectors of the atoms with it. Names and masses are not in the file: GROMACS takes them
-    from its topology or structure file.
+    plane) is turned, and the vectors of the atoms with it.
+
+    Masses, charges, elements, names and bonds are in the file, all atoms as one type of molecule; system_from_file
+    gives them back.
 
     run : the .h5md file of a run.
     file : to be written, also an .h5md file.
@@ -267,7 +271,7 @@ def to_gromacs(run: str | Path, file: str | Path, overwrite: bool = False) -> No
 
     try:
         with h5py.File(disk, "w") as h5:
-            put(h5, _description(system))
+            put(h5, _description(system) | _topology(system))
             frames = frames_of(run, range(contents.n_frames), system.units)
             for k, frame in enumerate(frames):
                 put(h5, _entries(frame, basis @ (frame.cell or system.cell).vectors, system, k))
@@ -325,7 +329,47 @@ def _description(system: System) -> dict[str, Item]:
     }
 
 
-def _fixed(texts: str | list[str]) -> NDArray[np.bytes_]:
+def _topology(system: System) -> dict[str, Item]:
+    """Masses, charges, elements and names: all atoms are one type of molecule, of which there is one.
+    Without a topology of the system residues are its molecules."""
+    from ase.data import atomic_numbers
+
+    names = system.species.astype(str)
+    elements = names if system.units is ASE else np.full(len(names), "")
+    molecules = molecules_of(system)
+    is_alone = np.bincount(molecules)[molecules] == 1
+    residues = np.where(is_alone, names, "MOL")
+    numbers = molecules + 1
+    if len(system.topology):
+        names, elements, residues, numbers, _ = system.topology.T
+
+    columns: dict[str, NDArray[Any]] = {
+        "mass": system.masses.astype(np.float32),
+        "charge": system.charges.astype(np.float32),
+        "species": np.array([atomic_numbers.get(element, 0) for element in elements], np.int32),
+        "residue_id": numbers.astype(np.int32),
+    }
+    for name, texts in (("particle_name", names), ("residue_name", residues)):
+        table, index = np.unique(texts, return_inverse=True)
+        columns |= {name: index.astype(np.int32), f"{name}_table": _fixed(table)}
+    one = {
+        "version": np.array([VERSION, 1], np.int32),
+        "molecule_block_counts": np.array([1], np.int32),
+    }
+    items = {
+        TOPOLOGY: Item(one | {"molecule_block_names": _fixed([ALL])}),
+        f"{TOPOLOGY}/{ALL}": Item({"particle_count": np.int64(len(names))}),
+    }
+    for name, values in columns.items():
+        unit = FIELDS[name].unit
+        items[f"{TOPOLOGY}/{ALL}/{name}"] = Item(
+            {"unit": _fixed(unit)} if unit else NOTHING, values
+        )
+
+    return items
+
+
+def _fixed(texts: str | list[str] | NDArray[np.str_]) -> NDArray[np.bytes_]:
     """Texts as GROMACS stores them, each of the same length and ended by a zero byte."""
     encoded = np.char.encode(texts, "utf-8")
     return encoded.astype(h5py.string_dtype("utf-8", encoded.itemsize + 1))

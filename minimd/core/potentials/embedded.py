@@ -51,7 +51,7 @@ from minimd.core.potentials.pair import (
 from minimd.core.potentials.splines import cubics
 from minimd.core.potentials.term import Embedding
 from minimd.core.potentials.truncation import TRUNCATIONS, TruncationName
-from minimd.core.structure.checks import checked_choice, checked_number
+from minimd.core.structure.checks import checked_number
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
 
@@ -278,10 +278,11 @@ class EmbeddedAtomOfTables(EmbeddedAtom):
 def _checked_laws(given: Any) -> EmbeddedLaws:
     """The law types of a name, or of three functions.
     Raises ValueError or TypeError for anything else."""
-    if isinstance(given, str):
-        return FORMS[checked_choice("law", given, FORMS)]
+    if isinstance(given, str) and given in FORMS:
+        return FORMS[given]
     if not (isinstance(given, tuple | list) and len(given) == 3):
-        raise TypeError(
+        kind = ValueError if isinstance(given, str) else TypeError
+        raise kind(
             "law of EmbeddedAtom must be one of "
             f"{', '.join(map(repr, FORMS))}, or three functions (pair, density, embedding); law = {shown(given)}; "
             "a file is read by EmbeddedAtom.from_file(file)"

@@ -47,8 +47,9 @@ MOST_NAMES = 10_000  # that are remembered
 TOLD = 12  # of the names that are guessed by the last rule
 BEADS = 2.5  # Å; bonds of guessed elements are shorter
 REMEDY = (
-    "give masses={'NAME': mass} or elements={'NAME': 'symbol'}, in a scene under [structure], or a PSF or topology "
-    "file beside it; atoms of ASE have set_masses; sites without mass, which minimd does not have, must be removed"
+    "give masses={'NAME': mass} or elements={'NAME': 'symbol'}, or one for each atom, "
+    "elements=['O', 'H', 'H', ...], in a scene under [structure], or a PSF or topology file beside it; "
+    "atoms of ASE have set_masses; sites without mass, which minimd does not have, must be removed"
 )
 
 

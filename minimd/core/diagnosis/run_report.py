@@ -214,11 +214,13 @@ def pressure_lines(
     missing = 0.0
     if leaves_out_center(record.n_atoms, is_free):
         missing = units.k_B * record.temperature / record.volume
-    mean, error = mean_and_error(record.pressure + missing)
-    is_there = abs(mean - barostat.pressure) <= FAR * error
+    factor = units.to_shown_pressure
+    wanted = factor * barostat.pressure
+    mean, error = mean_and_error(factor * (record.pressure + missing))
+    is_there = abs(mean - wanted) <= FAR * error
     yield Line(
         "pressure",
-        f"{with_error(mean, error)} {units.pressure} on average, {barostat.pressure:.4g} wanted",
+        f"{with_error(mean, error)} {units.shown_pressure} on average, {wanted:.4g} wanted",
         "reached" if is_there else "NOT REACHED; equilibrate longer",
         is_there,
         not is_there,

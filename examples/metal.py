@@ -51,7 +51,7 @@ for temperature in temperatures:
     energies.append(record.potential_energy[-len(distances) :].mean() / len(cluster))
     deltas.append((np.std(distances, axis=0) / np.mean(distances, axis=0)).mean())
     print(f"Cu  {temperature:4.0f} K: {energies[-1]:.4f} eV per atom, Lindemann's index {deltas[-1]:.3f}")
-print(f"Cu  melts in the 50 K below {temperatures[np.argmax(np.array(deltas) > 0.1)]:.0f} K, on heating (crystal: 1358)")
+print(f"Cu  melts in 50 K below {temperatures[np.argmax(np.array(deltas) > 0.1)]:.0f} K on heating (crystal: 1358)")
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
 left.plot(temperatures, energies, "o-")
 right.plot(temperatures, deltas, "o-C3")

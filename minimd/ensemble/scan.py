@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from minimd.core.console.whole_file import regular, write_whole
+from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import observe
 from minimd.core.engine.record import Record
 from minimd.core.files.crash_file import crash_file_place
@@ -196,12 +197,9 @@ def scan_scene(
     n_steps = scene.sections.dynamics.steps if steps is None else steps
     for row in grid[:MOST_TRIED]:
         parse_scene(changed_text(Path(path), scene.text, row.items()), Path(path))
-    # checks the structure and the potentials, too
     engine = build(Member(0, grid[0], seed, n_steps, place)).engine
     if plot is not None:
-        record = Record(engine.system.units, len(engine.system))
-        record.append(observe(engine))
-        checked_quantity(plot, [*averages_of(record, 1.0)])
+        checked_quantity(plot, _observables(engine))
     replicas = checked_count("replicas", replicas)
     n_members = len(grid) * replicas
     kept = place / SCENE
@@ -246,6 +244,13 @@ def scan_scene(
         retries=retries,
         progress=progress,
     )
+
+
+def _observables(engine: Engine) -> list[str]:
+    """The names of the averages of a run."""
+    record = Record(engine.system.units, len(engine.system))
+    record.append(observe(engine))
+    return [*averages_of(record, 1.0)]
 
 
 def _silent(_line: str) -> None:

@@ -197,9 +197,8 @@ def scan_scene(
     n_steps = scene.sections.dynamics.steps if steps is None else steps
     for row in grid[:MOST_TRIED]:
         parse_scene(changed_text(Path(path), scene.text, row.items()), Path(path))
-    engine = build(Member(0, grid[0], seed, n_steps, place)).engine
-    if plot is not None:
-        checked_quantity(plot, _observables(engine))
+    first = build(Member(0, grid[0], seed, n_steps, place))
+    _check_plot(plot, first.engine)
     replicas = checked_count("replicas", replicas)
     n_members = len(grid) * replicas
     kept = place / SCENE
@@ -246,11 +245,12 @@ def scan_scene(
     )
 
 
-def _observables(engine: Engine) -> list[str]:
-    """The names of the averages of a run."""
-    record = Record(engine.system.units, len(engine.system))
-    record.append(observe(engine))
-    return [*averages_of(record, 1.0)]
+def _check_plot(plot: str | None, engine: Engine) -> None:
+    """Raise ValueError for a quantity of which a run has no average."""
+    if plot is not None:
+        record = Record(engine.system.units, len(engine.system))
+        record.append(observe(engine))
+        checked_quantity(plot, [*averages_of(record, 1.0)])
 
 
 def _silent(_line: str) -> None:

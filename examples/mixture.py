@@ -26,25 +26,16 @@ simulation = md.Simulation(atoms, law, md.VelocityVerlet(5.0 * fs))
 simulation.set_temperature(temperature, seed=2)
 simulation.equilibrate(n_equilibration, temperature)
 
-edges = np.arange(2.5, 7.0, 0.1)
-counts = {("Ar", "Ar"): 0, ("Ar", "Kr"): 0, ("Kr", "Kr"): 0}
-
-
-def count_neighbors(run):
-    i, j, d = md.neighbor_list("ijd", run.system, edges[-1])
-    for (a, b), found in counts.items():
-        counts[a, b] = found + np.histogram(d[(symbols[i] == a) & (symbols[j] == b)], edges)[0]
-
-
-simulation.run(n_steps, every=50, observers=[count_neighbors])
-radii = 0.5 * (edges[1:] + edges[:-1])
+neighbors = md.observers.RadialDistribution(r_max=7.0, n_bins=70, every=50)
+simulation.run(n_steps, every=50, observers=[neighbors])
+found = neighbors.result()
 figure, panel = plt.subplots(figsize=(7, 4), layout="constrained")
-for (a, b), found in counts.items():
-    peak = radii[np.argmax(found / radii**2)]
+for pair, g in zip(found.pairs, found.g_of_pairs, strict=True):
+    a, b = pair.split("-")
     minimum = 2 ** (1 / 6) * (parameters[a][1] + parameters[b][1]) / 2
-    panel.plot(radii, found / radii**2 / (found / radii**2).max(), label=f"{a}-{b}")
-    print(f"{a}-{b}: neighbors at {peak:.2f} Å   (minimum of the pair potential: {minimum:.2f} Å)")
-panel.set(xlabel="distance / Å", ylabel="neighbors per volume, highest = 1")
+    panel.plot(found.r, g, label=pair)
+    print(f"{pair}: neighbors at {found.r[np.argmax(g)]:.2f} Å   (minimum of the pair potential: {minimum:.2f} Å)")
+panel.set(xlabel="r / Å", ylabel="g(r)", xlim=(2.5, 7.0))
 panel.legend()
 figure.savefig("mixture.png", dpi=150)
 print(simulation.report())

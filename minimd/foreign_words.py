@@ -21,6 +21,8 @@ Ramp Anneal Annealing Quench Heating
     an observer that sets sim.method.temperature, or stages with sim.method = ... | own-parts
 Minimizer FIRE BFGS LBFGS ConjugateGradient SteepestDescent Relax Optimizer minimizeEnergy
     sim.minimize(), or md.minimize | blow-up
+KobAndersen Kob BinaryMixture Mixture
+    md.LennardJones of species, with mixing= or pairs= | bonds
 LJ LennardJonesCut WCA SoftSphere
     md.LennardJones; WCA has cutoff=2 ** (1 / 6) | forces
 Mie Buckingham Yukawa SoftCore Gaussian BornMayer Custom CustomNonbondedForce PairLaw
@@ -31,10 +33,14 @@ Morse QuarticBond QuarticBondPotential ClassTwoBond
     md.MorseBond, or md.BondPotential(law, parameters) | own-laws
 Ewald PME PPPM Electrostatics ReactionField Wolf Charges
     md.Coulomb(cutoff, accuracy) | water
+Madelung MadelungConstant LatticeEnergy
+    md.evaluate(ions, md.Coulomb(cutoff, accuracy)).potential_energy | charges
 PerAtomVirial AtomicStress Virial Virials
     md.evaluate(system, potentials).virials | pressure
 EAM Metal SuttonChen Gupta FinnisSinclair
     md.EmbeddedAtom; of a file for LAMMPS: md.EmbeddedAtom.from_file(file) | metals
+Nanocluster Nanoparticle Lindemann LindemannIndex Melting MeltingPoint
+    an open cell and md.EmbeddedAtom; Lindemann's index is one line of numpy, in examples/metal.py | metals
 RESPA MTS MultipleTimestep RK4 RungeKutta4 run_style
     one time step for all forces; Runge-Kutta methods are in md.integrators, for small systems | small-systems
 Tersoff StillingerWeber MEAM SNAP MACE MLPotential sw
@@ -81,6 +87,8 @@ PressureTensor Stress StressTensor
     sim.stress; in the record: sim.extra_observables = ("stress",) | pressure
 ElasticConstants Elastic
     not here: stress against strain, as in examples/metal.py | metals
+Barometric Sedimentation Atmosphere
+    md.Gravity, md.Wall and md.observers.Profile | recipes
 DensityProfile TemperatureProfile Chunk PressureProfile
     md.observers.Profile; the pressure in layers is not here, virials of atoms are | observers
 ScatteringFunction IntermediateScattering FsQT Overlap Chi4

@@ -84,8 +84,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except EXPECTED as error:
         with suppress(OSError, AttributeError):  # the reader may be gone
             sys.stdout.flush()
+        is_stopped = isinstance(error, KeyboardInterrupt | Terminated)
+        word = "" if is_stopped else "error: "
         for line in sentence(error).splitlines():
-            tell(f"minimd: error: {printable(line)}")
+            tell(f"minimd: {word}{printable(line)}")
         if isinstance(error, Terminated):
             return int(error.code or FAILED)
         return next(code for kind, code in CODES.items() if isinstance(error, kind))

@@ -169,6 +169,7 @@ def scan(arguments: Namespace) -> bool:
             "folder": arguments.out,
             "resume": not arguments.overwrite,
             "progress": not arguments.quiet,
+            "plot": arguments.plot,
         }
         with named_executor(arguments.executor, arguments.workers) as workers:
             if workers is None:
@@ -200,6 +201,7 @@ def resume(arguments: Namespace) -> None:
     resume_run(
         arguments.file,
         arguments.steps,
+        until_step=arguments.until_step,
         scene=scene_of(arguments),
         max_seconds=arguments.max_seconds,
         progress=not arguments.quiet,
@@ -325,11 +327,14 @@ def doctor(arguments: Namespace) -> Any:
 
 
 def grade(arguments: Namespace) -> bool:
-    """Print the grade of a class of dynamics; True if it passed.
+    """Print the grade of a class of dynamics, or of a step; True if it passed.
     Raises ValueError for one that is not there."""
+    from minimd.judge.grading import is_step
     from minimd.judge.telling import as_dict, draw, named
 
-    result = md.grade(named(arguments.dynamics), kind="dynamics", **dict(arguments.options))
+    function = named(arguments.dynamics)
+    kind = "step" if is_step(function) else "dynamics"
+    result = md.grade(function, kind=kind, **dict(arguments.options))
     print(json.dumps(as_dict(result), indent=1) if arguments.json else result)
     if arguments.out:
         draw(result, arguments.out)
@@ -394,6 +399,8 @@ COMMANDS = (
                        "time step, barostat, output; structure, minimization and equilibration, which concern only the "
                        "start, are not used"),
         STEPS._replace(help="number of further steps; if not given, up to the number in the scene"),
+        Argument("--until-step", "the step at which the run ends, in place of a number of further steps", whole_number,
+                 "N"),
         MAX_SECONDS,
     ), resume),
     Command("replay", "make the last steps of a failed run again",
@@ -410,10 +417,11 @@ COMMANDS = (
     ), lammps),
     Command("check", "check a run for its conservation laws", "Check a run for its conservation laws.", (RUN_FILE,),
             check),
-    Command("grade", "test a class of dynamics",
+    Command("grade", "test a class of dynamics, or a step",
             "Test a class of dynamics, as those of ase.md, in scenes with exact answers: does it sample the ensemble "
-            "that it claims? Example: minimd grade ase.md.langevin:Langevin temperature_K=300 friction=0.2", (
-        Argument("dynamics", "module:class, or file.py:class", None, "MODULE:CLASS"),
+            "that it claims? Or a function step(x, v, force, m, dt): which laws does it obey? "
+            "Example: minimd grade ase.md.langevin:Langevin temperature_K=300 friction=0.2", (
+        Argument("dynamics", "module:class, or file.py:class; or the function of a step", None, "MODULE:CLASS"),
         Argument("options", "options of the class, in ASE units, and of md.grade: ensemble, runs, constraints, …",
                  option, "NAME=VALUE", {"nargs": "*"}),
         flag("--json", "print JSON"), written_to("PNG", "draw a picture"),

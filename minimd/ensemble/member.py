@@ -25,6 +25,7 @@ from minimd.core.compiled.machine import threads_by_default
 from minimd.core.console.signals import Terminated
 from minimd.core.console.whole_file import is_locked, new_file, regular
 from minimd.core.console.words import listed, shown
+from minimd.core.diagnosis.run_report import densities
 from minimd.core.engine.record import Record
 from minimd.core.files.crash_file import crash_file_place
 from minimd.core.simulation.simulation import Simulation
@@ -349,7 +350,7 @@ def _results(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> R
         stopped.unlink(missing_ok=True)
         n_steps = simulation.step - begun
 
-    averages = averages_of(result)
+    averages = averages_of(result, float(simulation.system.masses.sum()))
     return {
         "status": DONE,
         "n_steps": n_steps,
@@ -360,10 +361,12 @@ def _results(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> R
     }
 
 
-def averages_of(result: Any) -> dict[str, tuple[float, float]]:
-    """Means and errors, by name, of what the function run returned; none for None.
+def averages_of(result: Any, mass: float) -> dict[str, tuple[float, float]]:
+    """Means and errors, by name, of what the function run returned; none for None. Where a record has volumes, the
+    density is among them.
 
     result : a Record, or a dict of numbers, of tuples (mean, error) or of series.
+    mass : of all atoms.
     Raises TypeError, ValueError for anything else.
     """
     demand = (
@@ -376,6 +379,8 @@ def averages_of(result: Any) -> dict[str, tuple[float, float]]:
         for name, column in result.columns().items():
             if name not in ("step", "time"):
                 averages[name] = mean_and_error(column)
+        if "volume" in result:
+            averages["density"] = mean_and_error(densities(result, mass)[0])
         return averages
 
     if not isinstance(result, Mapping):

@@ -14,13 +14,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from minimd.core.console.whole_file import regular, write_whole
+from minimd.core.engine.engine import Engine
+from minimd.core.engine.observation import observe
+from minimd.core.engine.record import Record
 from minimd.core.files.crash_file import crash_file_place
 from minimd.core.simulation.simulation import Simulation
 from minimd.core.structure.checks import checked_count
 from minimd.ensemble.folder import EnsembleFolder, alone
-from minimd.ensemble.member import Member, Value
+from minimd.ensemble.member import Member, Value, averages_of
 from minimd.ensemble.running import checked_members, ensemble
-from minimd.ensemble.table import EnsembleTable
+from minimd.ensemble.table import EnsembleTable, checked_quantity
 from minimd.scene.running import equilibrate, minimize
 from minimd.scene.scene import Scene, load_scene, parse_scene
 
@@ -161,6 +164,7 @@ def scan_scene(
     members: range | None = None,
     retries: int = 0,
     progress: bool | None = None,
+    plot: str | None = None,
     tell: Tell = print,
 ) -> EnsembleTable:
     """Run a scene with all combinations of the settings,
@@ -171,6 +175,7 @@ def scan_scene(
     Parameters
     ----------
     steps : in place of those of the scene.
+    plot : an observable that will be drawn, checked before the first run begins.
     tell : called with each line of the report.
     others : see ensemble.
 
@@ -192,7 +197,8 @@ def scan_scene(
     n_steps = scene.sections.dynamics.steps if steps is None else steps
     for row in grid[:MOST_TRIED]:
         parse_scene(changed_text(Path(path), scene.text, row.items()), Path(path))
-    build(Member(0, grid[0], seed, n_steps, place))  # checks the structure and the potentials, too
+    first = build(Member(0, grid[0], seed, n_steps, place))
+    _check_plot(plot, first.engine)
     replicas = checked_count("replicas", replicas)
     n_members = len(grid) * replicas
     kept = place / SCENE
@@ -237,6 +243,14 @@ def scan_scene(
         retries=retries,
         progress=progress,
     )
+
+
+def _check_plot(plot: str | None, engine: Engine) -> None:
+    """Raise ValueError for a quantity of which a run has no average."""
+    if plot is not None:
+        record = Record(engine.system.units, len(engine.system))
+        record.append(observe(engine))
+        checked_quantity(plot, [*averages_of(record, 1.0)])
 
 
 def _silent(_line: str) -> None:

@@ -20,7 +20,7 @@ from minimd.core.console.words import listed, near
 from minimd.core.engine.record import SERIES
 from minimd.core.structure.errors import sentence
 from minimd.core.structure.statistics import with_error
-from minimd.core.structure.units import SYSTEMS, UnitSystem
+from minimd.core.structure.units import ASE, SYSTEMS, UnitSystem
 from minimd.ensemble.folder import DESCRIPTION, Asked, EnsembleFolder, alone
 from minimd.ensemble.member import (
     BEGUN,
@@ -125,7 +125,21 @@ class EnsembleTable(Displayed):
 
     def unit(self, name: str) -> str:
         """The unit of an observable, in words; empty for a pure number, or if it is not known."""
-        return "" if self.units is None else str(getattr(self.units, SERIES.get(name) or "", ""))
+        if self.units is None:
+            return ""
+        if name == "density" and "volume" in self.observables:
+            return "g/cm³" if self.units == ASE else f"atoms/{self.units.volume}"
+        return str(getattr(self.units, SERIES.get(name) or "", ""))
+
+    def shown(self, name: str, rows: NDArray[Any]) -> tuple[Any, Any, str]:
+        """Means and errors of an observable in rows of averaged(), in the unit in which it is shown, and this unit:
+        pressures are in bar with ASE's units."""
+        factor = 1.0
+        unit = self.unit(name)
+        if self.units is not None and SERIES.get(name) == "pressure":
+            factor = self.units.to_shown_pressure
+            unit = self.units.shown_pressure
+        return factor * rows[f"{name}_mean"], factor * rows[f"{name}_error"], unit
 
     def to_pandas(self) -> pandas.DataFrame:
         """A data frame with the columns of the array, and the index of the members as its index.
@@ -149,6 +163,7 @@ class EnsembleTable(Displayed):
         Raises ValueError if no member is done, or none has such an observable.
         """
         from minimd.core.engine.record_picture import Picture
+        from minimd.scene.section import quantity_of  # takes its time to load
 
         name = drawn_quantity(self, quantity)
         rows = self.averaged()
@@ -159,6 +174,7 @@ class EnsembleTable(Displayed):
             (parameter for parameter in several if rows.dtype[parameter].kind in "if"), None
         )
         others = [parameter for parameter in several if parameter != x_name]
+        means, errors, unit = self.shown(name, rows)
         figure = Picture(figsize=(7.0, 4.5), dpi=150, layout="constrained")
         axes = figure.subplots()
         curves = dict[str, list[int]]()
@@ -170,15 +186,15 @@ class EnsembleTable(Displayed):
             curves.setdefault(", ".join(values), []).append(k)
 
         for label, members in curves.items():
-            curve = rows[members]
+            curve = np.array(members)
             x = np.arange(len(curve))
             if x_name is not None:
-                curve = curve[np.argsort(curve[x_name])]
-                x = curve[x_name]
+                curve = curve[np.argsort(rows[x_name][curve])]
+                x = rows[x_name][curve]
             axes.errorbar(
                 x,
-                curve[f"{name}_mean"],
-                curve[f"{name}_error"],
+                means[curve],
+                errors[curve],
                 marker="o",
                 ms=3.5,
                 lw=1.0,
@@ -186,9 +202,9 @@ class EnsembleTable(Displayed):
                 label=label.replace("$", r"\$"),
             )
 
-        unit = self.unit(name).replace("k_B", "$k_B$")
+        unit = unit.replace("k_B", "$k_B$")
         quantity = name.replace("_", " ").replace("$", r"\$")
-        axes.set_xlabel(x_name or "set of parameters", parse_math=False)
+        axes.set_xlabel(quantity_of(x_name or "set of parameters"), parse_math=False)
         axes.set_ylabel(f"mean {quantity}  [{unit}]" if unit else f"mean {quantity}")
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.25, lw=0.6)
@@ -364,14 +380,14 @@ def told_averages(table: EnsembleTable) -> Iterator[str]:
     for name in table.observables:
         if name not in (*TOLD, *LEFT_OUT) and "momentum" not in name:
             names.append(name)
-    names = names or list(table.observables)
+    names = [name for name in names if not _is_constant(rows, name)] or list(table.observables)
     columns = [[name, *map(value_text, rows[name][:MOST_LINES])] for name in table.parameters]
     columns.append(["members", *map(str, rows["n_members"][:MOST_LINES])])
 
     for name in names:
-        unit = table.unit(name)
+        means, errors, unit = table.shown(name, rows)
         title = name.replace("_", " ")
-        averages = zip(rows[f"{name}_mean"], rows[f"{name}_error"], strict=True)
+        averages = zip(means, errors, strict=True)
         cells = [with_error(*average) for average in islice(averages, MOST_LINES)]
         columns.append([f"{title} [{unit}]" if unit else title, *cells])
 
@@ -382,6 +398,13 @@ def told_averages(table: EnsembleTable) -> Iterator[str]:
         yield f"and {len(rows) - MOST_LINES} more, see {table.folder / 'table.csv'}"
 
 
+def _is_constant(rows: NDArray[Any], name: str) -> bool:
+    """Whether an observable is a component of the cell that never changes."""
+    means = rows[f"{name}_mean"]
+    is_one = np.all(means == means[0]) and np.all(rows[f"{name}_error"] == 0.0)
+    return name.startswith("cell_") and bool(is_one)
+
+
 def drawn_quantity(table: EnsembleTable, quantity: str | None) -> str:
     """The observable of the figure: quantity, or if it is None, pressure, else potential energy, else the first.
     Raises ValueError."""
@@ -389,10 +412,17 @@ def drawn_quantity(table: EnsembleTable, quantity: str | None) -> str:
         raise ValueError("there is nothing to draw: no member is done yet")
     if quantity is None:
         return next((name for name in DRAWN if name in table.observables), table.observables[0])
-    if quantity not in table.observables:
-        known = listed(table.observables)
-        hint = near(quantity, table.observables)
-        raise ValueError(f"the quantity must be one of {known}; it is {quantity!r}{hint}")
+    return checked_quantity(quantity, table.observables)
+
+
+def checked_quantity(quantity: str, observables: Sequence[str]) -> str:
+    """The name of an observable.
+    Raises ValueError if it is none of these."""
+    if quantity not in observables:
+        hint = near(quantity, observables)
+        raise ValueError(
+            f"the quantity must be one of {listed(observables)}; it is {quantity!r}{hint}"
+        )
     return quantity
 
 

@@ -141,9 +141,10 @@ def limited(step: StudentStep, where: TrialProblem) -> list[str]:
             jump = np.abs(moved_x - far - new_x)
             if jump.max() > MOVED:
                 smallest = jump[jump > MOVED].min()
+                larger = "larger" if far > 0.0 else "smaller"
                 return [
-                    f"atoms that start {far:g} farther away are moved by {smallest:.6g} more: positions are wrapped "
-                    "into a box in the step, or the step depends on the origin"
+                    f"atoms whose coordinates are {larger} by {abs(far):g} are moved by {smallest:.6g} more: "
+                    "positions are wrapped into a box in the step, or the step depends on the origin"
                 ]
 
     fast = FASTER * where.v

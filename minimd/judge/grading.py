@@ -18,6 +18,20 @@ from minimd.judge.forces import grade_forces
 from minimd.judge.steps import grade_step
 
 
+def names_of(function: Any) -> list[str]:
+    """The names of the parameters of a function; none of what has no parameters."""
+    with suppress(TypeError, ValueError):
+        return [*signature(function).parameters]
+    return []
+
+
+def is_step(function: Any) -> bool:
+    """Whether a function takes velocities and a time step, but no atoms."""
+    names = names_of(function)
+    is_of_atoms = isclass(function) or names[:1] == ["atoms"]
+    return not is_of_atoms and {"v", "dt"} <= {role_of(name) for name in names}
+
+
 def grade(
     function: Any,
     potential: Any = None,
@@ -75,10 +89,7 @@ def grade(
         function, kind = as_function(function, kind, options)
     hint = "a function, as step(x, v, force, m, dt) or forces(positions)"
     checked_kind("function", function, Callable, hint)
-    names = list[str]()
-    with suppress(TypeError, ValueError):  # of what has no parameters
-        names = [*signature(function).parameters]
-
+    names = names_of(function)
     runs = isclass(function) and hasattr(function, "run")
     if kind == "dynamics" or (kind is None and (runs or names[:1] == ["atoms"])):
         from minimd.judge.dynamics import grade_dynamics

@@ -263,6 +263,10 @@ REMARKS = (
     ),
     (lambda step: step.masses == "(N, 1)", "masses must have shape (N, 1) in this step, not (N,)"),
     (
+        lambda step: step.takes(*FORCES) and not step.takes("m", "acceleration"),
+        "the step takes no masses: it is right only for m = 1",
+    ),
+    (
         lambda step: step.takes("half"),
         "velocities are at half steps: the test adds half a kick before and after",
     ),

@@ -145,6 +145,7 @@ class ObservedRun:
     n_dof : degrees of freedom.
     bath_temperature, bath_pressure : of thermostat and barostat; None without them.
     times : of the first and of the last look so far [time]; of a run that began with an older version of minimd, fewer.
+    has_molecules : whether bonds or rigid lengths join atoms; of such a run, true.
     """
 
     units: str
@@ -155,6 +156,7 @@ class ObservedRun:
     bath_temperature: float | None
     bath_pressure: float | None
     times: list[float] = field(default_factory=list, compare=False)
+    has_molecules: bool = field(default=True, compare=False)
 
     @classmethod
     def of(cls, engine: Engine, every: int) -> ObservedRun:
@@ -170,6 +172,7 @@ class ObservedRun:
             n_dof=engine.n_dof,
             bath_temperature=temperature,
             bath_pressure=pressure,
+            has_molecules=bool(len(system.bonds) or engine.constraint_set.bonds),
         )
 
     @property

@@ -31,14 +31,17 @@ SEEN = 2.0  # errors of a trend, see 1; found by trying, as are the numbers belo
 SURE = 3.0  # likewise
 SHARP = 0.1  # of D: a trend known worse tells nothing
 KNOWN = 0.3  # of D: with a larger error only a limit is known
+LEFT = 0.1  # of the msd: where less is due to the limit of D, atoms swing about their places
 SPAN = 2  # octaves of D
 WITHIN = 0.999  # of a lag: nearer is rounding
 USUAL = 10.0  # 10⁻⁵ cm²/s per Å²/ps
 DIFFUSIVE = "diffusive"
 NOT_YET = "not diffusive yet"
 UNKNOWN = "unknown"
+AT_PLACES = "at their places"
 SHORT = "short"
-ADVICE = 'run longer; of molecules, measure the centers: of="molecules"'
+OF_ATOMS = '; of molecules, measure the centers: of="molecules"'
+SLOPE = "slope of the mean square"
 
 
 def diffusion_words(coefficient: float, error: float, units: UnitSystem) -> str:
@@ -57,7 +60,8 @@ def _known(value: float, error: float) -> str:
 class Diffusivity(NamedTuple):
     """D, or why there is none.
 
-    state : DIFFUSIVE, NOT_YET, UNKNOWN (too noisy), or SHORT (fewer than four lags that double).
+    state : DIFFUSIVE, NOT_YET, UNKNOWN (too noisy), AT_PLACES (of a crystal or a glass: at the longest lag the limit
+        of D explains less than a tenth of the mean square), or SHORT (fewer than four lags that double).
     value, error : D and its standard error [length²/time]; NaN unless diffusive.
     window : lags of D; if there is none, those whose slopes were compared [time].
     trend, trend_error : relative change of the slope when the lag doubles.
@@ -73,10 +77,15 @@ class Diffusivity(NamedTuple):
     trend_error: float = np.nan
     limit: float = np.nan
 
-    def in_words(self, units: UnitSystem) -> str:
-        """D and from where it is; or why there is none, what is known of it, and what to do."""
+    def in_words(self, units: UnitSystem, quantity: str = SLOPE, are_joined: bool = False) -> str:
+        """D and from where it is; or why there is none, what is known of it, and what to do.
+
+        quantity : that of which the change is told.
+        are_joined : whether it is of atoms of molecules.
+        """
+        advice = "run longer" + OF_ATOMS * are_joined
         if self.state == SHORT:
-            return f"unknown: the run has fewer than four lags that double, up to a quarter of it; {ADVICE}"
+            return f"unknown: the run has fewer than four lags that double, up to a quarter of it; {advice}"
         start, end = self.window
         lags = f"lags of {units.shown(start)} to {units.shown(end)}"
         percent = _known(100.0 * self.trend, 100.0 * self.trend_error)
@@ -86,15 +95,21 @@ class Diffusivity(NamedTuple):
             has_error = (
                 "" if self.error > 0.0 else " without an error bar, for which the run is too short"
             )
-            slope = f"slope: {change}" if np.isfinite(self.trend) else "one octave"
+            slope = (
+                f"{quantity.partition(' ')[0]}: {change}"
+                if np.isfinite(self.trend)
+                else "one octave"
+            )
             return f"D = {value}{has_error}, from {lags} ({slope}), in this cell"
         limit = ""
         if np.isfinite(self.limit):
             limit = f"D is below {diffusion_words(self.limit, 0.0, units)}; "
-        slope = f"at {lags} the slope of the mean square changes by {change}"
+        if self.state == AT_PLACES:
+            return f"unknown, {limit}at {lags} atoms have not left their places, as in a crystal"
+        slope = f"at {lags} the {quantity} changes by {change}"
         if self.state == UNKNOWN:
-            return f"unknown, {limit}{slope}; {ADVICE}"
-        return f"NOT DIFFUSIVE YET: {slope}; {limit}{ADVICE}"
+            return f"unknown, {limit}{slope}; {advice}"
+        return f"NOT DIFFUSIVE YET: {slope}; {limit}{advice}"
 
 
 class _Octaves:
@@ -193,7 +208,11 @@ def diffusivity(
     last, its_error = octaves.level(n - SPAN, n)
     limit = abs(last) + 2.0 * its_error
     state = UNKNOWN
-    if begin == end and abs(trend) >= SEEN * trend_error:
+    used = (lags[late], lags[end])
+    if 6.0 * limit * lags[n] < LEFT * np.interp(lags[n], times, mean):
+        state = AT_PLACES
+        used = (lags[n - SPAN], lags[n])
+    elif begin == end and abs(trend) >= SEEN * trend_error:
         state = NOT_YET
         limit = np.nan if trend > 0.0 and end == n else limit
-    return Diffusivity(state, np.nan, np.nan, (lags[late], lags[end]), trend, trend_error, limit)
+    return Diffusivity(state, np.nan, np.nan, used, trend, trend_error, limit)

@@ -20,6 +20,7 @@ from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_count, checked_number
 from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.observables import center
+from minimd.core.structure.statistics import with_error
 from minimd.observers.accumulator import Array, ObservedRun, Result, Series, State
 from minimd.observers.arguments import (
     ATOMS,
@@ -32,7 +33,7 @@ from minimd.observers.arguments import (
     steps,
 )
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
-from minimd.observers.diffusion import Diffusivity, diffusion_words, diffusivity
+from minimd.observers.diffusion import SLOPE, Diffusivity, diffusion_words, diffusivity
 from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, TimeCorrelation, running_integral
 from minimd.observers.viscosity import ViscosityResult
 
@@ -45,6 +46,7 @@ XI = 2.837297  # ξ of a cubic cell
 CUBIC = 1e-9  # largest relative deviation of the squares and products of lattice vectors from those of a cube
 OF = "atoms, or centers of molecules (atoms that bonds or rigid lengths connect); displacements count by atom"
 AXES = ("x", "y", "z")
+BESIDE = "tab:orange"  # color of a second ordinate
 
 
 def is_cubic(cell: Cell) -> bool:
@@ -145,6 +147,10 @@ class _OfAtoms(TimeCorrelation):
     def _entry(self, vectors: Array) -> Array:
         """What is correlated of vectors, (n, 3): (C, n)."""
         return vectors.T
+
+    @property
+    def _are_joined(self) -> bool:
+        return self.answered().has_molecules and self.of == ATOMS
 
     @abstractmethod
     def _vectors(self, look: Look) -> Array:
@@ -295,6 +301,7 @@ class MeanSquareDisplacement(_OfAtoms):
             errors=errors,
             diffusivity=each[0],
             n_atoms=sum(self.numbers),
+            are_joined=self._are_joined,
             of_species=tuple(each[1:]),
             is_cubic=self.is_cubic,
             temperature=temperature,
@@ -332,8 +339,17 @@ class VelocityAutocorrelation(_OfAtoms):
         squares = factor * running_integral(times, along)
         without = factor * running_integral(times, self.sums.replicas(integral))
         of_all = diffusivity(times, squares, without, longest)
-        n_atoms = sum(self.numbers)
-        return VelocityResult(scene, times, values, errors, of_all, n_atoms, along, its_error)
+        return VelocityResult(
+            scene=scene,
+            times=times,
+            means=values,
+            errors=errors,
+            diffusivity=of_all,
+            n_atoms=sum(self.numbers),
+            are_joined=self._are_joined,
+            integral=along,
+            integral_error=its_error,
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -344,6 +360,7 @@ class MotionResult(Result):
     means, errors : (1 + S + 3, T), of all atoms, of those of each species, and along x, y, z.
     diffusivity : Diffusivity of all atoms in this cell.
     n_atoms : number of atoms that were observed.
+    are_joined : whether they are atoms of molecules, and not the centers of these.
     """
 
     times: Array
@@ -351,7 +368,9 @@ class MotionResult(Result):
     errors: Array
     diffusivity: Diffusivity
     n_atoms: int
+    are_joined: bool
     symbol: ClassVar[str]  # name of the series
+    compared: ClassVar[str] = SLOPE  # with that at other lags
     coefficients = ("diffusion", "diffusion_error")
 
     @property
@@ -368,6 +387,21 @@ class MotionResult(Result):
     def unit(self) -> str:
         """The unit of the means."""
         return f"{self.units.length}²"
+
+    def in_words(self, diffusivity: Diffusivity) -> str:
+        """D, or why there is none."""
+        return diffusivity.in_words(self.units, self.compared, self.are_joined)
+
+    @property
+    def shown(self) -> tuple[float, str]:
+        """The factor and the unit in which D is drawn."""
+        return 1.0 / self.units.to_picosecond, f"{self.units.length}²/{self.units.shown_time}"
+
+    @property
+    def known(self) -> str:
+        """D with its error, for a legend."""
+        factor, unit = self.shown
+        return f"D = {with_error(factor * self.diffusion, factor * self.diffusion_error)} {unit}"
 
     def series(self) -> list[Series]:
         """See Result: means over all atoms, over each species if there are several, and along each direction."""
@@ -386,7 +420,7 @@ class DisplacementResult(MotionResult):
     times : (T,) lags [time].
     means, errors : (1 + S + 3, T) [length²], of all atoms, of those of each species, and along x, y, z.
     diffusivity, of_species : Diffusivity of all atoms in this cell, and of those of each species, (S,).
-    n_atoms : see MotionResult.
+    n_atoms, are_joined : see MotionResult.
     diffusion, diffusion_error : D, and its standard error [length²/time]; NaN unless the slope has stopped to change.
         diffusion_of_species : D of each, (S,).
     window : lags of D [time].
@@ -447,10 +481,10 @@ class DisplacementResult(MotionResult):
     def display_rows(self) -> Rows:
         """See Displayed."""
         units = self.units
-        rows = [("diffusion", self.diffusivity.in_words(units))]
+        rows = [("diffusion", self.in_words(self.diffusivity))]
         if len(self.of_species) > 1:
             for name, diffusivity in zip(self.scene.species, self.of_species, strict=True):
-                rows.append(("", f"{name}: {diffusivity.in_words(units)}"))
+                rows.append(("", f"{name}: {self.in_words(diffusivity)}"))
         if np.isfinite(self.infinite):
             infinite = diffusion_words(self.infinite, self.infinite_error, units)
             rows.append(("", f"D = {infinite} in an infinite cell (Yeh and Hummer)"))
@@ -467,7 +501,8 @@ class DisplacementResult(MotionResult):
         if np.isfinite(self.diffusion):
             start, end = self.window
             inside = (self.times >= start) & (self.times <= end)
-            line = {"color": "0.4", "lw": 3.0, "alpha": 0.5, "label": "slope 6 D"}
+            label = f"slope 6 D, {self.known}"
+            line = {"color": "0.4", "lw": 3.0, "alpha": 0.5, "label": label}
             panel.loglog(times[inside], self.msd[inside], **line)
             panel.legend(frameon=False, fontsize=8)
         quantity = f"⟨|r(t) − r(0)|²⟩  [{self.unit}]"
@@ -482,13 +517,14 @@ class VelocityResult(MotionResult):
     means, errors : (1 + S + 3, T) [length²/time²], of all atoms, of those of each species, and along x, y, z.
     integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].
     diffusivity : Diffusivity, by means of the integral over octaves of lags.
-    n_atoms : see MotionResult.
+    n_atoms, are_joined : see MotionResult.
     """
 
     integral: Array
     integral_error: Array
     title = "velocity autocorrelation"
     symbol = "vacf"
+    compared = "integral"
 
     @property
     def vacf(self) -> Array:
@@ -507,7 +543,7 @@ class VelocityResult(MotionResult):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        return [("velocities", self.diffusivity.in_words(self.units))]
+        return [("velocities", self.in_words(self.diffusivity))]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
@@ -516,3 +552,19 @@ class VelocityResult(MotionResult):
         self.draw_curves(panel, [part], "t", "⟨v(0) · v(t)⟩ / ⟨v²⟩")
         last = np.fmax(self.diffusivity.window[1], self.times[min(15, len(self.times) - 1)])
         panel.set(xlim=(0.0, last * self.units.to_picosecond or None))
+        beside = panel.twinx()
+        factor, unit = self.shown
+        inside = self.times <= last
+        times = self.times[inside] * self.units.to_picosecond
+        integral = factor * self.integral[inside]
+        errors = factor * self.integral_error[inside]
+        beside.plot(times, integral, color=BESIDE, lw=1.1)
+        beside.fill_between(
+            times, integral - errors, integral + errors, color=BESIDE, alpha=0.25, lw=0
+        )
+        beside.set_ylabel(f"⅓ ∫ ⟨v(0) · v(t)⟩ dt  [{unit}]", color=BESIDE)
+        if np.isfinite(self.diffusion):
+            ends = np.array(self.diffusivity.window) * self.units.to_picosecond
+            line: dict[str, Any] = {"color": "0.4", "lw": 3.0, "alpha": 0.5, "label": self.known}
+            beside.plot(ends, np.full(2, factor * self.diffusion), **line)
+            beside.legend(frameon=False, fontsize=8)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 HEAT = "#c8501e"  # the color of temperatures
 MOST_UNSURE = 0.2  # relative error of a temperature that is drawn
 STEEP = 0.5  # of the highest value: an axis begins at zero if the lowest is less
-EXTENT_WORDS = "lower and upper end of an open axis; atoms outside are not counted"
+EXTENT_WORDS = "lower and upper end, needed if the axis is open; atoms outside are not counted"
 # places in the sums, before the densities of each species, and Σ g and Σ m v² of the atoms in each bin
 FRAMES, EXTENT, HEAD = range(3)
 

@@ -105,6 +105,7 @@ def resume_run(
     file: str | Path,
     steps: int | None = None,
     *,
+    until_step: int | None = None,
     scene: Scene | None = None,
     max_seconds: float | None = None,
     progress: bool | None = None,
@@ -118,6 +119,7 @@ def resume_run(
     Parameters
     ----------
     steps : number of further steps; if not given, the run goes on to the last step of the scene.
+    until_step : the step at which it ends, in place of steps.
     scene : replaces the scene in the file, except for the sections of the start; a note lists the differences. It must
         have the same constraints. If it is not given, the method is that of the last steps in the file.
     max_seconds : as for run_scene.
@@ -140,7 +142,17 @@ def resume_run(
             f"sim.run(n_steps, trajectory={str(file)!r}, append=True)"
         )
 
-    end = _end(scene, contents, steps, str(file))
+    if steps is not None and until_step is not None:
+        raise ValueError(
+            "a run goes on by --steps, or up to --until-step: give one of the two; they are "
+            f"{steps} and {until_step}"
+        )
+    end = _end(scene, contents, steps, str(file)) if until_step is None else until_step
+    if end < contents.step:
+        raise ValueError(
+            f"--until-step must be at least the step of the run in {str(file)!r}, {contents.step}; "
+            f"it is {until_step}"
+        )
     changes = [] if own_scene is None else differences(own_scene, scene)
     if changes:
         tell(

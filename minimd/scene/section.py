@@ -56,7 +56,19 @@ NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 Vector = Annotated[list[FiniteFloat], Three]
 Atoms = list[NonNegativeInt]
 PairOfAtoms = Annotated[list[int], Field(min_length=2, max_length=2)]
+SIGNS = str.maketrans("A23", "Å²³")  # of units, for letters in keys
 UNKNOWN = "?"  # put before a key that its section does not know
+
+
+def quantity_of(key: str) -> str:
+    """A parameter as the label of an axis; of the key of a scene dynamics.temperature_K, "temperature  [K]"."""
+    name = key.rpartition(".")[2]
+    endings = [ending for keys in KEY_UNITS["ASE"].values() for ending in keys]
+    for ending in sorted(endings, key=len, reverse=True):
+        if name != key and name.endswith(ending):
+            unit = ending[1:].replace("per_", "1/").replace("_", "/").translate(SIGNS)
+            return f"{name.removesuffix(ending).replace('_', ' ')}  [{unit}]"
+    return name.replace("_", " ") if name != key else key
 
 
 class Dimension(str):

@@ -128,10 +128,23 @@ def test_interrupted_run_says_how_to_go_on_or_that_nothing_was_written(folder, t
     assert "of the equilibration; nothing was written" in told("run", "warm.toml", code=130)
     assert not Path("warm.h5md").exists()
     monkeypatch.setattr(H5MDWriter, "write", lambda writer, frame: stopping(write, writer, frame))
-    assert "resume with: minimd resume melt.h5md --steps 19" in told("run", "melt.toml", code=130)
+    stopped = told("run", "melt.toml", code=130)
+    assert "resume with: minimd resume melt.h5md --steps 19" in stopped
+    assert "error" not in stopped
     monkeypatch.undo()
     os.chdir(folder)
     assert (run("resume", "melt.h5md", "--steps", 19), read_file("melt.h5md").step) == (0, 40)
+
+
+def test_resume_goes_on_up_to_a_step_and_counts_all_steps(folder, capsys):
+    assert run("run", "melt.toml", "--steps", 10) == 0
+    capsys.readouterr()
+    assert cli.main(["resume", "melt.h5md", "--until-step", "30"]) == 0
+    assert "running: step 30 of 30" in capsys.readouterr().err
+    assert read_file("melt.h5md").step == 30
+    for ends, words in ((["20"], "30"), (["40", "--steps", "5"], "--until-step")):
+        assert cli.main(["resume", "melt.h5md", "--until-step", *ends]) == 2
+        assert words in capsys.readouterr().err
 
 
 def test_resume_without_a_stored_scene_asks_for_one(folder, told):

@@ -16,10 +16,13 @@ from references import melt_scene
 
 from minimd.commands import main as cli
 from minimd.core.files.h5md_reader import read_file
+from minimd.core.structure.statistics import with_error
 from minimd.ensemble.folder import EnsembleFolder
 from minimd.ensemble.scan import changed_text, parsed_setting
+from minimd.ensemble.table import status
 from minimd.ensemble.workers import named_executor
 from minimd.scene import parse_scene
+from minimd.scene.section import quantity_of
 
 DYNAMICS = 'method = "langevin-baoab"\nrelaxation_time = 1.0\n[output]\nevery = 5\n'
 SCENE = "# A comment.\n" + melt_scene(2, 40, DYNAMICS).replace("2.5", "1.6")
@@ -116,6 +119,69 @@ def test_a_scan_runs_what_was_set_and_tells_averages(folder, told):
     assert "'pressure'" in told("scan", *command, 2, "--plot", "presure", code=2)
     ends = "(?s)4 members in scan: 4 done.*dynamics.temperature.*written +scan/pressure.png$"
     assert re.search(ends, told("scan", "--status", "scan"))
+
+
+ARGON = """
+[structure]
+lattice = "fcc"
+element = "Ar"
+repeat = [2, 2, 2]
+density_g_cm3 = 1.4
+[[potential]]
+type = "lennard-jones"
+epsilon_K = 120.0
+sigma_A = 3.4
+cutoff_A = 5.0
+[dynamics]
+method = "langevin-baoab"
+timestep_fs = 8.0
+temperature_K = 95.0
+relaxation_time_fs = 1000.0
+steps = 400
+[barostat]
+pressure_bar = 1000.0
+compressibility_per_bar = 2e-4
+relaxation_time_fs = 500.0
+[output]
+every = 10
+"""
+
+
+def test_a_scan_at_constant_pressure_tells_bar_and_density(folder, told):
+    """And no components of the cell that are zero."""
+    Path("argon.toml").write_text(ARGON)
+    scanned = ["argon.toml", "--set", "dynamics.temperature_K=90,95", "--workers", 0, "--plot", "density"]
+    lines = told("scan", *scanned)
+    table = status(Path("scan"))[0]
+    record = read_file("scan/0000-0999/0000.h5md").record
+    density = 32 * 39.948 / 0.6022140858549161 / record.volume
+    assert table["density_mean"][0] == pytest.approx(density.mean())
+    assert (table.unit("density"), table.unit("pressure")) == ("g/cm³", "eV/Å³")
+    for words in ("density [g/cm³]", "pressure [bar]", "cell xx", "cell zz"):
+        assert words in lines
+    assert "cell xy" not in lines
+    mean, error = (table[f"pressure_{end}"][0] / 6.241509125883258e-07 for end in ("mean", "error"))
+    assert with_error(mean, error) in lines
+    (panel,) = table.plot().axes
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("temperature  [K]", "mean pressure  [bar]")
+    assert panel.lines[0].get_ydata()[0] == pytest.approx(mean)
+
+
+def test_a_quantity_that_cannot_be_drawn_is_refused_before_the_first_run(folder, told):
+    assert "'pressure'" in told("scan", "melt.toml", "--plot", "density", code=2)
+    assert not Path("scan").exists()
+
+
+KEYS = {
+    "dynamics.temperature_K": "temperature  [K]", "structure.density_g_cm3": "density  [g/cm³]",
+    "barostat.compressibility_per_bar": "compressibility  [1/bar]", "potential[0].k_eV_A2": "k  [eV/Å²]",
+    "dynamics.temperature": "temperature", "bath_K": "bath_K",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_an_axis_has_the_unit_of_a_key(key):
+    assert quantity_of(key) == KEYS[key]
 
 
 def test_members_that_fail_are_told_and_the_code_is_one(folder, capsys):

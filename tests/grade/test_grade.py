@@ -1,5 +1,7 @@
 """md.grade: right steps and forces pass, wrong ones are told what is wrong with them, what does not fit is refused."""
 
+import re
+
 import numpy as np
 import pytest
 import wrong_functions as written
@@ -7,6 +9,7 @@ from wrong_calls import assert_answered
 from wrong_functions import W, composed, explicit_euler, pairs, runge_kutta, velocity_verlet
 
 import minimd as md
+from minimd.commands.main import main
 
 TWO = np.array([[0.0, 0.0, 0.0], [0.9, 0.5, 0.2]])
 SLOWEST = "no minimum image", "one direction", "du/dr times the vector", "cutoff of components", "wrapped positions"
@@ -66,6 +69,36 @@ def test_a_runge_kutta_method_passes_if_its_order_is_asked_for():
     assert any("not symplectic" in remark for remark in right.remarks)
     wrong = md.grade(lambda x, v, force, m, dt: runge_kutta(x, v, force, m, dt, third=1), order=4)
     assert any("stage 3 has the weights" in fault for fault in wrong.faults), str(wrong)
+
+
+def verlet_of(move=lambda x: x):
+    """A step without masses, whose positions are moved at its end."""
+
+    def step(x, v, force, dt):
+        v = v + 0.5 * dt * force(x)
+        x = move(x + dt * v)
+        return x, v + 0.5 * dt * force(x)
+
+    return step
+
+
+def test_what_is_right_for_one_mass_only_is_told():
+    grade = md.grade(verlet_of())
+    assert grade.passed
+    assert "m = 1" in grade.remarks[0]
+    assert not any("m = 1" in remark for remark in md.grade(velocity_verlet).remarks)
+
+
+def test_atoms_are_told_on_which_side_they_start():
+    (fault,) = md.grade(verlet_of(lambda x: x % 10.0)).faults
+    assert re.search(r"coordinates are (larger|smaller) by \d", fault), fault
+
+
+def test_the_command_grades_a_step(tmp_path, capsys):
+    file = tmp_path / "mine.py"
+    file.write_text("def step(x, v, force, m, dt):\n    v = v + dt * force(x) / m\n    return x + dt * v, v\n")
+    assert main(["grade", f"{file}:step"]) == 1
+    assert "symplectic Euler" in capsys.readouterr().out
 
 
 # fmt: off

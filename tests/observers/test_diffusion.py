@@ -9,7 +9,7 @@ import pytest
 
 import minimd as md
 from minimd.mdanalysis import diffusion_coefficient, mean_square_displacement, radial_distribution
-from minimd.observers.diffusion import DIFFUSIVE, NOT_YET, SHORT, Diffusivity, diffusivity
+from minimd.observers.diffusion import AT_PLACES, DIFFUSIVE, NOT_YET, SHORT, Diffusivity, diffusivity
 from minimd.view.check import liquid as check_of_liquid
 
 LJ = md.LennardJones(1.0, 1.0, 2.5)
@@ -92,8 +92,11 @@ def test_a_random_walk_diffuses_a_cage_and_a_chain_do_not():
     assert walk.state == DIFFUSIVE
     assert abs(walk.value - 0.5) < 3.0 * walk.error < 0.15
     cage = rule(rng.normal(size=(1000, 30, 3)))
-    assert cage.state != DIFFUSIVE
+    assert cage.state == AT_PLACES
     assert np.isnan(cage.value)
+    words = cage.in_words(md.units.LJ)
+    assert "atoms have not left their places" in words
+    assert "D is below" in words
     slowing = rule(rouse(400, 1))
     assert slowing.state == NOT_YET
     assert slowing.trend < -2.0 * slowing.trend_error < 0.0
@@ -108,6 +111,11 @@ def test_a_gas_that_still_flies_has_no_diffusion_coefficient():
     assert early.diffusivity.trend > 0.0
     assert np.isnan([early.diffusion, early.diffusion_error]).all()
     assert "NOT DIFFUSIVE YET" in str(early)
+    assert "slope of the mean square" in str(early)
+    turning = gas(0.2, 800, seed=1, looked=[2])[2]
+    assert "the integral changes by" in str(turning)
+    for words in (str(early), str(turning)):
+        assert "molecules" not in words
     late = gas(1.0, 6000, seed=1)
     for found in late:
         assert abs(found.diffusion - 1.0) < 3.0 * found.diffusion_error < 0.3
@@ -119,7 +127,19 @@ def test_molecules_count_by_their_centers():
     assert is_right(beads, 1.0 / 16.0)
     for found in (centers, velocities):
         assert abs(found.diffusion - 1.0 / 16.0) < 3.0 * found.diffusion_error < 0.04
-    assert 'of="molecules"' in str(chains(200)[0])
+    of_beads, of_centers, *_ = chains(200)
+    assert 'of="molecules"' in str(of_beads)
+    assert 'of="molecules"' not in str(of_centers)
+
+
+def test_pictures_show_diffusion_and_the_running_integral():
+    moved, _, turned, _ = gas(1.0, 6000, seed=1, looked=[0, 2])
+    assert f"D = {moved.diffusion:.3f} ± " in moved.plot().axes[0].get_legend().get_texts()[0].get_text()
+    _, beside = turned.plot().axes
+    curve, level = beside.lines
+    assert curve.get_ydata()[-1] == turned.integral[len(curve.get_ydata()) - 1]
+    assert set(level.get_ydata()) == {turned.diffusion}
+    assert "σ²/τ" in beside.get_ylabel()
 
 
 def test_the_motion_of_the_whole_box_is_no_diffusion():

@@ -13,10 +13,10 @@ TENTHS = 10
 
 @contextmanager
 def progress_of(
-    n_steps: int, label: str, show: bool | None = None, unit: str = "step"
+    end: int, label: str, show: bool | None = None, unit: str = "step", start: int = 0
 ) -> Iterator[Callable[[int], Any]]:
-    """Show on standard error, or in a notebook, how much of n_steps is done; yields a function to be called with the
-    number of steps made.
+    """Show on standard error, or in a notebook, how much of the way from start to end is done; yields a function to be
+    called with the step that is reached.
     unit : what is counted, if not steps.
     show : True for a bar on a terminal or in a notebook, and ten lines elsewhere; False for nothing; None for a bar
         where one is possible. ValueError for anything else."""
@@ -26,16 +26,17 @@ def progress_of(
 
     def tell_tenths(done: int) -> None:
         nonlocal tenths
-        if show and done * TENTHS // n_steps > tenths:
-            tenths = done * TENTHS // n_steps
-            tell(f"{label}: {unit} {done} of {n_steps}")
+        if show and (done - start) * TENTHS // (end - start) > tenths:
+            tenths = (done - start) * TENTHS // (end - start)
+            tell(f"{label}: {unit} {done} of {end}")
 
     if show is False or not (is_terminal() or in_notebook()):
         yield tell_tenths
         return
     from tqdm.auto import tqdm
 
-    with tqdm(total=n_steps, desc=label, unit=unit, unit_scale=True, file=sys.stderr) as bar:
+    style: dict[str, Any] = {"unit": unit, "unit_scale": True, "file": sys.stderr}
+    with tqdm(total=end, initial=start, desc=label, **style) as bar:
         yield lambda done: bar.update(done - bar.n)
 
 

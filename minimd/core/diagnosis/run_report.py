@@ -230,15 +230,17 @@ def pressure_lines(
     missing = 0.0
     if leaves_out_center(record.n_atoms, is_free):
         missing = units.k_B * record.temperature / record.volume
-    pressure = record.pressure + missing
+    factor = units.to_shown_pressure
+    wanted = factor * barostat.pressure
+    pressure = factor * (record.pressure + missing)
     mean, error = mean_and_error(pressure)
-    is_there = abs(mean - barostat.pressure) <= FAR * error
+    is_there = abs(mean - wanted) <= FAR * error
     verdict = "NOT REACHED; equilibrate longer"
     if is_there:
         verdict = "consistent with it, within three standard errors"
     yield Line(
         "pressure",
-        f"{with_error(mean, error)} {units.pressure} on average, {barostat.pressure:.4g} wanted",
+        f"{with_error(mean, error)} {units.shown_pressure} on average, {wanted:.4g} wanted",
         f"{verdict}{_unless_long(pressure, 'pressure')}",
         is_there,
         not is_there,

@@ -150,8 +150,9 @@ def draw_volume(panel: Axes, times: Array, record: DrawnRecord) -> None:
 
 def draw_pressure(panel: Axes, times: Array, record: DrawnRecord) -> None:
     """The pressure, and its mean."""
-    names = ("pressure", "P", record.units.pressure)
-    _draw_with_mean(panel, times, record.pressure, STRUCTURE, names)
+    units = record.units
+    names = ("pressure", "P", units.shown_pressure)
+    _draw_with_mean(panel, times, units.to_shown_pressure * record.pressure, STRUCTURE, names)
 
 
 def draw_potential_energy(panel: Axes, times: Array, record: DrawnRecord) -> None:

@@ -291,7 +291,7 @@ class Simulation(Closed, Displayed):
                     n_steps=end - start,
                     observers=attached.accumulators,
                 ) as writers,
-                progress_of(end - start, "running", progress) as tell,
+                progress_of(end, "running", progress, start=start) as tell,
                 attached.broken_off(),
             ):
                 system = engine.system
@@ -326,7 +326,7 @@ class Simulation(Closed, Displayed):
             step += int(n_now)
             is_last = step == end
             guard.advance(int(n_now), step == next_look or is_last or attached.need_energy(step))
-            tell(step - start)
+            tell(step)
             if guard.is_hot() or (is_last and end < next_look):
                 guard.observe()  # before others look at what may have failed
             guard.observing += attached.look()

@@ -28,6 +28,7 @@ class UnitSystem:
         written unchanged (1 σ as 1 Å, 1 τ as 1 ps, 1 ε as 1 kJ/mol), as most tools do.
     shown_time : name of the unit of time · to_picosecond, as it is shown.
     small_time : the same for time steps, of which shown_small_time make one.
+    shown_pressure, to_shown_pressure : the unit in which pressures are shown, and the factor that converts to it.
     length, volume, time, energy, temperature, pressure, momentum, angular_momentum : names of the units, for files,
         plots and reports."""
 
@@ -45,6 +46,8 @@ class UnitSystem:
     energy: str = "ε"
     temperature: str = "ε/k_B"
     pressure: str = "ε/σ³"
+    shown_pressure: str = "ε/σ³"
+    to_shown_pressure: float = 1.0
     momentum: str = "√(m ε)"
     angular_momentum: str = "σ √(m ε)"
     volume: str = "σ³"
@@ -85,6 +88,8 @@ ASE = UnitSystem(
     energy="eV",
     temperature="K",
     pressure="eV/Å³",
+    shown_pressure="bar",
+    to_shown_pressure=1.0 / BAR,
     momentum="√(u eV)",
     angular_momentum="Å √(u eV)",
     volume="Å³",

@@ -142,17 +142,7 @@ def resume_run(
             f"sim.run(n_steps, trajectory={str(file)!r}, append=True)"
         )
 
-    if steps is not None and until_step is not None:
-        raise ValueError(
-            "a run goes on by --steps, or up to --until-step: give one of the two; they are "
-            f"{steps} and {until_step}"
-        )
-    end = _end(scene, contents, steps, str(file)) if until_step is None else until_step
-    if end < contents.step:
-        raise ValueError(
-            f"--until-step must be at least the step of the run in {str(file)!r}, {contents.step}; "
-            f"it is {until_step}"
-        )
+    end = _end(scene, contents, (steps, until_step), str(file))
     changes = [] if own_scene is None else differences(own_scene, scene)
     if changes:
         tell(
@@ -199,10 +189,21 @@ def resume_run(
     return simulation
 
 
-def _end(scene: Scene, contents: H5MDContents, steps: int | None, file: str) -> int:
+def _end(
+    scene: Scene, contents: H5MDContents, asked: tuple[int | None, int | None], file: str
+) -> int:
     """The step at which a resumed run ends.
-    Raises ValueError if it has reached the end of its scene."""
+    asked : steps and until_step of resume_run.
+    Raises ValueError if both are given, or the run has reached this step, or the end of its scene."""
     step = contents.step
+    steps, until_step = asked
+    if until_step is not None and (steps is not None or until_step < step):
+        raise ValueError(
+            f"--until-step must be at least {step}, the step of the run in {file!r}, and takes the place of --steps; "
+            f"it is {until_step}"
+        )
+    if until_step is not None:
+        return until_step
     if steps is not None:
         return step + steps
     end = scene.sections.dynamics.steps

@@ -164,10 +164,12 @@ def water(
 def checked_ions(model: str, ions: Mapping[str, int] | None) -> dict[str, int]:
     """How many ions of each name.
     Raises ValueError for one that has no parameters with this model, or a number that is not whole."""
-    counts = {}
-    checked_kind("ions", ions or {}, Mapping, "a mapping from names of ions to their numbers")
+    counts: dict[str, int] = {}
+    if ions is None:
+        return counts
+    checked_kind("ions", ions, Mapping, "a mapping from names of ions to their numbers")
 
-    for name, count in (ions or {}).items():
+    for name, count in ions.items():
         if name not in IONS or model not in IONS[name].of_models:
             models = listed(IONS["Na"].of_models)
             raise ValueError(

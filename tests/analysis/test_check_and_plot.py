@@ -141,7 +141,7 @@ def titles(figure):
 KEPT, DRIVEN = md.VelocityVerlet(0.004), md.LangevinBAOAB(0.004, 0.7, 1.0, seed=1)
 GENTLE = md.StochasticVelocityRescaling(0.004, 0.7, relaxation_time=0.5, seed=1)
 ENERGY, HEAT = ["total energy per atom", "temperature"], ["total energy − heat per atom", "temperature"]
-MOMENTUM, GAS, LIQUID = "total momentum", "mean-square displacement", "radial distribution"
+MOMENTUM, GAS, LIQUID = "total momentum", "mean-square displacement", "radial distribution between molecules"
 DRAWN = {  # method, barostat, cell; panels of a record, and of a file
     "energy": (KEPT, False, "cubic", [*ENERGY, MOMENTUM, "pressure"], [*ENERGY, MOMENTUM, LIQUID]),
     "open": (KEPT, False, "open", [*ENERGY, MOMENTUM, "potential energy per atom"], [*ENERGY, MOMENTUM, GAS]),

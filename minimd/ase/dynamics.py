@@ -18,8 +18,8 @@ from minimd.core.engine.engine import Engine
 from minimd.core.integrators.rows import VelocityVerlet as Method
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.potentials.term import CalculatorTerm, calculators_said
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.ase_atoms import fixes_center, same_scene
-from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
 

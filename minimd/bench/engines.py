@@ -34,8 +34,8 @@ from minimd.bench.scenes import (
     copper_tables,
     pairs_in_range,
 )
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.constraints import lengths_of
-from minimd.core.structure.observables import Array
 from minimd.lammps.model import METALS, Model
 from minimd.lammps.program import LIBRARIES
 from minimd.lammps.script import held, write_atoms

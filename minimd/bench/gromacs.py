@@ -15,8 +15,8 @@ from scipy.special import erfcinv
 
 import minimd as md
 from minimd.bench.scenes import COULOMB_KJ_NM, BenchScene
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.constraints import lengths_of
-from minimd.core.structure.observables import Array
 
 # kJ/mol/ps, the drift per atom that GROMACS allows from its list: its default; and one that is as safe as minimd's list
 BUFFER = 0.005

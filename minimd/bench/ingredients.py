@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 import minimd as md
 from minimd.bench import scenes
@@ -16,7 +15,7 @@ from minimd.bench.outcome import bars, spread, summary, table
 from minimd.bench.scenes import SCENES, BenchScene, equilibrated, pairs_in_range
 from minimd.bench.turns import take_turns, warm_up
 from minimd.core.compiled.terminal import tell
-from minimd.core.structure.observables import Array
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.system import changed
 
 if TYPE_CHECKING:
@@ -152,7 +151,7 @@ def _with(scene: BenchScene, **changes: Any) -> BenchScene:
     return scene._replace(system=changed(scene.system, **changes))
 
 
-def partners(system: md.System) -> tuple[NDArray[np.int64], float]:
+def partners(system: md.System) -> tuple[Indices, float]:
     """Pairs of neighbors, with each atom in at most one pair, (K, 2), and the mean of their distances [σ]."""
     taken = np.zeros(len(system), dtype=bool)
     pairs = []

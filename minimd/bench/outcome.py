@@ -19,7 +19,7 @@ import numpy as np
 import minimd as md
 from minimd.core.compiled.machine import MISSING, available_cores, processor_name, version
 from minimd.core.console.whole_file import write_picture, write_whole
-from minimd.core.structure.observables import Array
+from minimd.core.structure.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,7 +16,7 @@ from minimd.bench.scaling import bytes_per_atom
 from minimd.bench.scenes import EXACT, MELT, SCENES, WATER_CUTOFFS, BenchScene, equilibrated
 from minimd.bench.turns import check_agreement, in_turns, thread_numbers, timed
 from minimd.core.compiled.terminal import tell
-from minimd.core.structure.observables import Array
+from minimd.core.structure.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,7 +15,7 @@ from minimd.bench.scenes import MELT, SCENES
 from minimd.bench.turns import in_turns, thread_numbers
 from minimd.core.compiled.machine import STATUS, peak_memory
 from minimd.core.compiled.terminal import tell
-from minimd.core.structure.observables import Array
+from minimd.core.structure.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

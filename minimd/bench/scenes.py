@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import minimd as md
@@ -21,8 +20,9 @@ from minimd.core.forces.forces import Potential
 from minimd.core.potentials.embedded_files import EmbeddedTables
 from minimd.core.potentials.pair import Nonbonded
 from minimd.core.potentials.truncation import TruncationName
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.lattice import constant_from_density, crystal
-from minimd.core.structure.observables import Array, maxwell_boltzmann
+from minimd.core.structure.observables import maxwell_boltzmann
 
 MELT = "melt"
 SEED = 87287
@@ -183,7 +183,7 @@ def _beads(density: float, n: int) -> md.System:
     return _atoms(path * (edge / width), edge, bonds=_runs(chains, 2))
 
 
-def _runs(molecules: NDArray[np.int64], size: int) -> NDArray[np.int64]:
+def _runs(molecules: Indices, size: int) -> Indices:
     """All runs of neighboring atoms in chains, (K, size).
     molecules : (M, L), the atoms of each."""
     return sliding_window_view(molecules, size, axis=1).reshape(-1, size)

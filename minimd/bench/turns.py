@@ -11,8 +11,8 @@ from minimd.bench.outcome import threads_text
 from minimd.bench.scenes import BenchScene
 from minimd.core.compiled.machine import available_cores
 from minimd.core.compiled.terminal import tell
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.errors import HandOverError
-from minimd.core.structure.observables import Array
 
 # allowed relative difference of energies at step 0: rounding of single precision; GROMACS sums 32 000 atoms to 2e-5
 SAME_START = 5e-5

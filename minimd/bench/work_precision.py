@@ -23,8 +23,8 @@ from minimd.bench.turns import timed
 from minimd.core.compiled.terminal import tell
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.table import SPLITTINGS
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.errors import ConvergenceError
-from minimd.core.structure.observables import Array
 from minimd.textbook.methods import IMPLICIT
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from minimd.judge.problems import SHAPES, Array, Function, TrialProblem, largest, problem
+from minimd.core.structure.arrays import Array
+from minimd.judge.problems import SHAPES, Function, TrialProblem, largest, problem
 
 PLACES = ("x", "v", "force", "m", "dt")
 Names = tuple[tuple[str, str], ...]

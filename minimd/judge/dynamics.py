@@ -19,11 +19,12 @@ from scipy import stats
 from tqdm import tqdm
 
 from minimd.core.console.words import shown
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_choice, checked_count, checked_flag, checked_number
 from minimd.judge import ensembles
 from minimd.judge.findings import Answer, Finding, Grade, Law, Measurement, causes, judged, needed
 from minimd.judge.problems import largest
-from minimd.judge.scenes import SCENES, SOFT, Array, Frames, Make, ends_of, run, started
+from minimd.judge.scenes import SCENES, SOFT, Frames, Make, ends_of, run, started
 
 ENSEMBLES = {
     "NVE": "constant energy",

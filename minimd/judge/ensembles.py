@@ -7,8 +7,9 @@ import numpy as np
 from scipy import stats
 from scipy.special import polygamma
 
+from minimd.core.structure.arrays import Array
 from minimd.judge.findings import Law, Measurement, nearest
-from minimd.judge.scenes import SOFT, Array, Frames, Scene, joined
+from minimd.judge.scenes import SOFT, Frames, Scene, joined
 
 UNSEEN = (
     0.2  # error of a law that is judged: it must be large enough to show beside that of statistics

@@ -13,9 +13,10 @@ from itertools import product
 
 import numpy as np
 
+from minimd.core.structure.arrays import Array
 from minimd.judge.calling import FORCES, StudentStep
 from minimd.judge.findings import coefficient, is_near
-from minimd.judge.problems import Array, TrialProblem, difference, largest
+from minimd.judge.problems import TrialProblem, difference, largest
 
 SINGLE = 1e-8  # a step with more noise uses float32
 ROUNDING = 1e-9  # smaller relative differences are rounding

@@ -16,9 +16,10 @@ import numpy as np
 from minimd.core.integrators import rows as splittings
 from minimd.core.integrators.method import methods_of
 from minimd.core.integrators.substeps import Drift, Kick, Substep, Substeps, merged
+from minimd.core.structure.arrays import Array
 from minimd.judge.calling import StudentStep
 from minimd.judge.findings import coefficient
-from minimd.judge.problems import Array, TrialProblem, largest
+from minimd.judge.problems import TrialProblem, largest
 
 SAME = 1e-7  # difference of equal weights
 CLOSE = 1e-3  # difference of weights that are meant to be equal

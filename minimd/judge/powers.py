@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from minimd.core.structure.arrays import Array
 from minimd.judge.findings import coefficient, is_near
-from minimd.judge.problems import Array, bisected, largest
+from minimd.judge.problems import bisected, largest
 
 EXPONENTS = range(1, 21)  # of 1/r
 FITTED = 1e-7  # largest relative rest of a fit of powers that is exact

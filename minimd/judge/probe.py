@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from minimd.core.structure.arrays import Array
 from minimd.judge.calling import REST, StudentForce, plain
 from minimd.judge.findings import Answer, is_near
 from minimd.judge.powers import Powers, compared, jumps, powers_of
-from minimd.judge.problems import Array, difference, largest, multiple_of
+from minimd.judge.problems import difference, largest, multiple_of
 
 CUTOFF = 2.5  # σ: for a function that takes a cutoff, if the user gives none
 # of the atoms in the test [σ]; the best of some configurations is used

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from minimd.core.structure.arrays import Array
+
 Function = Callable[..., Any]  # a student's
 STIFFNESS = 0.25  # k and g for N particles
 QUARTIC = 0.06

@@ -18,7 +18,8 @@ from ase.constraints import FixBondLengths
 from ase.md.verlet import VelocityVerlet
 from numpy.random import RandomState
 
-from minimd.judge.problems import Array, largest
+from minimd.core.structure.arrays import Array
+from minimd.judge.problems import largest
 
 Make = Callable[[Atoms, RandomState], Any]
 

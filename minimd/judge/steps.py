@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from minimd.core.structure.arrays import Array
 from minimd.judge.calling import FORCES, StudentStep, understood
 from minimd.judge.faults import faults_of, hidden
 from minimd.judge.findings import Answer, Finding, Grade, Law, causes, judged
 from minimd.judge.methods import Numbers, named, numbers_of
-from minimd.judge.problems import Array, Function, TrialProblem, difference, largest
+from minimd.judge.problems import Function, TrialProblem, difference, largest
 
 # needed to distinguish all terms, by the shape of x
 STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}

@@ -27,10 +27,10 @@ from minimd.core.integrators.thermostats import LangevinBAOAB
 from minimd.core.potentials.coulomb import Coulomb
 from minimd.core.potentials.term import bound
 from minimd.core.simulation.simulation import Simulation
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_count, checked_flag, checked_kind, checked_path
 from minimd.core.structure.errors import HandOverError, sentence
 from minimd.core.structure.lammps_box import Box
-from minimd.core.structure.observables import Array
 from minimd.lammps import script
 from minimd.lammps.model import Model
 from minimd.lammps.program import INSTALL, OUTPUT, LammpsProgram, Log, find_program, run

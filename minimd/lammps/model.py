@@ -22,15 +22,14 @@ from minimd.core.potentials.embedded_files import EmbeddedTables
 from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.pair import UNSCALED, Nonbonded
 from minimd.core.potentials.truncation import ForceShifted, Shifted
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.bond_graph import among, connected
 from minimd.core.structure.cell import nearest_vectors
 from minimd.core.structure.constraints import DistanceConstraints
 from minimd.core.structure.lammps_box import Box
-from minimd.core.structure.observables import Array
 from minimd.lammps.expression import energy_expression
 from minimd.lammps.verification import TOLERANCE
 
-Indices = NDArray[np.int64]
 EQUAL = 1e-12  # largest relative difference of sides of a triangle that count as equal
 FLAT = 1e-6  # a triangle is a line if 1 − third side / sum of the two others is below this
 MOST_BONDS = 3  # of a middle atom

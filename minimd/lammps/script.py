@@ -11,8 +11,8 @@ from minimd.core.engine.engine import Engine
 from minimd.core.integrators.rows import Leapfrog, VelocityVerlet
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.thermostats import LangevinBAOAB, StochasticVelocityRescaling
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.lammps_box import Box
-from minimd.core.structure.observables import Array
 from minimd.lammps.model import METALS, Model, words
 from minimd.lammps.verification import Evaluated
 

@@ -13,9 +13,10 @@ from minimd.core.forces.options import Options
 from minimd.core.neighbors.queries import closest_pair, neighbor_list
 from minimd.core.potentials.pair import Nonbonded
 from minimd.core.potentials.term import PER_ATOM
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.errors import HandOverError, NonFiniteError
-from minimd.core.structure.observables import Array, longest
+from minimd.core.structure.observables import longest
 from minimd.core.structure.system import System
 
 TOLERANCE = 1e-10  # of the largest; a scene that differs by more is not handed over

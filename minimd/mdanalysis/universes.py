@@ -28,8 +28,8 @@ from minimd.core.files.h5md_schema import has_edges
 from minimd.core.files.turned_cell import ROTATION, Turn, as_in_run, cell_dimensions, turn_of
 from minimd.core.integrators.rows import VelocityVerlet
 from minimd.core.simulation.simulation import Simulation
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.constraints import molecules_of
-from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
 from minimd.observers.arguments import interval
@@ -273,7 +273,7 @@ def universe(
     return answer
 
 
-def _spacing(name: str, steps: NDArray[np.int64], times: Array) -> float:
+def _spacing(name: str, steps: Indices, times: Array) -> float:
     """dt [ps] for MDAnalysis, which has a single spacing of frames: the median, with a warning if spacings differ."""
     spacings = np.diff(times)
     median = float(np.median(spacings))
@@ -339,7 +339,7 @@ def _with_topology(system: System) -> RunUniverse:
     return empty
 
 
-def _formulas(system: System, of_atom: NDArray[np.int64], n_molecules: int) -> list[str]:
+def _formulas(system: System, of_atom: Indices, n_molecules: int) -> list[str]:
     """The formula of each molecule in Hill's order: carbon, hydrogen, then the others by name; without carbon all
     elements by name. A single atom is called by its name, and what has no formula "MOL"."""
     names = [str(name) for name in system.species_names]

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from minimd.core.console.display import Displayed, Rows, call_of
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observer import StoredObserver
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.statistics import MOST_BLOCKS, replicas, spread
 from minimd.core.structure.units import SYSTEMS, UnitSystem
 from minimd.observers.arguments import Argument, argument, label, steps
@@ -40,7 +41,6 @@ FEW_CURVES = 5  # with names in one column
 COLORS = 10  # of curves, before they come again
 AIR = 1.15  # height of a picture, where its highest curve is 1
 
-Array = NDArray[np.float64]
 State = dict[str, NDArray[Any]]
 
 
@@ -102,7 +102,7 @@ class BlockedSums:
         return self._marks[: self._n_marks]
 
     @property
-    def ends(self) -> NDArray[np.int64]:
+    def ends(self) -> Indices:
         """(K,) numbers of entries up to the end of each block."""
         return self._length * np.arange(1, self._n_marks + 1)
 

@@ -7,7 +7,8 @@ from dataclasses import field
 import numpy as np
 
 from minimd.core.engine.engine import Engine
-from minimd.observers.accumulator import Array, ObservedRun
+from minimd.core.structure.arrays import Array
+from minimd.observers.accumulator import ObservedRun
 from minimd.observers.arguments import label, steps
 from minimd.observers.means import Means, MeansResult, Quantity
 from minimd.observers.molecules import MoleculeKind, Molecules, kinds_of

@@ -21,8 +21,8 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from minimd.core.compiled.kernels import kernel, scalar, type_of
+from minimd.core.structure.arrays import Array, Indices
 
-Array = NDArray[np.float64]
 MOST_TAKEN = 2**62  # entries
 RATIO = 2  # of the spacings of two levels
 
@@ -94,7 +94,7 @@ class MultipleTau:
     def __init__(
         self,
         law: tuple,
-        starts: NDArray[np.int64],
+        starts: Indices,
         n_components: int,
         points: int,
         n_levels: int,

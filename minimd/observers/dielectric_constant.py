@@ -10,8 +10,9 @@ import numpy as np
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.statistics import FEWEST, standard_error
-from minimd.observers.accumulator import Accumulator, Array, BlockedSums, ObservedRun
+from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun
 from minimd.observers.arguments import label, steps
 from minimd.observers.fluctuations import ENOUGH, JACKKNIFE
 from minimd.observers.means import MeansResult, Quantity

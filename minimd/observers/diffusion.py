@@ -19,12 +19,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.statistics import spread, with_error
 from minimd.core.structure.units import UnitSystem
 
-Array = NDArray[np.float64]
 LONGEST = 0.25  # of the duration: longer lags have too few origins
 OCTAVES = 3  # over so many at least a trend is looked for
 SEEN = 2.0  # errors of a trend, see 1; found by trying, as are the numbers below

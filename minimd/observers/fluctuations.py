@@ -9,6 +9,7 @@ import numpy as np
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.observables import temperature
 from minimd.core.structure.statistics import (
     FEWEST,
@@ -17,7 +18,7 @@ from minimd.core.structure.statistics import (
     standard_error,
     with_error,
 )
-from minimd.observers.accumulator import Accumulator, Array, BlockedSums, ObservedRun, Result
+from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result
 from minimd.observers.arguments import label, steps
 
 N_SERIES = 3  # K, U, V

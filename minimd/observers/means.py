@@ -10,15 +10,9 @@ import numpy as np
 
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.statistics import with_error
-from minimd.observers.accumulator import (
-    Accumulator,
-    Array,
-    BlockedSums,
-    ObservedRun,
-    Result,
-    Series,
-)
+from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

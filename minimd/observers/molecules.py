@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.console.words import shown
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.cell import nearest_vectors
 from minimd.core.structure.constraints import joined_pairs, molecules_of
 from minimd.core.structure.system import System
-from minimd.observers.accumulator import Array
 
 CLOSED = 1e-6  # of a molecule that is not infinite: largest distance, in heights of the cell
 
@@ -40,7 +39,7 @@ class Molecules:
                 f"{shown(atoms.tolist())}"
             )
 
-    def _tree(self) -> list[NDArray[np.int64]]:
+    def _tree(self) -> list[Indices]:
         """Pairs by their number of bonds from the first atom of the molecule, that nearer to it first."""
         both_ways = np.concatenate([self.pairs, self.pairs[:, ::-1]])
         is_reached = np.zeros(len(self.label), dtype=bool)
@@ -71,7 +70,7 @@ class MoleculeKind(NamedTuple):
     """
 
     name: str
-    atoms: NDArray[np.int64]
+    atoms: Indices
     ends: list[int]
 
 
@@ -79,7 +78,7 @@ def kinds_of(molecules: Molecules, system: System) -> list[MoleculeKind]:
     """The kinds of molecules of two atoms or more, in the order of their first atoms."""
     order = np.argsort(molecules.label, kind="stable")
     degrees = np.bincount(molecules.pairs.ravel(), minlength=len(order))
-    found: dict[tuple[bytes, bytes], list[NDArray[np.int64]]] = {}
+    found: dict[tuple[bytes, bytes], list[Indices]] = {}
     for atoms in np.split(order, np.cumsum(np.bincount(molecules.label))[:-1]):
         key = system.species_index[atoms].tobytes(), degrees[atoms].tobytes()
         found.setdefault(key, []).append(atoms)

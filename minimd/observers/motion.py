@@ -16,12 +16,13 @@ from minimd.core.console.display import Rows
 from minimd.core.engine.cell_rescaling import StrainedBodies
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_count, checked_number
 from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.observables import center
 from minimd.core.structure.statistics import with_error
-from minimd.observers.accumulator import Array, ObservedRun, Result, Series, State
+from minimd.observers.accumulator import ObservedRun, Result, Series, State
 from minimd.observers.arguments import (
     ATOMS,
     MOLECULES,
@@ -72,7 +73,7 @@ def finite_size_correction(thermal_energy: float, viscosity: float, edge: float)
     return XI * thermal_energy / (6.0 * np.pi * viscosity * edge)
 
 
-def of_molecules(vectors: Array, masses: Array, molecules: NDArray[np.int64]) -> Array:
+def of_molecules(vectors: Array, masses: Array, molecules: Indices) -> Array:
     """(N, 3) for each atom, of vectors (N, 3) of atoms, the mean of its molecule, weighted by masses.
     molecules : see molecules_of."""
     sums = [np.bincount(molecules, masses * along) for along in vectors.T]
@@ -127,7 +128,7 @@ class _OfAtoms(TimeCorrelation):
         starts = np.concatenate([[0], np.cumsum(self.numbers)])
         self._order = np.array(self.chosen)
         self._takes_all = n_chosen == n_atoms and self.chosen == [*range(n_atoms)]
-        self._molecules: NDArray[np.int64] | None = None
+        self._molecules: Indices | None = None
         law = type(self).law
         shape = (self.n_components, POINTS, self.n_levels)
         self._correlate_by(MultipleTau(law, starts, *shape, averages=False))

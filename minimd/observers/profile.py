@@ -10,17 +10,10 @@ from numpy.typing import NDArray
 
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_count
 from minimd.core.structure.observables import temperature
-from minimd.observers.accumulator import (
-    AIR,
-    Accumulator,
-    Array,
-    BlockedSums,
-    ObservedRun,
-    Result,
-    Series,
-)
+from minimd.observers.accumulator import AIR, Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import AXES, argument, axis_name, interval, label, steps
 
 if TYPE_CHECKING:

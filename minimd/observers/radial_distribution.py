@@ -8,7 +8,6 @@ from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import DirectCalls, called_kernel
@@ -22,19 +21,13 @@ from minimd.core.forces.cluster_loop import separations
 from minimd.core.neighbors.cluster_list import ClusterList
 from minimd.core.neighbors.cluster_search import GHOST_BITS, LAYERS
 from minimd.core.neighbors.clusters import DIMENSIONS
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_count, checked_flag
 from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.statistics import with_error
 from minimd.core.structure.system import System
-from minimd.observers.accumulator import (
-    Accumulator,
-    Array,
-    BlockedSums,
-    ObservedRun,
-    Result,
-    Series,
-)
+from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import (
     ATOMS,
     argument,
@@ -182,7 +175,7 @@ class RadialDistribution(Accumulator):
         self.numbers = [int(numbers[a, b]) // (1 + (a == b)) for a, b in ends]
         self.names_of_pairs = [*(self.pairs or (f"{names[a]}-{names[b]}" for a, b in ends))]
 
-    def _particles(self, system: System) -> tuple[list[str], NDArray[np.int64], Molecules | None]:
+    def _particles(self, system: System) -> tuple[list[str], Indices, Molecules | None]:
         """Names of the species, (n, 2) species and molecule of each particle; and the molecules, if these are meant."""
         if self.of == ATOMS:
             labels = np.column_stack([system.species_index, molecules_of(system)])
@@ -196,9 +189,7 @@ class RadialDistribution(Accumulator):
         are_pairs = all(len(pair) == 2 and min(pair) >= 0 for pair in self.ends)
         if not (are_pairs and n == len(self.names_of_pairs) == len(self.ends)):
             raise ValueError(f"{self.name} cannot have {n} numbers of the pairs {self.ends}")
-        self._known: tuple[NDArray[np.int64], NDArray[np.int64], Molecules | None] | None = (
-            None  # labels, kinds
-        )
+        self._known: tuple[Indices, Indices, Molecules | None] | None = None  # labels, kinds
         self._list: tuple[int, ClusterList, DirectCalls] | None = None  # of a number of atoms
         self.sums = BlockedSums(HEAD + n * self.n_bins)
 
@@ -207,7 +198,7 @@ class RadialDistribution(Accumulator):
         self.sums.total[FRAMES] += 1.0
         self.sums.total[HEAD:] += float(engine.system.volume or 0.0) * counts.ravel()
 
-    def _kinds(self, n_species: int) -> NDArray[np.int64]:
+    def _kinds(self, n_species: int) -> Indices:
         """See PairCounting; the last number is that of pairs that do not count."""
         n = len(self.ends)
         kinds = np.full((2, n_species, n_species), n)
@@ -283,7 +274,7 @@ class RadialDistribution(Accumulator):
         )
 
 
-def _counted(species: NDArray[np.int64], molecules: NDArray[np.int64]) -> NDArray[np.int64]:
+def _counted(species: Indices, molecules: Indices) -> Indices:
     """(M, S) numbers of atoms of each molecule.
     species, molecules : (N,) of the atoms."""
     counts = np.zeros((molecules.max() + 1, species.max() + 1), dtype=np.int64)
@@ -291,7 +282,7 @@ def _counted(species: NDArray[np.int64], molecules: NDArray[np.int64]) -> NDArra
     return counts
 
 
-def _formulas(system: System, molecules: NDArray[np.int64]) -> tuple[list[str], NDArray[np.int64]]:
+def _formulas(system: System, molecules: Indices) -> tuple[list[str], Indices]:
     """The different formulas of molecules, such as "H2O", and (M,) the number of that of each."""
     counts = _counted(system.species_index, molecules)
     formulas, kinds = np.unique(counts, axis=0, return_inverse=True)

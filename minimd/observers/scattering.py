@@ -12,23 +12,16 @@ from math import e, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.kernels import kernel
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_count
 from minimd.core.structure.statistics import with_error
 from minimd.core.structure.system import System
-from minimd.observers.accumulator import (
-    Accumulator,
-    Array,
-    BlockedSums,
-    ObservedRun,
-    Result,
-    Series,
-)
+from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import argument, label, positive, steps
 from minimd.observers.correlator import Product
 from minimd.observers.motion import MOST_ATOMS, MeanSquareDisplacement
@@ -60,7 +53,7 @@ def peak_of(system: System, what: str) -> float:
     return float(PEAK * (len(system) / system.volume) ** (1.0 / 3.0))
 
 
-def waves_near(lengths: Array, cell: Cell, n_directions: int) -> NDArray[np.int64]:
+def waves_near(lengths: Array, cell: Cell, n_directions: int) -> Indices:
     """(M, 3) whole numbers k of the wave vectors of the cell that are nearest to those of given lengths [1/length] in
     directions spread evenly over a hemisphere; not 0, and only one of k and −k.
     Raises ValueError for large ones."""
@@ -80,7 +73,7 @@ def waves_near(lengths: Array, cell: Cell, n_directions: int) -> NDArray[np.int6
     return np.unique((waves * leading[:, None])[leading != 0], axis=0)
 
 
-def vectors_of(waves: NDArray[np.int64], cell: Cell) -> Array:
+def vectors_of(waves: Indices, cell: Cell) -> Array:
     """(M, 3) q = 2π k · (a⁻¹)ᵀ [1/length]; a is cell.vectors, which remain those of the run if the cell changes."""
     return np.asarray(2.0 * pi * waves @ np.linalg.inv(cell.vectors).T)
 

@@ -7,10 +7,11 @@ import numpy as np
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look, check_has_volume
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_count
 from minimd.core.structure.statistics import with_error
 from minimd.core.structure.units import BAR
-from minimd.observers.accumulator import Array, ObservedRun
+from minimd.observers.accumulator import ObservedRun
 from minimd.observers.arguments import AXES, argument, axis_name, label, steps
 from minimd.observers.means import Means, MeansResult, Quantity
 

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.engine.observation import Look
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.statistics import spread
 from minimd.core.structure.units import UnitSystem
-from minimd.observers.accumulator import Accumulator, Array, BlockedSums
+from minimd.observers.accumulator import Accumulator, BlockedSums
 from minimd.observers.correlator import MultipleTau
 from minimd.observers.diffusion import LONGEST
 

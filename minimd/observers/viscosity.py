@@ -10,9 +10,10 @@ import numpy as np
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look, check_has_volume
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.statistics import with_error
 from minimd.core.structure.units import BAR, PICOSECOND
-from minimd.observers.accumulator import Array, ObservedRun, Result, Series
+from minimd.observers.accumulator import ObservedRun, Result, Series
 from minimd.observers.arguments import argument, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product
 from minimd.observers.time_correlation import (

@@ -28,9 +28,9 @@ from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.pair import UNSCALED, LennardJones
 from minimd.core.potentials.prolates import LEAST_ACCURATE, MOST_ACCURATE
 from minimd.core.potentials.term import OwnPotential
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import LARGEST
 from minimd.core.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
-from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE, KJ_PER_MOL_PER_EV
 

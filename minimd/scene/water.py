@@ -13,6 +13,7 @@ from minimd.core.neighbors.queries import neighbor_list
 from minimd.core.potentials.coulomb import Coulomb
 from minimd.core.potentials.pair import LennardJones
 from minimd.core.potentials.term import OwnPotential
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.checks import checked_choice, checked_count, checked_kind, checked_number
 from minimd.core.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.core.structure.lattice import BASES, crystal
@@ -182,7 +183,7 @@ def checked_ions(model: str, ions: Mapping[str, int] | None) -> dict[str, int]:
 
 
 def _far_apart(
-    places: NDArray[np.float64], edge: float, n: int, random: np.random.Generator
+    places: Array, edge: float, n: int, random: np.random.Generator
 ) -> NDArray[np.bool_]:
     """Which n of the places (N, 3) in a cube are chosen: the first at random, each further one farthest from these."""
     chosen = np.zeros(len(places), dtype=bool)
@@ -237,7 +238,7 @@ def water_of(
 
 
 def _rigid(
-    system: System, model: str, molecules: NDArray[np.int64], potentials: list[OwnPotential]
+    system: System, model: str, molecules: Indices, potentials: list[OwnPotential]
 ) -> RigidWater:
     """What water returns, from atoms in their places.
     molecules : (n, 3), indices of O, H, H."""

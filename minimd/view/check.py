@@ -17,9 +17,10 @@ from minimd.core.engine.record import SERIES, Record
 from minimd.core.files.h5md_reader import damage, damage_told, frames_of
 from minimd.core.files.turned_cell import as_in_run
 from minimd.core.integrators.thermostats import LangevinBAOAB
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import images_of_length
 from minimd.core.structure.constraints import DistanceConstraints, lengths_of
-from minimd.core.structure.observables import Array, absolute_momentum, kinetic_energy, momentum
+from minimd.core.structure.observables import absolute_momentum, kinetic_energy, momentum
 from minimd.core.structure.system import System
 from minimd.mdanalysis.universes import (
     VERSION,

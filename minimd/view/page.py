@@ -32,8 +32,8 @@ from minimd.core.files.crash_file import read_crash_report
 from minimd.core.files.h5md_reader import H5MDContents, read_file
 from minimd.core.files.turned_cell import as_in_run
 from minimd.core.forces.forces import Potential
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.constraints import joined_pairs
-from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
 from minimd.mdanalysis.universes import RunUniverse, universe_of
@@ -67,8 +67,8 @@ class Motion(NamedTuple):
     """
 
     contents: H5MDContents
-    frames: NDArray[np.int64]
-    atoms: NDArray[np.int64]
+    frames: Indices
+    atoms: Indices
     counts: NDArray[np.uint16]
     low: Array
     width: Array
@@ -255,7 +255,7 @@ def motion_of(
     return Motion(contents, frames, atoms, counts.astype(np.uint16), low, width, apart)
 
 
-def bonds_among(atoms: NDArray[np.int64], system: System) -> NDArray[np.int64]:
+def bonds_among(atoms: Indices, system: System) -> Indices:
     """(B, 2) pairs of indices in atoms: bonded pairs, and pairs whose length is held fixed, if both atoms are shown;
     each pair once."""
     joined = np.unique(np.sort(joined_pairs(system), axis=1), axis=0)
@@ -265,21 +265,21 @@ def bonds_among(atoms: NDArray[np.int64], system: System) -> NDArray[np.int64]:
     return pairs[(pairs >= 0).all(axis=1)]
 
 
-def chosen_frames(n_frames: int, most: int, latest: bool = False) -> NDArray[np.int64]:
+def chosen_frames(n_frames: int, most: int, latest: bool = False) -> Indices:
     """Indices of at most `most` frames: the last ones, or evenly chosen ones with the first and the last."""
     if latest:
         return np.arange(max(0, n_frames - most), n_frames)
     return np.unique(np.rint(np.linspace(0, n_frames - 1, min(most, n_frames))).astype(np.int64))
 
 
-def chosen_atoms(n_atoms: int, marked: Sequence[int] = ()) -> NDArray[np.int64]:
+def chosen_atoms(n_atoms: int, marked: Sequence[int] = ()) -> Indices:
     """All atoms, or every n-th and the marked ones."""
     return np.union1d(
         np.arange(0, n_atoms, ceil(n_atoms / ATOMS)), np.asarray(marked, dtype=np.int64)
     )
 
 
-def neighbor_distances(positions: Array, species: NDArray[np.int64], n_species: int) -> Array:
+def neighbor_distances(positions: Array, species: Indices, n_species: int) -> Array:
     """Median distance to the nearest other atom for each species [length], without images; 1 if there is no other
     atom."""
     if len(positions) < 2:

@@ -4,6 +4,7 @@ import re
 import tomllib
 from pathlib import Path
 
+import mutants
 import pytest
 
 REPOSITORY = Path(__file__).parents[2]
@@ -12,6 +13,7 @@ AROUND = ["CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "SECURITY.md", "noxfile.py", 
 FORMS = ["dependabot.yml", "pull_request_template.md", "ISSUE_TEMPLATE/bug.yml", "ISSUE_TEMPLATE/question.yml"]
 WORKFLOWS = ["ci.yml", "docs.yml", "release.yml"]
 AROUND += [f".github/{name}" for name in FORMS] + [f".github/workflows/{name}" for name in WORKFLOWS]
+MUTANTS = [(mutant.file, mutant.old) for mutant in mutants.listed()]
 if not (REPOSITORY / ".ci").exists():
     pytest.skip("an sdist has no workflows", allow_module_level=True)
 
@@ -31,3 +33,8 @@ def test_workflows_run_the_pythons_of_the_classifiers():
     pythons = re.findall(r":: (3\.\d+)$", "\n".join(PROJECT["classifiers"]), re.M)
     assert re.findall(r"3\.\d+", matrix) == pythons
     assert PROJECT["requires-python"] == f">={pythons[0]}"
+
+
+@pytest.mark.parametrize(("file", "old"), MUTANTS)
+def test_a_mutant_quotes_one_place(file, old):
+    assert (REPOSITORY / "minimd" / file).read_text(encoding="utf-8").count(old) == 1

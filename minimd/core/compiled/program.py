@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from minimd.core.compiled.by_address import ByAddress
-from minimd.core.compiled.kernels import DirectCalls
+from minimd.core.compiled.kernels import DirectCalls, scalar
 from minimd.core.compiled.threads import AT, GO_ON, JUMP, MOST_CHUNKS, MOST_OPERATIONS, ThreadPool
 
 __all__ = ["GO_ON", "JUMP"]
@@ -58,6 +58,12 @@ def in_python(function: Callable[[], Any]) -> Operation:
 def n_chunks_of(n: int) -> int:
     """How many chunks n atoms, or terms, are cut into."""
     return max(1, min(n // IN_A_CHUNK, MOST_CHUNKS))
+
+
+@scalar
+def share_of(chunk, n_chunks, n):
+    """The first of the n that belong to a chunk, and the one behind the last."""
+    return chunk * n // n_chunks, (chunk + 1) * n // n_chunks
 
 
 class Program:

@@ -4,16 +4,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.console.quiet import warn
 from minimd.core.constraints.groups import bodies_of
 from minimd.core.constraints.solver import ConstraintSolver, check_atoms
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import Cell, images_of_length, nearest_images
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 from minimd.core.structure.observables import (
-    Array,
     center,
     degrees_of_freedom,
     kinetic_energy,
@@ -168,7 +167,7 @@ class ConstraintSet:
             self.bonds.follow(before, cell)
         self._cell = cell
 
-    def restore(self, system: System, offsets: NDArray[np.float64], tolerance: float) -> None:
+    def restore(self, system: System, offsets: Array, tolerance: float) -> None:
         """Take over images of bonds, (K, 3) [length], and the tolerance of another set with the same constraints.
         Raises ValueError for images that are no lattice vectors, or a tolerance far above that of the constraints."""
         cells = offsets @ system.cell.inverse
@@ -192,7 +191,7 @@ class ConstraintSet:
         light = System(system.positions, masses=1.0, cell=system.cell, units=system.units)
         return ConstraintSet(light, self.kept, self._threads)
 
-    def project(self, velocities: NDArray[np.float64], positions: NDArray[np.float64]) -> None:
+    def project(self, velocities: Array, positions: Array) -> None:
         """Project velocities in place onto those that the constraints allow.  Both arrays are (N, 3)."""
         velocities[self.inverse_masses == 0.0] = 0.0
         if self.bonds is not None:

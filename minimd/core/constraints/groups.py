@@ -20,16 +20,14 @@ from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import DirectCalls, by_type, filling_kernel
-from minimd.core.compiled.program import CANNOT_KEEP, GO_ON, Operation, operation
+from minimd.core.compiled.program import CANNOT_KEEP, GO_ON, Operation, operation, share_of
 from minimd.core.compiled.simd.vector import lanes_for
 from minimd.core.compiled.threads import MOST_CHUNKS
 from minimd.core.constraints import closed_forms, networks
 from minimd.core.constraints.closed_forms import Atoms, Bonds, TriatomicMolecules
 from minimd.core.constraints.networks import NetworkScratch, dependent_constraint
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.bond_graph import connected
-
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 
 class Components(NamedTuple):
@@ -40,12 +38,12 @@ class Components(NamedTuple):
     lowest : (K,) first column of each row of the lower envelope.
     coupling : c_kl for l = lowest[k] … k, row after row; zero where two constraints share no atom."""
 
-    starts: Ints
-    atoms: Ints
-    atom_starts: Ints
-    origins: Ints
-    lowest: Ints
-    coupling: Floats
+    starts: Indices
+    atoms: Indices
+    atom_starts: Indices
+    origins: Indices
+    lowest: Indices
+    coupling: Array
 
 
 class Graph(NamedTuple):
@@ -53,9 +51,9 @@ class Graph(NamedTuple):
     order : (K,) number, in the order of the user, of the k-th constraint.
     first, second : (K,) its atoms."""
 
-    order: Ints
-    first: Ints
-    second: Ints
+    order: Indices
+    first: Indices
+    second: Indices
     components: Components
 
 
@@ -65,12 +63,12 @@ class Bodies(NamedTuple):
     last : (B,) the last atom of each body, in the order of its pairs, which the numbers of atoms do not change.
     is_free : (B,) whether none of its atoms is held fixed, so that constraints do not change its momentum."""
 
-    label: Ints
-    last: Ints
+    label: Indices
+    last: Indices
     is_free: NDArray[np.bool_]
 
 
-def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
+def bodies_of(pairs: Indices, inverse_masses: Array) -> Bodies:
     """The bodies formed by pairs of atoms.
 
     pairs : (K, 2).
@@ -86,7 +84,7 @@ def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
     return Bodies(label, last, is_free)
 
 
-def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
+def graph_of(pairs: Indices, inverse_masses: Array, ids: Indices) -> Graph:
     """The graph of pairs of atoms.
 
     pairs : (K, 2).
@@ -122,7 +120,7 @@ def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
     return Graph(ids[order], first, second, components)
 
 
-def _enveloped(pairs: Ints, inverse_masses: Floats, starts: Ints, matrix: Any) -> Components:
+def _enveloped(pairs: Indices, inverse_masses: Array, starts: Indices, matrix: Any) -> Components:
     """The envelope of the lower triangle, and the atoms of each component.
     pairs : in the order of the matrix."""
     k = np.arange(len(pairs))
@@ -160,8 +158,7 @@ def solve_chunk(solving, chunk):
     """The solver on some components.  CANNOT_KEEP if a constraint cannot be kept."""
     n = solving.n
     n_chunks = solving.answers.size
-    first = chunk * n // n_chunks
-    last = (chunk + 1) * n // n_chunks
+    first, last = share_of(chunk, n_chunks, n)
     answer = _solved(solving.solver, first, last, solving.atoms, solving.arguments)
     solving.answers[chunk] = answer
     solving.most[chunk] = max(answer, solving.most[chunk])
@@ -186,7 +183,7 @@ class Networks:
     drifter: tuple = networks.DriftComponents()
     projector: tuple = networks.ProjectComponents()
 
-    def __init__(self, every: Any, graph: Graph, positions: Floats) -> None:
+    def __init__(self, every: Any, graph: Graph, positions: Array) -> None:
         self.order = graph.order
         self.graph = graph
         self.masses = every.inverse_masses
@@ -211,7 +208,7 @@ class Networks:
         self.multipliers = self.memory.total  # (K,), the last ones
         self.known = self._known(positions)
 
-    def _known(self, positions: Floats) -> tuple:
+    def _known(self, positions: Array) -> tuple:
         """The arguments of solvers.
         Raises ValueError if a constraint depends on the others."""
         graph = self.graph
@@ -223,7 +220,7 @@ class Networks:
             )
         return graph.components, self.bonds, self.memory
 
-    def offsets(self) -> list[Floats]:
+    def offsets(self) -> list[Array]:
         """All arrays (…, 3) of lattice translations that its solvers read."""
         offsets = [self.bonds.offsets]
         for argument in self.known:
@@ -231,15 +228,15 @@ class Networks:
                 offsets += argument.offsets
         return offsets
 
-    def drift(self, positions: Floats, velocities: Floats, duration: float) -> Operation:
+    def drift(self, positions: Array, velocities: Array, duration: float) -> Operation:
         """Drift of the atoms of the group."""
         return self._solve(self.drifter, positions, velocities, float(duration))
 
-    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
+    def project(self, positions: Array, vectors: Array, targets: Array) -> Operation:
         """r_ij · x_ij = targets for the vectors x."""
         return self._solve(self.projector, positions, vectors, targets, self.multipliers)
 
-    def _solve(self, solver: tuple, positions: Floats, vectors: Floats, *more: Any) -> Operation:
+    def _solve(self, solver: tuple, positions: Array, vectors: Array, *more: Any) -> Operation:
         atoms = Atoms(positions, vectors, self.masses, lanes_for())
         arguments = (*self.known, *more)
         solving = Solving(solver, atoms, self.n_components, self.answers, self.most, arguments)
@@ -259,7 +256,7 @@ class LoneBonds(Networks):
     drifter = closed_forms.DriftPairs()
     projector = closed_forms.ProjectPairs()
 
-    def _known(self, positions: Floats) -> tuple:
+    def _known(self, positions: Array) -> tuple:
         return super()._known(positions)[1:2]
 
 
@@ -269,7 +266,7 @@ class Sweeps(Networks):
     shape = "networks, by sweeps"
     drifter = networks.SweepDrift()
 
-    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
+    def project(self, positions: Array, vectors: Array, targets: Array) -> Operation:
         """See Networks."""
         solver = networks.ProjectComponents() if targets.any() else networks.SweepVelocities()
         return self._solve(solver, positions, vectors, targets, self.multipliers)
@@ -283,7 +280,7 @@ class Triangles(Networks):
     projector = closed_forms.ProjectTriangles()
     n_each = 3
 
-    def _known(self, positions: Floats) -> tuple:
+    def _known(self, positions: Array) -> tuple:
         super()._known(positions)
         lengths2 = self.bonds.lengths2
         starts = self.graph.components.starts[:-1]
@@ -308,7 +305,7 @@ class LinearTriatomics(Networks):
     projector = closed_forms.ProjectLinear()
     n_each = 3
 
-    def _known(self, positions: Floats) -> tuple:
+    def _known(self, positions: Array) -> tuple:
         self.n_constraints = 4 * self.n_components
         lengths2 = self.bonds.lengths2
         starts = self.graph.components.starts[:-1]
@@ -323,7 +320,7 @@ class LinearTriatomics(Networks):
         return (TriatomicMolecules((b, middle, c), offsets, shapes, longest),)
 
 
-def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
+def groups_of(every: Any, positions: Array, solver: str) -> list[Any]:
     """All constraints, sorted by shape.
     solver : as for DistanceConstraints.
     Raises ValueError for a triangle with a side longer than the others together."""
@@ -364,7 +361,7 @@ def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
     return groups
 
 
-def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats) -> Ints:
+def _equal_sides(graph: Graph, starts: Indices, lengths2: Array, inverse_masses: Array) -> Indices:
     """Of each triangle the constraint whose ends have equal masses, equally far from the third atom; −1 if none has."""
     answer = np.full(len(starts), -1)
     for k in range(3):
@@ -377,13 +374,13 @@ def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: F
     return answer
 
 
-def _alike(a: Floats, b: Floats) -> NDArray[np.bool_]:
+def _alike(a: Array, b: Array) -> NDArray[np.bool_]:
     return np.isclose(a, b, rtol=ALIKE, atol=0.0)
 
 
 def _corners(
-    graph: Graph, base: Ints, offsets: Floats
-) -> tuple[tuple[Ints, ...], tuple[Floats, ...], tuple[Ints, ...]]:
+    graph: Graph, base: Indices, offsets: Array
+) -> tuple[tuple[Indices, ...], tuple[Array, ...], tuple[Indices, ...]]:
     """Of each triangle: atoms apex, b, c; offsets of b and c from the apex; constraints apex-b and apex-c.
 
     base : (T,) the constraint b-c of each.

@@ -15,10 +15,11 @@ from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.fixed_point import sum_in_any_order
 from minimd.core.compiled.kernels import DirectCalls, called_kernel
 from minimd.core.compiled.machine import EPS
-from minimd.core.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation
+from minimd.core.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation, share_of
 from minimd.core.compiled.threads import thread_pool
 from minimd.core.constraints.closed_forms import drift_some
-from minimd.core.constraints.groups import CONSTRAINTS_IN_A_CHUNK, Floats, Ints, groups_of
+from minimd.core.constraints.groups import CONSTRAINTS_IN_A_CHUNK, groups_of
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.constraints import DistanceConstraints
 from minimd.core.structure.errors import ConstraintError
@@ -37,8 +38,7 @@ class Free(ByAddress, namedtuple("Free", "positions velocities atoms duration n_
 def drift_free(free, chunk):
     """positions += duration · velocities, of some of the atoms."""
     positions, velocities, atoms, duration, n_chunks = free
-    first = chunk * atoms.size // n_chunks
-    last = (chunk + 1) * atoms.size // n_chunks
+    first, last = share_of(chunk, n_chunks, atoms.size)
     drift_some(positions, velocities, atoms[first:last], duration)
     return GO_ON
 
@@ -69,9 +69,9 @@ class ConstraintSolver:
     def __init__(
         self,
         constraints: DistanceConstraints,
-        positions: Floats,
-        inverse_masses: Floats,
-        offsets: Floats | None = None,
+        positions: Array,
+        inverse_masses: Array,
+        offsets: Array | None = None,
         threads: int = 1,
         tolerance: float | None = None,
     ) -> None:
@@ -135,7 +135,7 @@ class ConstraintSolver:
         for group in self.groups:
             group.most[:] = iterations
 
-    def drifts(self, positions: Floats, velocities: Floats, duration: float) -> Iterator[Operation]:
+    def drifts(self, positions: Array, velocities: Array, duration: float) -> Iterator[Operation]:
         """positions += duration · velocities, (N, 3) both, projected along the old gradients; velocities fit then.
         Raises ConstraintError if a length cannot be kept; positions and velocities are then undefined."""
         if self.free_atoms.size:
@@ -146,24 +146,24 @@ class ConstraintSolver:
             drift = group.drift(positions, velocities, duration)
             yield self._kept(drift, group, positions, velocities, duration)
 
-    def projections(self, positions: Floats, velocities: Floats) -> Iterator[Operation]:
+    def projections(self, positions: Array, velocities: Array) -> Iterator[Operation]:
         """Project velocities in place so that r_ij · v_ij = 0 for all constraints.  Both arrays are (N, 3)."""
         for group in self.groups:
             project = group.project(positions, velocities, np.zeros(len(group.order)))
             yield self._kept(project, group, positions, velocities, 0.0)
 
-    def drift(self, positions: Floats, velocities: Floats, duration: float) -> None:
+    def drift(self, positions: Array, velocities: Array, duration: float) -> None:
         """The operations drifts, at once."""
         self._run(self.drifts(positions, velocities, duration))
 
-    def project_velocities(self, velocities: Floats, positions: Floats) -> None:
+    def project_velocities(self, velocities: Array, positions: Array) -> None:
         """The operations projections, at once."""
         self._run(self.projections(positions, velocities))
 
     def _run(self, operations: Iterable[Operation]) -> None:
         Program(lambda: operations, lambda: 0, thread_pool(self.threads)).run()
 
-    def project_positions(self, positions: Floats) -> None:
+    def project_positions(self, positions: Array) -> None:
         """Move positions (N, 3) along their present bonds, with mass weights, until all lengths are kept."""
         at_rest = np.zeros_like(positions)
         for _ in range(10):
@@ -174,8 +174,8 @@ class ConstraintSolver:
         self._fail(int(np.argmax(self.violation(positions))), positions, at_rest, 1.0)
 
     def multipliers(
-        self, positions: Floats, velocities: Floats, accelerations: Floats
-    ) -> list[tuple[Ints, Floats]]:
+        self, positions: Array, velocities: Array, accelerations: Array
+    ) -> list[tuple[Indices, Array]]:
         """Constraints of each group, and their λ [energy/length²]: the force on j is λ r_ij. Projects accelerations."""
         turning = self._differences(velocities)
         targets = -np.einsum("ij,ij->i", turning, turning)
@@ -186,7 +186,7 @@ class ConstraintSolver:
             multipliers.append((group.order, group.multipliers.copy()))
         return multipliers
 
-    def virial(self, positions: Floats, velocities: Floats, forces: Floats) -> Floats:
+    def virial(self, positions: Array, velocities: Array, forces: Array) -> Array:
         """W = Σ λ r_ij ⊗ r_ij of the constraint forces, (3, 3) [energy]. forces : (N, 3), all others."""
         accelerations = forces * self.inverse_masses[:, None]
         bonds = self.bonds(positions)
@@ -196,19 +196,19 @@ class ConstraintSolver:
             shares[order] = np.einsum("k,ki,kj->kij", multipliers, r, r)
         return sum_in_any_order(shares)
 
-    def bonds(self, positions: Floats) -> Floats:
+    def bonds(self, positions: Array) -> Array:
         """r_ij, (K, 3) [length]."""
         return self._differences(positions) + self.offsets
 
-    def _differences(self, vectors: Floats) -> Floats:
+    def _differences(self, vectors: Array) -> Array:
         return vectors[self.pairs[:, 1]] - vectors[self.pairs[:, 0]]
 
-    def violation(self, positions: Floats) -> Floats:
+    def violation(self, positions: Array) -> Array:
         """|r² − d²|/d², (K,)."""
         bonds = self.bonds(positions)
         return np.abs(np.einsum("ij,ij->i", bonds, bonds) - self.lengths**2) / self.lengths**2
 
-    def velocity_violation(self, positions: Floats, velocities: Floats) -> Floats:
+    def velocity_violation(self, positions: Array, velocities: Array) -> Array:
         """|r · (v_j − v_i)|/(d v), (K,), v the speed of the faster end; zero where nothing moves."""
         turning = self._differences(velocities)
         speeds = np.linalg.norm(velocities, axis=1)[self.pairs].max(axis=1)
@@ -216,7 +216,7 @@ class ConstraintSolver:
         return along / (self.lengths * np.where(speeds > 0.0, speeds, 1.0))
 
     def _kept(
-        self, solving: Operation, group: Any, positions: Floats, velocities: Floats, duration: float
+        self, solving: Operation, group: Any, positions: Array, velocities: Array, duration: float
     ) -> Operation:
         """An operation on a group that fails for the first constraint that cannot be kept."""
 
@@ -226,9 +226,7 @@ class ConstraintSolver:
 
         return solving._replace(python=fail)
 
-    def _fail(
-        self, constraint: int, positions: Floats, velocities: Floats, duration: float
-    ) -> None:
+    def _fail(self, constraint: int, positions: Array, velocities: Array, duration: float) -> None:
         """Raise ConstraintError with the larger violation: closed forms fail before they move atoms, others after."""
         i, j = self.pairs[constraint].tolist()
         moved = positions + duration * velocities
@@ -242,7 +240,7 @@ class ConstraintSolver:
         raise error
 
 
-def check_atoms(pairs: Ints, n_atoms: int) -> None:
+def check_atoms(pairs: Indices, n_atoms: int) -> None:
     """Raise ValueError if constraints (K, 2) name atoms that do not exist."""
     if pairs.max(initial=-1) >= n_atoms:
         raise ValueError(

@@ -7,7 +7,6 @@ from math import inf, isfinite, nan, sqrt
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.console.quiet import quiet
 from minimd.core.console.words import shown
@@ -19,6 +18,7 @@ from minimd.core.potentials.law import is_user_law, law_at, reads_table
 from minimd.core.potentials.laws import FENELaw, HarmonicLaw, LennardJonesLaw
 from minimd.core.potentials.pair import Nonbonded, curvature_at_minimum
 from minimd.core.potentials.term import PER_ATOM
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.bond_graph import checked_pairs, pairs_by_bonds_apart
 from minimd.core.structure.cell import nearest_vectors
 from minimd.core.structure.system import System
@@ -150,7 +150,7 @@ Pair = tuple[int, int, float, float, tuple[float, ...]]
 def contacts(
     system: System,
     potentials: Sequence[Any],
-    inverse_masses: NDArray[np.float64],
+    inverse_masses: Array,
     atoms: Iterable[int],
 ) -> list[Contact]:
     """The contacts of some atoms with their nearest neighbors, by pair potentials and bonds; others have none.

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.quiet import warn
@@ -15,6 +14,7 @@ from minimd.core.diagnosis.contacts import OPEN_IT, thin_cell, why_not_finite
 from minimd.core.forces.forces import Forces, Potential
 from minimd.core.forces.options import Options
 from minimd.core.potentials.term import PER_ATOM
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.errors import NonFiniteError
 from minimd.core.structure.observables import longest
 from minimd.core.structure.system import System
@@ -37,10 +37,10 @@ class Evaluation(Displayed):
     """
 
     potential_energy: float
-    forces: NDArray[np.float64]
-    virial: NDArray[np.float64]
-    energies: NDArray[np.float64]
-    virials: NDArray[np.float64]
+    forces: Array
+    virial: Array
+    energies: Array
+    virials: Array
 
     def __repr__(self) -> str:
         return f"Evaluation(potential_energy={self.potential_energy:.10g}, forces of {len(self.forces)} atoms)"

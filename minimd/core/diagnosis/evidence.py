@@ -14,10 +14,10 @@ from minimd.core.diagnosis.timestep import OSCILLATION, StepAdvice, advice_at
 from minimd.core.engine.engine import Engine, Snapshot
 from minimd.core.integrators.order_conditions import stability_limit
 from minimd.core.neighbors.queries import ClosestPair, closest_pair
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import LARGEST
 from minimd.core.structure.observables import longest
 from minimd.core.structure.system import System, changed
-from minimd.core.structure.vectors import Array
 
 # Δt·ω of 20 steps a period: velocity Verlet's energy oscillates by (Δt·ω)²/8
 USUAL = (8.0 * OSCILLATION) ** 0.5

@@ -8,7 +8,7 @@ import numpy as np
 from minimd.core.console.display import NAME_WIDTH, Displayed, Rows
 from minimd.core.engine.record import SERIES, Record
 from minimd.core.structure import statistics
-from minimd.core.structure.observables import Array
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.statistics import (
     FEW,
     block_means,

@@ -17,8 +17,9 @@ from minimd.core.engine.observation import observe
 from minimd.core.engine.record import Frame
 from minimd.core.neighbors.queries import closest_pair
 from minimd.core.potentials.term import PER_ATOM
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.errors import ConstraintError, NonFiniteError, RangeError
-from minimd.core.structure.observables import Array, longest
+from minimd.core.structure.observables import longest
 
 # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
 BLOCK = 100

@@ -21,6 +21,7 @@ from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.integrators.thermostats import Thermostat
 from minimd.core.potentials.law import law_at
 from minimd.core.potentials.pair import Nonbonded
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.observables import leaves_out_center, longest
 from minimd.core.structure.statistics import (
     correlation_times,
@@ -30,7 +31,6 @@ from minimd.core.structure.statistics import (
 )
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE, GRAM_PER_CM3
-from minimd.core.structure.vectors import Array
 
 CONTINUOUS = 1e-9  # of the law at INSIDE r_c: a smaller jump is rounding
 # of these, the first at which the law has a value: a table may begin late

@@ -5,7 +5,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.machine import EPS
 from minimd.core.constraints.constraint_set import ConstraintSet
@@ -14,9 +13,9 @@ from minimd.core.neighbors.queries import closest_pair
 from minimd.core.potentials.bonded import Bonded, HarmonicAngle, HarmonicBond
 from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.pair import Nonbonded, curvature_at_minimum
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.bond_graph import among
 from minimd.core.structure.cell import nearest_vectors
-from minimd.core.structure.observables import Array
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE, BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_EV
 
@@ -60,7 +59,7 @@ class Stiffness:
         self._constraint_set = constraint_set
         bonds = constraint_set.bonds
         no_bonds = np.zeros((0, 2), dtype=np.int64)
-        self._held: NDArray[np.int64] = no_bonds if bonds is None else bonds.pairs
+        self._held: Indices = no_bonds if bonds is None else bonds.pairs
 
     @cached_property
     def harmonic(self) -> list[Any]:
@@ -68,7 +67,7 @@ class Stiffness:
         return [law for law in self._potentials if isinstance(law, HarmonicBond | HarmonicAngle)]
 
     @property
-    def stiffest_bond(self) -> NDArray[np.int64]:
+    def stiffest_bond(self) -> Indices:
         """The harmonic bond with the largest k (1/m_i + 1/m_j), as (1, 2); (0, 2) without one."""
         inverse_masses = self._constraint_set.inverse_masses
         stiffest = np.zeros((0, 2), dtype=np.int64)
@@ -207,7 +206,7 @@ class Curvature:
         self._first = forces.compute().forces.copy()
         self.is_finite = bool(np.isfinite(self._first).all())
         # (pairs, λ) of each group of constraints, for atoms at rest
-        self._springs: list[tuple[NDArray[np.int64], Array]] = []
+        self._springs: list[tuple[Indices, Array]] = []
         bonds = constraint_set.bonds
         if bonds is not None:
             accelerations = self._first * constraint_set.inverse_masses[:, None]
@@ -263,14 +262,14 @@ class Curvature:
         squares, modes = eigsh(operator, k=1, which="LA", v0=guess.ravel(), tol=accuracy)
         return float(squares[0]), modes[:, 0].reshape(-1, 3)
 
-    def guess(self, bond: NDArray[np.int64]) -> Array:
+    def guess(self, bond: Indices) -> Array:
         """A vector that contains a part of every mode, and a large part of the stretching of a bond. (N, 3).
         bond : (1, 2), or (0, 2) for none."""
         start = self._start
         vector = np.random.default_rng(SEED).standard_normal(start.shape) / np.sqrt(start.size)
         return vector + self.stretching(bond).sum(axis=0)
 
-    def stretching(self, pairs: NDArray[np.int64]) -> Array:
+    def stretching(self, pairs: Indices) -> Array:
         """The stretching mode of each pair alone: its atoms move apart, in any direction if they are at the same place.
         (B, N, 3), of length one."""
         modes = np.zeros((len(pairs), *self._start.shape))

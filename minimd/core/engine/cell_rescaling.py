@@ -17,16 +17,11 @@ from minimd.core.integrators.barostats import (
 )
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.state import Bath
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.errors import RangeError
-from minimd.core.structure.observables import (
-    Array,
-    center,
-    kinetic_energy,
-    momentum,
-    pressure_tensor,
-)
+from minimd.core.structure.observables import center, kinetic_energy, momentum, pressure_tensor
 from minimd.core.structure.system import System
 from minimd.core.structure.vectors import inverse_of, strain_state
 

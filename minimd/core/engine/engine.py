@@ -24,11 +24,12 @@ from minimd.core.integrators.steps import ForceSource, Moment, Steps, first_unit
 from minimd.core.integrators.substeps import Drift, mechanical
 from minimd.core.neighbors.verlet_list import Built
 from minimd.core.potentials.term import FORCES, TOTALS
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.constraints import Constraint
 from minimd.core.structure.grid import Grid
-from minimd.core.structure.observables import Array, center, kinetic_energy, leaves_out_center
+from minimd.core.structure.observables import center, kinetic_energy, leaves_out_center
 from minimd.core.structure.system import AnySystem, System
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.whole_file import write_whole
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_flag, checked_path
 from minimd.core.structure.statistics import mean_and_error, with_error
@@ -34,9 +35,9 @@ class Frame(NamedTuple):
 
     step: int
     time: float
-    positions: NDArray[np.float64]
-    velocities: NDArray[np.float64]
-    forces: NDArray[np.float64]
+    positions: Array
+    velocities: Array
+    forces: Array
     observables: dict[str, Any]
     reservoir_energy: float = 0.0
     cell: Cell | None = None

@@ -7,8 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.units import UnitSystem
 
 INCHES = (10.0, 7.0)
@@ -21,7 +21,6 @@ ENERGY, TEMPERATURE, MOMENTUM, VOLUME, STRUCTURE, ACCENT = (
     "#1b7f5c",
     "#222222",
 )
-Array = NDArray[np.float64]
 STYLE: dict[str, Any] = {"lw": 1.1, "solid_joinstyle": "round"}
 
 

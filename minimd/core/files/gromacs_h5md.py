@@ -30,12 +30,13 @@ from minimd.core.files.h5_items import NOTHING, Item, put
 from minimd.core.files.h5md_reader import GROMACS, frames_of, opened, read_file
 from minimd.core.files.h5md_schema import factors, has_edges
 from minimd.core.files.trajectory import checked_output, claimed
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.elements import Stated
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE
-from minimd.core.structure.vectors import Array, upright
+from minimd.core.structure.vectors import upright
 
 ATOMS = "particles/system"
 TOPOLOGY = "h5md/modules/gromacs_topology"

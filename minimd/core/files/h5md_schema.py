@@ -27,7 +27,6 @@ from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.machine import EPS
 from minimd.core.console import __version__
@@ -41,6 +40,7 @@ from minimd.core.engine.record import SERIES, Frame
 from minimd.core.files.h5_items import NOTHING, REFERENCE, TEXT, Item
 from minimd.core.files.stored_fields import STEPS
 from minimd.core.integrators.barostats import StochasticCellRescaling
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 from minimd.core.structure.system import System
@@ -319,7 +319,7 @@ def other_method(name: str, parameters: Mapping[str, Any], precision: str, engin
 
 
 def other_constraints(
-    file: Sequence[Constraint], simulation: Sequence[Constraint], positions: NDArray[np.float64]
+    file: Sequence[Constraint], simulation: Sequence[Constraint], positions: Array
 ) -> str:
     """The first difference between the constraints of file and simulation, in words;
     empty if they agree within tolerance and rounding.

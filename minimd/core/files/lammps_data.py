@@ -11,16 +11,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.console.whole_file import text_of
 from minimd.core.console.words import listed, shown
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.bond_graph import GROUPS
 from minimd.core.structure.checks import LARGEST, SMALLEST, checked_choice
 from minimd.core.structure.lammps_units import LAMMPS_UNITS
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 READ = ("atomic", "charge", "bond", "angle", "molecular", "full")
 # the words of a line of Atoms in each atom style of LAMMPS, each with a letter of RULES; "?" for other layouts
 LAYOUTS = dict(

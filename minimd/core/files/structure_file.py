@@ -21,7 +21,7 @@ from ase.calculators.lammps import convert
 from ase.data import atomic_masses, chemical_symbols
 from ase.io.dlp4 import DLP_V_ASE
 from ase.io.formats import UnknownFileTypeError, filetype, ioformats
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.core.console.quiet import quiet, warn
 from minimd.core.console.whole_file import text_of
@@ -29,6 +29,7 @@ from minimd.core.console.words import listed
 from minimd.core.files.gromacs_h5md import gromacs_structure
 from minimd.core.files.h5md_reader import GROMACS, layout_of, looked_at, read_file
 from minimd.core.files.lammps_data import read_lammps_data
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.ase_atoms import LABELS, TYPES, stated_of, system_arguments
 from minimd.core.structure.bond_graph import GROUPS, Joined, joined_in
 from minimd.core.structure.cell import Cell
@@ -413,7 +414,7 @@ class Door(NamedTuple):
         )
         return Structure(arguments | joined.groups, stated, joined.n_types)
 
-    def _dump(self) -> tuple[str, UnitSystem, list[str], NDArray[np.float64] | None]:
+    def _dump(self) -> tuple[str, UnitSystem, list[str], Array | None]:
         """Units of a dump, the names of its columns, and its masses in the order of ids, which ASE does not read."""
         lines = text_of(self.path).splitlines()
         units_at = [k for k, line in enumerate(lines) if line.startswith("ITEM: UNITS")]

@@ -24,10 +24,10 @@ from minimd.core.engine.record import Frame
 from minimd.core.files.claim import Claim
 from minimd.core.files.h5md_schema import has_edges
 from minimd.core.files.trajectory import Writer
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import COMBINED, Cell
 from minimd.core.structure.vectors import handedness, upright
 
-Array = NDArray[np.float64]
 ROTATION = "rotation"  # the name in Timestep.data
 SEEN = 1e-7  # a smaller rotation is lost in the rounding of float32
 FARTHEST = 1.0 + 1e-9  # in lattice vectors: MDAnalysis misses nearest images that are farther away

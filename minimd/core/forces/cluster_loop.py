@@ -328,7 +328,9 @@ def _added_row(law, parameters, row, window, sums, steps, so_far):
         f = select(near, f, 0.0)
         g = as_impulse(f, scale)
         size2 = summed_squares(g, size2, steps)
-        fx, fy, fz = plus_product(g, dx, fx), plus_product(g, dy, fy), plus_product(g, dz, fz)
+        fx = plus_product(g, dx, fx)
+        fy = plus_product(g, dy, fy)
+        fz = plus_product(g, dz, fz)
         push(forces, ghost, g, (dx, dy, dz))
         if with_energy(sums):
             u = in_steps(select(near, u, 0.0), steps)
@@ -373,7 +375,8 @@ def _share(sums, ghost, u, force, separation, steps, lanes):
     dx, dy, dz = separation
     for c, w in enumerate((u, fx * dx, fy * dy, fz * dz, fy * dz, fx * dz, fx * dy)):
         at = (ghost * SUMS + c) * n_lanes
-        store(sums.of_lanes, at, load(sums.of_lanes, at, lanes) + 0.5 * in_steps(w, steps))
+        so_far = load(sums.of_lanes, at, lanes)
+        store(sums.of_lanes, at, so_far + 0.5 * in_steps(w, steps))
 
 
 @scalar

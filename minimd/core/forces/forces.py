@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba.core.errors import NumbaError
-from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import (
@@ -28,6 +27,7 @@ from minimd.core.compiled.program import (
     in_python,
     n_chunks_of,
     operation,
+    share_of,
 )
 from minimd.core.console.quiet import warn
 from minimd.core.forces.cluster_term import ClusterTerm
@@ -55,6 +55,7 @@ from minimd.core.potentials.term import (
     bound,
     check_force,
 )
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import Images
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.errors import RangeError, why_not_compiled
@@ -133,7 +134,8 @@ def clear_forces(clearing, chunk):
     """Forces = 0."""
     forces, n_chunks = clearing
     n = forces.shape[0]
-    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+    first, last = share_of(chunk, n_chunks, n)
+    for i in range(first, last):
         for c in range(3):
             forces[i, c] = 0
     return GO_ON
@@ -162,8 +164,12 @@ def totals_of(energies, virials):
     yz = xz = xy = 0.0
     for i in range(energies.size):
         energy += energies[i]
-        xx, yy, zz = xx + virials[i, 0], yy + virials[i, 1], zz + virials[i, 2]
-        yz, xz, xy = yz + virials[i, 3], xz + virials[i, 4], xy + virials[i, 5]
+        xx += virials[i, 0]
+        yy += virials[i, 1]
+        zz += virials[i, 2]
+        yz += virials[i, 3]
+        xz += virials[i, 4]
+        xy += virials[i, 5]
     return energy, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
@@ -182,11 +188,11 @@ class ForceResult(NamedTuple):
     virials : (N, 6) of W, as xx yy zz yz xz xy. Tail corrections are included, for atoms in equal shares.
     """
 
-    forces: NDArray[np.float64]
+    forces: Array
     potential_energy: float = nan
-    virial: NDArray[np.float64] = UNKNOWN
-    energies: NDArray[np.float64] = NONE
-    virials: NDArray[np.float64] = NO_VIRIALS
+    virial: Array = UNKNOWN
+    energies: Array = NONE
+    virials: Array = NO_VIRIALS
     has_energy: bool = False
 
 

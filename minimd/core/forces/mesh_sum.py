@@ -17,18 +17,19 @@ from collections.abc import Iterator
 from math import pi, prod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import called_kernel, scalar
-from minimd.core.compiled.program import GO_ON, Operation, in_python, operation
+from minimd.core.compiled.program import GO_ON, Operation, in_python, operation, share_of
 from minimd.core.compiled.simd import broadcast, fma, load, store, total, zeros
 from minimd.core.compiled.simd.vector import Lanes8, Lanes16, count
 from minimd.core.forces.mesh_window import Window, windows
 from minimd.core.forces.wave_sum import MOST_CELLS, ChargeSum, WaveSum, virials_of
 from minimd.core.potentials.prolates import Split
 from minimd.core.potentials.term import FORCES, Target
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.system import System
+from minimd.core.structure.vectors import across, along
 
 MOST_SLABS = 16  # of planes
 # measured [ns]: of an atom, for each row that it sees, and for a vector of eight points; of a point of the mesh; of all
@@ -81,10 +82,12 @@ def find_points(mesh, chunk):
     n_chunks = mesh.sums.shape[0]
     shape = mesh.shape
 
-    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
-        x, y, z = mesh.positions[i, 0], mesh.positions[i, 1], mesh.positions[i, 2]
+    first, last = share_of(chunk, n_chunks, n)
+
+    for i in range(first, last):
+        position = mesh.positions[i, 0], mesh.positions[i, 1], mesh.positions[i, 2]
         for d in range(3):
-            s = x * mesh.inverse[0, d] + y * mesh.inverse[1, d] + z * mesh.inverse[2, d]
+            s = along(position, mesh.inverse, d)
             edge = shape[d] * (s - np.floor(s)) - 0.5 * shape[4]
             first = np.ceil(edge)
             mesh.edges[i, d] = 2.0 * (first - edge) - 1.0
@@ -128,7 +131,9 @@ def see_points(mesh, chunk):
     n_chunks = mesh.sums.shape[0]
     width = np.uintp(count(mesh.width))
 
-    for place in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+    first, last = share_of(chunk, n_chunks, n)
+
+    for place in range(first, last):
         i = mesh.order[place]
         for d in range(3):
             t = broadcast(mesh.edges[i, d], zeros(mesh.width))
@@ -155,8 +160,7 @@ def put_charges(mesh, chunk):
     shape = mesh.shape
     n_planes = mesh.shape[0]
     n_chunks = plane_chunks(mesh.shape)
-    first = chunk * n_planes // n_chunks
-    last = (chunk + 1) * n_planes // n_chunks
+    first, last = share_of(chunk, n_chunks, n_planes)
     size = shape[1] * shape[3]
     for k in range(first * size, last * size):
         mesh.points[k] = 0.0
@@ -204,10 +208,18 @@ def _put_one(mesh, place, begin, end):
         row = mesh.starts[i, 1]
 
         for j in range(shape[4]):
-            point = np.uintp((plane * shape[1] + row) * shape[3] + mesh.starts[i, 2])
+            point = _point_at(mesh, i, plane, row)
             weight = seen[at + np.uintp(j) + width + width]
-            store(mesh.points, point, fma(on_plane, weight, load(mesh.points, point, mesh.width)))
+            points = load(mesh.points, point, mesh.width)
+            store(mesh.points, point, fma(on_plane, weight, points))
             row = row + 1 if row + 1 < shape[1] else 0
+
+
+@scalar
+def _point_at(mesh, i, plane, row):
+    """Where the points begin that atom i sees in a row of a plane."""
+    shape = mesh.shape
+    return np.uintp((plane * shape[1] + row) * shape[3] + mesh.starts[i, 2])
 
 
 @called_kernel
@@ -223,12 +235,13 @@ def push_from_points(mesh, chunk):
     shape = mesh.shape
     seen = mesh.seen
     width = np.uintp(count(mesh.width))
-    inverse = mesh.inverse
     nothing = zeros(mesh.width)
     for d in range(3):
         mesh.sums[chunk, d] = 0.0
 
-    for place in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+    first, last = share_of(chunk, n_chunks, n)
+
+    for place in range(first, last):
         i = mesh.order[place]
         at = np.uintp(6 * place) * width
         at_y = at + width + width
@@ -243,7 +256,7 @@ def push_from_points(mesh, chunk):
             slope = nothing
 
             for j in range(shape[4]):
-                point = np.uintp((plane * shape[1] + row) * shape[3] + mesh.starts[i, 2])
+                point = _point_at(mesh, i, plane, row)
                 points = load(mesh.points, point, mesh.width)
                 value = fma(points, seen[at_y + np.uintp(j)], value)
                 slope = fma(points, seen[at_y + width + np.uintp(j)], slope)
@@ -263,7 +276,7 @@ def push_from_points(mesh, chunk):
         fc = q2 * shape[2] * total(along_z * bend)
 
         for d in range(3):
-            f = inverse[d, 0] * fa + inverse[d, 1] * fb + inverse[d, 2] * fc
+            f = across(mesh.inverse, d, (fa, fb, fc))
             mesh.forces[np.uintp(i), d] += f
             mesh.sums[chunk, d] += f
 
@@ -280,7 +293,8 @@ def hold_center(mesh, chunk):
         rest = 0.0
         for k in range(n_chunks):
             rest += mesh.sums[k, d]
-        for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+        first, last = share_of(chunk, n_chunks, n)
+        for i in range(first, last):
             mesh.forces[i, d] -= mesh.shares[i] * rest
 
     return GO_ON
@@ -288,7 +302,7 @@ def hold_center(mesh, chunk):
 
 def charge_sum(
     system: System,
-    charges: NDArray[np.float64],
+    charges: Array,
     split: Split,
     method: str,
     is_fixed: bool,
@@ -345,7 +359,7 @@ class MeshSum(ChargeSum):
     def __init__(
         self,
         system: System,
-        charges: NDArray[np.float64],
+        charges: Array,
         split: Split,
         window: Window,
         n_threads: int,
@@ -370,7 +384,11 @@ class MeshSum(ChargeSum):
         self._sums = np.zeros((self._n_chunks, 3))
         self._repeated = np.arange(width) % c
         most = int(split.largest_wave * window.spacing * c / (2.0 * pi))
-        waves = [np.fft.fftfreq(a, 1.0 / a), np.fft.fftfreq(b, 1.0 / b), np.arange(most + 1.0)]
+        waves = [
+            np.fft.fftfreq(a, 1.0 / a),
+            np.fft.fftfreq(b, 1.0 / b),
+            np.arange(most + 1.0),
+        ]
         self._waves = np.stack(np.meshgrid(*waves, indexing="ij"), axis=-1)
         self._amplitudes = np.zeros((a, b, most + 1), dtype=np.complex128)
         self._rows = np.zeros((a, b, c // 2 + 1), dtype=np.complex128)
@@ -428,7 +446,8 @@ class MeshSum(ChargeSum):
         """
         from scipy.fft import fftn
 
-        np.fft.rfft(self._points[:, :, : self.shape[2]], out=self._rows)
+        points = self._points[:, :, : self.shape[2]]
+        np.fft.rfft(points, out=self._rows)
         self._amplitudes[:] = self._rows[:, :, : self._amplitudes.shape[2]]
         # in place: new memory for each transform would take more time than they do
         fftn(self._amplitudes, axes=(0, 1), overwrite_x=True, workers=self._workers)
@@ -446,12 +465,18 @@ class MeshSum(ChargeSum):
         from scipy.fft import ifftn
 
         length = self.shape[2]
-        how = {"norm": "forward", "overwrite_x": True, "workers": self._workers}
-        ifftn(self._amplitudes, axes=(0, 1), **how)
-        np.fft.irfft(self._amplitudes, length, norm="forward", out=self._points[:, :, :length])
+        points = self._points[:, :, :length]
+        ifftn(
+            self._amplitudes,
+            axes=(0, 1),
+            norm="forward",
+            overwrite_x=True,
+            workers=self._workers,
+        )
+        np.fft.irfft(self._amplitudes, length, norm="forward", out=points)
         self._points[:, :, length:] = self._points[:, :, self._repeated]
 
-    def _of_atoms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _of_atoms(self) -> tuple[Array, Array]:
         """See ChargeSum."""
         shares = []
         for weights in (self._weights[self._used], *self._virials.T):
@@ -461,17 +486,21 @@ class MeshSum(ChargeSum):
             shares.append(0.5 * self._charges * self._at_atoms())
         return shares[0], np.stack(shares[1:], axis=1)
 
-    def _at_atoms(self) -> NDArray[np.float64]:
+    def _at_atoms(self) -> Array:
         """The potential of the points at each atom, (N,): Σ_m v(m) φ(m − x), in blocks of atoms."""
-        seen = self._seen.reshape(len(self._charges), 3, 2, -1)[:, :, 0, : self._window.points]
-        potentials = np.empty(len(seen))
+        values_and_slopes = self._seen.reshape(len(self._charges), 3, 2, -1)
+        seen = values_and_slopes[:, :, 0, : self._window.points]
+        n_atoms = len(seen)
+        potentials = np.empty(n_atoms)
         offsets = np.arange(seen.shape[2])
 
-        for block in np.array_split(np.arange(len(seen)), len(seen) // IN_A_BLOCK + 1):
+        for block in np.array_split(np.arange(n_atoms), n_atoms // IN_A_BLOCK + 1):
             atoms = self._order[block]
             starts = self._starts[atoms, :, None] + offsets
-            a, b, c = (starts[:, d] % self.shape[d] for d in range(3))
-            points = self._points[a[:, :, None, None], b[:, None, :, None], c[:, None, None, :]]
+            planes = starts[:, 0, :, None, None] % self.shape[0]
+            rows = starts[:, 1, None, :, None] % self.shape[1]
+            columns = starts[:, 2, None, None, :] % self.shape[2]
+            points = self._points[planes, rows, columns]
             windows_of = seen[block].swapaxes(0, 1)
             potentials[atoms] = np.einsum("nijk,ni,nj,nk->n", points, *windows_of)
 

@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev, legendre
-from numpy.typing import NDArray
 
 from minimd.core.potentials.prolates import Split, prolate
+from minimd.core.structure.arrays import Array
 
 POINTS = (4, 5, 6, 7, 8, 10, 12, 14, 16)  # that an atom sees in each direction
 SHARE = 0.5  # of the mesh in the error, in units of that of the waves left out
@@ -52,10 +52,10 @@ class Window(NamedTuple):
         waves = np.cos(pi * self.points * np.multiply.outer(f, NODES))
         return 0.5 * self.points * (waves @ (self(NODES) * WEIGHTS))
 
-    def pieces(self, accuracy: float, width: int) -> NDArray[np.float64]:
+    def pieces(self, accuracy: float, width: int) -> Array:
         """φ of each of the P points, as polynomials of t: the first point is (t + 1)/2 from the edge; (D, width)."""
 
-        def at(t: NDArray[np.float64]) -> NDArray[np.float64]:
+        def at(t: Array) -> Array:
             x = np.add.outer(0.5 * (t + 1.0), np.arange(self.points))
             return self(x * 2.0 / self.points - 1.0)
 
@@ -64,7 +64,8 @@ class Window(NamedTuple):
         for degree in range(4, 24):
             places = np.cos(pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
             series = chebyshev.chebfit(places, at(places), degree)
-            if np.abs(chebyshev.chebval(t, series).T - at(t)).max() < max(FITTED * accuracy, 1e-15):
+            error = np.abs(chebyshev.chebval(t, series).T - at(t)).max()
+            if error < max(FITTED * accuracy, 1e-15):
                 break
 
         values = np.zeros((degree + 1, width))
@@ -97,7 +98,8 @@ def _left_out(split: Split) -> float:
     """
     wave = prolate(split.bandwidth)
     x = 0.5 * (NODES + 1.0)
-    chi = 0.5 * WEIGHTS * (legendre.legval(x, wave.series) - wave.at_end) / (1.0 - wave.at_end)
+    smooth = legendre.legval(x, wave.series)
+    chi = 0.5 * WEIGHTS * (smooth - wave.at_end) / (1.0 - wave.at_end)
     kappa = split.bandwidth * (2.0 + NODES)
     spectrum = 4.0 * pi * (np.cos(np.outer(kappa, x)) @ chi)  # times k²
     part = split.largest_wave * WEIGHTS * 4.0 * pi / (2.0 * pi) ** 3
@@ -126,7 +128,8 @@ def _error(split: Split, window: Window) -> float:
         of_alias = np.interp(np.abs(f + sign), table, transform)
         ratio = of_alias / np.interp(np.abs(f), table, transform)
         aliased = k**2 + 2.0 * sign * step * k * u + step**2
-        of_pairs += 3.0 * float((part * (spectrum * ratio) ** 2 * (k**2 + aliased)).sum())
+        of_wave = (spectrum * ratio) ** 2 * (k**2 + aliased)
+        of_pairs += 3.0 * float((part * of_wave).sum())
         of_itself += step * float((part * spectrum * ratio).sum())
 
     return float(np.sqrt(DENSITY / split.cutoff**3 * of_pairs + 1.5 * of_itself**2))

@@ -19,14 +19,15 @@ from collections.abc import Iterator
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import DirectCalls, called_kernel
 from minimd.core.compiled.program import GO_ON, Operation, operation
 from minimd.core.potentials.term import FORCES, VOIGT, OwnTerm, Target
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.errors import RangeError
 from minimd.core.structure.system import System
+from minimd.core.structure.vectors import dot
 
 BINS = 512  # of the height of the cell, in which atoms are or are not
 FULL = 2  # the answer where they are in all of them
@@ -54,7 +55,7 @@ def push_slab(slab, _chunk):
     slab.filled[:] = 0.0
     for i in range(heights.size):
         r = slab.positions[i]
-        h = r[0] * across[0] + r[1] * across[1] + r[2] * across[2]
+        h = dot(r, across)
         heights[i] = h - np.floor(h)
         # a bin, even if h is not finite
         slab.filled[min(int(heights[i] * BINS), BINS - 1) % BINS] = 1.0
@@ -96,7 +97,7 @@ class SlabTerm(OwnTerm):
 
     name = "Coulomb with slab"
 
-    def __init__(self, system: System, charges: NDArray[np.float64], axis: str) -> None:
+    def __init__(self, system: System, charges: Array, axis: str) -> None:
         self._charges = charges
         self._axis = "xyz".index(axis)
         self._calls = DirectCalls()

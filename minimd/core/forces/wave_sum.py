@@ -31,12 +31,14 @@ from minimd.core.compiled.fixed_point import (
     sum_in_any_order,
 )
 from minimd.core.compiled.kernels import DirectCalls, called_kernel, scalar
-from minimd.core.compiled.program import GO_ON, Operation, n_chunks_of, operation
+from minimd.core.compiled.program import GO_ON, Operation, n_chunks_of, operation, share_of
 from minimd.core.compiled.simd import broadcast, fma, load, store, total, zeros
 from minimd.core.compiled.simd.vector import count, lanes_for
 from minimd.core.potentials.prolates import Split
 from minimd.core.potentials.term import FORCES, PER_ATOM, VOIGT, OwnTerm, Target
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.system import System
+from minimd.core.structure.vectors import across, along
 
 BLOCK = 128  # atoms whose tables are made at once
 MOST_SUMS = 16  # chunks of atoms, each with sums of its own
@@ -45,7 +47,14 @@ CUT = 0.618
 MOST_CELLS = 100_000  # of four waves each: their sums take half a gigabyte
 ROOM = 1.2  # for waves that come when the cell becomes larger
 # of a, b, c, for the four waves of a cell
-SIGNS = np.array([(1, 1, 1), (1, 1, -1), (1, -1, 1), (1, -1, -1)])
+SIGNS = np.array(
+    [
+        (1, 1, 1),
+        (1, 1, -1),
+        (1, -1, 1),
+        (1, -1, -1),
+    ]
+)
 SUMS, AMPLITUDES = 8, 8  # numbers for each cell
 # columns of rows: a, b, the number of the first cell, how many cells c = 0, 1, …
 A, B, FIRST, N_CELLS = range(4)
@@ -84,14 +93,19 @@ class Waves(
 @called_kernel
 def choose_atom(waves, _chunk):
     """The atom on which the other forces are largest along x; of those with equal forces its position decides."""
-    f = waves.forces
-    r = waves.positions
     best = 0
     for i in range(1, waves.charges.size):
-        if (f[i, 0], r[i, 0], r[i, 1], r[i, 2]) > (f[best, 0], r[best, 0], r[best, 1], r[best, 2]):
+        if _rank(waves, i) > _rank(waves, best):
             best = i
     waves.chosen[0] = best
     return GO_ON
+
+
+@scalar
+def _rank(waves, i):
+    """What decides which atom is chosen."""
+    r = waves.positions
+    return waves.forces[i, 0], r[i, 0], r[i, 1], r[i, 2]
 
 
 @called_kernel
@@ -107,10 +121,11 @@ def sum_waves(waves, chunk):
     table = waves.tables[chunk]
     sums = waves.sums[chunk]
     n_lanes = np.uintp(count(waves.lanes))
-    for k in range(np.uintp(0), np.uintp(waves.sizes[N_ALL] * SUMS), np.uintp(1)):
+    n_sums = np.uintp(waves.sizes[N_ALL] * SUMS)
+    for k in range(np.uintp(0), n_sums, np.uintp(1)):
         store(sums, k * n_lanes, zeros(lanes))
-    first = chunk * n // n_chunks
-    last = (chunk + 1) * n // n_chunks
+
+    first, last = share_of(chunk, n_chunks, n)
 
     for start in range(first, last, BLOCK):
         _fill_tables(waves, table, start, min(start + BLOCK, last))
@@ -147,28 +162,30 @@ def _fill_tables(waves, table, first, last):
         z = r[i, 2] - r[o, 2]
 
         for d in range(3):
-            cells = np.floor(x * inverse[0, d] + y * inverse[1, d] + z * inverse[2, d] + CUT)
+            cells = np.floor(along((x, y, z), inverse, d) + CUT)
             x = x - cells * lattice[d, 0]
             y = y - cells * lattice[d, 1]
             z = z - cells * lattice[d, 2]
 
         for d in range(3):
-            s = x * inverse[0, d] + y * inverse[1, d] + z * inverse[2, d]
+            s = along((x, y, z), inverse, d)
             table[place + np.uintp(d * BLOCK + k)] = 2.0 * pi * s
         table[np.uintp(sizes[X] + k)] = waves.charges[i] if first + k < last else 0.0
 
     for d in range(3):
-        begin = sizes[X + d]
-        end = sizes[X + d + 1]
+        begin = np.uintp(sizes[X + d])
+        end = np.uintp(sizes[X + d + 1])
 
         for k in range(np.uintp(0), np.uintp(BLOCK), n_lanes):
             angle = load(table, place + np.uintp(d * BLOCK) + k, waves.lanes)
             c = np.cos(angle)
             s = np.sin(angle)
-            x = load(table, np.uintp(begin) + k, waves.lanes) if d == 0 else broadcast(1.0, c)
+            x = broadcast(1.0, c)
+            if d == 0:
+                x = load(table, begin + k, waves.lanes)
             y = 0.0 * x
 
-            for at in range(np.uintp(begin), np.uintp(end), np.uintp(2 * BLOCK)):
+            for at in range(begin, end, np.uintp(2 * BLOCK)):
                 _store_complex(table, at + k, x, y)
                 turned = fma(x, c, -(y * s))
                 y = fma(x, s, y * c)
@@ -308,9 +325,10 @@ def _added(waves, cell, part):
     part : 0 to 7, see _add_cell.
     """
     n_lanes = np.uintp(count(waves.lanes))
+    at = np.uintp(cell * SUMS + part) * n_lanes
     added = 0.0
     for chunk in range(waves.sums.shape[0]):
-        added += total(load(waves.sums[chunk], np.uintp(cell * SUMS + part) * n_lanes, waves.lanes))
+        added += total(load(waves.sums[chunk], at, waves.lanes))
     return added
 
 
@@ -326,10 +344,9 @@ def _count(waves, wave, weight, bend, size2):
     """
     inverse = waves.inverse
     totals = waves.totals
-    two_pi = 2.0 * pi
-    kx = two_pi * (inverse[0, 0] * wave[0] + inverse[0, 1] * wave[1] + inverse[0, 2] * wave[2])
-    ky = two_pi * (inverse[1, 0] * wave[0] + inverse[1, 1] * wave[1] + inverse[1, 2] * wave[2])
-    kz = two_pi * (inverse[2, 0] * wave[0] + inverse[2, 1] * wave[1] + inverse[2, 2] * wave[2])
+    kx = 2.0 * pi * across(inverse, 0, wave)
+    ky = 2.0 * pi * across(inverse, 1, wave)
+    kz = 2.0 * pi * across(inverse, 2, wave)
     u = weight * size2
     g = 2.0 * bend * size2
     totals[0, 0] += u
@@ -356,8 +373,7 @@ def push_atoms(waves, chunk):
     at = np.uintp(waves.sizes[F])
     n_lanes = np.uintp(count(lanes))
     block = np.uintp(BLOCK)
-    first = chunk * n // n_chunks
-    last = (chunk + 1) * n // n_chunks
+    first, last = share_of(chunk, n_chunks, n)
     for d in range(3):
         waves.rest[chunk, d] = 0
 
@@ -374,11 +390,9 @@ def push_atoms(waves, chunk):
 
         for i in range(start, stop):
             k = at + np.uintp(i - start)
-            inverse = waves.inverse
-            fa, fb, fc = table[k], table[k + block], table[k + block + block]
-
+            fractional = table[k], table[k + block], table[k + block + block]
             for d in range(3):
-                f = 4.0 * pi * (inverse[d, 0] * fa + inverse[d, 1] * fb + inverse[d, 2] * fc)
+                f = 4.0 * pi * across(waves.inverse, d, fractional)
                 g = force_along(f, 1.0, waves.steps)
                 waves.forces[np.uintp(i), d] += g
                 waves.rest[chunk, d] += g
@@ -426,12 +440,18 @@ def _add_row(waves, table, row, k):
     yr, yi = _complex_at(table, at + block + block, lanes)
     of_p = fma(xr, pi_, xi * pr)
     of_m = fma(yr, mi, yi * mr)
+    of_z = fma(xr, pzi, xi * pzr) + fma(yr, mzi, yi * mzr)
+    a = float(waves.rows[row, A])
+    b = float(waves.rows[row, B])
+
     fa = load(table, at_f, lanes)
-    fb = load(table, at_f + block, lanes)
-    fc = load(table, at_f + block + block, lanes)
-    store(table, at_f, fma(of_p + of_m, float(waves.rows[row, A]), fa))
-    store(table, at_f + block, fma(of_p - of_m, float(waves.rows[row, B]), fb))
-    store(table, at_f + block + block, fma(xr, pzi, xi * pzr) + fma(yr, mzi, yi * mzr) + fc)
+    store(table, at_f, fma(of_p + of_m, a, fa))
+    at_f = at_f + block
+    fb = load(table, at_f, lanes)
+    store(table, at_f, fma(of_p - of_m, b, fb))
+    at_f = at_f + block
+    fc = load(table, at_f, lanes)
+    store(table, at_f, of_z + fc)
 
 
 @called_kernel
@@ -443,11 +463,10 @@ def balance_impulses(waves, _chunk):
     return GO_ON
 
 
-def virials_of(
-    k: NDArray[np.float64], weights: NDArray[np.float64], bends: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def virials_of(k: Array, weights: Array, bends: Array) -> Array:
     """W/|S|² = w 1 + 2 (dw/dk²) k ⊗ k of waves k (M, 3), as xx yy zz yz xz xy, (M, 6)."""
-    virials = 2.0 * bends[:, None] * k[:, VOIGT[0]] * k[:, VOIGT[1]]
+    products = k[:, VOIGT[0]] * k[:, VOIGT[1]]
+    virials = 2.0 * bends[:, None] * products
     virials[:, :3] += weights[:, None]
     return virials
 
@@ -457,7 +476,7 @@ class ChargeSum(OwnTerm):
     charges : (N,) [√(energy · length)].
     split : of 1/r."""
 
-    def __init__(self, system: System, charges: NDArray[np.float64], split: Split) -> None:
+    def __init__(self, system: System, charges: Array, split: Split) -> None:
         self._charges = charges
         self._split = split
         self._calls = DirectCalls()
@@ -479,7 +498,7 @@ class ChargeSum(OwnTerm):
         self._inverse[:] = (normals / volume).T
         self._volume = abs(volume)
 
-    def _of_atoms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _of_atoms(self) -> tuple[Array, Array]:
         """Each atom's share of energy and virial, (N,) and (N, 6)."""
         raise NotImplementedError
 
@@ -510,7 +529,7 @@ class WaveSum(ChargeSum):
 
     fits_grid = True
 
-    def __init__(self, system: System, charges: NDArray[np.float64], split: Split) -> None:
+    def __init__(self, system: System, charges: Array, split: Split) -> None:
         super().__init__(system, charges, split)
         self._sizes = np.zeros(7, dtype=np.int64)
         self._lanes = lanes_for()
@@ -529,7 +548,8 @@ class WaveSum(ChargeSum):
     @property
     def n_waves(self) -> int:
         """The number of waves, k and −k as one."""
-        return int((self._weights[: self._sizes[N_ALL]] != 0.0).sum())
+        weights = self._weights[: self._sizes[N_ALL]]
+        return int(np.count_nonzero(weights))
 
     @property
     def summary(self) -> str:  # type: ignore[override]
@@ -577,9 +597,7 @@ class WaveSum(ChargeSum):
         if target.steps:
             yield operation(self._calls, balance_impulses, waves)
 
-    def _waves(
-        self, system: System
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    def _waves(self, system: System) -> tuple[Indices, Array, Array]:
         """rows, weights and bends for the present cell."""
         lattice = system.cell.lattice
         largest = self._split.largest_wave
@@ -599,9 +617,14 @@ class WaveSum(ChargeSum):
         k2 = (k**2).sum(axis=-1)  # (C, 4)
         a, b, c = (cells[:, None, d] for d in range(3))
         # of ±b, and of ±c, the same waves once
-        is_new_b = (SIGNS[:, 1] > 0) | ((a > 0) & (b > 0))
-        is_new_c = (SIGNS[:, 2] > 0) | ((c > 0) & ((a > 0) | (b > 0)))
-        counts = is_new_b & is_new_c & (k2 > 0.0) & (k2 <= largest**2)
+        has_two_b = (a > 0) & (b > 0)
+        has_two_c = (c > 0) & ((a > 0) | (b > 0))
+        is_new_b = (SIGNS[:, 1] > 0) | has_two_b
+        is_new_c = (SIGNS[:, 2] > 0) | has_two_c
+        is_inside = (k2 > 0.0) & (k2 <= largest**2)
+        counts = is_new_b & is_new_c & is_inside
+
+        # cells without such waves are left out at the end of each row
         height = np.where(counts.any(axis=1), cells[:, 2] + 1, 0)
         firsts = np.flatnonzero(cells[:, 2] == 0)
         place = cells[:, 0] * (most[1] + 1) + cells[:, 1]
@@ -609,7 +632,8 @@ class WaveSum(ChargeSum):
         kept = cells[:, 2] < n_cells[place]
         firsts = firsts[n_cells > 0]
         n_cells = n_cells[n_cells > 0]
-        rows = np.column_stack([cells[firsts, :2], np.cumsum(n_cells) - n_cells, n_cells])
+        first_cells = np.cumsum(n_cells) - n_cells
+        rows = np.column_stack([cells[firsts, :2], first_cells, n_cells])
         self._cells = cells[kept]
         counts = counts[kept]
         k2 = k2[kept]
@@ -618,10 +642,13 @@ class WaveSum(ChargeSum):
         bends = np.where(counts, bend, 0.0) / self._volume
         return rows, weights, bends
 
-    def _places(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _places(self, rows: Indices) -> Indices:
         """Where the tables X, Y, Z, XY and those of forces begin."""
-        ends = rows.max(axis=0, initial=0)[[A, B, N_CELLS]] + (1, 1, 0)
-        return np.cumsum([0, *(2 * BLOCK * ends), 4 * BLOCK])
+        largest = rows.max(axis=0, initial=0)
+        of_x = 2 * BLOCK * (largest[A] + 1)
+        of_y = 2 * BLOCK * (largest[B] + 1)
+        of_z = 2 * BLOCK * largest[N_CELLS]
+        return np.cumsum([0, of_x, of_y, of_z, 4 * BLOCK])
 
     def _take(self, system: System, rows: NDArray, weights: NDArray, bends: NDArray) -> None:
         """Write waves to memory that stays in its place: operations know its address."""
@@ -631,15 +658,17 @@ class WaveSum(ChargeSum):
         self._sizes[:] = len(rows), len(weights), *self._places(rows)
         self._positions = system.positions
 
-    def _of_atoms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _of_atoms(self) -> tuple[Array, Array]:
         """Each atom's share of energy and virial: q Re(Σ w S* exp(i k·r)), and so on; (N,) and (N, 6)."""
         n_all = self._sizes[N_ALL]
         used = self._weights[:n_all] != 0.0
         weights = self._weights[:n_all][used]
         bends = self._bends[:n_all][used]
         k = 2.0 * pi * (self._cells[:, None] * SIGNS)[used] @ self._inverse.T
-        blocks = np.array_split(np.arange(len(self._charges)), -(-len(self._charges) // BLOCK))
-        conjugate = np.conj(sum(self._phases(block, k).sum(axis=0) for block in blocks))
+        n_atoms = len(self._charges)
+        blocks = np.array_split(np.arange(n_atoms), -(-n_atoms // BLOCK))
+        amplitudes = sum(self._phases(block, k).sum(axis=0) for block in blocks)
+        conjugate = np.conj(amplitudes)
         energies = []
         virials = []
 
@@ -650,6 +679,7 @@ class WaveSum(ChargeSum):
 
         return np.concatenate(energies), np.concatenate(virials)
 
-    def _phases(self, atoms: NDArray[np.int64], k: NDArray[np.float64]) -> NDArray:
+    def _phases(self, atoms: Indices, k: Array) -> NDArray:
         """q exp(i k·r) of some atoms, (atoms, waves)."""
-        return np.exp(1j * self._positions[atoms] @ k.T) * self._charges[atoms, None]
+        angles = self._positions[atoms] @ k.T
+        return np.exp(1j * angles) * self._charges[atoms, None]

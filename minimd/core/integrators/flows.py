@@ -7,7 +7,7 @@ import numpy as np
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.fixed_point import FARTHEST, MOST, as_float, is_fixed
 from minimd.core.compiled.kernels import by_type, called_kernel, scalar
-from minimd.core.compiled.program import GO_ON, OUT_OF_RANGE
+from minimd.core.compiled.program import GO_ON, OUT_OF_RANGE, share_of
 from minimd.core.compiled.simd import fma, select
 from minimd.core.compiled.simd.vector import MAGIC
 
@@ -86,8 +86,9 @@ def move_atoms(moving, chunk):
     n = moving.inverse_masses.size
     n_chunks = moving.n_chunks
     is_out = False
-    first = np.uintp(chunk * n // n_chunks)
-    last = np.uintp((chunk + 1) * n // n_chunks)
+    begin, end = share_of(chunk, n_chunks, n)
+    first = np.uintp(begin)
+    last = np.uintp(end)
     for k in range(moving.flows.shape[0]):
         kind = moving.flows[k, 0]
         duration = moving.flows[k, 1]

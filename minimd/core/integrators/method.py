@@ -5,16 +5,12 @@ from inspect import signature
 from types import ModuleType
 from typing import Any, ClassVar, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from minimd.core.console.display import Displayed, Rows, as_text, call_of
 from minimd.core.console.words import shown
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import SHORTEST, checked_number
 
 __all__ = ["Method"]
-
-Array = NDArray[np.float64]
 
 
 class Problem(Protocol):

@@ -25,7 +25,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from minimd.core.integrators.method import Array
 from minimd.core.integrators.substeps import (
     Drift,
     Kick,
@@ -34,6 +33,7 @@ from minimd.core.integrators.substeps import (
     checked_substeps,
     mechanical,
 )
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_number
 
 __all__ = [

@@ -12,9 +12,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, ClassVar
 
-from minimd.core.integrators.method import Array, ClassProperty, Method, Problem, Step
+from minimd.core.integrators.method import ClassProperty, Method, Problem, Step
 from minimd.core.integrators.order_conditions import nystrom_order
 from minimd.core.integrators.substeps import Kick, Substeps, is_palindrome, mechanical, merged
+from minimd.core.structure.arrays import Array
 
 if TYPE_CHECKING:
     from minimd.core.compiled.program import Operation

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from minimd.core.constraints.groups import Bodies
 from minimd.core.constraints.solver import ConstraintSolver
-from minimd.core.integrators.method import Array
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.grid import Grid, steps_of
 from minimd.core.structure.observables import kinetic_energy, momentum
 
@@ -78,7 +78,7 @@ class GridState(State):
     grid : Grid.
     bodies : groups of atoms that constraints tie together, or None."""
 
-    impulses: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
+    impulses: Indices = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
     grid: Grid = Grid(1.0, 1.0, 1.0)  # noqa: RUF009 - frozen
     bodies: Bodies | None = None
 

@@ -16,7 +16,6 @@ from functools import partial
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import DirectCalls, called_kernel
@@ -35,6 +34,7 @@ from minimd.core.console.words import shown
 from minimd.core.integrators.flows import DRIFT, KICK, Moving, move_atoms
 from minimd.core.integrators.state import GridState, State, Surroundings
 from minimd.core.integrators.substeps import Drift, Kick, Substep, Substeps, Thermalize, merged
+from minimd.core.structure.arrays import Indices
 from minimd.core.structure.errors import RangeError
 from minimd.core.structure.grid import TOO_LARGE
 
@@ -50,7 +50,7 @@ class Moment(NamedTuple):
     phase : time since the beginning of that step, in time steps; only drifts advance it.
     contact : number of contacts with a bath in that step before."""
 
-    counts: NDArray[np.int64]
+    counts: Indices
     begun: int = 0
     phase: float = 0.0
     contact: int = 0

@@ -26,7 +26,7 @@ from minimd.core.compiled.normal_numbers import (
     sum_of_squares,
     three_normals,
 )
-from minimd.core.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation
+from minimd.core.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation, share_of
 from minimd.core.compiled.threads import thread_pool
 from minimd.core.integrators.flows import mixed, momentum_in_steps, velocity_of
 from minimd.core.integrators.method import Problem, Step
@@ -244,7 +244,8 @@ def touch_atoms(touch, chunk):
     noise = touch.noise
     heat = 0.0
     step = step_of(noise)
-    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+    first, last = share_of(chunk, n_chunks, n)
+    for i in range(first, last):
         if touch.inverse_masses[i] > 0.0:
             heat -= kinetic_energy_at(velocities, masses, i, touch.steps)
             scale = touch.spread * sqrt(touch.inverse_masses[i])
@@ -262,7 +263,8 @@ def add_kinetic(touch, chunk):
     """The heat of a chunk += its kinetic energy now."""
     n = touch.masses.size
     n_chunks = touch.parts.size
-    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+    first, last = share_of(chunk, n_chunks, n)
+    for i in range(first, last):
         touch.parts[chunk] += kinetic_energy_at(touch.velocities, touch.masses, i, touch.steps)
     return GO_ON
 
@@ -401,7 +403,8 @@ def sum_motion(rescaling, chunk):
     steps = rescaling.steps
     n_chunks = rescaling.parts.shape[0]
     x = y = z = energy = 0.0
-    for i in range(chunk * masses.size // n_chunks, (chunk + 1) * masses.size // n_chunks):
+    first, last = share_of(chunk, n_chunks, masses.size)
+    for i in range(first, last):
         x += on_steps(masses[i] * v[i, 0], steps)
         y += on_steps(masses[i] * v[i, 1], steps)
         z += on_steps(masses[i] * v[i, 2], steps)
@@ -450,7 +453,8 @@ def rescale_atoms(rescaling, chunk):
     scale = motion[3]
     if scale == 1.0:
         return GO_ON
-    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+    first, last = share_of(chunk, n_chunks, n)
+    for i in range(first, last):
         for c in range(3):
             moved = (1.0 - scale) * motion[c] + scale * v[i, c]
             v[i, c] = settled(moved, rescaling.inverse_masses[i], rescaling.steps)

@@ -28,11 +28,12 @@ from minimd.core.forces.forces import Forces, Potential
 from minimd.core.neighbors.queries import closest_pair
 from minimd.core.potentials.law import is_user_law
 from minimd.core.potentials.term import FORCES, TOTALS, OwnPotential
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import nearest_vectors
 from minimd.core.structure.checks import checked_count, checked_number
 from minimd.core.structure.constraints import Constraint
 from minimd.core.structure.errors import ConstraintError, Interrupted, NonFiniteError, RangeError
-from minimd.core.structure.observables import Array, longest
+from minimd.core.structure.observables import longest
 from minimd.core.structure.system import AnySystem, System
 
 # [energy/length], in reduced units and in eV/Å

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.core.structure.arrays import Indices
+
 # room for this much more than was asked for: from build to build of a liquid sizes change by less
 SPARE = 1.05
 # bytes
@@ -14,7 +16,7 @@ HALF_A_PAGE = 2048
 DEVIATIONS = 16.0  # of a number that is a sum of independent ones
 
 
-def with_room(needed: NDArray[np.int64], room: NDArray[np.int64]) -> NDArray[np.int64]:
+def with_room(needed: Indices, room: Indices) -> Indices:
     """Room for so many: room where that is enough, else some to spare. Many atoms together change less than few."""
     roomy = np.minimum(SPARE * needed, needed + DEVIATIONS * np.sqrt(needed)).astype(np.int64) + 1
     return np.where(needed > room, roomy, room)

@@ -33,9 +33,9 @@ from minimd.core.neighbors.domains import (
     fill_shifts,
     sort_ghosts,
 )
-from minimd.core.neighbors.search import WIDER, counting_sort, transformed
+from minimd.core.neighbors.search import WIDER, counting_sort
 from minimd.core.neighbors.verlet_list import count_not_finite
-from minimd.core.structure.vectors import dot, minus
+from minimd.core.structure.vectors import dot, minus, transformed
 
 
 class Building(

@@ -5,7 +5,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.kernels import DirectCalls, code_for, types_of
 from minimd.core.compiled.program import Operation, Program, operation
@@ -17,8 +16,8 @@ from minimd.core.neighbors.cluster_search import BUILDS, IN_USE, LAYERS
 from minimd.core.neighbors.cluster_store import ClusterStore
 from minimd.core.neighbors.clusters import DIMENSIONS, Columns, make_columns, region_of
 from minimd.core.neighbors.verlet_list import VerletList, partners, raise_not_finite
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.cell import Cell, Images
-from minimd.core.structure.vectors import Array
 
 NO_PARTNERS = np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64)
 
@@ -47,7 +46,7 @@ class ClusterList(VerletList):
         n_atoms: int,
         cutoff: float,
         skin: float,
-        excluded: NDArray[np.int64],
+        excluded: Indices,
         is_fixed: bool,
         pool: ThreadPool,
     ) -> None:

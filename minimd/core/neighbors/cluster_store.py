@@ -9,7 +9,7 @@ from minimd.core.neighbors.cluster_search import AHEAD, GHOST_BITS, LAYERS, Rows
 from minimd.core.neighbors.clusters import DIMENSIONS, Columns, make_clusters
 from minimd.core.neighbors.domains import BLOCKS, IMAGES, make_domains, make_ghosts
 from minimd.core.neighbors.search import Binned
-from minimd.core.structure.vectors import Array
+from minimd.core.structure.arrays import Array
 
 ENTRIES_GUESSED = 12  # for each slot, at first
 

@@ -21,10 +21,11 @@ from minimd.core.compiled.kernels import kernel, scalar
 from minimd.core.compiled.simd import lane
 from minimd.core.compiled.simd.vector import Lanes, count, gathered, loaded, stored
 from minimd.core.neighbors.buffers import Buffers
-from minimd.core.neighbors.search import ATOMS_PER_BIN, WIDER, into_cell, transformed
+from minimd.core.neighbors.search import ATOMS_PER_BIN, WIDER, into_cell
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.system import local_density
-from minimd.core.structure.vectors import Array, plus
+from minimd.core.structure.vectors import plus, transformed
 
 N_FIXED = 5  # fields of Columns that stay as the cell is strained
 # numbers of an atom; a cluster of n atoms is a block of 3 n numbers in memory: n x, n y, n z

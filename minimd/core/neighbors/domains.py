@@ -39,8 +39,7 @@ from minimd.core.compiled.simd.vector import count, loaded
 from minimd.core.compiled.threads import MOST_CHUNKS
 from minimd.core.neighbors.buffers import Buffers
 from minimd.core.neighbors.clusters import DIMENSIONS, Columns, offsets_of
-from minimd.core.neighbors.search import transformed
-from minimd.core.structure.vectors import plus
+from minimd.core.structure.vectors import plus, transformed
 
 SIDES = 6  # of a box: smallest x, y, z, and largest
 BOXES = 8  # compared at a time

@@ -3,7 +3,6 @@
 from collections import namedtuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import called_kernel
@@ -17,9 +16,10 @@ from minimd.core.neighbors.verlet_list import (
     raise_not_finite,
     starts,
 )
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.system import System, local_density
-from minimd.core.structure.vectors import Array, strain_vectors
+from minimd.core.structure.vectors import strain_vectors
 
 MOST_PAIRS = 2**30  # 8 bytes each
 MOST_OF_AN_ATOM = 2**18  # pairs, in the mean: a reach of some 40 atoms
@@ -57,9 +57,7 @@ class PairList(VerletList):
 
     _second = _image = np.empty(0, dtype=np.uint32)
 
-    def __init__(
-        self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64]
-    ) -> None:
+    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: Indices) -> None:
         super().__init__(cutoff, skin)
         self._excluded = partners(excluded, n_atoms)
         self._reference = np.empty((n_atoms, 3))

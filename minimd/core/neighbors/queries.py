@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from minimd.core.console.words import shown
 from minimd.core.neighbors.pair_list import PairList, check_size
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import LARGEST, checked_kind, checked_number
 from minimd.core.structure.system import System
-from minimd.core.structure.vectors import Array
 
 QUANTITIES = "ijdDS"
 BEYOND = 1.0 + 1e-9  # of a distance: the reach that finds a pair at this distance

@@ -7,10 +7,10 @@ from collections import namedtuple
 
 import numpy as np
 
-from minimd.core.compiled.kernels import inlined, kernel, scalar
-from minimd.core.structure.bond_graph import Indices
+from minimd.core.compiled.kernels import kernel, scalar
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.cell import Cell, minimum_image
-from minimd.core.structure.vectors import Array, separation
+from minimd.core.structure.vectors import along, separation, transformed
 
 # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
 ATOMS_PER_BIN = 0.25
@@ -52,17 +52,6 @@ class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
     height : (N,) fractional coordinate along the third lattice vector, in the cell."""
 
 
-@inlined
-def transformed(vector, matrix):
-    """vector · matrix, (3,) and (3, 3)."""
-    x, y, z = vector[0], vector[1], vector[2]
-    return (
-        x * matrix[0, 0] + y * matrix[1, 0] + z * matrix[2, 0],
-        x * matrix[0, 1] + y * matrix[1, 1] + z * matrix[2, 1],
-        x * matrix[0, 2] + y * matrix[1, 2] + z * matrix[2, 2],
-    )
-
-
 @scalar
 def into_cell(positions, i, inverse, pbc, origin, d):
     """Fractional coordinate of atom i along lattice vector d, and how many lattice vectors wrapping has added.
@@ -70,8 +59,7 @@ def into_cell(positions, i, inverse, pbc, origin, d):
     positions : (N, 3) [length].
     inverse, pbc : of the Cell; where pbc[d], the coordinate is wrapped.
     origin : (3,) where the cell begins."""
-    x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
-    s = x * inverse[0, d] + y * inverse[1, d] + z * inverse[2, d]
+    s = along((positions[i, 0], positions[i, 1], positions[i, 2]), inverse, d)
     cells = -np.floor(s - origin[d]) if pbc[d] else 0.0
     return s + cells, cells
 

@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from minimd.core.compiled.kernels import kernel
-from minimd.core.structure.bond_graph import Indices
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.errors import NonFiniteError
-from minimd.core.structure.vectors import Array
 
 DEFAULT_SKIN = 0.12  # of the cutoff, if nothing is known about the speed of the atoms
 LEAST_SKIN = 0.02  # of the cutoff

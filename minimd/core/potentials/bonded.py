@@ -9,18 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.core.potentials import declared as kind, laws
-from minimd.core.potentials.declared import (
-    NOT_NEGATIVE,
-    POSITIVE,
-    Array,
-    Declared,
-    LammpsStyle,
-    declared,
-)
+from minimd.core.potentials.declared import NOT_NEGATIVE, POSITIVE, Declared, LammpsStyle, declared
 from minimd.core.potentials.law import check_law_of_angles, check_user_law, checked_law, on_vectors
 from minimd.core.potentials.links import Bend, FixedPairs, LinkedTerm, Torsion
 from minimd.core.potentials.term import NoTerm, Term, no_bonds
-from minimd.core.structure.bond_graph import GROUPS, Indices, checked_groups, checked_pairs
+from minimd.core.structure.arrays import Array, Indices
+from minimd.core.structure.bond_graph import GROUPS, checked_groups, checked_pairs
 from minimd.core.structure.cell import nearest_vectors
 from minimd.core.structure.system import System
 

@@ -21,11 +21,11 @@ from math import inf, pi
 from typing import Any, ClassVar, NamedTuple, dataclass_transform
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.console.words import shown
 from minimd.core.potentials.law import checked_law
 from minimd.core.potentials.term import OwnPotential
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.bond_graph import checked_groups, checked_pairs
 from minimd.core.structure.checks import (
     checked_choice,
@@ -36,7 +36,6 @@ from minimd.core.structure.checks import (
     checked_numbers,
 )
 
-Array = NDArray[np.float64]
 FINITE = "finite"
 NOT_NEGATIVE = "finite and not negative"
 POSITIVE = "positive and finite"
@@ -247,7 +246,7 @@ def _number(name: str, value: Any, asked: Parameter) -> float | None:
     return value if is_default else checked_number(name, value, asked.demand)
 
 
-def _atoms(name: str, values: Any, _asked: Parameter) -> NDArray[np.int64] | None:
+def _atoms(name: str, values: Any, _asked: Parameter) -> Indices | None:
     if values is None:
         return None
     atoms = checked_indices(name, values, "a list of atoms")
@@ -258,7 +257,7 @@ def _atoms(name: str, values: Any, _asked: Parameter) -> NDArray[np.int64] | Non
     return atoms
 
 
-def _groups(name: str, values: Any, asked: Parameter) -> NDArray[np.int64] | None:
+def _groups(name: str, values: Any, asked: Parameter) -> Indices | None:
     if values is None:
         return None
     return checked_pairs(name, values) if asked.of == 2 else checked_groups(name, values, asked.of)

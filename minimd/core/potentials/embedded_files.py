@@ -16,13 +16,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.console.words import shown
 from minimd.core.potentials.splines import FEWEST_POINTS
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_path
 
-Array = NDArray[np.float64]
 COMMENTS = 3  # lines of a setfl file
 ELEMENT = re.compile(r"(?!NULL)[A-Za-z][\w+-]*")  # LAMMPS gets it
 OF_ELEMENT = 4  # words: atomic number, mass, lattice constant, lattice

@@ -24,9 +24,10 @@ from minimd.core.compiled.program import (
     in_python,
     n_chunks_of,
     operation,
+    share_of,
 )
 from minimd.core.potentials import declared as kind
-from minimd.core.potentials.declared import NOT_NEGATIVE, POSITIVE, Array, Declared, declared
+from minimd.core.potentials.declared import NOT_NEGATIVE, POSITIVE, Declared, declared
 from minimd.core.potentials.law import ACCURACY, STEP, agree, evaluate_law, law_at, loop_for
 from minimd.core.potentials.laws import (
     ConstantLaw,
@@ -40,7 +41,7 @@ from minimd.core.potentials.links import nearest_translation
 from minimd.core.potentials.pair_loop import row_of
 from minimd.core.potentials.term import FORCES, PER_ATOM, TOTALS, OwnTerm, Target, Term
 from minimd.core.potentials.truncation import Shifted
-from minimd.core.structure.bond_graph import Indices
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.system import System
 
 NOWHERE = np.zeros((0, 3))
@@ -100,7 +101,9 @@ def add_field(sites, chunk):
     power = 0.0
     is_out = False
 
-    for n in range(chunk * atoms.size // n_chunks, (chunk + 1) * atoms.size // n_chunks):
+    first, last = share_of(chunk, n_chunks, atoms.size)
+
+    for n in range(first, last):
         i = atoms[n]
         x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
         if anchors.shape[0] > 0:

@@ -29,7 +29,14 @@ from minimd.core.compiled.kernels import (
     scalar,
     type_of,
 )
-from minimd.core.compiled.program import GO_ON, OUT_OF_RANGE, Operation, n_chunks_of, operation
+from minimd.core.compiled.program import (
+    GO_ON,
+    OUT_OF_RANGE,
+    Operation,
+    n_chunks_of,
+    operation,
+    share_of,
+)
 from minimd.core.compiled.simd import bits_from_mask, fma, lane, select
 from minimd.core.compiled.simd.vector import (
     count,
@@ -42,6 +49,7 @@ from minimd.core.compiled.simd.vector import (
 from minimd.core.neighbors.clusters import DIMENSIONS
 from minimd.core.potentials.law import evaluate_law, loop_for, on_vectors
 from minimd.core.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, OwnTerm, Target
+from minimd.core.structure.arrays import Indices
 from minimd.core.structure.cell import minimum_image
 from minimd.core.structure.system import System
 from minimd.core.structure.vectors import combined, cross, dot, minus, times
@@ -215,7 +223,8 @@ def add_links(links, chunk):
     is_out = False
     for c in range(1 + VIRIAL):
         links.totals[chunk, c] = 0.0
-    for b in range(chunk * n_blocks // n_chunks, (chunk + 1) * n_blocks // n_chunks):
+    first, last = share_of(chunk, n_chunks, n_blocks)
+    for b in range(first, last):
         numbers = loaded_columns(links.columns, b * n_lanes, links.lanes)
         u, is_beyond = _push_ends(links.shape, links, b, links.law, numbers)
         is_out |= is_beyond
@@ -386,7 +395,7 @@ class FixedPairs(LinkedTerm):
 
     ingredient = BOND_LOOP
 
-    def __init__(self, pairs: NDArray[np.int64], law: tuple, columns: tuple[NDArray, ...]) -> None:
+    def __init__(self, pairs: Indices, law: tuple, columns: tuple[NDArray, ...]) -> None:
         super().__init__(pairs, Stretch(), on_vectors(law, len(columns) - 1), columns)
 
 
@@ -409,10 +418,9 @@ def sum_slots(gathering, chunk):
     atoms, start, place, slots, forces, n_chunks, lanes = gathering
     y_after_x = np.uintp(count(lanes))
     z_after_x = np.uintp(2 * count(lanes))
-    begin = np.uintp(chunk * atoms.size // n_chunks)
-    end = np.uintp((chunk + 1) * atoms.size // n_chunks)
+    begin, end = share_of(chunk, n_chunks, atoms.size)
 
-    for a in range(begin, end):
+    for a in range(np.uintp(begin), np.uintp(end)):
         i = np.uintp(atoms[a])
         x, y, z = forces[i, 0], forces[i, 1], forces[i, 2]
 

@@ -16,13 +16,14 @@ from numpy.typing import ArrayLike
 from minimd.core.compiled.kernels import scalar
 from minimd.core.console.words import listed, near, shown
 from minimd.core.potentials import declared as kind
-from minimd.core.potentials.declared import Array, Declared, declared
+from minimd.core.potentials.declared import Declared, declared
 from minimd.core.potentials.law import check_user_law, evaluate_law, is_user_law, law_at, law_type
 from minimd.core.potentials.laws import LennardJonesLaw
 from minimd.core.potentials.splines import Identical
 from minimd.core.potentials.term import Embedding, OwnTerm, PairLaw, no_bonds
 from minimd.core.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
-from minimd.core.structure.bond_graph import Indices, checked_pairs
+from minimd.core.structure.arrays import Array, Indices
+from minimd.core.structure.bond_graph import checked_pairs
 from minimd.core.structure.checks import (
     checked_choice,
     checked_kind,

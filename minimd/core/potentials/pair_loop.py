@@ -3,7 +3,6 @@
 from collections import namedtuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.fixed_point import force_along, in_steps, is_too_large, no_force
@@ -12,6 +11,7 @@ from minimd.core.compiled.program import GO_ON, OUT_OF_RANGE
 from minimd.core.compiled.simd import fma
 from minimd.core.potentials.law import evaluate_law
 from minimd.core.potentials.term import FORCES, PER_ATOM, PairLaw
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.system import System
 
 
@@ -72,7 +72,7 @@ def row_of(columns, index):
 
 
 def source_for(
-    law: PairLaw, system: System, order: NDArray[np.int64], slopes: NDArray[np.float64]
+    law: PairLaw, system: System, order: Indices, slopes: Array
 ) -> SameForAll | BySpecies | Charges | Slopes:
     """Where the loop finds the numbers of a law, for atoms in some order (N,).
     slopes : (N,) of the embedding in this order, if the law has one."""
@@ -84,7 +84,7 @@ def source_for(
     return source if law.charges is None else Charges(law.charges[order], source)
 
 
-def from_table(table: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+def from_table(table: Array) -> tuple[Array, ...]:
     """The columns (last axis) of a parameter table as contiguous arrays."""
     return tuple(np.ascontiguousarray(table[..., k]) for k in range(table.shape[-1]))
 

@@ -18,11 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev, legendre, polynomial
-from numpy.typing import NDArray
 
 from minimd.core.compiled.simd.functions import cosine, sine
+from minimd.core.structure.arrays import Array
 
-Array = NDArray[np.float64]
 Numbers = tuple[float, tuple[float, ...], tuple[float, ...]]
 
 NARROWEST = 2.0  # bandwidth c

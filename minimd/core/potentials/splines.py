@@ -10,12 +10,12 @@ from collections.abc import Iterable, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.core.compiled.kernels import scalar
 from minimd.core.compiled.simd import fma
 from minimd.core.compiled.simd.vector import MAGIC
 from minimd.core.neighbors.buffers import Buffers
+from minimd.core.structure.arrays import Array
 
 FEWEST_POINTS = 5  # of which a slope is made
 
@@ -40,9 +40,7 @@ class Cubics(Identical, namedtuple("Cubics", "rows per_step end")):
     __slots__ = ()
 
 
-def cubics(
-    step: float, values: Iterable[Sequence[NDArray[np.float64]]], reach: float = 0.0
-) -> Cubics:
+def cubics(step: float, values: Iterable[Sequence[Array]], reach: float = 0.0) -> Cubics:
     """Functions, or pairs of them, with these values, each (M,), at 0, Δ, 2Δ …; beyond the last, straight lines.
 
     reach : to which the lines go, at least [as step].
@@ -58,7 +56,7 @@ def cubics(
     return Cubics(rows, 1.0 / step, len(functions[0]) - 0.75)
 
 
-def _coefficients(f: NDArray[np.float64], n_steps: int) -> NDArray[np.float64]:
+def _coefficients(f: Array, n_steps: int) -> Array:
     """c₀ to c₃ of as many steps, at least as many as points."""
     slopes = np.gradient(f)
     slopes[2:-2] = (f[:-4] - f[4:] + 8.0 * (f[3:-1] - f[1:-3])) / 12.0

@@ -19,6 +19,7 @@ from minimd.core.neighbors.queries import closest_pair
 from minimd.core.neighbors.verlet_list import VerletList
 from minimd.core.potentials.law import agree
 from minimd.core.potentials.prolates import Split
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.bond_graph import checked_pairs
 from minimd.core.structure.cell import Images
 from minimd.core.structure.system import System
@@ -77,7 +78,7 @@ class PairLaw(NamedTuple):
     split: Split | None = None
     method: str = ""
     slab: str = "none"
-    exclusions: NDArray[np.int64] = checked_pairs("exclusions", None)
+    exclusions: Indices = checked_pairs("exclusions", None)
     embedding: Embedding | None = None
 
     @property
@@ -459,7 +460,7 @@ class CalculatorTerm(Term):
             energies += shares + (total - shares.sum()) / len(shares)
             virials += self._virial(system, own) / len(system)
 
-    def _virial(self, system: System, forces: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _virial(self, system: System, forces: Array) -> Array:
         """W, (6,) as xx yy zz yz xz xy."""
         if not system.cell.is_periodic:
             virial = (system.positions - system.positions.mean(axis=0)).T @ forces

@@ -40,10 +40,11 @@ from minimd.core.minimization.minimization import (
 from minimd.core.simulation.attached import Attached
 from minimd.core.simulation.engine_attribute import Closed, EngineAttribute, MeasuredAttribute
 from minimd.core.simulation.resuming import last_step, resumed
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_count, checked_flag, checked_kind, checked_number
 from minimd.core.structure.constraints import Constraint
 from minimd.core.structure.grid import Grid
-from minimd.core.structure.observables import Array, maxwell_boltzmann, rescaled
+from minimd.core.structure.observables import maxwell_boltzmann, rescaled
 from minimd.core.structure.system import AnySystem, System
 
 # for any value of every: no more is lost when the process is killed

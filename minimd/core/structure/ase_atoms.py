@@ -13,8 +13,9 @@ from ase.units import fs
 from numpy.typing import ArrayLike
 
 from minimd.core.console.quiet import warn
-from minimd.core.structure.bond_graph import GROUPS, Indices, joined_in, texts
-from minimd.core.structure.cell import Array, Cell
+from minimd.core.structure.arrays import Array, Indices
+from minimd.core.structure.bond_graph import GROUPS, joined_in, texts
+from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.constraints import (
     TOLERANCE,

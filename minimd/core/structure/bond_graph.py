@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from minimd.core.structure.arrays import Indices
 from minimd.core.structure.checks import check_rows, checked_indices
 
 MAX_BONDS_APART = 3
-Indices = NDArray[np.int64]
 # of a System, and how many atoms each has
 GROUPS = {"bonds": 2, "angles": 3, "dihedrals": 4, "impropers": 4}
 

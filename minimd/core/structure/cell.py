@@ -14,8 +14,9 @@ from minimd.core.compiled.kernels import kernel, scalar
 from minimd.core.compiled.machine import EPS
 from minimd.core.console.display import Displayed, Rows, as_text
 from minimd.core.console.words import shown
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers
-from minimd.core.structure.vectors import Array, follow_lattice, inverse_of
+from minimd.core.structure.vectors import along, follow_lattice, inverse_of, transformed
 
 # images among which one length is searched for: 40 cells in each of three directions
 MOST_IMAGES = 2**16
@@ -54,7 +55,7 @@ class Cell(Displayed):
     vectors: Array
     pbc: NDArray[np.bool_]
     lattice: Array = field(init=False)
-    reduction: NDArray[np.int64] = field(init=False)
+    reduction: Indices = field(init=False)
     inverse: Array = field(init=False)
     heights: Array = field(init=False)
     volume: float | None = field(init=False)
@@ -65,7 +66,7 @@ class Cell(Displayed):
         _check_independent(self.vectors, self.pbc)
         self._complete(*_reduced(self.vectors, self.pbc))
 
-    def _complete(self, lattice: Array, reduction: NDArray[np.int64]) -> None:
+    def _complete(self, lattice: Array, reduction: Indices) -> None:
         inverse, heights, determinant = faces_of(lattice)
         periodic = list(compress(heights.tolist(), self.pbc.tolist()))
         self.__dict__.update(
@@ -94,7 +95,7 @@ class Cell(Displayed):
         return cls(matrix, np.any(matrix != 0.0, axis=1) if pbc is None else _as_flags(pbc))
 
     @classmethod
-    def of_reduction(cls, vectors: Array, reduction: NDArray[np.int64]) -> "Cell":
+    def of_reduction(cls, vectors: Array, reduction: Indices) -> "Cell":
         """A cell periodic in all directions whose reduced lattice is known: reduction @ vectors."""
         cell = object.__new__(cls)
         cell.__dict__.update(vectors=np.array(vectors), pbc=ALL)
@@ -201,9 +202,10 @@ def minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2):
     longer one is compared with its 26 neighbors, which suffices in a reduced lattice."""
     if dx * dx + dy * dy + dz * dz <= safe_distance2:
         return 0.0, 0.0, 0.0
-    a = -np.rint(dx * inverse[0, 0] + dy * inverse[1, 0] + dz * inverse[2, 0]) if pbc[0] else 0.0
-    b = -np.rint(dx * inverse[0, 1] + dy * inverse[1, 1] + dz * inverse[2, 1]) if pbc[1] else 0.0
-    c = -np.rint(dx * inverse[0, 2] + dy * inverse[1, 2] + dz * inverse[2, 2]) if pbc[2] else 0.0
+    a, b, c = transformed((dx, dy, dz), inverse)
+    a = -np.rint(a) if pbc[0] else 0.0
+    b = -np.rint(b) if pbc[1] else 0.0
+    c = -np.rint(c) if pbc[2] else 0.0
     shortest2 = _length2(dx, dy, dz, a, b, c, lattice)
     if shortest2 <= safe_distance2:
         return a, b, c
@@ -248,10 +250,10 @@ def minimum_image_translations(
             continue
         a, b, c = minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2)
         for k in range(3):
-            translations[p, k] = a * lattice[0, k] + b * lattice[1, k] + c * lattice[2, k]
+            translations[p, k] = along((a, b, c), lattice, k)
 
 
-def nearest_images(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> Array:
+def nearest_images(positions: Array, cell: Cell, pairs: Indices) -> Array:
     """(K, 3) lattice vectors [length] that make r_j − r_i of each pair shortest."""
     translations = np.zeros((len(pairs), 3))
     if cell.is_periodic:
@@ -262,14 +264,12 @@ def nearest_images(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> Ar
     return translations
 
 
-def nearest_vectors(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> Array:
+def nearest_vectors(positions: Array, cell: Cell, pairs: Indices) -> Array:
     """(K, 3) r_j − r_i of each pair, to the nearest image [length]."""
     return positions[pairs[:, 1]] - positions[pairs[:, 0]] + nearest_images(positions, cell, pairs)
 
 
-def images_of_length(
-    positions: Array, cell: Cell, pairs: NDArray[np.int64], lengths: Array
-) -> Array:
+def images_of_length(positions: Array, cell: Cell, pairs: Indices, lengths: Array) -> Array:
     """(K, 3) lattice vectors [length] for which |r_j − r_i| of each pair is closest to its length. Up to half the cell
     these are the nearest images. Raises ValueError for a length that reaches over more than MOST_IMAGES."""
     translations = nearest_images(positions, cell, pairs)
@@ -350,7 +350,7 @@ def _check_independent(vectors: Array, pbc: NDArray[np.bool_]) -> None:
         )
 
 
-def _reduced(vectors: Array, pbc: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int64]]:
+def _reduced(vectors: Array, pbc: NDArray[np.bool_]) -> tuple[Array, Indices]:
     """Minkowski-reduced periodic rows, completed to three dimensions; and the integers that make them from vectors."""
     periodic = np.flatnonzero(pbc)
     rows = vectors[periodic]
@@ -368,7 +368,7 @@ def _reduced(vectors: Array, pbc: NDArray[np.bool_]) -> tuple[Array, NDArray[np.
     return lattice, reduction
 
 
-def _shorten(steps: NDArray[np.int64], rows: Array) -> bool:
+def _shorten(steps: Indices, rows: Array) -> bool:
     """Replace one vector of steps @ rows by a shorter one of the same lattice; False if there is none.
     Candidates: the vector plus multiples of the others, once the rounded projection (Gauss), then all of −1, 0, 1
     (Minkowski's conditions)."""

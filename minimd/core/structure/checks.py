@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.console.words import listed, shown
+from minimd.core.structure.arrays import Array, Indices
 
 SMALLEST, LARGEST = 1e-75, 1e75  # of positive quantities: their fourth powers are still numbers
 SHORTEST = 1e-150  # of times: their squares are
@@ -105,7 +106,7 @@ def checked_choice(name: str, value: Any, allowed: Collection[str]) -> Any:
     return value
 
 
-def checked_numbers(name: str, values: Any, expected: str) -> NDArray[np.float64]:
+def checked_numbers(name: str, values: Any, expected: str) -> Array:
     """A new contiguous array of real numbers, of any shape; they may be infinite or NaN.
     Raises ValueError as checked_array."""
     array = checked_array(name, values, expected, "if")
@@ -115,7 +116,7 @@ def checked_numbers(name: str, values: Any, expected: str) -> NDArray[np.float64
         raise ValueError(f"{name} must be {expected}: {error}") from None
 
 
-def checked_sizes(name: str, values: Any, n: int, each: str) -> NDArray[np.float64]:
+def checked_sizes(name: str, values: Any, n: int, each: str) -> Array:
     """Positive numbers (n,), from one number or one for each atom, or whatever the word each says.
     Raises ValueError as checked_array, for another shape, and as checked_number."""
     array = checked_numbers(name, values, f"one number, or one for each {each}")
@@ -140,7 +141,7 @@ def check_rows(name: str, demand: str, is_good: Any, array: NDArray[Any]) -> Non
         raise ValueError(f"{name} must be {demand}; {name}[{k}] = {array[k].tolist()}{others}")
 
 
-def checked_indices(name: str, values: Any, expected: str) -> NDArray[np.int64]:
+def checked_indices(name: str, values: Any, expected: str) -> Indices:
     """A new contiguous array of indices of atoms, of any shape; they may be negative.
     Raises ValueError as checked_array, or if one is too large."""
     array = checked_array(name, values, expected, "i")

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.core.console.words import shown
-from minimd.core.structure.bond_graph import Indices, checked_pairs, connected
-from minimd.core.structure.cell import Array, Cell, nearest_vectors
+from minimd.core.structure.arrays import Array, Indices
+from minimd.core.structure.bond_graph import checked_pairs, connected
+from minimd.core.structure.cell import Cell, nearest_vectors
 from minimd.core.structure.checks import (
     MOST_ATOMS,
     checked_array,

@@ -21,9 +21,8 @@ from scipy.spatial import cKDTree
 
 from minimd.core.console.quiet import warn
 from minimd.core.console.words import shown
-from minimd.core.structure.bond_graph import Indices
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.checks import checked_number
-from minimd.core.structure.vectors import Array
 
 ISOTOPES = {"D": 2.014, "T": 3.016}  # u
 IONS = {

@@ -9,9 +9,10 @@ from numpy.typing import ArrayLike
 from minimd.core.compiled.fixed_point import FARTHEST, MOST, GridSteps
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import shown
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.errors import RangeError
-from minimd.core.structure.observables import Array, largest_component
+from minimd.core.structure.observables import largest_component
 from minimd.core.structure.system import System
 
 # times the size of the scene: how far atoms can go; in scenes with an open direction

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.bond_graph import GROUPS
-from minimd.core.structure.cell import Array, Cell
+from minimd.core.structure.cell import Cell
 from minimd.core.structure.vectors import handedness, upright
 
 Columns = Sequence[NDArray[Any]]

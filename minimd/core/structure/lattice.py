@@ -6,8 +6,8 @@ from math import cbrt, prod
 import numpy as np
 
 from minimd.core.console.words import shown
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import MOST_ATOMS, checked_choice, checked_indices, checked_number
-from minimd.core.structure.vectors import Array
 
 __all__ = ["BASES", "constant_from_density", "crystal"]
 _FCC = ((0.0, 0.0, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5), (0.5, 0.5, 0.0))

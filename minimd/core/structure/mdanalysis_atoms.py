@@ -13,12 +13,12 @@ from MDAnalysis.units import get_conversion_factor
 from numpy.typing import ArrayLike
 
 from minimd.core.console.quiet import quiet, warn
-from minimd.core.structure.bond_graph import GROUPS, Indices
+from minimd.core.structure.arrays import Array, Indices
+from minimd.core.structure.bond_graph import GROUPS
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.elements import ISOTOPES, Stated, identified, symbol_of
 from minimd.core.structure.lammps_units import LAMMPS_UNITS
 from minimd.core.structure.units import LJ, UnitSystem
-from minimd.core.structure.vectors import Array
 
 
 def universe_arguments(

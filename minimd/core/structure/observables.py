@@ -12,8 +12,8 @@ import numpy as np
 
 from minimd.core.compiled.fixed_point import on_grid, sum_in_any_order
 from minimd.core.compiled.kernels import kernel, scalar
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_count, checked_number
-from minimd.core.structure.vectors import Array
 
 Numbers = TypeVar("Numbers", float, Array)
 # of the kinetic energy: if less than this is relative to the center of mass, it is only rounding

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_numbers
-from minimd.core.structure.vectors import Array
 
 Weighted = Callable[[int], list[tuple[float, Array]]]
 # correlation times; a run with fewer cannot tell how many it has, and its error bars are too small

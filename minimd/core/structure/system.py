@@ -14,8 +14,9 @@ from minimd.core.compiled.machine import EPS
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import listed, shown
 from minimd.core.structure import units as unit_systems
-from minimd.core.structure.bond_graph import GROUPS, Indices, checked_groups, checked_pairs
-from minimd.core.structure.cell import Array, Cell
+from minimd.core.structure.arrays import Array, Indices
+from minimd.core.structure.bond_graph import GROUPS, checked_groups, checked_pairs
+from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import (
     LARGEST,
     MOST_ATOMS,

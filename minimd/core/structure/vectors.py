@@ -3,11 +3,9 @@
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
-from minimd.core.compiled.kernels import inlined, kernel
-
-Array = NDArray[np.float64]
+from minimd.core.compiled.kernels import inlined, kernel, scalar
+from minimd.core.structure.arrays import Array
 
 
 @inlined
@@ -24,6 +22,24 @@ def separation(positions, i, j, offset):
 def dot(a, b):
     """a · b of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@scalar
+def along(vector, matrix, d):
+    """Component d of vector · matrix."""
+    return vector[0] * matrix[0, d] + vector[1] * matrix[1, d] + vector[2] * matrix[2, d]
+
+
+@scalar
+def across(matrix, d, vector):
+    """Component d of matrix · vector."""
+    return matrix[d, 0] * vector[0] + matrix[d, 1] * vector[1] + matrix[d, 2] * vector[2]
+
+
+@inlined
+def transformed(vector, matrix):
+    """vector · matrix, (3,) and (3, 3)."""
+    return along(vector, matrix, 0), along(vector, matrix, 1), along(vector, matrix, 2)
 
 
 @inlined
@@ -112,9 +128,9 @@ def strain_vectors(vectors, matrix, shift, out):
     matrix : (3, 3).
     shift : (3,)."""
     for i in range(vectors.shape[0]):
-        x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
+        vector = vectors[i, 0], vectors[i, 1], vectors[i, 2]
         for c in range(3):
-            out[i, c] = x * matrix[0, c] + y * matrix[1, c] + z * matrix[2, c] + shift[c]
+            out[i, c] = along(vector, matrix, c) + shift[c]
 
 
 @kernel
@@ -126,8 +142,7 @@ def strain_state(positions, velocities, stretch, inverse, drift):
     drift : V, (3,)."""
     shift = np.empty(3)
     for c in range(3):
-        moved = drift[0] * inverse[0, c] + drift[1] * inverse[1, c] + drift[2] * inverse[2, c]
-        shift[c] = drift[c] - moved
+        shift[c] = drift[c] - along(drift, inverse, c)
     strain_vectors(positions, stretch, np.zeros(3), positions)
     strain_vectors(velocities, inverse, shift, velocities)
 
@@ -137,12 +152,11 @@ def follow_blocks(translations, inverse, vectors):
     """See follow_lattice."""
     for i in range(translations.shape[0]):
         for k in range(translations.shape[2]):
-            x, y, z = translations[i, 0, k], translations[i, 1, k], translations[i, 2, k]
-            a = np.rint(x * inverse[0, 0] + y * inverse[1, 0] + z * inverse[2, 0])
-            b = np.rint(x * inverse[0, 1] + y * inverse[1, 1] + z * inverse[2, 1])
-            c = np.rint(x * inverse[0, 2] + y * inverse[1, 2] + z * inverse[2, 2])
+            translation = translations[i, :, k]
+            a, b, c = transformed(translation, inverse)
+            whole = np.rint(a), np.rint(b), np.rint(c)
             for d in range(3):
-                translations[i, d, k] = a * vectors[0, d] + b * vectors[1, d] + c * vectors[2, d]
+                translation[d] = along(whole, vectors, d)
 
 
 def upright(vectors: Array) -> tuple[Array, Array]:

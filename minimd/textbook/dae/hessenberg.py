@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.core.console.words import shown
-from minimd.core.integrators.method import Array
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_numbers
 from minimd.textbook.dae.implicit import ADVICE
 from minimd.textbook.ode.functions import (

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.core.console.quiet import warn
-from minimd.core.integrators.method import Array
 from minimd.core.integrators.order_conditions import nystrom_order
 from minimd.core.integrators.substeps import Drift, Kick, Substeps, are_alike, repeated
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_kind, checked_numbers
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.ode.functions import (

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.core.compiled.machine import EPS
-from minimd.core.integrators.method import Array, Method, Problem, Step, check_class
+from minimd.core.integrators.method import Method, Problem, Step, check_class
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_kind, checked_number, checked_numbers
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.dae.hessenberg import Hessenberg2

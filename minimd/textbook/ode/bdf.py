@@ -14,7 +14,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from minimd.core.integrators.method import Array, ClassProperty, Method, Problem, Step
+from minimd.core.integrators.method import ClassProperty, Method, Problem, Step
+from minimd.core.structure.arrays import Array
 from minimd.textbook.ode.runge_kutta import StageEquations, StageStep, radau_iia
 
 __all__ = ["BDF1", "BDF2", "BDF3", "BDF4", "BDF5"]

@@ -41,7 +41,8 @@ from numpy.typing import ArrayLike
 from minimd.core.compiled.machine import EPS
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import shown
-from minimd.core.integrators.method import Array, Method, Problem, check_class
+from minimd.core.integrators.method import Method, Problem, check_class
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import (
     COUNTS,
     checked_count,

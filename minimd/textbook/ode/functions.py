@@ -23,7 +23,7 @@ import numpy as np
 
 from minimd.core.compiled.machine import EPS
 from minimd.core.console.words import shown
-from minimd.core.integrators.method import Array
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_kind
 
 Function = Callable[..., Any]

@@ -17,7 +17,7 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 
 from minimd.core.compiled.machine import EPS
-from minimd.core.integrators.method import Array
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_count, checked_kind, checked_number
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.ode.functions import CENTRAL, Map, central_differences, forward_differences

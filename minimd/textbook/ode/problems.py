@@ -32,9 +32,10 @@ from numpy.typing import ArrayLike
 
 from minimd.core.compiled.kernels import kernel
 from minimd.core.console.words import shown
-from minimd.core.integrators.method import Array, Problem, Step
+from minimd.core.integrators.method import Problem, Step
 from minimd.core.integrators.order_conditions import nystrom_order, separable_order
 from minimd.core.integrators.substeps import COEFFICIENT_ROUNDING, Kick, Substep, Substeps
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_numbers
 from minimd.textbook.ode.functions import (
     Function,

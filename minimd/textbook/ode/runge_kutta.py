@@ -19,7 +19,8 @@ from numpy.polynomial.legendre import Legendre
 from numpy.typing import ArrayLike
 
 from minimd.core.console.words import shown
-from minimd.core.integrators.method import Array, ClassProperty, Method, Problem, Step
+from minimd.core.integrators.method import ClassProperty, Method, Problem, Step
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_count, checked_numbers
 from minimd.core.structure.errors import ConvergenceError
 from minimd.textbook.ode.functions import forward_differences

@@ -11,7 +11,7 @@ from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
 from minimd.core.structure.arrays import Array
-from minimd.core.structure.statistics import FEWEST, standard_error
+from minimd.core.structure.statistics import FEWEST, correlation_times, standard_error
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun
 from minimd.observers.arguments import label, steps
 from minimd.observers.fluctuations import ENOUGH, JACKKNIFE
@@ -106,8 +106,8 @@ class DielectricConstant(Accumulator):
         n_c = 2 s²/error², see Fluctuations."""
         parts = self.sums.parts()
         errors = standard_error(parts[:, DIPOLE] / parts[:, :1])
-        square = float((errors**2).sum())
-        return 2.0 * float(variances(self.sums.total).sum()) / square if square > 0.0 else np.nan
+        variance = float(variances(self.sums.total).sum())
+        return float(correlation_times(variance, float(np.linalg.norm(errors))))
 
 
 def variances(sums: Array) -> Array:

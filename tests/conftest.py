@@ -7,6 +7,7 @@ What is imported without bytecode leaves it behind, for the next process."""
 import os
 import signal
 import sys
+from types import SimpleNamespace
 
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -38,6 +39,17 @@ def folder(here, request):
     """That folder with the scene of the test's module, SCENE, as melt.toml in it."""
     (here / "melt.toml").write_text(request.module.SCENE)
     return here
+
+
+@pytest.fixture
+def install(monkeypatch):
+    """A function that gives the program a command as if its package were installed: a Command, or what raises."""
+
+    def installing(name, load):
+        entry_point = SimpleNamespace(name=name, value=f"{name}:COMMAND", load=load)
+        monkeypatch.setattr(cli, "entry_points", lambda group: [entry_point])
+
+    return installing
 
 
 @pytest.fixture

@@ -58,7 +58,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     for command in COMMANDS:
         add(commands, command)
     for entry_point in entry_points(group="minimd.commands"):
-        add(commands, entry_point.load())
+        try:
+            command = entry_point.load()
+        except Exception as error:  # of any package: it must not stop the commands of others
+            _tell(
+                f"the command {entry_point.name} of {entry_point.value} cannot be loaded: {error!r}"
+            )
+        else:
+            add(commands, command)
     arguments, unknown = parser.parse_known_args(argv)
     if unknown:
         refuse = getattr(arguments, "refuse", parser.error)

@@ -8,7 +8,7 @@ import re
 import shutil
 import tomllib
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
 import MDAnalysis
 import numpy as np
@@ -133,7 +133,7 @@ QUICK_PARTS = "An observer 0", "A file format 0"
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n not in QUICK_PARTS)) for n in OWN])
-def test_each_part_of_ones_own_is_a_whole_file_that_runs(name, here, monkeypatch, capsys):
+def test_each_part_of_ones_own_is_a_whole_file_that_runs(name, here, install, capsys):
     Path("part.py").write_text(OWN[name], encoding="utf-8")
     process = ended("part.py")
     assert process.returncode == 0, process.stderr
@@ -149,8 +149,7 @@ def test_each_part_of_ones_own_is_a_whole_file_that_runs(name, here, monkeypatch
         assert MDAnalysis.Universe("run.lammpstrj", format="LAMMPSDUMP").trajectory.n_frames == 3
     if name.startswith("A command"):
         run_melt(md.System([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 20)
-        command = SimpleNamespace(load=lambda: run(OWN[name], "own-parts.md")["COMMAND"])
-        monkeypatch.setattr("minimd.commands.main.entry_points", lambda group: [command])
+        install("moved", lambda: run(OWN[name], "own-parts.md")["COMMAND"])
         assert (main(["moved", "run.h5md"]), main(["moved", "run.h5md", "--most", "1e-9"])) == (0, 1)
         assert "atoms have moved" in capsys.readouterr().out
 

@@ -39,7 +39,8 @@ HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas"
 FILES = re.compile(r"A step of a liquid is these files:\n\n```\n(.*?)```", re.S)
 RINGS = ["compiled console structure neighbors potentials constraints integrators forces", "engine"]
 RINGS += ["simulation files minimization diagnosis"]
-GROUND = ["observers", "lammps", "ase", "openmm", "past", "judge", "textbook"]  # annexes of which none uses another
+PICTURE = re.search(r"  the tower +(.*?)   .*?  the ground +(.*?)       none", PAGE, re.S)
+TOWER, GROUND = (re.findall(r"\w+", floor) for floor in PICTURE.groups())  # annexes on the ground do not use another
 BY_NAME = {"observers by kind", "potentials of a scene"}  # what the core asks of annexes
 MODULES = {path.relative_to(REPOSITORY): path for name in TOP for path in (REPOSITORY / name).rglob("*.py")}
 MODULES = {".".join(place.with_suffix("").parts).removesuffix(".__init__"): path for place, path in MODULES.items()}
@@ -63,14 +64,14 @@ def imports(path, when_imported=False):
 
 
 def floor_of(module):
+    """Of a package that is in no row of docs/architecture.md it is the face."""
     return max((floor for floor in FLOORS if f"{module}.".startswith(f"{floor}.")), key=len)
 
 
-def test_every_package_is_a_floor():
-    assert (
-        set(BEGIN_WITH)
-        == {place.parent.name for place in PACKAGE.glob("*/__init__.py") if place.parent.name != "core"} | TOP | CORE
-    )
+def test_every_package_is_a_floor_in_table_and_picture_of_the_architecture():
+    annexes = {place.parent.name for place in PACKAGE.glob("*/__init__.py") if place.parent.name != "core"}
+    assert set(BEGIN_WITH) == annexes | TOP | CORE, "the table of rooms in docs/architecture.md"
+    assert [*BEGIN_WITH][: len(annexes)] == TOWER + GROUND, "the picture above the table, in its order"
     for name, file in BEGIN_WITH.items():
         folder = REPOSITORY / name if name in TOP else PACKAGE / name
         assert (folder / file).exists()

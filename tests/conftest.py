@@ -7,6 +7,7 @@ What is imported without bytecode leaves it behind, for the next process."""
 import os
 import signal
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 sys.dont_write_bytecode = False
@@ -16,8 +17,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before anybody imports num
 import pytest
 from hypothesis import settings
 from scenes import SCENES
+from slow_cases import quick_cases
 
 from minimd.commands import main as cli
+
+ALL_CASES = "MINIMD_ALL_CASES"  # a variable of the environment: mutants are tried with all
 
 settings.register_profile("minimd", deadline=None, derandomize=True, max_examples=100)
 settings.load_profile("minimd")
@@ -25,6 +29,18 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # minimd leaves ignore
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 for _name, _scene in SCENES.items():
     globals()[_name] = pytest.fixture(_scene, name=_name)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark as slow what would make the suite take more than five minutes, see data/slow_tests.txt."""
+    left = dict(quick_cases())
+    for item in items:
+        name = f"{item.path.relative_to(Path(__file__).parent).as_posix()}::{item.originalname}"
+        if name in left and not item.get_closest_marker("slow"):
+            left[name] -= 1
+            if left[name] < 0 and ALL_CASES not in os.environ:
+                item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture

@@ -88,7 +88,8 @@ def tried(mutant: Mutant, cache: Path) -> str:
 
 def environment(root: Path, cache: Path) -> dict[str, str]:
     """For processes that import the minimd in a folder."""
-    return os.environ | {"PYTHONPATH": str(root), "NUMBA_CACHE_DIR": str(cache), "OPENBLAS_NUM_THREADS": "1"}
+    own = {"PYTHONPATH": str(root), "NUMBA_CACHE_DIR": str(cache), "MINIMD_ALL_CASES": "yes"}
+    return os.environ | {**own, "OPENBLAS_NUM_THREADS": "1"}
 
 
 def failed(copy: Path, tests: list[str], cache: Path) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import mutants
 import pytest
+from slow_cases import quick_cases
 
 REPOSITORY = Path(__file__).parents[2]
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -38,3 +39,9 @@ def test_workflows_run_the_pythons_of_the_classifiers():
 @pytest.mark.parametrize(("file", "old"), MUTANTS)
 def test_a_mutant_quotes_one_place(file, old):
     assert (REPOSITORY / "minimd" / file).read_text(encoding="utf-8").count(old) == 1
+
+
+@pytest.mark.parametrize("name", dict(quick_cases()))
+def test_what_is_marked_as_slow_is_there(name):
+    file, _, test = name.partition("::")
+    assert f"def {test}(" in (REPOSITORY / "tests" / file).read_text(encoding="utf-8")

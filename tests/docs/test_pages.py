@@ -42,8 +42,8 @@ SHORTER = {
     "[10, 10, 10]": "[5, 5, 5]", '"melt", 1000, processes=2': '"melt", 40, processes=1',
     ".repeat(6)": ".repeat(4)", "probe_reversibility(200)": "probe_reversibility(50)",
 }  # fmt: skip
-LONG = "fixed-point lists timestep observers pressure forces own-laws view grade small-systems notebook metals past"  # long runs
-LONG = {f"{name}.md" for name in LONG.split()}
+LONG = "fixed-point lists timestep observers pressure forces own-laws view grade small-systems notebook metals past"
+LONG = {f"{name}.md" for name in LONG.split()}  # long runs
 ELSEWHERE = (
     "formats.md",
     "ensembles.md",

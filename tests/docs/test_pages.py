@@ -161,6 +161,7 @@ KNOWN = {  # what a recipe prints first, and how far it may be off
     "Thermal conductivity 0": (6.9, 1.5),  # of the liquid near its triple point, by a short run
     "Umbrella sampling 0": (0.0, 0.2),  # largest difference from the exact free energy, in k_B T
     "Umbrella sampling 1": (1.5, 0.15),  # the length of the spring
+    "Do two averages agree? 0": (0.0, 4.0),  # z, in standard errors, of two means that are equal
     "Several runs together 0": (22.0, 0.0),  # frames
     "The virial of each atom 0": (-7.2294, 1e-3),  # ε, of an fcc crystal
 }

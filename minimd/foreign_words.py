@@ -103,6 +103,8 @@ Atoms Topology Box Particles Molecule read read_lammps_data from_file read_data 
     md.System, or system_from_file of minimd.ase | formats
 ForceField AmberPrmtopFile GromacsTopFile CharmmPsfFile ITP
     md.from_openmm; types and parameters are given as numbers | forces
+Slurm sbatch Cluster Queue maxh WallTime
+    minimd run scene.toml --max-seconds S ends with exit code 4, minimd resume goes on | files
 Run Production Context nsteps
     md.Simulation(system, potentials, method), then sim.run(n) | first-steps
 Velocities MaxwellBoltzmann MaxwellBoltzmannDistribution set_velocities Stationary

@@ -79,7 +79,7 @@ MEANINGS = {
         "model": "model; its parameters are in the table of [water](water.md)",
         "molecules": "number of molecules; the atoms of each are O, H, H",
         "density": "density of water, which determines the edge of the cubic cell",
-        "ions": "how many of which [ions](water.md#ions), `{ Na = 5, Cl = 5 }`, each in a place of one more molecule",
+        "ions": "how many of which [ions](water.md#ions), `{ Na = 5, Cl = 5 }`: of the box, or those of the file",
         "cutoff": (
             "cutoff of Lennard-Jones and charges; if not given, 9 Å, or 0.45 of a shorter edge, with a warning, unless "
             "the atoms are those of a file"
@@ -154,7 +154,7 @@ MEANINGS = {
         "relaxation_time": "relaxation time of a thermostat, required with one; 1/friction in Langevin dynamics",
         "seed": "seed of velocities and noise",
         "threads": "largest number of threads; if not given, the number of cores that the process may use",
-        "max_seconds": "seconds of wall time after which the run ends; it can be resumed",
+        "max_seconds": "seconds of wall time after which a run ends, [to be resumed](files.md#one-run-on-a-cluster)",
         "precision": "arithmetic of the run, see [fixed point](fixed-point.md)",
     },
     "barostat": {
@@ -239,7 +239,7 @@ NOTES = {
         "Rigid water: charges, potentials and constraints of a water model, as `md.water` makes them. Further "
         "potentials may be added. Units must be ASE's, and `[constraints]` must not have `pairs`.\n\n"
         "Beside `[structure]` with `file`, the atoms are those of the file, O and H in any order: see "
-        "[water of a file](water.md#water-of-a-file). Then leave out `molecules`, `density`, `ions`, `seed`, and "
+        "[water of a file](water.md#water-of-a-file). Then leave out `molecules`, `density`, `seed`, and "
         "`bonds` and `charges` of the structure. Without `[structure]`, `[water]` alone makes 512 molecules of SPC/E. "
         "They stand on a lattice, with random orientations: add a `[minimization]`, and an `[equilibration]` or a "
         "thermostat."

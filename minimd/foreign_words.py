@@ -103,18 +103,24 @@ Atoms Topology Box Particles Molecule read read_lammps_data from_file read_data 
     md.System, or system_from_file of minimd.ase | formats
 ForceField AmberPrmtopFile GromacsTopFile CharmmPsfFile ITP
     md.from_openmm; types and parameters are given as numbers | forces
+Slurm sbatch Cluster Queue maxh WallTime
+    minimd run scene.toml --max-seconds S ends with exit code 4, minimd resume goes on | files
 Run Production Context nsteps
     md.Simulation(system, potentials, method), then sim.run(n) | first-steps
 Velocities MaxwellBoltzmann MaxwellBoltzmannDistribution set_velocities Stationary
     sim.set_temperature(T, seed) | first-steps
 Join Concatenate Merge
     files by MDAnalysis.Universe(first, [first, second]); runs by md.ensemble | recipes
+Compare CompareAverages Significance TTest zscore
+    z = (a − b)/√(σ_a² + σ_b²) of two means with errors | recipes
 Replica ReplicaExchange ParallelTempering REMD Scan Sweep temper
     md.ensemble makes many runs; exchanges are not here | ensembles
 MonteCarlo MC GCMC Alchemical FreeEnergy
     not here; md.SteeredSpring and md.HarmonicBond give free energies of distances | limits
 GPU CUDA OpenCL Kokkos MPI Platform mpirun
     not here: threads= of md.Simulation uses the cores of one machine | limits
+Tdamp Pdamp damp tau_t tau_p ref_t ref_p compressibility
+    relaxation_time=, temperature=, pressure=, compressibility= of bath and barostat; friction= is 1/damp | pressure
 pcoupl NPTBerendsen MTKNPT FrechetCellFilter UnitCellFilter
     md.StochasticCellRescaling, or ASE's own classes with minimd.ase.Calculator | pressure
 soft buck CustomBondForce CustomTorsionForce

@@ -27,6 +27,7 @@ OK = 0
 FAILED = 1
 WRONG_INPUT = 2
 BLOWN_UP = 3
+UNFINISHED = 4
 INTERRUPTED = 130
 CODES: dict[type[BaseException], int] = {
     OSError: WRONG_INPUT,
@@ -44,9 +45,9 @@ EXPECTED: tuple[type[BaseException], ...] = (*CODES, Terminated)
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
-    0 done, 1 a check failed, 2 wrong input, 3 blown up, 130 interrupted, 143 terminated, 129 terminated because the
-    terminal was closed. For an expected error, one sentence for each problem is printed to standard error. With --quiet
-    nothing else is printed.
+    0 done, 1 a check failed, 2 wrong input, 3 blown up, 4 ended by max_seconds before the last step, 130 interrupted,
+    143 terminated, 129 terminated because the terminal was closed. For an expected error, and for a run that
+    max_seconds has ended, a sentence is printed to standard error. With --quiet nothing else is printed.
     """
     parser = argparse.ArgumentParser(
         prog="minimd",
@@ -80,13 +81,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         # catch_warnings acts on the whole process, which is this command
         with (
-            endings_are_told(),
+            endings_are_told() as endings,
             redirect_stdout(out),
             redirect_stderr(err),
             warnings.catch_warnings(),
         ):
             warnings.showwarning = _tell
             passed = arguments.command(arguments)  # None for a command without a judgement
+        for ending in endings:
+            tell(f"minimd: {printable(ending)}")
+        if endings:
+            return UNFINISHED
         return OK if passed is None or passed else FAILED
     except EXPECTED as error:
         with suppress(OSError, AttributeError):  # the reader may be gone

@@ -353,7 +353,10 @@ at_least_one = partial(whole_number, least=1)
 OVERWRITE = flag("--overwrite", "replace files that exist")
 STEPS = Argument("--steps", "number of steps, in place of that in the scene", whole_number, "N")
 MAX_SECONDS = Argument(
-    "--max-seconds", "wall time after which the run ends; it can be resumed", float, "S"
+    "--max-seconds",
+    "wall time after which the run ends, with exit code 4; it can be resumed",
+    float,
+    "S",
 )
 SCENE_FILE = Argument("scene", "scene file (TOML)", Path)
 RUN_FILE = Argument("file", "trajectory (.h5md)", Path)

@@ -433,8 +433,10 @@ class Accumulator(StoredObserver, Displayed):
         return replace(self.scene, times=[*self.scene.times])
 
     def _history(self, law: Callable[[Array], Any], sums: Array) -> tuple[Array, Array]:
-        """The times observed at the ends of K blocks, (K,), and the results of a law for sums (K, n), (K, ...)."""
-        times: Array = self.sums.ends * np.float64(self.answered().spacing)
+        """The times of the last looks of K blocks, (K,), and the results of a law for sums (K, n), (K, ...)."""
+        scene = self.answered()
+        first = scene.times[0] if scene.times else 0.0
+        times: Array = first + np.float64(scene.spacing) * (self.sums.ends - 1)
         return times, np.array([law(each) for each in sums], dtype=np.float64)
 
     def _begin(self, engine: Engine) -> None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import exp, pi
 
 import numpy as np
 
-from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
 from minimd.core.structure.arrays import Array
@@ -97,8 +95,9 @@ class DielectricConstant(Accumulator):
         error = np.fmax(JACKKNIFE * error, wider - value)
         running = self._history(law, self.sums.until())
         quantities = [Quantity("dielectric_constant", "ε", "")]
+        lengths = np.array([length])
         return DielectricConstantResult(
-            scene, quantities, value, error, *running, self.n_looks, length
+            scene, quantities, value, error, *running, self.n_looks, lengths
         )
 
     def _correlation_times(self) -> float:
@@ -115,21 +114,16 @@ def variances(sums: Array) -> Array:
     return np.asarray(sums[SQUARES] / sums[COUNT] - (sums[DIPOLE] / sums[COUNT]) ** 2)
 
 
-@dataclass(frozen=True, repr=False)
 class DielectricConstantResult(MeansResult):
-    """A dielectric constant, dielectric_constant, see MeansResult; parts are its values up to the times.
+    """A dielectric constant, dielectric_constant, see MeansResult; parts are its values up to the times."""
 
-    correlation_times : length of the run in correlation times of the dipole; NaN if unknown.
-    """
-
-    correlation_times: float
     title = "dielectric"
-    of_parts = "ε, running value"
+    heading = "dielectric constant"
+    of_parts = "running value"
+    correlated = "dipole"
+    enough = ENOUGH
 
-    def display_rows(self) -> Rows:
-        """See Displayed."""
-        rows = super().display_rows()
-        if not self.correlation_times >= ENOUGH:
-            length = f"the run is only {self.correlation_times:.0f} correlation times of the dipole"
-            rows.append(("", f"{length} long: THE ERROR BAR IS A LOWER BOUND"))
-        return rows
+    @property
+    def correlation_times(self) -> float:
+        """Length of the run in correlation times of the dipole; NaN if unknown."""
+        return float(self.lengths[0])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from minimd.core.console.display import Rows
 from minimd.core.engine.engine import Engine
 from minimd.core.structure.arrays import Array
-from minimd.core.structure.checks import checked_count
+from minimd.core.structure.checks import checked_count, checked_flag
 from minimd.core.structure.observables import temperature
 from minimd.observers.accumulator import AIR, Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import AXES, argument, axis_name, interval, label, steps
@@ -23,6 +23,9 @@ HEAT = "#c8501e"  # the color of temperatures
 MOST_UNSURE = 0.2  # relative error of a temperature that is drawn
 STEEP = 0.5  # of the highest value: an axis begins at zero if the lowest is less
 EXTENT_WORDS = "lower and upper end, needed if the axis is open; atoms outside are not counted"
+CENTER_WORDS = (
+    "whether z is the distance from the center of mass, of a film that moves along a periodic axis"
+)
 # places in the sums, before the densities of each species, and Σ g and Σ m v² of the atoms in each bin
 FRAMES, EXTENT, HEAD = range(3)
 
@@ -37,8 +40,14 @@ class Profile(Accumulator):
     move with it, and z is given in the mean cell. The velocities of a flow count as thermal, but not those of the whole
     if n_dof leaves them out.
 
+    With center=True z runs from −L/2 to L/2, with 0 at the center of mass along the periodic axis, of length L:
+
+        z₀ = (L/2π) arg Σ m e^(2πi z/L)
+
+    L. Bai, D. Breen, J. Graphics, GPU, Game Tools 13 (4), 53 (2008), on this center.
+
     Raises ValueError for arguments out of range; when a run begins, if the cell and extent do not define the volume of
-    layers: the other two axes must be periodic, and the axis itself without extent.
+    layers: the other two axes must be periodic, and the axis itself without extent, or with center=True.
     """
 
     kind = "profile"
@@ -47,6 +56,7 @@ class Profile(Accumulator):
     n_bins: int = argument(checked_count, "number of bins", 100)
     every: int = steps(50)
     extent: tuple[float, float] | None = argument(interval, EXTENT_WORDS, None, "length")
+    center: bool = argument(checked_flag, CENTER_WORDS, False)
     name: str = label()
 
     def _begin(self, engine: Engine) -> None:
@@ -59,6 +69,8 @@ class Profile(Accumulator):
             )
         if pbc[k] and self.extent is not None:
             raise ValueError(f"axis {self.axis} of this cell is periodic: leave extent out")
+        if self.center and not pbc[k]:
+            raise ValueError(f"axis {self.axis} of this cell is open: leave center=True out")
         if not pbc[k] and self.extent is None:
             raise ValueError(f"axis {self.axis} of this cell is open: give extent=(lower, upper)")
 
@@ -76,7 +88,11 @@ class Profile(Accumulator):
         if self.extent is None:
             along = vectors[k] @ normal
             height = abs(float(along)) / area
-            layers = np.floor(heights * np.sign(along) / height % 1.0 * n_bins) % n_bins
+            fractions = heights * np.sign(along) / height
+            if self.center:
+                wave = system.masses @ np.exp(2j * np.pi * fractions)
+                fractions += 0.5 - np.angle(wave) / (2.0 * np.pi)
+            layers = np.floor(fractions % 1.0 * n_bins) % n_bins
         else:
             lower, upper = self.extent
             height = upper - lower
@@ -110,9 +126,12 @@ class Profile(Accumulator):
             return np.array([*(density / sums[FRAMES] for density in densities), heat])
 
         values, errors = self.sums.estimate(law)
-        lower = 0.0 if self.extent is None else self.extent[0]
         total = self.sums.total
-        z = lower + (np.arange(n) + 0.5) * total[EXTENT] / total[FRAMES] / n
+        height = total[EXTENT] / total[FRAMES]
+        lower = -0.5 * height if self.center else 0.0
+        if self.extent is not None:
+            lower = self.extent[0]
+        z = lower + (np.arange(n) + 0.5) * height / n
         profiles = (values[:-1], errors[:-1], values[-1], errors[-1])
         return ProfileResult(scene, self.axis, z, *profiles, self.n_looks)
 

@@ -319,7 +319,9 @@ class RadialDistributionResult(Result):
     @property
     def title(self) -> str:  # type: ignore[override]
         """See Result."""
-        return "radial distribution" + " between molecules" * self.is_between
+        is_one_of_several = len(self.pairs) == 1 and len(self.scene.species) > 1
+        of_pair = f" of {self.pairs[0]}" if is_one_of_several else ""
+        return f"radial distribution{of_pair}" + " between molecules" * self.is_between
 
     def series(self) -> list[Series]:
         """See Result."""

@@ -24,6 +24,7 @@ class SurfaceTensionResult(MeansResult):
     """A surface tension, tension, and the pressure along the axis, normal_pressure, see MeansResult."""
 
     title = "surface"
+    heading = "surface tension"
 
     def display_rows(self) -> Rows:
         """See Displayed."""

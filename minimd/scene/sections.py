@@ -49,7 +49,14 @@ from minimd.scene.section import (
     Vector,
     one_of,
 )
-from minimd.scene.water import ModelName, checked_ions, water, water_of, water_potentials
+from minimd.scene.water import (
+    ModelName,
+    checked_ions,
+    ions_of,
+    water,
+    water_of,
+    water_potentials,
+)
 
 # types of values
 Column = Annotated[list[FiniteFloat], Field(min_length=FEWEST)]
@@ -142,7 +149,7 @@ def as_sections(tables: Mapping[str, Numbers], texts: Mapping[str, str], units: 
 
 
 # by structure and water: either gives the atoms, and water their charges and bonds
-GIVEN_TWICE = {"lattice", "bonds", "charges", "molecules", "density", "ions", "seed"}
+GIVEN_TWICE = {"lattice", "bonds", "charges", "molecules", "density", "seed"}
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
 OF_FILES = ("format", "masses", "elements", "atom_style", "lammps_units")  # of system_from_file
@@ -219,6 +226,10 @@ class WaterSection(Section):
         Raises ValueError as water, water_of."""
         if placed:
             system, _, rigid = water_of(placed, self.model)
+            if ions_of(placed) != (self.ions or {}):
+                raise ValueError(
+                    f"water.ions must be those of the file, {ions_of(placed)}; water.ions = {self.ions}"
+                )
         else:
             density = self.density / GRAM_PER_CM3
             system, _, rigid = water(

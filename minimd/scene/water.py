@@ -199,38 +199,46 @@ def _far_apart(
     return chosen
 
 
+def ions_of(system: System) -> dict[str, int]:
+    """How many ions of each name there are among the atoms."""
+    species = system.species.tolist()
+    return {name: species.count(name) for name in IONS if name in species}
+
+
 def water_of(
     system: System, model: ModelName = "SPC/E", cutoff: float = CUTOFF, accuracy: float = 1e-5
 ) -> RigidWater:
-    """Rigid water of atoms O and H that are there, such as those of a file; the answer is as that of water.
+    """Rigid water of atoms O and H that are there, such as those of a file, and ions; the answer is as that of water.
 
     The hydrogens of an oxygen are those within OH of it, in any order and through any image, whatever the bonds. Atoms
-    keep their order, velocities, cell, and those that are fixed; masses, charges, bonds and lengths become those of the
-    model. As all constraints, the lengths are pulled to theirs when a run begins, and a warning says from how far.
+    of the species Na, Cl and so on (IONS) are ions. Atoms keep their order, velocities, cell, and those that are fixed;
+    masses, charges, bonds and lengths become those of the model. As all constraints, the lengths are pulled to theirs
+    when a run begins, and a warning says from how far.
 
     system : in ASE's units.
     cutoff : of Lennard-Jones and charges [Å].
     model, accuracy : as for water.
 
-    Raises ValueError with the first atom that is of no molecule of an O and two H, such as the fourth site of some
-    models; and as water.
+    Raises ValueError with the first atom that is no ion and of no molecule of an O and two H, such as the fourth site
+    of some models; and as water.
     """
     checked_kind("system", system, System, "a System")
     if system.units is not ASE:
         raise ValueError(f"water must be in units 'ASE'; system.units = {system.units.name!r}")
-    potentials = water_potentials(model, 1, 1.0, cutoff, accuracy)
+    potentials = water_potentials(model, 1, 1.0, cutoff, accuracy, ions_of(system))
     species = system.species
     i, j = neighbor_list("ij", system, OH)
     is_arm = (species[i] == "O") & (species[j] == "H")
     oxygens = i[is_arm]
     hydrogens = j[is_arm]
     n_arms = np.bincount(np.append(oxygens, hydrogens), minlength=len(system))
-    odd = np.flatnonzero(n_arms != 1 + (species == "O"))
+    n_wanted = np.where(np.isin(species, [*IONS]), 0, 1 + (species == "O"))
+    odd = np.flatnonzero(n_arms != n_wanted)
     if odd.size:
         k = odd[0]
         raise ValueError(
-            f"molecules of water must be an O and two H within {OH:g} Å of it, and no fourth site; atom {k}, "
-            f"{species[k]}, has {n_arms[k]} partners"
+            f"atoms must be ions among {listed(IONS)}, or of molecules of water, an O and two H within {OH:g} Å of "
+            f"it, and no fourth site; atom {k}, {species[k]}, has {n_arms[k]} partners"
         )
 
     molecules = np.column_stack([oxygens[::2], hydrogens.reshape(-1, 2)])

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from minimd.core.console.whole_file import write_picture
-from minimd.core.diagnosis.report import drift
+from minimd.core.diagnosis.report import conserved_energy
 from minimd.core.diagnosis.run_report import densities
 from minimd.core.engine.record_picture import (
     ACCENT,
@@ -59,7 +59,8 @@ def drawn(run: RunUniverse) -> Figure:
         results.insert(0, partial(_draw_structure, run=run))
     figure, panels = empty_panels(n + len(results))
     draw_quantities(panels, record, quantities)
-    is_constant = "conserved_energy" not in record and not run.n_earlier
+    is_drawn = "conserved_energy" not in record and "work" not in record
+    is_constant = is_drawn and not run.n_earlier
     if is_constant and len(record) > 1:
         _draw_drift(panels[0], run)
     if draw_volume in quantities:
@@ -82,10 +83,11 @@ def _draw_drift(panel: Axes, run: RunUniverse) -> None:
     record = run.contents.record
     units = record.units
     times = record.time * units.to_picosecond
-    rate = drift(times, record.total_energy / record.n_atoms)
+    energy, rate = conserved_energy(record)
     (curve,) = panel.lines
     change = np.asarray(curve.get_ydata())
-    drifting = change.mean() + drift(times, change).slope * (times - times.mean())
+    scale = np.ptp(change) / (np.ptp(energy) or 1.0)  # the curve may be over a power of ten
+    drifting = change.mean() + scale * rate.slope * (times - times.mean())
     label = f"drift: {rate} {units.energy} per atom per {units.shown_time}"
     panel.plot(times, drifting, color=ACCENT, lw=1.0, ls="--", label=label)
     panel.margins(y=0.12)

@@ -170,7 +170,7 @@ def test_pictures_show_momentum_and_drift_only_where_they_are_conserved_and_volu
     start, file = simulation(cell), tmp_path / "a.h5md"
     barostat = md.StochasticCellRescaling(0.1, 0.1, 5.0, seed=2, every=5) if is_pressed else None
     sim = md.Simulation(start.system, start.potentials, method, barostat=barostat)
-    record = sim.run(40, every=5, trajectory=file)
+    record = sim.run(200, every=5, trajectory=file)
     assert titles(record.plot()) == of_record
     with universe_of(file) as run:
         figure = drawn(run)
@@ -180,6 +180,7 @@ def test_pictures_show_momentum_and_drift_only_where_they_are_conserved_and_volu
     if legend:
         slope = float(legend.texts[0].get_text().split()[1])
         assert slope == pytest.approx(sim.report().energy_drift.slope, rel=0.01)
+        assert legend.texts[0].get_text().startswith(f"drift: {sim.report().energy_drift} ")
     if is_pressed:
         density = float(figure.axes[of_file.index("volume")].get_title().split()[3])
         assert density == pytest.approx((N_ATOMS / record.volume).mean(), rel=1e-3)

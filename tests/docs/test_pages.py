@@ -3,9 +3,11 @@
 import ast
 import gc
 import importlib
+import os
 import pkgutil
 import re
 import shutil
+import sys
 import tomllib
 from pathlib import Path
 from types import ModuleType
@@ -16,6 +18,7 @@ import pytest
 from argon_atoms import define
 from processes import ended
 from references import DATA
+from scene_texts import SMOOTH
 
 import minimd as md
 from minimd.ase import system_from_file
@@ -160,6 +163,7 @@ KNOWN = {  # what a recipe prints first, and how far it may be off
     "Thermal conductivity 0": (6.9, 1.5),  # of the liquid near its triple point, by a short run
     "Umbrella sampling 0": (0.0, 0.2),  # largest difference from the exact free energy, in k_B T
     "Umbrella sampling 1": (1.5, 0.15),  # the length of the spring
+    "Do two averages agree? 0": (0.0, 4.0),  # z, in standard errors, of two means that are equal
     "Several runs together 0": (22.0, 0.0),  # frames
     "The virial of each atom 0": (-7.2294, 1e-3),  # ε, of an fcc crystal
 }
@@ -180,6 +184,28 @@ def test_the_script_of_the_page_on_ensembles_runs(here):
     (text,) = [one for one in blocks(DOCS / "ensembles.md") if one.startswith("import minimd as md\n")]
     Path("scan.py").write_text(text.replace("1000", "50").replace("500", "20"))
     assert "4 members in scan: 4 done" in ended("scan.py").stdout
+
+
+@pytest.mark.slow
+def test_the_job_of_the_page_on_files_submits_itself_until_the_run_is_done(here):
+    job, bash = blocks(DOCS / "files.md", "bash")[0], Path(shutil.which("bash"))
+    for name, line in {"minimd": f'exec {sys.executable} -m minimd "$@"', "sbatch": 'echo "$1" > submitted'}.items():
+        Path(name).write_text(f"#!/bin/bash\n{line}\n")
+        Path(name).chmod(0o755)
+    scene = SMOOTH.replace("every = 10", 'every = 10\ntrajectory = "argon.h5md"')
+    Path("argon.toml").write_text(scene.replace("steps = 40", "steps = 100_000_000"))
+    steps = []
+    for _ in range(2):  # begun, and continued
+        Path("submitted").unlink(missing_ok=True)
+        told = ended(bash, "-c", job.replace("13800", "0.5"), PATH=f"{here}:{os.environ['PATH']}")
+        assert (told.stdout, Path("submitted").read_text()) == ("", "job.sh\n"), told.stderr
+        steps.append(read_file("argon.h5md").step)
+    assert 0 < steps[0] < steps[1]
+    for file in ("argon.h5md", "submitted"):
+        Path(file).unlink()
+    Path("argon.toml").write_text(scene)
+    assert ended(bash, "-c", job, PATH=f"{here}:{os.environ['PATH']}").stderr == ""
+    assert (read_file("argon.h5md").step, Path("submitted").exists()) == (40, False)
 
 
 @pytest.mark.parametrize("page", [README, *PAGES], ids=name_of)

@@ -204,9 +204,13 @@ def test_the_command_ends_in_time_and_says_how_to_go_on(tmp_path, monkeypatch, c
     monkeypatch.chdir(tmp_path)
     scene = SMOOTH.replace("steps = 40", "steps = 100_000_000")
     Path("a.toml").write_text(scene)
-    assert cli.main(["run", "a.toml", "--out", "a.h5md", "--max-seconds", "0.5"]) == 0
-    assert "resume with: minimd resume a.h5md --steps" in capsys.readouterr().out
+    assert cli.main(["run", "a.toml", "--out", "a.h5md", "--max-seconds", "0.5"]) == cli.UNFINISHED
+    said = capsys.readouterr()
+    assert "resume with: minimd resume a.h5md --steps" in said.out
+    assert "max_seconds = 0.5" in said.err
     Path("b.toml").write_text(scene.replace("steps = 100_000_000", "steps = 100_000_000\nmax_seconds = 0.5"))
-    assert cli.main(["run", "b.toml", "--out", "b.h5md", "--quiet"]) == 0
+    assert cli.main(["run", "b.toml", "--out", "b.h5md", "--quiet"]) == cli.UNFINISHED
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n"), "max_seconds = 0.5" in said.err) == ("", 1, True)
     assert cli.main(["resume", "b.h5md", "--steps", "5", "--max-seconds", "60", "--quiet"]) == 0
     assert cli.main(["run", "b.toml", "--out", "c.h5md", "--max-seconds", "-1", "--quiet"]) == 2

@@ -166,6 +166,37 @@ test_what_has_no_surface_is_refused = answered(
 )
 
 
+@pytest.mark.parametrize(("times", "share"), [(10, (0.8, 1.0)), (300, (0.0, 0.1))])
+def test_the_error_of_a_mean_over_few_correlation_times_is_a_lower_bound(times, share):
+    """Of 50 runs of so many correlation times; constant quantities beside, with rounding, change nothing."""
+    tau, n_runs, told = 4, 50, []
+    series = processes(n_runs, times * tau, np.exp(-1.0 / tau), np.random.default_rng(times))
+    for sizes in series.T:
+        looking = md.observers.ChainShape()
+        looking.scene, looking.sums = ObservedRun("LJ", ["A"], [2], 1.0, 6, 1.0, None), BlockedSums(9)
+        for k, size in enumerate(sizes):
+            values = np.array([5.0 + size, 0.1 + 1e-15 * (k % 3), 1.0, 2.0])
+            looking.sums.total += [1.0, *values, *values**2]
+            looking.sums.close_entry()
+        told.append(
+            "correlation times of the 1 A2: R_g² long: THE ERROR BARS ARE LOWER BOUNDS" in str(looking.result())
+        )
+    assert share[0] <= np.mean(told) <= share[1]
+
+
+def test_the_picture_of_a_surface_names_its_quantity_and_has_the_times_of_the_run():
+    film = md.System(np.random.default_rng(1).random((40, 3)) * [6.0, 6.0, 8.0], cell=[6.0, 6.0, 24.0])
+    sim = md.Simulation(film, NONE, md.VelocityVerlet(0.1))
+    sim.time = 50.0
+    surface = md.observers.SurfaceTension(every=5)
+    sim.run(160, observers=[surface], progress=False)
+    panel = surface.result().plot().axes[0]
+    assert panel.get_ylabel().startswith("γ, ")
+    assert panel.get_title() == "surface tension, 33 frames, 50 to 66 τ"
+    times = panel.lines[-1].get_xdata()
+    assert 50.0 < times[0] < times[-1] <= 66.0
+
+
 def test_free_dipoles_have_the_dielectric_constant_of_theory():
     """ε = 1 + 4π k_e N μ²/3V k_B T of dipoles that point anywhere, at the temperature of the bath, in both units."""
     n_dipoles, n_looks, length, charge = 30, 500, 0.8, 0.7

@@ -589,6 +589,26 @@ def seen_by(*looking, sim=None):
     (sim or simulation()).run(1, observers=list(looking), progress=False)
 
 
+@pytest.mark.parametrize("move", [7.0, 23.0, -41.0])  # the film of 8 σ is cut by the boundary at ±12 σ, or is an image
+def test_layers_about_the_center_move_with_a_film(move):
+    places = np.random.default_rng(1).random((200, 3)) * [6.0, 6.0, 8.0]
+    found = []
+    for shift in (0.0, move):
+        film = md.System(places + shift * np.eye(3)[2], masses=np.linspace(1.0, 2.0, 200), cell=[6.0, 6.0, 24.0])
+        layers = md.observers.Profile(n_bins=48, center=True)
+        seen_by(layers, sim=md.Simulation(film, [], md.VelocityVerlet(0.004)))
+        found.append(layers.result())
+    np.testing.assert_array_equal(found[0].densities, found[1].densities)
+    assert (found[0].z[0], found[0].z[-1]) == (-11.75, 11.75)
+    occupied = found[0].z[found[0].density > 0.0]
+    assert (occupied.min(), occupied.max()) == pytest.approx((-4.0, 4.0), abs=0.5)  # of the center, one bin
+
+
+def open_along_z():
+    system = md.System(np.eye(3), cell=[9.0, 9.0, 9.0], pbc=(True, True, False))
+    return md.Simulation(system, [], md.VelocityVerlet(0.004))
+
+
 def with_another_time_step():
     looking, sim = md.observers.Profile(every=1), simulation()
     seen_by(looking, sim=sim)
@@ -612,6 +632,7 @@ test_what_cannot_be_observed_is_refused = answered(
     (lambda: md.observers.Profile("d"), ValueError, "axis", "'d'"),
     (lambda: md.observers.Viscosity(name="a/b"), ValueError, "name", "'a/b'"),
     (lambda: seen_by(md.observers.Profile(extent=(0.0, 1.0))), ValueError, "extent", "axis c"),
+    (lambda: seen_by(md.observers.Profile(center=True), sim=open_along_z()), ValueError, "axis c", "center"),
     (lambda: seen_by(md.observers.RadialDistribution(), sim=chain().simulation()), ValueError, "periodic", "12 atoms"),
     (with_another_time_step, ValueError, "time step"),
     (lambda: seen_by(md.observers.StructureFactor(), sim=chain().simulation()), ValueError, "periodic", "12 atoms"),

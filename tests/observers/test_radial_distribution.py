@@ -83,6 +83,12 @@ def test_pairs_of_two_molecules_are_those_of_their_numbers(bonds, intramolecular
     assert ("between molecules" in result.plot().axes[0].get_title()) == (not intramolecular)
 
 
+def test_a_picture_of_one_pair_names_it():
+    observer = looking(pairs="A-B")
+    seen(observer, made=system("bonds"), n_frames=2)
+    assert observer.result().plot().axes[0].get_title().startswith("radial distribution of A-B between molecules")
+
+
 def test_few_molecules_of_an_ideal_gas_have_a_distribution_of_one():
     """N² in place of N_ab would give 0.84 for A-A."""
     observer = looking(n_bins=8)

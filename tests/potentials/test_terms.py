@@ -17,6 +17,7 @@ WRONG = {
     "one atom left out": lambda force: force[17].fill(0.0),
     "one component in a hundred off": lambda force: force[:, 1].__imul__(1.01),
     "forgotten": lambda force: force.fill(0.0),
+    "three parts in 100 000 off": lambda force: force.__imul__(1.00003),
 }
 
 

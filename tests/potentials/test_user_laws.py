@@ -240,7 +240,7 @@ def test_a_law_and_a_field_may_have_no_parameters_and_a_law_a_constant_force_ove
     assert (found.potential_energy, found.forces[1].tolist()) == (4.0, [0.0, -4.0, 0.0])
 
 
-@pytest.mark.parametrize("factor", [1.0, 1.001])
+@pytest.mark.parametrize("factor", [1.0, 1.00003])
 def test_laws_of_bonds_and_dihedrals_are_compared_with_their_slopes(factor):
     system = md.System([[0, 0, 0], [1.2, 0, 0], [1.9, 1, 0], [3, 1.2, 0.4]])
     bond = md.BondPotential(lambda r2: (r2 * r2, -4.0 * factor * r2), (), [[0, 1]])

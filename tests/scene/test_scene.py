@@ -13,6 +13,7 @@ from scene_texts import ARGON, MIXTURE, REDUCED, SALT, TABULATED, WATER, R, U, s
 from wrong_calls import assert_answered
 
 import minimd as md
+from minimd.ase import system_from_file
 from minimd.core.files.h5md_reader import read_file
 from minimd.integrators import THERMOSTATS, LangevinBAOAB
 from minimd.scene import load_scene, resume_run, run_scene
@@ -207,6 +208,26 @@ def test_water_of_a_file_takes_the_lengths_of_its_model_and_goes_on_without_the_
         run_scene(scene, tell=lambda _: None)
     Path(f"box.{suffix}").unlink()
     assert np.array_equal(resume_run("a.h5md", 4, tell=lambda _: None).positions, whole.positions)
+
+
+def test_ions_of_a_file_are_those_of_their_names(folder):
+    """Of the same atoms, in another order, from a file that states no charges: energy, charges and masses."""
+    ions = {"Na": 2, "Cl": 1}
+    system, potentials, rigid = md.water("TIP3P", 27, ions=ions, cutoff=4.0)
+    expected = md.evaluate(system, potentials).potential_energy
+    atoms = system.to_ase()[np.random.default_rng(1).permutation(84)]
+    write("box.gro", atoms)
+    again, laws, held = water_of(system_from_file("box.gro"), "TIP3P", cutoff=4.0)
+    assert md.evaluate(again, laws).potential_energy == pytest.approx(
+        expected, rel=1e-2
+    )  # rounding: 0.01 Å in the file
+    assert (again.net_charge, len(held.pairs)) == (pytest.approx(1.0), len(rigid.pairs))
+    assert again.charges[again.species == "Na"].tolist() == [1.0, 1.0]
+    scene = WATER_OF_FILE.replace("extxyz", "gro").replace("SPC/E", "TIP3P")
+    with_ions = scene.replace("cutoff_A", "ions = { Na = 2, Cl = 1 }, cutoff_A")
+    assert energy_of(scene_of(with_ions)) == pytest.approx(md.evaluate(again, laws).potential_energy, rel=1e-12)
+    assert_answered(scene_of(scene).system, ValueError, "water.ions", "{'Na': 2, 'Cl': 1}")
+    assert_answered(lambda: water_of(again, "OPC3"), ValueError, "ions", "'OPC3'")
 
 
 def test_atoms_of_a_file_that_are_no_water_are_told_by_the_first_of_them(folder):

@@ -334,6 +334,19 @@ def test_a_second_file_must_hold_the_same_atoms(here):
     assert read("g.gro", bonds=psf("h.psf", [("MW", 0.0, 17.5)], [])).masses.tolist() == [17.5]
 
 
+def test_a_topology_of_gromacs_gives_bonds_charges_and_masses_and_is_no_structure(here):
+    write("a.gro", "made up", "    2", gro_line(0, "LIG", "C1", (0, 0, 0)), gro_line(1, "LIG", "H1", (0.1, 0, 0)), CELL)
+    lines = ["; whole", "[ defaults ]", "1 2 no 1 1", "[ atomtypes ]", "CX 6 12 0 A 0.3 0.5", "HX 1 1 0 A 0.1 0.1",
+             "[ moleculetype ]", "LIG 3", "[ atoms ]", "1 CX 1 LIG C1 1 -0.2 12.5", "2 HX 1 LIG H1 1 0.2 1.5",
+             "[ bonds ]", "1 2 1 0.1 2e5", "[ system ]", "one", "[ molecules ]", "LIG 1"]  # fmt: skip
+    for name in ("a.itp", "a.top"):
+        system = read("a.gro", bonds=write(name, *lines))
+        assert (system.bonds.tolist(), system.masses.tolist()) == ([[0, 1]], [12.5, 1.5])
+        assert system.charges == pytest.approx([-0.2, 0.2])
+    for name in ("a.itp", "a.top", write("a.psf", "PSF"), write("a.prmtop", "%VERSION")):
+        assert_answered(lambda: system_from_file(name), ValueError, name, "bonds=", "minimd.from_openmm")
+
+
 def test_masses_and_elements_are_given_by_names_or_one_by_one(here):
     write("a.gro", "made up", "    2", gro_line(0, "LIP", "B1", (0, 0, 0)), gro_line(1, "LIP", "B2", (1, 0, 0)), CELL)
     assert read("a.gro", masses={"B1": 45.0, "B2": 54.0}).masses.tolist() == [45.0, 54.0]

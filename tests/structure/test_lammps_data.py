@@ -136,6 +136,7 @@ def test_files_are_not_overwritten_unasked_and_only_lammps_data_is_written(here)
     assert_answered(lambda: system.write("a.lmp"), FileExistsError, "a.lmp", "overwrite=True")
     system.write("a.lmp", overwrite=True)
     assert_answered(lambda: system.write("a.xyz"), ValueError, "a.xyz", "ase.io.write(file, system.to_ase())")
+    assert_answered(lambda: system.write("a.gro"), ValueError, "a.gro", "universe(simulation).atoms.write(file)")
     assert_answered(lambda: system.write("b.data", overwrite=1), ValueError, "overwrite", "1")
     assert_answered(lambda: system.write(7), ValueError, "file", "7")
     with pytest.warns(UserWarning, match=r"turned.*r @ R"):

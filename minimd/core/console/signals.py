@@ -31,7 +31,7 @@ def stop_on_signals(run: Stoppable, seconds: float = inf) -> Iterator[None]:
     and Ctrl-C KeyboardInterrupt.
 
     seconds : of wall time, after which run.stop_requested is set, too. The KeyboardInterrupt with which the run then
-    ends goes no further: a sentence on standard error tells it.
+    ends goes no further: a sentence on standard error tells it, or a caller, see endings_are_told.
 
     Handlers that the host has set, and signals that it ignores, are left alone. Outside the main thread, where no
     handlers can be set, only stop_runs_of_threads stops a run.
@@ -73,9 +73,11 @@ def stop_on_signals(run: Stoppable, seconds: float = inf) -> Iterator[None]:
             raise KeyboardInterrupt("the run is complete, and was stopped after the last step")
     except KeyboardInterrupt as stopped:
         if not received and monotonic() > deadline:
-            tell(
-                f"minimd: {stopped}, because max_seconds = {seconds:g} have passed{_kept(stopped)}"
-            )
+            ending = f"{stopped}, because max_seconds = {seconds:g} have passed{_kept(stopped)}"
+            for endings in _callers:
+                endings.append(ending)
+            if not _callers:
+                tell(f"minimd: {ending}")
             return
         if received[:1] in ([], [signal.SIGINT]):
             stopped.args = (f"{str(stopped) or 'interrupted'}{_kept(stopped)}",)
@@ -139,15 +141,17 @@ def stop_runs_of_threads() -> None:
         run.stop_requested = True
 
 
-_callers: list[None] = []  # those within endings_are_told
+_callers: list[list[str]] = []  # endings of those within endings_are_told
 
 
 @contextmanager
-def endings_are_told() -> Iterator[None]:
-    """Context of a caller that tells itself how runs were ended by a signal, or has nobody to tell."""
-    _callers.append(None)
+def endings_are_told() -> Iterator[list[str]]:
+    """Context of a caller that tells itself how runs were ended by a signal, or has nobody to tell.
+    Yields a list, to which sentences about runs that have ended before their last step are added."""
+    endings: list[str] = []
+    _callers.append(endings)
     try:
-        yield
+        yield endings
     finally:
         _callers.pop()
 

@@ -502,12 +502,7 @@ def conservation_report(
     thermal = record.kinetic_energy if n_dof is None else 0.5 * n_dof * units.k_B * heat
     time = record.time * units.to_picosecond
     work = record.work if has_work else 0.0
-    if has_bath:
-        energy = record.conserved_energy / n
-        slope = drift_of_walk(time, energy)
-    else:
-        energy = (record.total_energy - work) / n
-        slope = drift(time, energy, beside=record.kinetic_energy)
+    energy, slope = conserved_energy(record)
     shadow = None
     shadow_oscillation = 0.0
     if "shadow_energy" in record:
@@ -547,6 +542,18 @@ def conservation_report(
         is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * potential.max()),
         too_long_a_step=too_long_a_step,
     )
+
+
+def conserved_energy(record: Record) -> tuple[Array, DriftRate]:
+    """The energy per atom that should be constant, (T,) [energy], and its drift in units of reports.
+    See conservation_report."""
+    time = record.time * record.units.to_picosecond
+    if "conserved_energy" in record:
+        energy = record.conserved_energy / record.n_atoms
+        return energy, drift_of_walk(time, energy)
+    work = record.work if "work" in record else 0.0
+    energy = (record.total_energy - work) / record.n_atoms
+    return energy, drift(time, energy, beside=record.kinetic_energy)
 
 
 def _not_finite(record: Record) -> str:

@@ -9,6 +9,7 @@ Each gives the arguments of a System, and what its file states about names, elem
 """
 
 import io
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -68,6 +69,8 @@ OF_TYPES = {
     "dihedrals": ("a dihedral potential", "quadruples"),
     "impropers": ("an improper potential", "quadruples"),
 }
+TOPOLOGIES = (".top", ".itp", ".psf", ".prmtop", ".parm7", ".tpr")
+GROMACS_TOPOLOGY = re.compile(r"^\s*(\[ *\w+ *\]|#include\b)", re.MULTILINE)
 DL_POLY = ("dlp4", "dlp-history")
 XYZ = (".xyz", ".extxyz")
 XYZ_OF_ASE = ("xyz", "extxyz", "simple-xyz")
@@ -431,13 +434,19 @@ class Door(NamedTuple):
         return name, units, columns, weights
 
 
-def universe_of_file(path: Path, form: str | None) -> Any:
+def _topology_format(path: Path) -> str | None:
+    """MDAnalysis' name of the format of a topology of GROMACS, whose suffix .top is Amber's, too; else None."""
+    is_of_gromacs = path.suffix.lower() == ".top" and GROMACS_TOPOLOGY.search(text_of(path))
+    return "ITP" if is_of_gromacs else None
+
+
+def universe_of_file(path: Path, form: str | None, topology_format: str | None = None) -> Any:
     """A universe of MDAnalysis; of a format that is named, the last frame in the file's own units.
     Raises ValueError for a file that was cut."""
     import MDAnalysis
 
     source: Any = str(path)
-    named: dict[str, Any] = {}
+    named: dict[str, Any] = {"topology_format": topology_format}
     if form:
         named = {"topology_format": form.upper(), "format": form.upper(), "convert_units": False}
     if form in LAST_FRAMES:
@@ -564,7 +573,7 @@ def _beside(path: Path, door: Door) -> Structure:
             stated_of as stated_of_group,
         )
 
-        atoms = universe_of_file(path, None).atoms
+        atoms = universe_of_file(path, None, _topology_format(path)).atoms
         stated = stated_of_group(atoms, source, np.zeros((len(atoms), 3)))
         arguments: dict[str, Any] = {"charges": charges_of_group(atoms)}
         for name, size in GROUPS.items():
@@ -629,7 +638,14 @@ def _read_as(path: Path, what: str, form: str | None) -> Iterator[None]:
             raise
         reason = " ".join(str(error).split()).rpartition("Error: ")[2]
         is_label = isinstance(error, KeyError) and path.suffix.lower() in XYZ
-        if form is None and isinstance(error, StopIteration | UnknownFileTypeError):
+        is_unknown = isinstance(error, StopIteration | UnknownFileTypeError)
+        if form is None and is_unknown and path.suffix.lower() in TOPOLOGIES:
+            reason = (
+                "it is a topology, without positions: pass it as bonds= beside a file with positions, or read it with "
+                "OpenMM (GromacsTopFile, AmberPrmtopFile, CharmmPsfFile) and pass the system to minimd.from_openmm, "
+                "with all forces: see docs/forces.md#force-fields"
+            )
+        elif form is None and is_unknown:
             reason = "its suffix and content do not show its format; pass it, such as format='lammps-data'"
         elif is_label and not is_element(str(error.args[0])):
             reason = (

@@ -402,8 +402,8 @@ class _Trial(NamedTuple):
                 fault = ""
             elif k < len(returned):
                 fault = (
-                    f"the law must return u, -∇u and ∂u/∂t; {where} it returns {number:.6g} "
-                    f"where {SLOPES[k]} is {slope:.6g}"
+                    f"the law must return u, -∇u and ∂u/∂t, to a relative {ACCURACY:g}; {where} it returns "
+                    f"{number:.8g} where {SLOPES[k]} is {slope:.8g}"
                 )
             else:
                 fault = (

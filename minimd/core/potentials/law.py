@@ -32,7 +32,7 @@ from minimd.core.structure.checks import checked_kind
 
 STEP = 1e-5  # of a central difference, relative to the distance
 ANGLES = (-2.1, -0.7, 1.1, 2.6)  # rad, where laws of dihedrals are tried
-ACCURACY, BESIDE_U = 1e-4, 1e-9  # of that difference: relative to itself, and to u
+ACCURACY, BESIDE_U = 1e-5, 1e-9  # of that difference: relative to itself, and to u
 CLASS_NAME = "UserLaw_{}"  # a digest, or a random number
 
 
@@ -231,9 +231,9 @@ def _compare(
             n_compared += 1
             if not agree(f, slope, factor(x) * u / x):
                 n_wrong += 1
-                fault = f"at {symbol} = {x:.4g} it returns {f:.6g} where {name} is {slope:.6g}"
+                fault = f"at {symbol} = {x:.4g} it returns {f:.8g} where {name} is {slope:.8g}"
     if 2 * n_wrong > n_compared:
-        raise ValueError(f"the law must return u and {name}; {fault}")
+        raise ValueError(f"the law must return u and {name}, to a relative {ACCURACY:g}; {fault}")
 
 
 def agree(said: float, slope: float, u: float, rough: float = 0.0) -> bool:

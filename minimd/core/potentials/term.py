@@ -17,7 +17,7 @@ from minimd.core.console.quiet import warn
 from minimd.core.console.words import shown
 from minimd.core.neighbors.queries import closest_pair
 from minimd.core.neighbors.verlet_list import VerletList
-from minimd.core.potentials.law import agree
+from minimd.core.potentials.law import ACCURACY, agree
 from minimd.core.potentials.prolates import Split
 from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.bond_graph import checked_pairs
@@ -333,11 +333,11 @@ def check_force(potential: Any, system: System, time: float) -> None:
         coarse = slope_along(way, 2.0 * STEP * length)
         n_compared += bool(np.isfinite([force, slope, coarse]).all())
         if not agree(force, slope, np.abs(energies).sum() / length, ROUGH * abs(slope - coarse)):
-            faults.append(f"F·w = {force:.6g}, but -dU/dw = {slope:.6g}")
+            faults.append(f"F·w = {force:.8g}, but -dU/dw = {slope:.8g}")
 
     if 2 * len(faults) > n_compared:
         raise ValueError(
-            f"the force of {shown(potential)} must be minus the gradient of its energy; "
+            f"the force of {shown(potential)} must be minus the gradient of its energy, to a relative {ACCURACY:g}; "
             f"for a displacement w of all atoms {faults[0]}; "
             "a term whose force is no gradient sets is_checked = False"
         )

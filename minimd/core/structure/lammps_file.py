@@ -25,8 +25,9 @@ def write_lammps_data(file: Any, system: Any, overwrite: bool = False) -> None:
     checked_flag("overwrite", overwrite)
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(
-            f"file must be LAMMPS data, .data or .lmp; file = {str(path)!r}: ase.io.write(file, system.to_ase()) "
-            "writes other formats, Simulation.run(trajectory=) those of runs, such as .h5md"
+            f"file must be LAMMPS data, .data or .lmp; file = {str(path)!r}: "
+            "minimd.mdanalysis.universe(simulation).atoms.write(file) writes .gro, .pdb and others with residues, "
+            "ase.io.write(file, system.to_ase()) formats of ASE, Simulation.run(trajectory=) those of runs, as .h5md"
         )
 
     cell = system.cell

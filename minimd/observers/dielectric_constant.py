@@ -124,7 +124,7 @@ class DielectricConstantResult(MeansResult):
 
     correlation_times: float
     title = "dielectric"
-    of_parts = "ε, running value"
+    of_parts = "running value"
 
     def display_rows(self) -> Rows:
         """See Displayed."""

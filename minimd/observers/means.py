@@ -43,7 +43,7 @@ class MeansResult(Result):
     times: Array
     parts: Array
     n_frames: int
-    of_parts: ClassVar[str] = "means of parts of the run"
+    of_parts: ClassVar[str] = "mean of each part of the run"
 
     def __getattr__(self, name: str) -> float:
         if name.startswith("_") or name not in self.numbers():
@@ -62,9 +62,11 @@ class MeansResult(Result):
         return numbers
 
     def series(self) -> list[Series]:
-        """See Result: the parts of the run."""
-        parts = zip(self.quantities, self.parts.T, strict=True)
-        of_parts = [Series(quantity.name, quantity.unit, part) for quantity, part in parts]
+        """See Result: the parts of the run, of the quantities that are known."""
+        parts = zip(self.quantities, self.parts.T, np.isfinite(self.values), strict=True)
+        of_parts = [
+            Series(name, unit, part) for (name, _, unit), part, is_known in parts if is_known
+        ]
         return [Series("time", self.units.time, self.times), *of_parts]
 
     def display_rows(self) -> Rows:
@@ -77,11 +79,28 @@ class MeansResult(Result):
         return rows
 
     def draw(self, panel: Axes) -> None:
-        """See Result: the quantities that have the unit of the first one, and its mean."""
+        """See Result: the quantities that have the unit of the first one."""
         unit = self.quantities[0].unit
-        curves = [curve for curve in self.series()[1:] if curve.unit == unit]
-        panel.axhline(self.values[0], color="0.6", lw=0.8, ls="--")
-        self.draw_curves(panel, curves, "t", f"{self.of_parts}  [{unit}]".replace("  []", ""))
+        drawn = [k for k, quantity in enumerate(self.quantities) if quantity.unit == unit]
+        self.draw_quantities(panel, drawn, unit)
+
+    def draw_quantities(self, panel: Axes, drawn: list[int], unit: str, size: float = 1.0) -> None:
+        """Draw the parts of the run, and the mean with a band of one standard error.
+
+        drawn : the numbers of quantities.
+        unit : the one in which they are drawn; size is its size in their own.
+        """
+        symbols = [self.quantities[k].symbol for k in drawn]
+        curves = [Series(self.quantities[k].symbol, unit, self.parts[:, k] / size) for k in drawn]
+        label = ", ".join([*symbols[: len(drawn) == 1], self.of_parts])
+        self.draw_curves(panel, curves, "t", f"{label}  [{unit}]".replace("  []", ""))
+        panel.set_title(f"{self.title}, {self.scene.frames(self.n_frames)}")
+        for k, curve in zip(drawn, [*panel.lines], strict=True):
+            color = curve.get_color()
+            mean = self.values[k] / size
+            error = np.nan_to_num(self.errors[k]) / size
+            panel.axhline(mean, color=color, lw=0.8, ls="--")
+            panel.axhspan(mean - error, mean + error, color=color, alpha=0.15, lw=0.0)
 
 
 class Means(Accumulator):

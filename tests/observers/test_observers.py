@@ -17,9 +17,9 @@ from wrong_calls import answered, assert_answered
 import minimd as md
 from minimd.core.files.h5md_digest import observers_of, read_restart
 from minimd.core.structure.checks import checked_count
-from minimd.core.structure.statistics import FEWEST
+from minimd.core.structure.statistics import FEWEST, with_error
 from minimd.core.structure.system import changed
-from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
+from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series, first_peak
 from minimd.observers.arguments import argument, label, positive, steps
 from minimd.observers.fluctuations import lengths
 from minimd.observers.profile import limits
@@ -648,6 +648,58 @@ def test_pictures_name_what_they_show(run):
     np.testing.assert_array_equal(bars.get_ydata(), answers["profile"].temperature[known])
     assert figures["structure-factor"].axes[0].get_ylabel() == "S(q)"
     assert "51 frames, 0 to 0.4 τ" in figures["radial-distribution"].axes[0].get_title()
+
+
+@pytest.mark.parametrize("kind", ["fluctuations", "chain-shape", "surface-tension", "dielectric-constant"])
+def test_a_mean_is_drawn_over_time_by_its_symbol_with_a_band_of_its_error(kind, run):
+    """Fluctuations per atom, as they are printed."""
+    result = run.looking[kind].result()
+    (panel,) = result.plot().axes
+    k, size = (1, len(run.species)) if kind == "fluctuations" else (0, 1.0)
+    curve, band = panel.lines[0], panel.patches[0]
+    np.testing.assert_allclose(curve.get_ydata(), result.parts[:, k] / size)
+    assert result.quantities[k].symbol in (panel.get_ylabel(), panel.get_ylabel().split(",")[0], curve.get_label())
+    assert result.quantities[k].name not in panel.get_ylabel() + curve.get_label()
+    assert band.get_y() + 0.5 * band.get_height() == pytest.approx(result.values[k] / size)
+    assert band.get_height() == pytest.approx(2.0 * np.nan_to_num(result.errors[k]) / size)
+
+
+def test_the_first_peak_is_the_vertex_of_a_parabola_and_its_numbers_are_those_that_are_printed(run):
+    x = np.array([0.0, 1.0, 1.5, 2.5, 3.0, 4.0, 5.0])
+    place, k = first_peak(x, np.maximum(0.0, 2.0 - (x - 2.2) ** 2) + 2.5 * (x == 5.0))  # not the higher one at the end
+    assert (place, k) == (pytest.approx(2.2), 3)
+    assert first_peak(x, x) == (5.0, 6)
+    result = run.looking["radial-distribution"].result()
+    for pair, (r, g, error) in result.peaks().items():
+        found = [result.numbers()[name] for name in (f"r_peak_{pair}", f"g_peak_{pair}", f"g_peak_{pair}_error")]
+        assert found == [r, g, error]
+        assert f"{pair}: first peak at {r:.4g} σ, {with_error(g, error)}" in str(result)
+    result = run.looking["structure-factor"].result()
+    assert result.numbers()["s_peak"] in result.s
+    assert f"first peak at {result.numbers()['q_peak']:.4g} /σ, " in str(result)
+
+
+def test_fixed_atoms_do_not_count_as_atoms_that_diffuse():
+    """All of the species B are fixed, and one of A."""
+    positions, edges = md.lattice.crystal("fcc", [3, 3, 3], 1.7)
+    fixed = [0, *range(54, 108)]
+    species = ["A"] * 54 + ["B"] * 54
+    system = md.System(positions, cell=edges, species=species, constraints=[md.FixedAtoms(fixed)])
+    looking = md.observers.MeanSquareDisplacement(every=1), md.observers.VelocityAutocorrelation(every=1)
+    sim = md.Simulation(system, LJ, md.VelocityVerlet(0.002))
+    sim.set_temperature(1.0, seed=1)
+    before = sim.positions.copy()
+    sim.run(50, observers=looking)
+    displacements, velocities = (one.result() for one in looking)
+    moved = np.square(sim.positions - before).sum(axis=1)
+    assert displacements.n_atoms == velocities.n_atoms == 53
+    assert displacements.means[0, displacements.times.argmax()] > 0.0
+    assert displacements.means[1] == pytest.approx(displacements.msd)
+    assert "nan" not in str(displacements)
+    assert "B: does not move" in str(displacements)
+    for result in (displacements, velocities):
+        assert "all atoms but the 55 that are fixed" in str(result)
+    assert moved[fixed].max() == 0.0
 
 
 def test_frames_and_times_of_a_run_in_parts_are_those_of_all(tmp_path):

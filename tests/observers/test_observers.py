@@ -23,8 +23,6 @@ from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, 
 from minimd.observers.arguments import argument, label, positive, steps
 from minimd.observers.fluctuations import lengths
 from minimd.observers.profile import limits
-from minimd.observers.time_correlation import Plateau
-from minimd.observers.viscosity import ViscosityResult
 from minimd.scene import parse_scene, resume_run, run_scene
 from minimd.view.check import check_file
 from minimd.view.plot import plot_file
@@ -679,29 +677,6 @@ def test_the_first_peak_is_the_vertex_of_a_parabola_and_its_numbers_are_those_th
     assert f"first peak at {result.numbers()['q_peak']:.4g} /σ, " in str(result)
 
 
-def test_fixed_atoms_do_not_count_as_atoms_that_diffuse():
-    """All of the species B are fixed, and one of A."""
-    positions, edges = md.lattice.crystal("fcc", [3, 3, 3], 1.7)
-    fixed = [0, *range(54, 108)]
-    species = ["A"] * 54 + ["B"] * 54
-    system = md.System(positions, cell=edges, species=species, constraints=[md.FixedAtoms(fixed)])
-    looking = md.observers.MeanSquareDisplacement(every=1), md.observers.VelocityAutocorrelation(every=1)
-    sim = md.Simulation(system, LJ, md.VelocityVerlet(0.002))
-    sim.set_temperature(1.0, seed=1)
-    before = sim.positions.copy()
-    sim.run(50, observers=looking)
-    displacements, velocities = (one.result() for one in looking)
-    moved = np.square(sim.positions - before).sum(axis=1)
-    assert displacements.n_atoms == velocities.n_atoms == 53
-    assert displacements.means[0, displacements.times.argmax()] > 0.0
-    assert displacements.means[1] == pytest.approx(displacements.msd)
-    assert "nan" not in str(displacements)
-    assert "B: does not move" in str(displacements)
-    for result in (displacements, velocities):
-        assert "all atoms but the 55 that are fixed" in str(result)
-    assert moved[fixed].max() == 0.0
-
-
 def test_frames_and_times_of_a_run_in_parts_are_those_of_all(tmp_path):
     sim, looking, file = simulation(), md.observers.RadialDistribution(every=10), tmp_path / "a.h5md"
     sim.run(20, every=10, trajectory=file, observers=[looking])
@@ -718,13 +693,3 @@ def test_frames_and_times_of_a_run_in_parts_are_those_of_all(tmp_path):
     older.restore(state)
     sim.run(10, every=10, observers=[older])
     assert older.result().scene.frames(4) == "4 frames"
-
-
-def test_viscosity_is_drawn_in_the_unit_of_its_text():
-    scene = ObservedRun("ASE", ["Ar"], [108], 1.0, 321, None, None)
-    times, ones = np.arange(9.0), np.ones(9)
-    result = ViscosityResult(scene, times, ones, ones, ones, 0.1 * ones, Plateau(1.0, 0.1, (2.0, 4.0), True), 1e3)
-    (panel,) = result.plot().axes
-    told = float(str(result).split("η = ")[1].split()[0])
-    assert panel.get_ylabel() == "η  [mPa s]"
-    assert panel.lines[0].get_ydata()[0] == pytest.approx(told, rel=1e-2)

@@ -75,7 +75,7 @@ for panel, step in zip(panels, methods, strict=True):
     panel.plot(q, v, ".-", markersize=4, linewidth=0.6)
     panel.set(title=step.__name__.replace("_", " "), xlabel="q", xlim=(-4.0, 4.0), ylim=(-3.0, 3.0))
 panels[0].set_ylabel("v")
-plt.show()
+figure.savefig("1_phase_plane_1.png", dpi=150)
 
 # %%
 # The energy
@@ -91,7 +91,7 @@ for step in methods[1:]:
     print(f"{step.__name__:17} energy off by at most {worst:.3f}, in the last tenth by {last:.3f}")
 panel.set(xlabel="time", ylabel="H − H(0)")
 panel.legend(frameon=False)
-plt.show()
+figure.savefig("1_phase_plane_2.png", dpi=150)
 
 # %%
 # Areas
@@ -110,7 +110,7 @@ for step, color in zip(methods, ["C3", "C1", "C0"], strict=True):
         q, v = step(q, v, acceleration, timestep)
     print(f"{step.__name__:17} area after 12 steps: {area / (0.16 * np.pi):.3f} of that at the start   (symplectic: 1)")
 panel.set(xlabel="q", ylabel="v", aspect="equal")
-plt.show()
+figure.savefig("1_phase_plane_3.png", dpi=150)
 
 # %%
 # What is wrong with a step?

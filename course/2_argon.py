@@ -71,7 +71,7 @@ panel.plot(radii, g)
 for r in (3.7, 7.0, 10.4):
     panel.axvline(r, color="0.8", linewidth=1.0, zorder=0)
 panel.set(xlabel="r / Å", ylabel="g(r)", title="gray: the maxima that Rahman found")
-plt.show()
+figure.savefig("2_argon_1.png", dpi=150)
 
 # %%
 # How fast they go
@@ -106,7 +106,7 @@ memory = np.array([np.mean(np.sum(speeds[: len(speeds) - k] * speeds[k:], axis=2
 panels[1].plot(time[delays], memory / memory[0], ".-")
 panels[1].axhline(0.0, color="0.8", linewidth=1.0, zorder=0)
 panels[1].set(xlabel="t / ps", ylabel="⟨v(t)·v(0)⟩ / ⟨v²⟩")
-plt.show()
+figure.savefig("2_argon_2.png", dpi=150)
 
 # %%
 # A force of your own

@@ -34,7 +34,7 @@ for method in methods:
     print(f"{method.name:20} order {slope:.2f}   ({method.order})")
 panel.set(xlabel="time step", ylabel="distance from where it should be")
 panel.legend(frameon=False)
-plt.show()
+figure.savefig("3_order_and_stability_1.png", dpi=150)
 
 # %%
 # The price
@@ -50,7 +50,7 @@ for method in methods[1:]:
     )
 panel.set(xlabel="evaluations of the force", ylabel="error")
 panel.legend(frameon=False)
-plt.show()
+figure.savefig("3_order_and_stability_2.png", dpi=150)
 
 # %%
 # Order from composition
@@ -68,7 +68,7 @@ for exponent in (1.0 / 3.0, -1.0 / 3.0):
 # Stability
 # ---------
 # A spring of frequency ω. Beyond ωΔt = 2 the amplitude of velocity Verlet grows in each step: a step must be shorter
-# than a third of the period of the fastest vibration. Below that, it keeps v² + ω²q² (1 − (ωΔt)²/4) to rounding.
+# than 1/π of the period 2π/ω of the fastest vibration. Below that, it keeps v² + ω²q² (1 − (ωΔt)²/4) to rounding.
 
 spring = SecondOrder(lambda q: -q)
 n_steps = 400
@@ -82,7 +82,7 @@ for phase in (0.5, 1.5, 1.95, 2.01):
         print(f"ωΔt = {phase:4}   largest |q| {largest:.3f}, shadow energy constant to {change:.0e}   (rounding)")
 panel.set(xlabel="steps", ylabel="|q|", ylim=(1e-3, 1e4))
 panel.legend(frameon=False)
-plt.show()
+figure.savefig("3_order_and_stability_3.png", dpi=150)
 
 # %%
 # A step of higher order, of your own

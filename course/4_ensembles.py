@@ -65,7 +65,7 @@ for panel, (name, energies) in zip(panels, kinetic.items(), strict=True):
     panel.hist(energies / mean, bins=40, density=True, color="0.8")
     panel.plot(grid, expected.pdf(grid), "C3")
     panel.set(title=name, xlabel="K / k_B T")
-plt.show()
+figure.savefig("4_ensembles.png", dpi=150)
 
 # %%
 # Heat capacity, twice

@@ -45,7 +45,7 @@ for path, name in ((free, "differentiated twice"), (held, "RATTLE")):
 panels[0].set(xlabel="time", ylabel="error of the length")
 panels[1].set(xlabel="time", ylabel="H − H(0)")
 panels[0].legend(frameon=False)
-plt.show()
+figure.savefig("5_constraints_1.png", dpi=150)
 
 # %%
 # SHAKE, by hand
@@ -108,7 +108,7 @@ print(f"the energy fluctuates as Δt to the power {slope:.2f}   (velocity Verlet
 figure, panel = plt.subplots(figsize=(6.0, 4.0), layout="constrained")
 panel.loglog(timesteps, energies, "o-")
 panel.set(xlabel="time step / fs", ylabel="fluctuation of the energy / K per molecule")
-plt.show()
+figure.savefig("5_constraints_2.png", dpi=150)
 
 # %%
 # Tasks

@@ -103,7 +103,7 @@ panels[1].set(xlabel="t / τ", ylabel="D(t)", ylim=(0.0, 1.6 * green_kubo.max())
 panels[1].legend(frameon=False)
 panels[2].plot(lags, running)
 panels[2].set(xlabel="t / τ", ylabel="η(t)")
-plt.show()
+figure.savefig("6_diffusion_and_viscosity.png", dpi=150)
 
 # %%
 # The size of the box

@@ -85,8 +85,20 @@ SurfaceTension Interface
     md.observers.SurfaceTension | observers
 PressureTensor Stress StressTensor
     sim.stress; in the record: sim.extra_observables = ("stress",) | pressure
-ElasticConstants Elastic
-    not here: stress against strain, as in examples/metal.py | metals
+ElasticConstants Elastic BulkModulus YoungModulus ShearModulus
+    stress against strain, by md.evaluate; for metals examples/metal.py | recipes
+HeatCapacity SpecificHeat Cv Cp Compressibility IsothermalCompressibility ThermalExpansion
+    md.observers.Fluctuations; the bulk modulus of a liquid is 1/κ_T | observers
+MagneticField Magnetic Lorentz LorentzForce Boris Cyclotron
+    one particle: md.integrators.SecondOrder(f(q, v)); atoms: a splitting of your own that turns velocities | own-parts
+Euler SymplecticEuler SemiImplicitEuler
+    md.integrators.SE1, symplectic Euler; explicit Euler is not here: md.grade judges one of yours | small-systems
+Pendulum DoublePendulum
+    md.FixedAtoms, md.DistanceConstraints and md.Gravity; or md.integrators.Holonomic | small-systems
+Movie Film Animation Snapshot Render Ovito VMD
+    md.view(file); a picture or a film of the box by ase.io.write | view
+CIF POSCAR VASP PDB SaveAs
+    ase.io.write(file, system.to_ase()); LAMMPS data: sim.system.write("melt.data") | formats
 Barometric Sedimentation Atmosphere
     md.Gravity, md.Wall and md.observers.Profile | recipes
 DensityProfile TemperatureProfile Chunk PressureProfile

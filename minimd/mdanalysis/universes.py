@@ -9,7 +9,7 @@ from contextlib import contextmanager, nullcontext
 from functools import partial
 from math import ceil
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import MDAnalysis
 import numpy as np
@@ -31,7 +31,7 @@ from minimd.core.simulation.simulation import Simulation
 from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.system import System
-from minimd.core.structure.units import ASE
+from minimd.core.structure.units import ASE, CM2_PER_S
 from minimd.observers.arguments import interval
 from minimd.observers.motion import DisplacementResult
 from minimd.observers.radial_distribution import RadialDistributionResult
@@ -40,7 +40,6 @@ from minimd.observers.viscosity import ViscosityResult
 __all__ = [
     "Diffusion",
     "Frames",
-    "RadialDistribution",
     "RunUniverse",
     "Turn",
     "diffusion_coefficient",
@@ -61,7 +60,6 @@ MSD_ATOMS = 1000
 MSD_LEVELS = 8
 # largest relative difference between equal spacings of frames, whose times are rounded
 UNEVEN = 1e-6
-CM2_PER_S = 1e-4  # per Å²/ps
 
 
 class Frames:
@@ -377,22 +375,6 @@ def universe_of(run: Run) -> Iterator[RunUniverse]:
         own.trajectory.close()
 
 
-class RadialDistribution(NamedTuple):
-    """g(r) of all pairs that count.
-    r : (B,) [length of the file].
-    g : (B,) dimensionless."""
-
-    r: Array
-    g: Array
-
-    def __repr__(self) -> str:
-        k = int(np.argmax(self.g))
-        return (
-            f"RadialDistribution({len(self.r)} distances from {self.r[0]:.4g} to {self.r[-1]:.4g}; "
-            f"highest at {self.r[k]:.4g}, {self.g[k]:.4g})"
-        )
-
-
 def radial_distribution(
     run: Run,
     n_bins: int = 200,
@@ -400,9 +382,9 @@ def radial_distribution(
     pairs: str | list[str] | None = None,
     intramolecular: bool = False,
     of: str = "atoms",
-) -> RadialDistribution:
-    """g(r) by the observer RadialDistribution, in the cell of each frame, without the first bin, from evenly chosen
-    frames since method, bath or state were changed last. Pairs of one molecule are left out where the run knows bonds.
+) -> RadialDistributionResult:
+    """g(r) by the observer RadialDistribution, in the cell of each frame, from evenly chosen frames since method, bath
+    or state were changed last: at most 50, and a million atoms in all; the result tells how many.
 
     run : an argument of universe, or a universe.
     r_max : as for the observer [length of the file].
@@ -416,8 +398,7 @@ def radial_distribution(
     observer = observers.RadialDistribution(
         r_max, n_bins, every=1, pairs=pairs, intramolecular=intramolecular, of=of, name=""
     )
-    result = observed_pairs(run, observer)
-    return RadialDistribution(result.r[1:], result.g[1:])
+    return observed_pairs(run, observer)
 
 
 def observed_pairs(
@@ -497,7 +478,7 @@ class Diffusion(Displayed):
         self.result = result
         self.coefficient = per_time * result.diffusion
         self.error = per_time * result.diffusion_error
-        self.cm2_per_s = self.coefficient * CM2_PER_S if units is ASE else None
+        self.cm2_per_s = result.diffusion / CM2_PER_S if units is ASE else None
         self.infinite = None if np.isnan(result.infinite) else per_time * result.infinite
         self.infinite_error = per_time * result.infinite_error
         self.window = (start * ps, end * ps)

@@ -146,6 +146,7 @@ class ObservedRun:
     bath_temperature, bath_pressure : of thermostat and barostat; None without them.
     times : of the first and of the last look so far [time]; of a run that began with an older version of minimd, fewer.
     has_molecules : whether bonds or rigid lengths join atoms; of such a run, true.
+    n_fixed : number of fixed atoms; of such a run, 0.
     """
 
     units: str
@@ -157,6 +158,7 @@ class ObservedRun:
     bath_pressure: float | None
     times: list[float] = field(default_factory=list, compare=False)
     has_molecules: bool = field(default=True, compare=False)
+    n_fixed: int = field(default=0, compare=False)
 
     @classmethod
     def of(cls, engine: Engine, every: int) -> ObservedRun:
@@ -173,6 +175,7 @@ class ObservedRun:
             bath_temperature=temperature,
             bath_pressure=pressure,
             has_molecules=bool(len(system.bonds) or engine.constraint_set.bonds),
+            n_fixed=engine.constraint_set.n_fixed,
         )
 
     @property
@@ -193,6 +196,21 @@ class ObservedRun:
         units = self.unit_system
         ends = " to ".join(f"{time * units.to_picosecond:.6g}" for time in self.times)
         return f"{words}, {ends} {units.shown_time}"
+
+
+def first_peak(x: Array, y: Array) -> tuple[float, int]:
+    """The place of the first peak of a curve y, (B,), over x, (B,): in the first interval where y is at least half of
+    its maximum, the vertex of the parabola through the highest point and its neighbors; and the number of this point.
+    """
+    is_high = np.append(y >= 0.5 * y.max(), False)
+    start = int(np.argmax(is_high))
+    end = start + int(np.argmin(is_high[start:]))
+    k = start + int(np.argmax(y[start:end]))
+    if not 0 < k < len(y) - 1:
+        return float(x[k]), k
+    before, after = np.diff(y[k - 1 : k + 2]) / np.diff(x[k - 1 : k + 2])
+    curvature = 2.0 * (after - before) / (x[k + 1] - x[k - 1])
+    return float(0.5 * (x[k - 1] + x[k]) - before / curvature), k
 
 
 class Series(NamedTuple):
@@ -437,7 +455,8 @@ class Accumulator(StoredObserver, Displayed):
         scene = self.answered()
         first = scene.times[0] if scene.times else 0.0
         times: Array = first + np.float64(scene.spacing) * (self.sums.ends - 1)
-        return times, np.array([law(each) for each in sums], dtype=np.float64)
+        with np.errstate(all="ignore"):
+            return times, np.array([law(each) for each in sums], dtype=np.float64)
 
     def _begin(self, engine: Engine) -> None:
         """Check the first run, and set what it settles."""

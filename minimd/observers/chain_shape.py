@@ -20,7 +20,7 @@ SYMBOLS = "R_g²", "b", "κ²", "R_ee²"
 class ChainShapeResult(MeansResult):
     """Sizes and shapes of molecules, see MeansResult; names end in the formula if there are several kinds."""
 
-    title = "molecules"
+    title = "molecule sizes"
 
 
 class ChainShape(Means):

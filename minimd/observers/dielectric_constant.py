@@ -117,13 +117,7 @@ def variances(sums: Array) -> Array:
 class DielectricConstantResult(MeansResult):
     """A dielectric constant, dielectric_constant, see MeansResult; parts are its values up to the times."""
 
-    title = "dielectric"
-    heading = "dielectric constant"
+    title = "dielectric constant"
     of_parts = "running value"
     correlated = "dipole"
     enough = ENOUGH
-
-    @property
-    def correlation_times(self) -> float:
-        """Length of the run in correlation times of the dipole; NaN if unknown."""
-        return float(self.lengths[0])

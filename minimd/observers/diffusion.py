@@ -22,7 +22,7 @@ import numpy as np
 
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.statistics import spread, with_error
-from minimd.core.structure.units import UnitSystem
+from minimd.core.structure.units import CM2_PER_S, PICOSECOND, UnitSystem
 
 LONGEST = 0.25  # of the duration: longer lags have too few origins
 OCTAVES = 3  # over so many at least a trend is looked for
@@ -33,12 +33,13 @@ KNOWN = 0.3  # of D: with a larger error only a limit is known
 LEFT = 0.1  # of the msd: where less is due to the limit of D, atoms swing about their places
 SPAN = 2  # octaves of D
 WITHIN = 0.999  # of a lag: nearer is rounding
-USUAL = 10.0  # 10⁻⁵ cm²/s per Å²/ps
+USUAL = 1e-5 * CM2_PER_S  # of a liquid
 DIFFUSIVE = "diffusive"
 NOT_YET = "not diffusive yet"
 UNKNOWN = "unknown"
 AT_PLACES = "at their places"
 SHORT = "short"
+FIXED = "fixed"
 OF_ATOMS = '; of molecules, measure the centers: of="molecules"'
 SLOPE = "slope of the mean square"
 
@@ -47,8 +48,8 @@ def diffusion_words(coefficient: float, error: float, units: UnitSystem) -> str:
     """D in words, in Å²/ps and cm²/s, or in reduced units."""
     if units.name != "ASE":
         return f"{_known(coefficient, error)} {units.length}²/{units.time}"
-    numbers = np.array([coefficient, error]) / units.to_picosecond
-    return f"{_known(*numbers)} Å²/ps = ({_known(*USUAL * numbers)})·10⁻⁵ cm²/s"
+    numbers = np.array([coefficient, error])
+    return f"{_known(*PICOSECOND * numbers)} Å²/ps = ({_known(*numbers / USUAL)})·10⁻⁵ cm²/s"
 
 
 def _known(value: float, error: float) -> str:
@@ -59,8 +60,9 @@ def _known(value: float, error: float) -> str:
 class Diffusivity(NamedTuple):
     """D, or why there is none.
 
-    state : DIFFUSIVE, NOT_YET, UNKNOWN (too noisy), AT_PLACES (of a crystal or a glass: at the longest lag the limit
-        of D explains less than a tenth of the mean square), or SHORT (fewer than four lags that double).
+    state : DIFFUSIVE, NOT_YET, UNKNOWN (too noisy), FIXED (no atom can move), AT_PLACES (of a crystal or a glass: at
+        the longest lag the limit of D explains less than a tenth of the mean square), or SHORT (fewer than four lags
+        that double).
     value, error : D and its standard error [length²/time]; NaN unless diffusive.
     window : lags of D; if there is none, those whose slopes were compared [time].
     trend, trend_error : relative change of the slope when the lag doubles.
@@ -85,6 +87,8 @@ class Diffusivity(NamedTuple):
         advice = "run longer" + OF_ATOMS * are_joined
         if self.state == SHORT:
             return f"unknown: the run has fewer than four lags that double, up to a quarter of it; {advice}"
+        if self.state == FIXED:
+            return "does not move: all these atoms are fixed"
         start, end = self.window
         lags = f"lags of {units.shown(start)} to {units.shown(end)}"
         percent = _known(100.0 * self.trend, 100.0 * self.trend_error)
@@ -159,13 +163,15 @@ def diffusivity(
     """D by the rule of this module, or why there is none.
 
     times : (T,) lags [time], with nearly all halves of the longest.
-    mean : (T,) mean square displacements [length²].
+    mean : (T,) mean square displacements [length²]; NaN of atoms that are all fixed.
     without : (K, T), its replicas, each without one block of time.
     longest : lag, a quarter of the run [time].
     window : lags; D is then the level over all of its octaves, whether atoms diffuse there or not [time].
 
     Raises ValueError for a window without an octave of lags.
     """
+    if np.isnan(mean).all():
+        return Diffusivity(FIXED)
     octaves = _Octaves(times, mean, without, *(window or (0.0, longest)))
     lags = octaves.lags
     n = octaves.n

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,8 +19,12 @@ from minimd.core.structure.statistics import (
     standard_error,
     with_error,
 )
-from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result
+from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun
 from minimd.observers.arguments import label, steps
+from minimd.observers.means import MeansResult, Quantity
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 N_SERIES = 3  # K, U, V
 KINETIC, ENERGY, VOLUME = range(N_SERIES)
@@ -28,7 +33,7 @@ OF_INTEREST = ((1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 # of the error of the jackknife: the least error; not all of it, because it scatters more than the other estimate
 JACKKNIFE = 0.7
 ENOUGH = 100.0  # correlation times; the error bar of a shorter run is itself too uncertain
-NAMES = "temperature", "heat_capacity_v", "heat_capacity_p", "compressibility", "expansion"
+C_V, C_P = 1, 2  # places in the values
 
 
 class Fluctuations(Accumulator):
@@ -96,7 +101,19 @@ class Fluctuations(Accumulator):
         if self.sums.total[1 + VOLUME] != 0.0 or self.sums.total[-1] != 0.0:
             ensemble = "constant pressure"
         length = float(np.fmin.reduce(times[fluctuating]))
-        return FluctuationResult(scene, ensemble, values, errors, self.n_looks, length)
+        units = scene.unit_system
+        heat = f"{units.energy}/{units.temperature}"
+        quantities = [
+            Quantity("temperature", "T", units.temperature),
+            Quantity("heat_capacity_v", "C_V", heat),
+            Quantity("heat_capacity_p", "C_P", heat),
+            Quantity("compressibility", "κ_T", f"{units.length}³/{units.energy}"),
+            Quantity("expansion", "α_P", f"1/{units.temperature}"),
+        ]
+        running = self._history(law, self.sums.until())
+        return FluctuationResult(
+            scene, quantities, values, errors, *running, self.n_looks, np.array([length]), ensemble
+        )
 
 
 def moments(sums: Array) -> tuple[Array, Array]:
@@ -144,47 +161,37 @@ def _coefficients(sums: Array, reference: Array, scene: ObservedRun, grown: Arra
 
 
 @dataclass(frozen=True, repr=False)
-class FluctuationResult(Result):
-    """Coefficients from fluctuations; each has its name and, with _error, its standard error.
+class FluctuationResult(MeansResult):
+    """Coefficients from fluctuations, see MeansResult; parts are their values up to the times.
 
-    ensemble : in words.
-    n_looks : number of looks.
     values, errors : (5,) mean temperature, C_V and C_P of the whole system [energy/temperature], κ_T [length³/energy],
-        α_P [1/temperature], and their standard errors; NaN for those that do not follow from the ensemble.
-    correlation_times : length of the run in correlation times of the slowest fluctuation; NaN if unknown.
+        α_P [1/temperature], and their standard errors; NaN for those that do not follow from the ensemble. Printed and
+        drawn are the heat capacities per atom, C/(N k_B).
+    ensemble : in words.
     """
 
     ensemble: str
-    values: Array
-    errors: Array
-    n_looks: int
-    correlation_times: float = np.nan
     title = "fluctuations"
-    coefficients = tuple(f"{name}{suffix}" for name in NAMES for suffix in ("", "_error"))
+    of_parts = "running value"
 
-    def __getattr__(self, name: str) -> float:
-        coefficient = name.removesuffix("_error")
-        if coefficient not in NAMES:
-            known = ", ".join(NAMES)
-            raise AttributeError(
-                f"fluctuations have no {name!r}; they have {known}, each also with _error"
-            )
-        numbers = self.values if name == coefficient else self.errors
-        return float(numbers[NAMES.index(coefficient)])
+    @property
+    def _per_atom(self) -> float:
+        """k_B of all atoms [energy/temperature]."""
+        return self.scene.n_atoms * self.units.k_B
 
     def display_rows(self) -> Rows:
         """See Displayed."""
         units = self.units
-        per_atom = self.scene.n_atoms * units.k_B
         temperature = f"{with_error(self.temperature, self.temperature_error)} {units.temperature}"
-        frames = f"at {self.ensemble}, {self.n_looks} frames, T = {temperature}"
-        rows = [("fluctuations", frames)]
+        frames = f"at {self.ensemble}, {self.scene.frames(self.n_frames)}, T = {temperature}"
+        rows = [(self.title, frames)]
 
-        for symbol, k, size, unit in (
-            ("C_V", 1, per_atom, "k_B per atom"),
-            ("C_P", 2, per_atom, "k_B per atom"),
-            ("κ_T", 3, 1.0, f"{units.length}³/{units.energy}"),
-        ):
+        for k in range(C_V, len(self.quantities)):
+            _, symbol, unit = self.quantities[k]
+            size = 1.0
+            if k in (C_V, C_P):
+                size = self._per_atom
+                unit = "k_B per atom"
             if np.isfinite(self.values[k]):
                 value = with_error(self.values[k] / size, self.errors[k] / size)
                 rows.append(("", f"{symbol} = {value} {unit}"))
@@ -192,3 +199,8 @@ class FluctuationResult(Result):
         slowest = "volume or energy" if np.isfinite(self.compressibility) else "energy"
         short = short_run(self.correlation_times, slowest, ENOUGH)
         return [*rows, ("", short)] if short else rows
+
+    def draw(self, panel: Axes) -> None:
+        """See Result: the heat capacity."""
+        drawn = C_V if np.isfinite(self.values[C_V]) else C_P
+        self.draw_quantities(panel, [drawn], "k_B per atom", self._per_atom)

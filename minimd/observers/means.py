@@ -38,7 +38,7 @@ class MeansResult(Result):
     times : (B,) of the last looks in parts of the run [time].
     parts : (B, Q) of each part, or up to its end.
     n_frames : number of looks.
-    lengths : (Q,) of the run in correlation times of each quantity; NaN if unknown, or if it is constant.
+    lengths : of the run in correlation times, (Q,) of each quantity, or of what counts; NaN if unknown.
     """
 
     quantities: list[Quantity]
@@ -48,8 +48,7 @@ class MeansResult(Result):
     parts: Array
     n_frames: int
     lengths: Array
-    of_parts: ClassVar[str] = "means of parts of the run"
-    heading: ClassVar[str] = ""  # of the picture
+    of_parts: ClassVar[str] = "mean of each part of the run"
     correlated: ClassVar[str] = ""  # what lengths are of, if not of the quantities
     enough: ClassVar[float] = FEWEST  # of lengths, for an error bar that can be trusted
 
@@ -70,9 +69,11 @@ class MeansResult(Result):
         return numbers
 
     def series(self) -> list[Series]:
-        """See Result: the parts of the run."""
-        parts = zip(self.quantities, self.parts.T, strict=True)
-        of_parts = [Series(quantity.name, quantity.unit, part) for quantity, part in parts]
+        """See Result: the parts of the run, of the quantities that are known."""
+        parts = zip(self.quantities, self.parts.T, np.isfinite(self.values), strict=True)
+        of_parts = [
+            Series(name, unit, part) for (name, _, unit), part, is_known in parts if is_known
+        ]
         return [Series("time", self.units.time, self.times), *of_parts]
 
     def display_rows(self) -> Rows:
@@ -82,23 +83,40 @@ class MeansResult(Result):
             self.quantities, self.values, self.errors, strict=True
         ):
             rows.append(("", f"{symbol} = {with_error(value, error)} {unit}".rstrip()))
-        if np.isfinite(self.lengths).any():
-            k = int(np.nanargmin(self.lengths))
-            of = self.correlated or self.quantities[k].symbol
-            short = short_run(float(self.lengths[k]), of, self.enough)
-            rows += [("", short)] if short else []
-        return rows
+        slowest = self.correlated
+        if not slowest and np.isfinite(self.lengths).any():
+            slowest = self.quantities[np.nanargmin(self.lengths)].symbol
+        short = short_run(self.correlation_times, slowest, self.enough)
+        return [*rows, ("", short)] if short else rows
+
+    @property
+    def correlation_times(self) -> float:
+        """Length of the run in correlation times of the slowest quantity; NaN if unknown."""
+        return float(np.fmin.reduce(self.lengths))
 
     def draw(self, panel: Axes) -> None:
-        """See Result: the quantities that have the unit of the first one, and its mean."""
+        """See Result: the quantities that have the unit of the first one."""
         unit = self.quantities[0].unit
-        curves = [curve for curve in self.series()[1:] if curve.unit == unit]
-        symbol = f"{self.quantities[0].symbol}, " if len(curves) == 1 else ""
-        panel.axhline(self.values[0], color="0.6", lw=0.8, ls="--")
-        label = f"{symbol}{self.of_parts}  [{unit}]".replace("  []", "")
-        self.draw_curves(panel, curves, "t", label)
-        if self.heading:
-            panel.set_title(f"{self.heading}, {self.scene.frames(self.n_frames)}")
+        drawn = [k for k, quantity in enumerate(self.quantities) if quantity.unit == unit]
+        self.draw_quantities(panel, drawn, unit)
+
+    def draw_quantities(self, panel: Axes, drawn: list[int], unit: str, size: float = 1.0) -> None:
+        """Draw the parts of the run, and the mean with a band of one standard error.
+
+        drawn : the numbers of quantities.
+        unit : the one in which they are drawn; size is its size in their own.
+        """
+        symbols = [self.quantities[k].symbol for k in drawn]
+        curves = [Series(self.quantities[k].symbol, unit, self.parts[:, k] / size) for k in drawn]
+        label = ", ".join([*symbols[: len(drawn) == 1], self.of_parts])
+        self.draw_curves(panel, curves, "t", f"{label}  [{unit}]".replace("  []", ""))
+        panel.set_title(f"{self.title}, {self.scene.frames(self.n_frames)}")
+        for k, curve in zip(drawn, [*panel.lines], strict=True):
+            color = curve.get_color()
+            mean = self.values[k] / size
+            error = np.nan_to_num(self.errors[k]) / size
+            panel.axhline(mean, color=color, lw=0.8, ls="--")
+            panel.axhspan(mean - error, mean + error, color=color, alpha=0.15, lw=0.0)
 
 
 class Means(Accumulator):

@@ -27,7 +27,7 @@ class Molecules:
     def __init__(self, system: System) -> None:
         self.label = molecules_of(system)
         self.pairs = np.unique(np.sort(joined_pairs(system), axis=1), axis=0)
-        self._levels = self._tree()
+        self._ways, self._jumps = self._tree()
         whole = self.whole(system)
         bonds = nearest_vectors(system.positions, system.cell, self.pairs)
         gaps = np.abs(whole[self.pairs[:, 1]] - whole[self.pairs[:, 0]] - bonds).max(axis=1)
@@ -39,26 +39,33 @@ class Molecules:
                 f"{shown(atoms.tolist())}"
             )
 
-    def _tree(self) -> list[Indices]:
-        """Pairs by their number of bonds from the first atom of the molecule, that nearer to it first."""
+    def _tree(self) -> tuple[Indices, list[Indices]]:
+        """Pairs, (P, 2), each the last bond on the way from the first atom of a molecule to another one, and (N,) int,
+        atoms on this way that are 1, 2, 4, ... bonds back."""
         both_ways = np.concatenate([self.pairs, self.pairs[:, ::-1]])
         is_reached = np.zeros(len(self.label), dtype=bool)
         is_reached[np.unique(self.label, return_index=True)[1]] = True
-        levels = []
+        levels = [np.zeros((0, 2), dtype=np.int64)]
         while not is_reached.all():
             next_ones = both_ways[is_reached[both_ways[:, 0]] & ~is_reached[both_ways[:, 1]]]
             level = next_ones[np.unique(next_ones[:, 1], return_index=True)[1]]
             is_reached[level[:, 1]] = True
             levels.append(level)
-        return levels
+        ways = np.concatenate(levels)
+        back = np.arange(len(self.label))
+        back[ways[:, 1]] = ways[:, 0]
+        jumps = [back]
+        for _ in range((len(levels) - 1).bit_length()):
+            jumps.append(jumps[-1][jumps[-1]])
+        return ways, jumps
 
     def whole(self, system: System) -> Array:
         """(N, 3) positions, with each molecule whole around its first atom [length]."""
-        positions = system.positions.copy()
-        for pairs in self._levels:
-            vectors = nearest_vectors(system.positions, system.cell, pairs)
-            positions[pairs[:, 1]] = positions[pairs[:, 0]] + vectors
-        return positions
+        ways = np.zeros_like(system.positions)
+        ways[self._ways[:, 1]] = nearest_vectors(system.positions, system.cell, self._ways)
+        for atoms in self._jumps:  # each doubles the number of bonds that are summed
+            ways += ways[atoms]
+        return system.positions[self._jumps[-1]] + ways
 
 
 class MoleculeKind(NamedTuple):

@@ -81,8 +81,9 @@ def of_molecules(vectors: Array, masses: Array, molecules: Indices) -> Array:
 
 
 class _OfAtoms(TimeCorrelation):
-    """A correlation of a vector of each atom, or of the center of its molecule, relative to the center of mass of all
-    atoms: if the momentum is constant, or if nothing holds several molecules, which a bath moves together."""
+    """A correlation of a vector of each atom that is not fixed, or of the center of its molecule, relative to the
+    center of mass of all atoms: if the momentum is constant, or if nothing holds several molecules, which a bath moves
+    together."""
 
     convention = 3  # relative to the center of mass also under a bath
     law: ClassVar[tuple]  # of the correlator
@@ -106,15 +107,16 @@ class _OfAtoms(TimeCorrelation):
 
     def _begin(self, engine: Engine) -> None:
         system = engine.system
+        moves = engine.constraint_set.inverse_masses > 0.0
         # not over all atoms: it could keep step with molecules
-        stride = ceil(len(system) / self.most_atoms)
+        stride = ceil(moves.sum() / self.most_atoms)
         species = range(len(system.species_names))
-        chosen = [np.flatnonzero(system.species_index == k)[::stride] for k in species]
+        chosen = [np.flatnonzero(moves & (system.species_index == k))[::stride] for k in species]
         self.chosen = np.concatenate(chosen).tolist()
         self.numbers = [*map(len, chosen)]
         self.is_cubic = is_cubic(system.cell)
         n_molecules = int(molecules_of(system).max()) + 1
-        n_particles = n_molecules if self.of == MOLECULES else len(system)
+        n_particles = n_molecules if self.of == MOLECULES else int(moves.sum())
         self.is_relative = engine.conserves_momentum or (engine.moves_freely and n_molecules > 1)
         if self.is_relative and not engine.conserves_momentum:
             self.widening = n_particles / (n_particles - 1.0)
@@ -159,8 +161,8 @@ class _OfAtoms(TimeCorrelation):
 
     def _means(self, seen: NDArray[np.bool_]) -> Callable[[Array], Array]:
         """The function of the sums that gives means over all atoms, over those of each species, and of each
-        component, (1 + S + C, T)."""
-        numbers = np.maximum(1, np.array(self.numbers))
+        component, (1 + S + C, T); NaN of a species whose atoms are all fixed."""
+        numbers = np.array([n or np.nan for n in self.numbers])
 
         def law(sums: Array) -> Array:
             products = self._correlator.correlations(sums[HEAD:])[1][seen]  # (T, S, C)
@@ -394,6 +396,12 @@ class MotionResult(Result):
         return diffusivity.in_words(self.units, self.compared, self.are_joined)
 
     @property
+    def fixed_rows(self) -> Rows:
+        """That fixed atoms do not count, if there are any."""
+        n = self.scene.n_fixed
+        return [("", f"of all atoms but the {n} that are fixed")] if n else []
+
+    @property
     def shown(self) -> tuple[float, str]:
         """The factor and the unit in which D is drawn."""
         return 1.0 / self.units.to_picosecond, f"{self.units.length}²/{self.units.shown_time}"
@@ -482,7 +490,7 @@ class DisplacementResult(MotionResult):
     def display_rows(self) -> Rows:
         """See Displayed."""
         units = self.units
-        rows = [("diffusion", self.in_words(self.diffusivity))]
+        rows = [("diffusion", self.in_words(self.diffusivity)), *self.fixed_rows]
         if len(self.of_species) > 1:
             for name, diffusivity in zip(self.scene.species, self.of_species, strict=True):
                 rows.append(("", f"{name}: {self.in_words(diffusivity)}"))
@@ -544,7 +552,7 @@ class VelocityResult(MotionResult):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        return [("velocities", self.in_words(self.diffusivity))]
+        return [("velocities", self.in_words(self.diffusivity)), *self.fixed_rows]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
@@ -552,7 +560,9 @@ class VelocityResult(MotionResult):
         part = Series("", "", self.vacf / self.vacf[0], self.errors[0] / self.vacf[0])
         self.draw_curves(panel, [part], "t", "⟨v(0) · v(t)⟩ / ⟨v²⟩")
         last = np.fmax(self.diffusivity.window[1], self.times[min(15, len(self.times) - 1)])
-        panel.set(xlim=(0.0, last * self.units.to_picosecond or None))
+        if last > 0.0:
+            ends = np.array([self.times[1], last]) * self.units.to_picosecond
+            panel.set(xscale="log", xlim=ends)
         beside = panel.twinx()
         factor, unit = self.shown
         inside = self.times <= last

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import namedtuple
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING, Any
@@ -27,7 +28,14 @@ from minimd.core.structure.checks import checked_count, checked_flag
 from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.statistics import with_error
 from minimd.core.structure.system import System
-from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
+from minimd.observers.accumulator import (
+    Accumulator,
+    BlockedSums,
+    ObservedRun,
+    Result,
+    Series,
+    first_peak,
+)
 from minimd.observers.arguments import (
     ATOMS,
     argument,
@@ -297,7 +305,7 @@ def _formulas(system: System, molecules: Indices) -> tuple[list[str], Indices]:
 
 @dataclass(frozen=True, repr=False)
 class RadialDistributionResult(Result):
-    """g(r).
+    """g(r); r, g = result gives the two.
 
     r : (B,) middles of the bins [length].
     g, error : (B,) of all these pairs, and its standard error.
@@ -305,6 +313,9 @@ class RadialDistributionResult(Result):
     g_of_pairs, errors_of_pairs : (P, B).
     n_frames : number of looks.
     is_between : whether pairs of one molecule are left out.
+
+    numbers() has the first peak of each pair: r_peak, see first_peak, which leaves out the first bin here; g_peak in
+    its highest bin, and g_peak_error. Names end in that of the pair if there are several.
     """
 
     r: Array
@@ -323,6 +334,27 @@ class RadialDistributionResult(Result):
         of_pair = f" of {self.pairs[0]}" if is_one_of_several else ""
         return f"radial distribution{of_pair}" + " between molecules" * self.is_between
 
+    def __iter__(self) -> Iterator[Array]:
+        return iter((self.r, self.g))
+
+    def peaks(self) -> dict[str, tuple[float, float, float]]:
+        """Of each pair that was seen, by name: r, g and the standard error of g at its first peak."""
+        peaks = {}
+        for pair, g, errors in zip(self.pairs, self.g_of_pairs, self.errors_of_pairs, strict=True):
+            if g[1:].max(initial=0.0) > 0.0:  # not NaN, as of a species with a single atom
+                place, k = first_peak(self.r[1:], g[1:])
+                peaks[pair] = place, float(g[1 + k]), float(errors[1 + k])
+        return peaks
+
+    def numbers(self) -> dict[str, float]:
+        """See Result."""
+        numbers: dict[str, float] = {}
+        for pair, peak in self.peaks().items():
+            end = f"_{pair}" if len(self.pairs) > 1 else ""
+            names = f"r_peak{end}", f"g_peak{end}", f"g_peak{end}_error"
+            numbers.update(zip(names, peak, strict=True))
+        return numbers
+
     def series(self) -> list[Series]:
         """See Result."""
         series = [Series("r", self.units.length, self.r), Series("g", "", self.g, self.error)]
@@ -335,15 +367,12 @@ class RadialDistributionResult(Result):
         """See Displayed."""
         length = self.units.length
         left_out = ", without pairs of one molecule" * self.is_between
+        width = 2.0 * self.r[0]
         lines = [
-            f"{len(self.r)} bins up to {self.r[-1]:.4g} {length}, {self.n_frames} frames{left_out}"
+            f"{len(self.r)} bins of {width:.3g} {length}, {self.scene.frames(self.n_frames)}{left_out}"
         ]
-        for pair, g, errors in zip(self.pairs, self.g_of_pairs, self.errors_of_pairs, strict=True):
-            if not g.max() > 0.0:
-                continue  # none so near, or, as NaN, none at all: of a species with a single atom
-            k = int(np.argmax(g))
-            highest = with_error(g[k], errors[k])
-            lines.append(f"{pair}: highest at {self.r[k]:.4g} {length}, {highest}")
+        for pair, (r, g, error) in self.peaks().items():
+            lines.append(f"{pair}: first peak at {r:.4g} {length}, {with_error(g, error)}")
         return [("g(r)" * (k == 0), line) for k, line in enumerate(lines)]
 
     def draw(self, panel: Axes) -> None:

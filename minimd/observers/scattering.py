@@ -21,7 +21,14 @@ from minimd.core.structure.cell import Cell
 from minimd.core.structure.checks import checked_count
 from minimd.core.structure.statistics import with_error
 from minimd.core.structure.system import System
-from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
+from minimd.observers.accumulator import (
+    Accumulator,
+    BlockedSums,
+    ObservedRun,
+    Result,
+    Series,
+    first_peak,
+)
 from minimd.observers.arguments import argument, label, positive, steps
 from minimd.observers.correlator import Product
 from minimd.observers.motion import MOST_ATOMS, MeanSquareDisplacement
@@ -205,6 +212,8 @@ class StructureFactorResult(Result):
     q : (B,) mean length of the wave vectors of each shell [1/length].
     s, error : (B,) S(q), and its standard error.
     n_frames : number of looks.
+
+    numbers() has the first peak: q_peak, see first_peak, s_peak in its highest shell, and s_peak_error.
     """
 
     q: Array
@@ -217,13 +226,17 @@ class StructureFactorResult(Result):
         """See Result."""
         return [Series("q", f"1/{self.units.length}", self.q), Series("s", "", self.s, self.error)]
 
+    def numbers(self) -> dict[str, float]:
+        """See Result."""
+        place, k = first_peak(self.q, self.s)
+        return {"q_peak": place, "s_peak": float(self.s[k]), "s_peak_error": float(self.error[k])}
+
     def display_rows(self) -> Rows:
         """See Displayed."""
-        k = int(np.argmax(self.s))
         shells = f"{len(self.q)} shells up to {self.q[-1]:.4g}, {self.n_frames} frames"
-        s = with_error(self.s[k], self.error[k])
-        highest = f"highest at {self.q[k]:.4g} /{self.units.length}, {s}"
-        return [("S(q)", f"{shells}; {highest}")]
+        q, s, error = self.numbers().values()
+        peak = f"first peak at {q:.4g} /{self.units.length}, {with_error(s, error)}"
+        return [("S(q)", f"{shells}; {peak}")]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""

@@ -23,8 +23,7 @@ TAILS = "the part of the interactions beyond their cutoffs is left out"
 class SurfaceTensionResult(MeansResult):
     """A surface tension, tension, and the pressure along the axis, normal_pressure, see MeansResult."""
 
-    title = "surface"
-    heading = "surface tension"
+    title = "surface tension"
 
     def display_rows(self) -> Rows:
         """See Displayed."""

@@ -12,7 +12,7 @@ from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look, check_has_volume
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.statistics import with_error
-from minimd.core.structure.units import BAR, PICOSECOND
+from minimd.core.structure.units import MPA_S
 from minimd.observers.accumulator import ObservedRun, Result, Series
 from minimd.observers.arguments import argument, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product
@@ -32,7 +32,6 @@ ENOUGH = 100.0  # times the start of the plateau: a shorter run knows its error 
 # entries on each level of the correlator: averages are over at most a sixteenth of a lag
 POINTS = 32
 WEIGHT = 10.0  # divisor of the sum over all components of a symmetric tensor without trace
-MPA_S = 1e-4 / (BAR * PICOSECOND)  # per eV/Å³ Å √(u/eV): a bar times a picosecond is 1e-4 mPa s
 
 
 class Viscosity(TimeCorrelation):
@@ -132,7 +131,11 @@ class ViscosityResult(Result):
     def shown(self) -> tuple[float, str]:
         """The factor and the unit in which η is shown."""
         units = self.units
-        return (MPA_S, "mPa s") if units.name == "ASE" else (1.0, f"{units.pressure} {units.time}")
+        return (
+            (1.0 / MPA_S, "mPa s")
+            if units.name == "ASE"
+            else (1.0, f"{units.pressure} {units.time}")
+        )
 
     def series(self) -> list[Series]:
         """See Result."""

@@ -29,6 +29,7 @@ from minimd.mdanalysis.universes import (
     observed_pairs,
     universe_of,
 )
+from minimd.observers.accumulator import first_peak
 from minimd.observers.diffusion import SHORT
 
 # 2⁻²⁴, relative rounding of a velocity to float32, and therefore the largest error of a momentum relative to Σ|mv|
@@ -268,14 +269,12 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
         if not system.cell.pbc.all() or len(system) < 2:
             return []
         found = observed_pairs(universe)
-        g = found.g[1:]
-        # the first interval of this has the first peak
-        above = np.append(g >= 0.5 * g.max(), False)
-        first = int(np.argmax(above))
-        end = first + int(np.argmin(above[first:]))
-        peak = float(found.r[1 + first + np.argmax(g[first:end])])
+        peak, _ = first_peak(found.r[1:], found.g[1:])
         of_molecules = " between molecules" * found.is_between
-        lines = [f"g(r)           first peak{of_molecules} at {peak:.3g} {system.units.length}"]
+        frames = f"{found.n_frames} of {universe.n_recent} frames"
+        lines = [
+            f"g(r)           first peak{of_molecules} at {peak:.3g} {system.units.length}, from {frames}"
+        ]
         if universe.n_recent > 1:
             diffusion = diffusion_coefficient(universe)
             if diffusion.result.diffusivity.state != SHORT:

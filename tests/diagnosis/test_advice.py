@@ -229,6 +229,7 @@ def with_depth(epsilon, sigma=3.4):
 STIFF, LIQUID = diatomic()[:2], liquid(3)  # 2/ω = 0.1789
 FLOWING = like(LIQUID, velocities=LIQUID.velocities + np.array([0.3, 0.0, 0.4]))
 SPARSE = md.System(md.lattice.crystal("fcc", (3, 3, 3), 5.4)[0], cell=16.2)
+BODIES = md.System(1.2 * np.eye(3), velocities=[[0.3, 0.0, 0.4], [0.2, 0.1, 0.4], [0.3, 0.1, -0.3]])
 RIGID, BATH = md.DistanceConstraints([[1, 0]]), md.LangevinBAOAB(0.004, 1.0, 1.0, seed=1)
 HINTS = {  # scene, and what is said
     "a sound scene": (LIQUID, LJ, None), "a step that is short enough": (LIQUID, LJ, 0.018, None),
@@ -242,7 +243,7 @@ HINTS = {  # scene, and what is said
     "a center that moves": (FLOWING, LJ, "center of mass.*0.5 σ/τ"),
     "a depth in K": (*with_depth(120.0), r"^epsilon = 120 eV .* 0.0103 eV.* epsilon=120 \* md.units.ASE.k_B"),
     "the right depth": (*with_depth(0.0103), None),
-    "one that is thermal": (FLOWING, LJ, BATH, None),
+    "one that is thermal": (FLOWING, LJ, BATH, None), "one of three bodies": (BODIES, LJ, None),
     "a start off its lengths": (*STIFF, 0.01, md.DistanceConstraints([[0, 1]], 0.9), "was projected"),
     "a step too long for a bond": (*STIFF, 0.18, "timestep 0.18 τ .* the bond of atoms 0 and 1; .* 0.1789 τ"),
     "one near its limit": (*STIFF, 0.17, "timestep 0.17 τ .* 0.1789 τ"),

@@ -148,6 +148,8 @@ def test_each_part_of_ones_own_is_a_whole_file_that_runs(name, here, install, ca
         assert abs(mean - 1.2) < 4.0 * error < 0.2  # statistics
     if name.startswith("An observer"):
         assert 0.8 < float(process.stdout.split(", ")[1]) < 1.3  # of 1.2, which the bath follows
+    if name.startswith("A magnetic field"):
+        assert "the total energy is conserved" in process.stdout
     if name.startswith("A file format"):
         assert MDAnalysis.Universe("run.lammpstrj", format="LAMMPSDUMP").trajectory.n_frames == 3
     if name.startswith("A command"):
@@ -164,6 +166,7 @@ KNOWN = {  # what a recipe prints first, and how far it may be off
     "Umbrella sampling 0": (0.0, 0.2),  # largest difference from the exact free energy, in k_B T
     "Umbrella sampling 1": (1.5, 0.15),  # the length of the spring
     "Do two averages agree? 0": (0.0, 4.0),  # z, in standard errors, of two means that are equal
+    "Elastic constants and the bulk modulus 0": (67.7, 0.1),  # −V ΔP/ΔV of the same crystal
     "Several runs together 0": (22.0, 0.0),  # frames
     "The virial of each atom 0": (-7.2294, 1e-3),  # ε, of an fcc crystal
 }

@@ -155,7 +155,7 @@ def test_universe_in_memory_is_that_of_the_file(path, units):
     now, last = universe(sim).trajectory[0], stored.trajectory[-1]
     for name in ("positions", "velocities", "time"):
         np.testing.assert_array_equal(getattr(now, name), getattr(last, name))
-    assert len(radial_distribution(frames, 20).r) == 19
+    assert len(radial_distribution(frames, 20).r) == 20
     ours, theirs = (diffusion_coefficient(one, (0.0, 1e9)).coefficient for one in (frames, stored))
     assert ours == theirs
 
@@ -167,12 +167,12 @@ def test_radial_distribution_equals_counting_all_images(path):
         positions[::2] = positions[1::2] + rng.normal(0.0, 0.6, (n_atoms // 2, 3))  # so that g(r) is not flat
     made = md.System(frames[0], masses=1.0, cell=SKEWED @ TURNED, units=ASE)
     r, g = radial_distribution(universe(written(path, made, frames)), n_bins)
-    edges = np.linspace(1 / n_bins, 1.0, n_bins) * md.Cell.of(TURNED).heights.min() / 2
+    edges = np.linspace(0.0, 1.0, n_bins + 1) * md.Cell.of(TURNED).heights.min() / 2
     images, counts = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), -1).reshape(-1, 3) @ TURNED, 0
     for positions in frames:
         apart = positions[None, :, :] - positions[:, None, :]
         apart -= np.round(apart @ np.linalg.inv(TURNED)) @ TURNED
-        counts += np.histogram(np.linalg.norm(apart[:, :, None, :] + images, axis=-1), bins=edges)[0]
+        counts += np.histogram(np.linalg.norm(apart[:, :, None, :] + images, axis=-1), bins=[1e-6, *edges[1:]])[0]
     shells = 4 / 3 * np.pi * np.diff(edges**3)
     expected = counts / n_frames / n_atoms / (n_atoms - 1) * abs(np.linalg.det(TURNED)) / shells
     np.testing.assert_allclose(r, 0.5 * (edges[1:] + edges[:-1]), rtol=1e-6)

@@ -228,8 +228,8 @@ def test_displacement_diffusion_and_distances_have_one_carrier_each(tmp_path, mo
     counts = "minimd.observers.radial_distribution.RadialDistribution._counts"
     monkeypatch.setattr(counts, lambda self, *_: np.eye(1, self.n_bins, self.n_bins // 2))
     peak = radial_distribution(file)
-    assert (peak.g > 0.0).tolist() == (np.arange(1, 200) == 100).tolist()
-    assert f"first peak at {peak.r[99]:.3g}" in check_of_liquid(file)[0]
+    assert (peak.g > 0.0).tolist() == (np.arange(200) == 100).tolist()
+    assert f"first peak at {peak.r[100]:.3g} σ, from 26 of 51 frames" in check_of_liquid(file)[0]
     callers = {name: set() for name in CALLERS}
     package = Path(md.__file__).parent
     for path in package.rglob("*.py"):
@@ -449,3 +449,26 @@ def test_what_does_not_diffuse_has_no_diffusion_coefficient():
     for found in results:
         assert np.isnan([found.diffusion, found.diffusion_error]).all()
         assert "D = " not in str(found)
+
+
+def test_fixed_atoms_do_not_count_as_atoms_that_diffuse():
+    """All of the species B are fixed, and one of A."""
+    positions, edges = md.lattice.crystal("fcc", [3, 3, 3], 1.7)
+    fixed = [0, *range(54, 108)]
+    species = ["A"] * 54 + ["B"] * 54
+    system = md.System(positions, cell=edges, species=species, constraints=[md.FixedAtoms(fixed)])
+    looking = md.observers.MeanSquareDisplacement(every=1), md.observers.VelocityAutocorrelation(every=1)
+    sim = md.Simulation(system, LJ, md.VelocityVerlet(0.002))
+    sim.set_temperature(1.0, seed=1)
+    before = sim.positions.copy()
+    sim.run(50, observers=looking)
+    displacements, velocities = (one.result() for one in looking)
+    moved = np.square(sim.positions - before).sum(axis=1)
+    assert displacements.n_atoms == velocities.n_atoms == 53
+    assert displacements.means[0, displacements.times.argmax()] > 0.0
+    assert displacements.means[1] == pytest.approx(displacements.msd)
+    assert "nan" not in str(displacements)
+    assert "B: does not move" in str(displacements)
+    for result in (displacements, velocities):
+        assert "all atoms but the 55 that are fixed" in str(result)
+    assert moved[fixed].max() == 0.0

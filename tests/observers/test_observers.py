@@ -17,14 +17,12 @@ from wrong_calls import answered, assert_answered
 import minimd as md
 from minimd.core.files.h5md_digest import observers_of, read_restart
 from minimd.core.structure.checks import checked_count
-from minimd.core.structure.statistics import FEWEST
+from minimd.core.structure.statistics import FEWEST, with_error
 from minimd.core.structure.system import changed
-from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
+from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series, first_peak
 from minimd.observers.arguments import argument, label, positive, steps
 from minimd.observers.fluctuations import lengths
 from minimd.observers.profile import limits
-from minimd.observers.time_correlation import Plateau
-from minimd.observers.viscosity import ViscosityResult
 from minimd.scene import parse_scene, resume_run, run_scene
 from minimd.view.check import check_file
 from minimd.view.plot import plot_file
@@ -671,6 +669,35 @@ def test_pictures_name_what_they_show(run):
     assert "51 frames, 0 to 0.4 τ" in figures["radial-distribution"].axes[0].get_title()
 
 
+@pytest.mark.parametrize("kind", ["fluctuations", "chain-shape", "surface-tension", "dielectric-constant"])
+def test_a_mean_is_drawn_over_time_by_its_symbol_with_a_band_of_its_error(kind, run):
+    """Fluctuations per atom, as they are printed."""
+    result = run.looking[kind].result()
+    (panel,) = result.plot().axes
+    k, size = (1, len(run.species)) if kind == "fluctuations" else (0, 1.0)
+    curve, band = panel.lines[0], panel.patches[0]
+    np.testing.assert_allclose(curve.get_ydata(), result.parts[:, k] / size)
+    assert result.quantities[k].symbol in (panel.get_ylabel(), panel.get_ylabel().split(",")[0], curve.get_label())
+    assert result.quantities[k].name not in panel.get_ylabel() + curve.get_label()
+    assert band.get_y() + 0.5 * band.get_height() == pytest.approx(result.values[k] / size)
+    assert band.get_height() == pytest.approx(2.0 * np.nan_to_num(result.errors[k]) / size)
+
+
+def test_the_first_peak_is_the_vertex_of_a_parabola_and_its_numbers_are_those_that_are_printed(run):
+    x = np.array([0.0, 1.0, 1.5, 2.5, 3.0, 4.0, 5.0])
+    place, k = first_peak(x, np.maximum(0.0, 2.0 - (x - 2.2) ** 2) + 2.5 * (x == 5.0))  # not the higher one at the end
+    assert (place, k) == (pytest.approx(2.2), 3)
+    assert first_peak(x, x) == (5.0, 6)
+    result = run.looking["radial-distribution"].result()
+    for pair, (r, g, error) in result.peaks().items():
+        found = [result.numbers()[name] for name in (f"r_peak_{pair}", f"g_peak_{pair}", f"g_peak_{pair}_error")]
+        assert found == [r, g, error]
+        assert f"{pair}: first peak at {r:.4g} σ, {with_error(g, error)}" in str(result)
+    result = run.looking["structure-factor"].result()
+    assert result.numbers()["s_peak"] in result.s
+    assert f"first peak at {result.numbers()['q_peak']:.4g} /σ, " in str(result)
+
+
 def test_frames_and_times_of_a_run_in_parts_are_those_of_all(tmp_path):
     sim, looking, file = simulation(), md.observers.RadialDistribution(every=10), tmp_path / "a.h5md"
     sim.run(20, every=10, trajectory=file, observers=[looking])
@@ -687,13 +714,3 @@ def test_frames_and_times_of_a_run_in_parts_are_those_of_all(tmp_path):
     older.restore(state)
     sim.run(10, every=10, observers=[older])
     assert older.result().scene.frames(4) == "4 frames"
-
-
-def test_viscosity_is_drawn_in_the_unit_of_its_text():
-    scene = ObservedRun("ASE", ["Ar"], [108], 1.0, 321, None, None)
-    times, ones = np.arange(9.0), np.ones(9)
-    result = ViscosityResult(scene, times, ones, ones, ones, 0.1 * ones, Plateau(1.0, 0.1, (2.0, 4.0), True), 1e3)
-    (panel,) = result.plot().axes
-    told = float(str(result).split("η = ")[1].split()[0])
-    assert panel.get_ylabel() == "η  [mPa s]"
-    assert panel.lines[0].get_ydata()[0] == pytest.approx(told, rel=1e-2)

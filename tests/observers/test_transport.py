@@ -9,8 +9,10 @@ from scenes import LJ
 import minimd as md
 from minimd.core.structure.statistics import replicas
 from minimd.mdanalysis import diffusion_coefficient
+from minimd.observers.accumulator import ObservedRun
 from minimd.observers.correlator import MultipleTau, Product
-from minimd.observers.time_correlation import plateau, running_integral
+from minimd.observers.time_correlation import Plateau, plateau, running_integral
+from minimd.observers.viscosity import ViscosityResult
 from minimd.view.check import check_file
 
 VISCOSITY, DIFFUSION, N_PUBLISHED = 3.258, 0.0325, 1372  # K. Meier et al., J. Chem. Phys. 121, 3671 and 9526 (2004)
@@ -177,3 +179,13 @@ def test_the_error_of_diffusion_is_what_runs_scatter_by():
     within = (np.abs(values - values.mean()) < 2.0 * errors).mean()
     assert 0.75 < ratio < 1.45  # 0.85 to 1.3, and what 40 runs can tell: 11 %
     assert within >= 0.85
+
+
+def test_viscosity_is_drawn_in_the_unit_of_its_text():
+    scene = ObservedRun("ASE", ["Ar"], [108], 1.0, 321, None, None)
+    times, ones = np.arange(9.0), np.ones(9)
+    result = ViscosityResult(scene, times, ones, ones, ones, 0.1 * ones, Plateau(1.0, 0.1, (2.0, 4.0), True), 1e3)
+    (panel,) = result.plot().axes
+    told = float(str(result).split("η = ")[1].split()[0])
+    assert panel.get_ylabel() == "η  [mPa s]"
+    assert panel.lines[0].get_ydata()[0] == pytest.approx(told, rel=1e-2)

@@ -45,6 +45,7 @@ POLAR = 0.05  # of the rms force: a smaller one, of the images of a slab, is not
 FLAT = 1e-10  # of their extent: how far from a plane atoms may lie, and move in a step, by rounding
 # of Σ|mv|: a smaller total momentum is rounding, of files with six digits or in single precision
 MOVING = 1e-6
+FEW = 10  # atoms, planets say: with fewer, nobody asks for means that leave out the center of mass
 TOO_LONG = 3.3  # times the recommended step: six steps in a period of that mode
 CHECK_STEP = "take the time step that advise_timestep recommends, and check its unit"
 # after
@@ -174,6 +175,8 @@ def _moving_center(evidence: Evidence) -> Verdicts:
     """A center of mass that moves, although its motion is no degree of freedom."""
     system = evidence.system
     units = evidence.units
+    if len(system) < FEW:
+        return
     speed = float(np.linalg.norm(evidence.engine.drift))
     momenta = absolute_momentum(system.velocities, system.masses)
     if speed * system.masses.sum() > MOVING * momenta:

@@ -278,8 +278,8 @@ class Forces:
         is_used = any(law is not None and law.charges is not None for law in laws)
         if largest and not is_used and all(isinstance(term, OwnTerm) for term in self._bound):
             warn(
-                f"the charges of the atoms, up to {largest:.4g} e, are not used: "
-                "add Coulomb(cutoff) to the potentials"
+                f"no potential uses the charges of the atoms, up to {largest:.4g} e: add Coulomb(cutoff), "
+                "or leave charges out of the system if they shall not act on each other"
             )
 
     def _bind(self) -> None:

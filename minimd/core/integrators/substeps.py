@@ -29,7 +29,8 @@ class Kick:
 
 @dataclass(frozen=True, slots=True)
 class Thermalize:
-    """Contact with a bath over coefficient · Δt: velocities change at random, positions do not. See thermostats."""
+    """Contact with a bath over coefficient · Δt: velocities change, positions do not. See thermostats. Where
+    is_thermostat is false, it is no bath, and no heat is counted, as where a magnetic field turns velocities."""
 
     coefficient: float
 

@@ -14,6 +14,8 @@ PICOSECOND = 1000.0 * FEMTOSECOND
 KJ_PER_MOL_PER_EV = 96.48533288249877
 GRAM_PER_CM3 = 0.6022140858549161  # u/Å³
 BAR = 6.241509125883258e-07  # eV/Å³
+CM2_PER_S = 1e4 / PICOSECOND  # Å²/(Å √(u/eV)), of coefficients of diffusion
+MPA_S = 1e4 * BAR * PICOSECOND  # eV/Å³ · Å √(u/eV): a bar times a picosecond is 1e-4 mPa s
 COULOMB = 14.399645351950548  # eV Å/e²
 DEGREE = math.pi / 180.0  # rad
 

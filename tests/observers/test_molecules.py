@@ -193,7 +193,7 @@ def test_the_picture_of_a_surface_names_its_quantity_and_has_the_times_of_the_ru
     panel = surface.result().plot().axes[0]
     assert panel.get_ylabel().startswith("γ, ")
     assert panel.get_title() == "surface tension, 33 frames, 50 to 66 τ"
-    times = panel.lines[-1].get_xdata()
+    times = panel.lines[0].get_xdata()
     assert 50.0 < times[0] < times[-1] <= 66.0
 
 

@@ -696,21 +696,3 @@ def test_the_first_peak_is_the_vertex_of_a_parabola_and_its_numbers_are_those_th
     result = run.looking["structure-factor"].result()
     assert result.numbers()["s_peak"] in result.s
     assert f"first peak at {result.numbers()['q_peak']:.4g} /σ, " in str(result)
-
-
-def test_frames_and_times_of_a_run_in_parts_are_those_of_all(tmp_path):
-    sim, looking, file = simulation(), md.observers.RadialDistribution(every=10), tmp_path / "a.h5md"
-    sim.run(20, every=10, trajectory=file, observers=[looking])
-    before = looking.result()
-    again = md.observers.RadialDistribution(every=10)
-    md.Simulation.resume(file, LJ).run(20, every=10, trajectory=file, append=True, observers=[again])
-    assert before.scene.frames(3) == "3 frames, 0 to 0.08 τ"
-    assert again.result().scene.frames(5) == "5 frames, 0 to 0.16 τ"
-    state = looking.state()
-    about = json.loads(bytes(state["words"]))
-    del about["scene"]["times"]  # as an older version wrote it
-    state["words"] = np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)
-    older = md.observers.RadialDistribution(every=10)
-    older.restore(state)
-    sim.run(10, every=10, observers=[older])
-    assert older.result().scene.frames(4) == "4 frames"

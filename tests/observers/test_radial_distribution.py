@@ -188,3 +188,23 @@ test_what_cannot_be_counted_is_refused = answered(
     (lambda: looking(intramolecular="no"), ValueError, "intramolecular", "'no'"),
     (lambda: looking(of="centers"), ValueError, "of", "'centers'"),
 )
+
+
+def test_frames_and_times_of_a_run_in_parts_are_those_of_all(argon, tmp_path):
+    sim = argon.simulation(md.VelocityVerlet(0.004))
+    looking = md.observers.RadialDistribution(every=10)
+    file = tmp_path / "a.h5md"
+    sim.run(20, every=10, trajectory=file, observers=[looking])
+    before = looking.result()
+    again = md.observers.RadialDistribution(every=10)
+    md.Simulation.resume(file, sim.potentials).run(20, every=10, trajectory=file, append=True, observers=[again])
+    assert before.scene.frames(3) == "3 frames, 0 to 0.08 τ"
+    assert again.result().scene.frames(5) == "5 frames, 0 to 0.16 τ"
+    state = looking.state()
+    about = json.loads(bytes(state["words"]))
+    del about["scene"]["times"]  # as an older version wrote it
+    state["words"] = np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)
+    older = md.observers.RadialDistribution(every=10)
+    older.restore(state)
+    sim.run(10, every=10, observers=[older])
+    assert older.result().scene.frames(4) == "4 frames"

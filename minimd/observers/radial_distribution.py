@@ -330,9 +330,7 @@ class RadialDistributionResult(Result):
     @property
     def title(self) -> str:  # type: ignore[override]
         """See Result."""
-        is_one_of_several = len(self.pairs) == 1 and len(self.scene.species) > 1
-        of_pair = f" of {self.pairs[0]}" if is_one_of_several else ""
-        return f"radial distribution{of_pair}" + " between molecules" * self.is_between
+        return "radial distribution" + " between molecules" * self.is_between
 
     def __iter__(self) -> Iterator[Array]:
         return iter((self.r, self.g))
@@ -380,5 +378,7 @@ class RadialDistributionResult(Result):
         pairs = zip(self.pairs, self.g_of_pairs, self.errors_of_pairs, strict=True)
         curves = [Series(pair, "", *curve) for pair, *curve in pairs]
         panel.axhline(1.0, color="0.7", lw=0.8)
-        self.draw_curves(panel, curves, "r", "g(r)")
+        is_one_of_several = len(curves) == 1 and len(self.scene.species) > 1
+        of_pair = f" of {self.pairs[0]}" if is_one_of_several else ""
+        self.draw_curves(panel, curves, "r", f"g(r){of_pair}")
         panel.set(title=f"{self.title}, {self.scene.frames(self.n_frames)}", xlim=(0.0, self.r[-1]))

@@ -108,12 +108,13 @@ class _OfAtoms(TimeCorrelation):
         # not over all atoms: it could keep step with molecules
         stride = ceil(len(system) / self.most_atoms)
         species = range(len(system.species_names))
-        chosen = [np.flatnonzero(system.species_index == k)[::stride] for k in species]
+        has_mass = system.masses > 0.0  # sites have no velocity
+        chosen = [np.flatnonzero((system.species_index == k) & has_mass)[::stride] for k in species]
         self.chosen = np.concatenate(chosen).tolist()
         self.numbers = [*map(len, chosen)]
         self.is_cubic = is_cubic(system.cell)
         n_molecules = int(molecules_of(system).max()) + 1
-        n_particles = n_molecules if self.of == MOLECULES else len(system)
+        n_particles = n_molecules if self.of == MOLECULES else int(has_mass.sum())
         self.is_relative = engine.conserves_momentum or (engine.moves_freely and n_molecules > 1)
         if self.is_relative and not engine.conserves_momentum:
             self.widening = n_particles / (n_particles - 1.0)

@@ -503,7 +503,7 @@ def with_a_massless_site():
     return made, topology, places
 
 
-SITE = openmm.TwoParticleAverageSite(0, 1, 0.5, 0.5)
+SITE = openmm.LocalCoordinatesSite([0, 1, 2], [1, 0, 0], [-1, 1, 0], [0, -1, 1], openmm.Vec3(0.1, 0, 0))
 REFUSED = [  # arguments, error, what must be named
     (lambda: with_terms(openmm.CustomBondForce("r"), "Bond", 0, 1), ValueError, "'CustomBondForce'", "energy r"),
     (lambda: with_torsion("k*(1+cos(theta-t))", "k", "t"), ValueError, "'CustomTorsionForce'", "k*(1+cos(theta-t))"),
@@ -515,14 +515,20 @@ REFUSED = [  # arguments, error, what must be named
     (lambda: with_pairs("a1*a2/r^12-b1*b2/r^6", "a", "b", repulsive=True), ValueError, "A, C", "[1.0, 0.0]"),
     (with_pairs_twice, ValueError, "CustomNonbondedForce", "wells"),
     (lambda: changed(lambda made: made.getForce(4).setParticleParameters(0, 0.1, 0.2, -0.3)), ValueError, "epsilon"),
-    (with_a_massless_site, ValueError, "particle 2", "mass 0", "virtual site"),
+    (with_a_massless_site, ValueError, "particle 2", "mass 0"),
     (lambda: with_force(openmm.MonteCarloBarostat(1.0, 300.0)), ValueError, "'MonteCarloBarostat'", "md.Simulation"),
     (lambda: with_force(openmm.AndersenThermostat(300.0, 1.0)), ValueError, "'AndersenThermostat'"),
     (lambda: with_terms(openmm.GBSAOBCForce(), "Particle", 0.0, 0.1, 0.8), ValueError, "'GBSAOBCForce'"),
     (with_map, ValueError, "'CMAPTorsionForce'"),
     (lambda: with_terms(openmm.NonbondedForce(), "Particle", 0, 1, 0), ValueError, "second NonbondedForce"),
     (lambda: chains("LJPME"), ValueError, "LJPME"),
-    (lambda: changed(lambda made: made.setVirtualSite(5, SITE)), ValueError, "virtual sites", "particle 5"),
+    (
+        lambda: changed(lambda made: made.setVirtualSite(5, SITE)),
+        ValueError,
+        "virtual sites",
+        "LocalCoordinatesSite",
+        "particle 5",
+    ),
     (lambda: changed(add_offset), ValueError, "offsets"),
     (lambda: changed(lambda made: made.getForce(4).setIncludeDirectSpace(False), "PME"), ValueError, "direct space"),
     (lambda: (*chains()[:2], np.zeros((3, 3))), ValueError, "number of atoms", "72, 72 and 3"),

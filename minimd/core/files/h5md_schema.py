@@ -9,6 +9,7 @@
                             observers, digests: see h5md_digest
     minimd/constraints      pairs (K, 2), their lengths (K,), with the attributes tolerance and solver; fixed (F,)
                             atoms; without what the run does not have
+    minimd/sites            atoms (S,), parents (S, P), weights (S, P), out_of_plane (S,) of System.sites, if any
     minimd/topology         (N, 5, W) uint8, the texts of System.topology in ASCII, if there are any
 
 Numbers in reduced units are written unchanged with the same labels, because MDAnalysis refuses a file without units;
@@ -43,6 +44,7 @@ from minimd.core.files.stored_fields import STEPS
 from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
+from minimd.core.structure.sites import Sites
 from minimd.core.structure.system import System
 from minimd.core.structure.units import UnitSystem
 
@@ -189,6 +191,10 @@ def description(engine: Engine) -> dict[str, Item]:
         letters = system.topology.astype("S").view(np.uint8)
         items["minimd/topology"] = Item(data=letters.reshape(len(system), 5, -1))
 
+    if system.sites is not None:
+        for name, values in vars(system.sites).items():
+            items[f"minimd/sites/{name}"] = Item(data=values)
+
     for name, members in system.groups().items():
         if len(members) or name == "bonds":
             items[f"connectivity/{name}"] = Item({REFERENCE: TRAJECTORY}, members)
@@ -242,6 +248,15 @@ def read_constraints(group: h5py.Group) -> tuple[Constraint, ...]:
         pairs = stored["pairs"][:]
         constraints.append(DistanceConstraints(pairs, stored["lengths"][:], tolerance, solver))
     return tuple(constraints)
+
+
+def read_sites(group: h5py.Group) -> Sites | None:
+    """The sites in the group of minimd."""
+    if "sites" not in group:
+        return None
+    stored = group["sites"]
+    names = ("atoms", "parents", "weights", "out_of_plane")
+    return Sites(*(stored[name][:] for name in names))
 
 
 def potentials_in_words(potentials: Sequence[Any]) -> list[str]:

@@ -7,9 +7,12 @@ import pytest
 from wrong_calls import answered
 
 import minimd as md
+from minimd.ase import system_from_file
 from minimd.core.potentials.term import FORCES, TOTALS
 from minimd.core.structure.system import changed
+from minimd.lammps.model import AtomTypes
 from minimd.mdanalysis import universe
+from minimd.scene.water import water_of
 
 FS = md.units.fs
 TRICLINIC = [[7.0, 0.0, 0.0], [1.5, 6.5, 0.0], [-1.0, 0.8, 7.5]]
@@ -73,7 +76,9 @@ def test_force_is_minus_the_gradient_along_atoms(kind):
 def test_virial_is_the_slope_along_a_strain(kind):
     system, potentials = cluster(kind)
     found = md.evaluate(system, potentials)
+    total = md.Forces(system, potentials).compute(TOTALS)
     assert found.virials.sum(axis=0)[:3] == pytest.approx(np.diag(found.virial), rel=1e-12)
+    assert total.virial == pytest.approx(found.virial, abs=1e-10)
     here, h = system.positions.copy(), 1e-5
     for a, b in ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)):
         energies = []
@@ -183,6 +188,33 @@ def test_water_has_the_energies_and_forces_of_openmm(model):
     assert np.sort(held.lengths) == pytest.approx(np.sort(rigid.lengths), rel=1e-6)
 
 
+def test_water_of_a_file_gets_its_sites_behind_all_atoms():
+    """In any order of atoms; with their names, and atoms that are fixed."""
+    system = md.water("SPC/E", 27, cutoff=4.0)[0]
+    order = np.random.default_rng(5).permutation(81)
+    mixed = md.System(
+        system.positions[order],
+        masses=1.0,
+        species=system.species[order],
+        cell=system.cell,
+        units=md.units.ASE,
+        constraints=[md.FixedAtoms([0, 5])],
+        topology=np.array([[f"A{k}", "", "HOH", str(k), "W"] for k in range(81)]),
+    )
+    made, potentials, rigid = water_of(mixed, "OPC", cutoff=4.0)
+    parents = made.sites.parents
+    assert made.species.tolist() == [*mixed.species, *27 * ["M"]]
+    assert made.topology[81:].tolist() == [["M", "", "HOH", str(k), "W"] for k in parents[:, 0]]
+    assert set(order[parents[3]]) == set(3 * (order[parents[3, 0]] // 3) + np.arange(3))
+    sim = md.Simulation(made, potentials, md.VelocityVerlet(0.5 * FS), [rigid, *made.constraints])
+    start = sim.positions.copy()
+    with pytest.warns(UserWarning, match="projected"):
+        sim.run(5)
+    assert np.array_equal(sim.positions[[0, 5]], start[[0, 5]])
+    oxygen = sim.positions[parents[:, 0]]
+    assert np.linalg.norm(sim.positions[81:] - oxygen, axis=1) == pytest.approx(np.full(27, 0.1594), rel=1e-9)
+
+
 @pytest.mark.parametrize("kind", ["two", "mean", "out of plane"])
 def test_virtual_sites_of_openmm_have_its_forces(kind):
     openmm = pytest.importorskip("openmm")
@@ -229,6 +261,7 @@ def test_water_keeps_its_energy_momentum_and_sites(method):
     assert sim.temperature == pytest.approx(298.0, rel=1e-12)
     sim.run(200)
     record = sim.run(400, every=20)
+    sim.engine.advance(3)  # which nobody looks at
     here, momentum = system.positions[sites.parents], np.abs(record.momentum).max()
     assert system.positions[sites.atoms] == pytest.approx(np.einsum("sp,spc->sc", sites.weights, here), abs=1e-12)
     assert not system.velocities[sites.atoms].any()
@@ -254,11 +287,14 @@ def test_a_resumed_run_and_threads_have_the_same_bits(method, tmp_path):
 
 
 def test_mdanalysis_finds_sites_without_mass_in_their_places(tmp_path):
+    """And so does whoever begins with the last frame."""
     sim = water()
     sim.run(20, every=10, trajectory=tmp_path / "water.h5md")
     atoms = universe(tmp_path / "water.h5md")
     sites = atoms.select_atoms("type M")
     assert (len(sites), sites.masses.any(), atoms.atoms.n_residues) == (64, False, 64)
+    last = system_from_file(tmp_path / "water.h5md")
+    assert (last.sites, np.array_equal(last.positions, sim.positions)) == (sim.system.sites, True)
     for frame in atoms.trajectory:
         places = frame.positions[sim.system.sites.parents]
         mean = np.einsum("sp,spc->sc", sim.system.sites.weights, places)
@@ -312,6 +348,7 @@ test_senseless_sites_are_refused_by_name = answered(
     (lambda: held(md.FixedAtoms([0, 30])), ValueError, "atom 30", "FixedAtoms"),
     (lambda: held(md.DistanceConstraints([[0, 1], [0, 25]])), ValueError, "atom 25", "DistanceConstraints"),
     (lambda: cluster("mean")[0].write("never.data"), ValueError, "Sites(8"),
+    (lambda: AtomTypes.of(held().engine), ValueError, "LAMMPS", "Sites(8"),
     (
         lambda: md.Simulation(*cluster("mean"), md.VelocityVerlet(0.01), precision="fixed-point"),
         ValueError,

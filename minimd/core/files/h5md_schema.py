@@ -191,10 +191,6 @@ def description(engine: Engine) -> dict[str, Item]:
         letters = system.topology.astype("S").view(np.uint8)
         items["minimd/topology"] = Item(data=letters.reshape(len(system), 5, -1))
 
-    if system.sites is not None:
-        for name, values in vars(system.sites).items():
-            items[f"minimd/sites/{name}"] = Item(data=values)
-
     for name, members in system.groups().items():
         if len(members) or name == "bonds":
             items[f"connectivity/{name}"] = Item({REFERENCE: TRAJECTORY}, members)
@@ -211,7 +207,12 @@ def description(engine: Engine) -> dict[str, Item]:
             items[f"{group}/pairs"] = Item(data=constraint.pairs)
             items[f"{group}/lengths"] = Item(data=constraint.lengths)
 
-    return items
+    return items | _of_sites(system)
+
+
+def _of_sites(system: System) -> dict[str, Item]:
+    arrays = {} if system.sites is None else vars(system.sites)
+    return {f"minimd/sites/{name}": Item(data=array) for name, array in arrays.items()}
 
 
 def of_method(engine: Engine, before: Mapping[str, Any] = NOTHING) -> dict[str, Any]:

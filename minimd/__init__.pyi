@@ -78,6 +78,7 @@ from minimd.core.structure.errors import (
     RangeError as RangeError,
 )
 from minimd.core.structure.grid import Grid as Grid
+from minimd.core.structure.sites import Sites as Sites
 from minimd.core.structure.statistics import mean_and_error as mean_and_error
 from minimd.core.structure.system import System as System
 from minimd.ensemble.member import Member as Member

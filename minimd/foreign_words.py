@@ -51,8 +51,10 @@ SMD Pull Pulling Jarzynski SteeredMD
     md.SteeredSpring, and record.work | forces
 ElectricField ExternalField External Efield CustomExternalForce gravity
     md.ConstantForce(charges[:, None] * E), or md.Field(law, parameters) | forces
-SPC SPCE TIP3P OPC OPC3 Water TIP4P TIP5P
-    md.water("SPC/E"), "TIP3P" or "OPC3"; four sites are not here | water
+SPC SPCE TIP3P OPC OPC3 Water TIP4P TIP4PEw TIP4P2005 TIP5P
+    md.water("TIP4P/2005"), "SPC/E", "OPC", ...; five sites by md.Sites | water
+VirtualSite MasslessSite LonePair TwoParticleAverageSite ThreeParticleAverageSite OutOfPlaneSite
+    md.System(..., sites=md.Sites(atoms, parents, weights)) | water
 Ions NaCl Salt Solvate AddIons
     md.water("SPC/E", 512, ions={"Na": 5, "Cl": 5}); other solutes by md.from_openmm | water
 Chain Polymer Chains RandomWalk Rouse

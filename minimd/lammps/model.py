@@ -137,8 +137,12 @@ class AtomTypes(NamedTuple):
     @classmethod
     def of(cls, engine: Engine) -> "AtomTypes":
         """The types of atoms of an engine.
-        Raises ValueError for more than MOST_TYPES."""
+        Raises ValueError for more than MOST_TYPES, and for massless sites."""
         system = engine.system
+        if system.sites is not None:
+            raise ValueError(
+                f"LAMMPS moves atoms with masses; this scene has {system.sites!r} without: run it with minimd"
+            )
         fixed = engine.constraint_set.inverse_masses == 0.0
         atoms = np.column_stack([system.species_index, system.masses, fixed])
         rows, of_atom = np.unique(atoms, axis=0, return_inverse=True)

@@ -31,6 +31,7 @@ from minimd.core.potentials.term import OwnPotential
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import LARGEST
 from minimd.core.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
+from minimd.core.structure.sites import Sites
 from minimd.core.structure.system import System
 from minimd.core.structure.units import ASE, KJ_PER_MOL_PER_EV
 
@@ -108,6 +109,16 @@ WELLS: Mapping[str, Any] = {
     "4*(sqrt(α1*α2))*(((sqrt(β1*β2))/r)^12-((sqrt(β1*β2))/r)^6)": lambda *well: well,
     "α1*α2/r^12-β1*β2/r^6": lambda a, c: _well(a * a, c * c),
 }
+# virtual sites: weights of their particles, which are 1 with that of the first, and of the normal [1/nm]
+SITES: Mapping[str, Any] = {
+    "TwoParticleAverageSite": lambda site: (site.getWeight(1), 0.0, 0.0),
+    "ThreeParticleAverageSite": lambda site: (site.getWeight(1), site.getWeight(2), 0.0),
+    "OutOfPlaneSite": lambda site: (
+        site.getWeight12(),
+        site.getWeight13(),
+        site.getWeightCross(),
+    ),
+}
 KNOWN = (*BONDED, *WELLS, "CMMotionRemover")
 # what OpenMM calls the terms of a force, and those of custom ones that may be taken
 TERMS = ("Particles", "Bonds", "Angles", "Torsions", "Donors", "Multipoles", "TorsionTorsions")
@@ -136,8 +147,9 @@ def from_openmm(
     constraints. Of custom forces: harmonic impropers, and, as OPLS has them, wells that mix geometrically beside a
     NonbondedForce without wells, and bonds C, A of GROMACS, by the expressions that readers of OpenMM write; see
     IMPROPERS, BONDED and WELLS. CMMotionRemover is left out, because minimd's forces conserve momentum, and so are
-    forces without terms. A particle of mass 0 is one of FixedAtoms, with the mass of its element. Species are the
-    elements, numbered where they have several Lennard-Jones parameters; bonds and names are those of the topology.
+    forces without terms. Virtual sites of two or three particles and out of their plane are Sites. Any other particle
+    of mass 0 is one of FixedAtoms, with the mass of its element. Species are the elements, X without one, numbered
+    where they have several Lennard-Jones parameters; bonds and names are those of the topology.
 
     The exceptions of NonbondedForce become exclusions of LennardJones and Coulomb, and, if they have parameters, a
     BondPotential. The law of charges is summed to ewaldErrorTolerance, whatever Ewald parameters or PME grid are given.
@@ -156,9 +168,9 @@ def from_openmm(
     Raises
     ------
     TypeError : for anything but a system of OpenMM.
-    ValueError : for other forces (other custom ones, with their expressions, baths, barostats), virtual sites, LJPME
-        and parameter offsets, by name; for a particle without mass and element; for another number of atoms; as
-        System and potentials.
+    ValueError : for other forces (other custom ones, with their expressions, baths, barostats), other virtual
+        sites, LJPME and parameter offsets, by name; for a particle without mass and element; for another number of
+        atoms; as System and potentials.
     """
     if not hasattr(openmm_system, "getForces"):
         raise TypeError(
@@ -175,7 +187,7 @@ def from_openmm(
         )
     masses = [_plain(openmm_system.getParticleMass(k)) for k in range(n)]
     _check(openmm_system, forces, atoms, masses)
-    fixed = [k for k, mass in enumerate(masses) if mass == 0.0]
+    fixed = _fixed(openmm_system, masses)
     for k in fixed:  # held by OpenMM
         masses[k] = _plain(atoms[k].element.mass)
     charges = np.zeros(n)
@@ -203,17 +215,17 @@ def from_openmm(
     names = [*map(_names, atoms)]
     kinds = [*map(tuple, numbers.tolist())]
     species = _labels([(row[1] or "X", kind) for row, kind in zip(names, kinds, strict=True)])
-    bonds = {tuple(sorted((a.index, b.index))) for a, b in topology.bonds()}
     system = System(
         NM * places,
         masses=masses,
         charges=charges,
         cell=_cell(openmm_system),
         species=species,
-        bonds=sorted(bonds),
+        bonds=sorted({tuple(sorted((a.index, b.index))) for a, b in topology.bonds()}),
         units=ASE,
         constraints=_constraints(openmm_system, fixed),
         topology=np.array(names),
+        sites=_sites(openmm_system),
     )
     if wells is not None:
         potentials.append(_lennard_jones(wells, dict(zip(species, kinds, strict=True))))
@@ -228,6 +240,25 @@ def _cell(openmm_system: openmm.System) -> Array | None:
         return None
     vectors = openmm_system.getDefaultPeriodicBoxVectors()
     return NM * np.array([_plain(vector) for vector in vectors], float)
+
+
+def _fixed(openmm_system: openmm.System, masses: list[float]) -> list[int]:
+    """Its particles of mass 0 that are no virtual sites."""
+    massless = np.flatnonzero(np.equal(masses, 0.0)).tolist()
+    return [k for k in massless if not openmm_system.isVirtualSite(k)]
+
+
+def _sites(openmm_system: openmm.System) -> Sites | None:
+    """Its virtual sites; one of two particles has the first of them as a third, of weight 0."""
+    atoms = [*filter(openmm_system.isVirtualSite, range(openmm_system.getNumParticles()))]
+    if not atoms:
+        return None
+    sites = [*map(openmm_system.getVirtualSite, atoms)]
+    parents = [[site.getParticle(k % site.getNumParticles()) for k in range(3)] for site in sites]
+    rows = [SITES[type(site).__name__](site) for site in sites]
+    second, third, normal = np.array(rows).T
+    weights = np.column_stack([1.0 - second - third, second, third])
+    return Sites(atoms, parents, weights, normal / NM)
 
 
 def _constraints(openmm_system: openmm.System, fixed: list[int]) -> list[Constraint]:
@@ -280,11 +311,12 @@ def _check(
     strange = []
 
     for k, atom in enumerate(atoms):
-        is_massless = not (atom.element or masses[k])
-        if is_massless or openmm_system.isVirtualSite(k):
-            strange = [
-                f"virtual sites, or sites of mass 0 that have no element, such as particle {k}"
-            ]
+        if openmm_system.isVirtualSite(k):
+            site = type(openmm_system.getVirtualSite(k)).__name__
+            if site not in SITES:
+                strange = [f"virtual sites of the kind {site}, such as particle {k}"]
+        elif not (atom.element or masses[k]):
+            strange = [f"particles of mass 0 that have no element, such as particle {k}"]
 
     names = [type(force).__name__ for force in forces]
 

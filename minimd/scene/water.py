@@ -1,4 +1,4 @@
-"""Rigid water of three charges and ions in it, by the name of its model: box, charges, laws, constraints."""
+"""Rigid water of three or four sites and ions in it, by the name of its model: box, charges, laws, constraints."""
 
 from collections.abc import Mapping
 from math import ceil, cos, radians, sin
@@ -17,6 +17,7 @@ from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.checks import checked_choice, checked_count, checked_kind, checked_number
 from minimd.core.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.core.structure.lattice import BASES, crystal
+from minimd.core.structure.sites import Sites
 from minimd.core.structure.system import MOST_ATOMS, System, changed
 from minimd.core.structure.units import ASE, GRAM_PER_CM3, KJ_PER_MOL_PER_EV
 
@@ -32,16 +33,18 @@ class Model(NamedTuple):
     """length : of O-H [Å].
     angle : H-O-H [degrees].
     charge : of H [e].
-    epsilon, sigma : of O [kJ/mol], [Å]."""
+    epsilon, sigma : of O [kJ/mol], [Å].
+    offset : of M from O, towards the middle of the two H [Å]: a massless site with the charge of O; 0 without it."""
 
     length: float
     angle: float
     charge: float
     epsilon: float
     sigma: float
+    offset: float = 0.0
 
 
-ModelName = Literal["SPC/E", "TIP3P", "OPC3"]
+ModelName = Literal["SPC/E", "TIP3P", "OPC3", "TIP4P", "TIP4P-Ew", "TIP4P/2005", "OPC"]
 MODELS = {
     # H. J. C. Berendsen, J. R. Grigera, T. P. Straatsma, J. Phys. Chem. 91, 6269 (1987): u = (B/r)¹² − (A/r)⁶ with
     # A = 3.7122 Å (kJ/mol)^(1/6), B = 3.428 Å (kJ/mol)^(1/12), from which σ = B²/A, ε = ¼ (A/B)¹²
@@ -59,6 +62,16 @@ MODELS = {
     ),
     # S. Izadi, A. V. Onufriev, J. Chem. Phys. 145, 074501 (2016)
     "OPC3": Model(0.97888, 109.47, 0.447585, 0.68369, 3.17427),
+    # as TIP3P, with A = 600 000, C = 610
+    "TIP4P": Model(
+        0.9572, 104.52, 0.52, KCAL * 610.0**2 / (4.0 * 600e3), (600e3 / 610.0) ** (1.0 / 6.0), 0.15
+    ),
+    # H. W. Horn et al., J. Chem. Phys. 120, 9665 (2004)
+    "TIP4P-Ew": Model(0.9572, 104.52, 0.52422, KCAL * 0.16275, 3.16435, 0.125),
+    # J. L. F. Abascal, C. Vega, J. Chem. Phys. 123, 234505 (2005): ε = 93.2 K
+    "TIP4P/2005": Model(0.9572, 104.52, 0.5564, 93.2 * ASE.k_B * KJ_PER_MOL_PER_EV, 3.1589, 0.1546),
+    # S. Izadi, R. Anandakrishnan, A. V. Onufriev, J. Phys. Chem. Lett. 5, 3863 (2014)
+    "OPC": Model(0.8724, 103.6, 0.6791, 0.89036, 3.16655, 0.1594),
 }
 
 
@@ -74,15 +87,51 @@ class Ion(NamedTuple):
 
 # I. S. Joung, T. E. Cheatham, J. Phys. Chem. B 112, 9020 (2008), with Lorentz-Berthelot rules
 IONS = {
-    "Li": Ion(6.94, 1.0, {"SPC/E": (0.791, 0.3367344), "TIP3P": (1.025, 0.0279896)}),
-    "Na": Ion(22.98977, 1.0, {"SPC/E": (1.212, 0.3526418), "TIP3P": (1.369, 0.0874393)}),
-    "K": Ion(39.0983, 1.0, {"SPC/E": (1.593, 0.4297054), "TIP3P": (1.705, 0.1936829)}),
-    "Rb": Ion(85.4678, 1.0, {"SPC/E": (1.737, 0.4451036), "TIP3P": (1.813, 0.3278219)}),
-    "Cs": Ion(132.90545, 1.0, {"SPC/E": (2.021, 0.0898565), "TIP3P": (1.976, 0.4065394)}),
-    "F": Ion(18.9984, -1.0, {"SPC/E": (2.257, 0.0074005), "TIP3P": (2.303, 0.0033640)}),
-    "Cl": Ion(35.45, -1.0, {"SPC/E": (2.711, 0.0127850), "TIP3P": (2.513, 0.0355910)}),
-    "Br": Ion(79.904, -1.0, {"SPC/E": (2.751, 0.0269586), "TIP3P": (2.608, 0.0586554)}),
-    "I": Ion(126.90447, -1.0, {"SPC/E": (2.919, 0.0427845), "TIP3P": (2.860, 0.0536816)}),
+    "Li": Ion(
+        6.94,
+        1.0,
+        {"SPC/E": (0.791, 0.3367344), "TIP3P": (1.025, 0.0279896), "TIP4P-Ew": (0.808, 0.1039884)},
+    ),
+    "Na": Ion(
+        22.98977,
+        1.0,
+        {"SPC/E": (1.212, 0.3526418), "TIP3P": (1.369, 0.0874393), "TIP4P-Ew": (1.226, 0.1684375)},
+    ),
+    "K": Ion(
+        39.0983,
+        1.0,
+        {"SPC/E": (1.593, 0.4297054), "TIP3P": (1.705, 0.1936829), "TIP4P-Ew": (1.59, 0.2794651)},
+    ),
+    "Rb": Ion(
+        85.4678,
+        1.0,
+        {"SPC/E": (1.737, 0.4451036), "TIP3P": (1.813, 0.3278219), "TIP4P-Ew": (1.709, 0.4331494)},
+    ),
+    "Cs": Ion(
+        132.90545,
+        1.0,
+        {"SPC/E": (2.021, 0.0898565), "TIP3P": (1.976, 0.4065394), "TIP4P-Ew": (1.888, 0.3944318)},
+    ),
+    "F": Ion(
+        18.9984,
+        -1.0,
+        {"SPC/E": (2.257, 0.0074005), "TIP3P": (2.303, 0.0033640), "TIP4P-Ew": (2.538, 0.0015752)},
+    ),
+    "Cl": Ion(
+        35.45,
+        -1.0,
+        {"SPC/E": (2.711, 0.0127850), "TIP3P": (2.513, 0.0355910), "TIP4P-Ew": (2.76, 0.0116615)},
+    ),
+    "Br": Ion(
+        79.904,
+        -1.0,
+        {"SPC/E": (2.751, 0.0269586), "TIP3P": (2.608, 0.0586554), "TIP4P-Ew": (2.768, 0.0303773)},
+    ),
+    "I": Ion(
+        126.90447,
+        -1.0,
+        {"SPC/E": (2.919, 0.0427845), "TIP3P": (2.860, 0.0536816), "TIP4P-Ew": (2.952, 0.0417082)},
+    ),
 }
 
 
@@ -103,13 +152,15 @@ def water(
 
     Molecules stand on a lattice, turned at random, and ions far apart on places of it: equilibrate before use.
     Lennard-Jones is switched off over the last tenth of the cutoff, with a tail correction of energy and pressure.
+    Models of four sites have massless ones, M, as the last atoms, in the order of the molecules: see Sites.
 
     Parameters
     ----------
-    model : "SPC/E", "TIP3P" or "OPC3"; the numbers and their sources are in MODELS.
-    n : of molecules, each an O and two H, in this order; behind them the ions.
+    model : "SPC/E", "TIP3P", "OPC3", or, of four sites, "TIP4P", "TIP4P-Ew", "TIP4P/2005", "OPC"; the numbers and
+        their sources are in MODELS.
+    n : of molecules, each an O and two H, in this order; behind them the ions, and then M.
     density : of a box full of water [g/cm³]; in it each ion has the volume of a molecule.
-    ions : how many of each, by the names in IONS, which has their parameters in SPC/E and TIP3P.
+    ions : how many of each, by the names in IONS, which has their parameters in SPC/E, TIP3P and TIP4P-Ew.
     cutoff : of Lennard-Jones and charges [Å]; if not given, 9, or 0.45 of the edge of the box if that is less, as for
         fewer than 267 molecules at the density of water; a warning then says so.
     accuracy : see Coulomb.
@@ -212,15 +263,15 @@ def water_of(
 
     The hydrogens of an oxygen are those within OH of it, in any order and through any image, whatever the bonds. Atoms
     of the species Na, Cl and so on (IONS) are ions. Atoms keep their order, velocities, cell, and those that are fixed;
-    masses, charges, bonds and lengths become those of the model. As all constraints, the lengths are pulled to theirs
-    when a run begins, and a warning says from how far.
+    masses, charges, bonds and lengths become those of the model. M of a model come behind all atoms. As all
+    constraints, the lengths are pulled to theirs when a run begins, and a warning says from how far.
 
     system : in ASE's units.
     cutoff : of Lennard-Jones and charges [Å].
     model, accuracy : as for water.
 
-    Raises ValueError with the first atom that is no ion and of no molecule of an O and two H, such as the fourth site
-    of some models; and as water.
+    Raises ValueError with the first atom that is no ion and of no molecule of an O and two H, as M of a file: leave it
+    out; and as water.
     """
     checked_kind("system", system, System, "a System")
     if system.units is not ASE:
@@ -250,22 +301,50 @@ def _rigid(
 ) -> RigidWater:
     """What water returns, from atoms in their places.
     molecules : (n, 3), indices of O, H, H."""
-    length, angle, charge, *_ = MODELS[model]
-    charges = {"O": -2.0 * charge, "H": charge} | {name: ion.charge for name, ion in IONS.items()}
+    length, angle, charge, _, _, offset = MODELS[model]
+    negative = "M" if offset else "O"
+    charges = {"O": 0.0, "H": charge, negative: -2.0 * charge}
+    charges |= {name: ion.charge for name, ion in IONS.items()}
     masses = {"O": MASSES[0], "H": MASSES[1]} | {name: ion.mass for name, ion in IONS.items()}
-    species = system.species.tolist()
 
     pairs = molecules[:, [[0, 1], [0, 2], [1, 2]]]
     base = 2.0 * length * sin(radians(0.5 * angle))
     lengths = np.tile([length, length, base], len(molecules))
+    fixed = [FixedAtoms(held.atoms) for held in system.constraints if isinstance(held, FixedAtoms)]
     held = changed(
         system,
-        masses=[masses[name] for name in species],
-        charges=[charges[name] for name in species],
+        masses=[masses[name] for name in system.species.tolist()],
         bonds=pairs[:, :2].reshape(-1, 2),
-        constraints=[held for held in system.constraints if isinstance(held, FixedAtoms)],
+        constraints=fixed,
     )
+    if offset:
+        weight = offset / (2.0 * length * cos(radians(0.5 * angle)))
+        held = _with_sites(held, molecules, [1.0 - 2.0 * weight, weight, weight])
+    held = changed(held, charges=[charges[name] for name in held.species.tolist()])
     return held, potentials, DistanceConstraints(pairs.reshape(-1, 2), lengths)
+
+
+def _with_sites(system: System, molecules: Indices, weights: list[float]) -> System:
+    """The system with a massless site M behind its atoms for each of the molecules (n, 3)."""
+    n_atoms = len(system)
+    oxygens = molecules[:, 0]
+    atoms = n_atoms + np.arange(len(molecules))
+    topology = system.topology
+    if len(topology):
+        of_sites = topology[oxygens]
+        of_sites[:, :2] = "M", ""
+        topology = np.concatenate([topology, of_sites])
+    return changed(
+        system,
+        positions=np.concatenate([system.positions, system.positions[oxygens]]),
+        velocities=np.concatenate([system.velocities, np.zeros((len(atoms), 3))]),
+        masses=np.append(system.masses, np.zeros(len(atoms))),
+        species=[*system.species.tolist(), *len(atoms) * ["M"]],
+        charges=None,
+        bonds=np.concatenate([system.bonds, np.column_stack([oxygens, atoms])]),
+        sites=Sites(atoms, molecules, weights),
+        topology=topology,
+    )
 
 
 DENSEST = 3.0  # g/cm³, more than that of any ice
@@ -290,7 +369,7 @@ def water_potentials(
     ions: Mapping[str, int] | None = None,
 ) -> list[OwnPotential]:
     """The potentials of water, without its molecules.  Arguments and errors are those of water."""
-    _, _, _, epsilon, sigma = MODELS[checked_choice("model", model, MODELS)]
+    _, _, _, epsilon, sigma, offset = MODELS[checked_choice("model", model, MODELS)]
     counts = checked_ions(model, ions)
 
     n_bodies = checked_count("n", n) + sum(counts.values())
@@ -298,6 +377,8 @@ def water_potentials(
     cutoff = longest if cutoff is None else checked_number("cutoff", cutoff, "positive and finite")
     excluded = (0.0, 0.0, 1.0)
     wells: Any = {"O": (epsilon / KJ_PER_MOL_PER_EV, sigma), "H": (0.0, 1.0)}
+    if offset:
+        wells["M"] = wells["H"]
 
     for name in counts:
         half, depth = IONS[name].of_models[model]

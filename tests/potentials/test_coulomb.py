@@ -296,7 +296,7 @@ def test_ions_have_the_parameters_of_joung_and_cheatham(model, name):
 def test_all_ions_are_those_of_ambers_files():
     """As OpenMM has them: charges, σ [nm] and ε [kJ/mol]; masses to their rounding."""
     app = pytest.importorskip("openmm.app")
-    for model, file in (("SPC/E", "spce"), ("TIP3P", "tip3p")):
+    for model, file in (("SPC/E", "spce"), ("TIP3P", "tip3p"), ("TIP4P-Ew", "tip4pew")):
         tree = ElementTree.parse(Path(app.__file__).parent / "data" / "amber14" / f"{file}.xml")
         of_type = {atom.get("type"): atom for atom in tree.iter("Atom") if atom.get("sigma")}
         masses = {kind.get("name"): float(kind.get("mass")) for kind in tree.iter("Type")}

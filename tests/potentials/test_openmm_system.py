@@ -37,6 +37,7 @@ def reference(made, places):
         one.setForceGroup(group)
     context = openmm.Context(made, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
     context.setPositions(places)
+    context.computeVirtualSites()
 
     def of_group(group=None):
         state = context.getState(getEnergy=True, getForces=True, groups=-1 if group is None else 1 << group)
@@ -167,16 +168,16 @@ def test_what_is_no_force_arrives_in_the_units_of_ase():
     assert md.from_openmm(*chains())[2] == ()
 
 
-def read(file, **options):
+def read(file, water="tip3p", **options):
     """A file with Amber's force field, or that with GAFF, without a tail: system, topology, positions [nm]."""
     if file == GAFF:
         model, made = app.AmberInpcrdFile(str(file.with_suffix(".inpcrd"))), app.AmberPrmtopFile(str(file))
         topology, made = made.topology, made.createSystem(nonbondedCutoff=0.9, **options)
     else:
-        pdb, field = app.PDBFile(str(file)), app.ForceField("amber14-all.xml", "amber14/tip3p.xml")
+        pdb, field = app.PDBFile(str(file)), app.ForceField("amber14-all.xml", f"amber14/{water}.xml")
         model = app.Modeller(pdb.topology, pdb.positions)
         if pdb.topology.getPeriodicBoxVectors() is None:
-            model.addSolvent(field, padding=1.0)
+            model.addSolvent(field, "tip3p" if water == "tip3p" else "tip4pew", padding=1.0)
         topology, made = model.topology, field.createSystem(model.topology, nonbondedCutoff=0.9, **options)
     nonbonded(made).setUseDispersionCorrection(False)
     return made, topology, plain(model.positions)
@@ -185,6 +186,17 @@ def read(file, **options):
 @pytest.mark.parametrize(("file", "method"), [(DIPEPTIDE, "PME"), (PROTEIN, "CutoffPeriodic"), (GAFF, "NoCutoff")])
 def test_molecules_have_the_energies_and_the_forces_of_openmm(file, method):
     assert_agrees(*read(file, nonbondedMethod=getattr(app, method), ewaldErrorTolerance=1e-7))
+
+
+@pytest.mark.parametrize("water", ["opc", "tip4pew"])
+def test_a_dipeptide_in_water_of_four_sites_has_the_forces_of_openmm(water):
+    """On atoms: OpenMM leaves forces on sites where they are, besides handing them over."""
+    made, topology, places = read(DIPEPTIDE, water, nonbondedMethod=app.PME, ewaldErrorTolerance=1e-7)
+    system, potentials, _ = md.from_openmm(made, topology, places)
+    found, (energy, forces) = md.evaluate(system, potentials), reference(made, places)()
+    forces[system.sites.atoms] = 0.0
+    assert_same(found, energy, forces)
+    assert found.potential_energy == pytest.approx(energy, rel=1e-6)
 
 
 @pytest.mark.slow
@@ -503,7 +515,7 @@ def with_a_massless_site():
     return made, topology, places
 
 
-SITE = openmm.TwoParticleAverageSite(0, 1, 0.5, 0.5)
+SITE = openmm.LocalCoordinatesSite([0, 1, 2], [1, 0, 0], [-1, 1, 0], [0, -1, 1], openmm.Vec3(0.1, 0, 0))
 REFUSED = [  # arguments, error, what must be named
     (lambda: with_terms(openmm.CustomBondForce("r"), "Bond", 0, 1), ValueError, "'CustomBondForce'", "energy r"),
     (lambda: with_torsion("k*(1+cos(theta-t))", "k", "t"), ValueError, "'CustomTorsionForce'", "k*(1+cos(theta-t))"),
@@ -515,14 +527,20 @@ REFUSED = [  # arguments, error, what must be named
     (lambda: with_pairs("a1*a2/r^12-b1*b2/r^6", "a", "b", repulsive=True), ValueError, "A, C", "[1.0, 0.0]"),
     (with_pairs_twice, ValueError, "CustomNonbondedForce", "wells"),
     (lambda: changed(lambda made: made.getForce(4).setParticleParameters(0, 0.1, 0.2, -0.3)), ValueError, "epsilon"),
-    (with_a_massless_site, ValueError, "particle 2", "mass 0", "virtual site"),
+    (with_a_massless_site, ValueError, "particle 2", "mass 0"),
     (lambda: with_force(openmm.MonteCarloBarostat(1.0, 300.0)), ValueError, "'MonteCarloBarostat'", "md.Simulation"),
     (lambda: with_force(openmm.AndersenThermostat(300.0, 1.0)), ValueError, "'AndersenThermostat'"),
     (lambda: with_terms(openmm.GBSAOBCForce(), "Particle", 0.0, 0.1, 0.8), ValueError, "'GBSAOBCForce'"),
     (with_map, ValueError, "'CMAPTorsionForce'"),
     (lambda: with_terms(openmm.NonbondedForce(), "Particle", 0, 1, 0), ValueError, "second NonbondedForce"),
     (lambda: chains("LJPME"), ValueError, "LJPME"),
-    (lambda: changed(lambda made: made.setVirtualSite(5, SITE)), ValueError, "virtual sites", "particle 5"),
+    (
+        lambda: changed(lambda made: made.setVirtualSite(5, SITE)),
+        ValueError,
+        "virtual sites",
+        "LocalCoordinatesSite",
+        "particle 5",
+    ),
     (lambda: changed(add_offset), ValueError, "offsets"),
     (lambda: changed(lambda made: made.getForce(4).setIncludeDirectSpace(False), "PME"), ValueError, "direct space"),
     (lambda: (*chains()[:2], np.zeros((3, 3))), ValueError, "number of atoms", "72, 72 and 3"),

@@ -35,7 +35,7 @@ class ConstraintSet:
 
     Attributes
     ----------
-    inverse_masses : (N,) [1/mass], zero for fixed atoms.
+    inverse_masses : (N,) [1/mass], zero for fixed atoms and for sites.
     bonds : ConstraintSolver, or None.
     n_constraints, n_fixed : int.
     kept : the same constraints, with the lengths that are kept; at most one of each kind.
@@ -45,11 +45,20 @@ class ConstraintSet:
         self, system: System, constraints: Constraint | Sequence[Constraint], threads: int = 1
     ) -> None:
         all_kinds = list(constraints) if isinstance(constraints, list | tuple) else [constraints]
-        self.inverse_masses = 1.0 / system.masses
+        is_site = system.masses == 0.0
+        self._n_sites = int(is_site.sum())
+        self.inverse_masses = _inverse(system.masses)
 
         distances = []
 
         for constraint in all_kinds:
+            named = getattr(constraint, "pairs", getattr(constraint, "atoms", ()))
+            held_sites = np.intersect1d(named, np.flatnonzero(is_site))
+            if held_sites.size:
+                raise ValueError(
+                    "constraints must not name massless sites, which follow their parents; "
+                    f"{constraint!r} names atom {held_sites[0]}"
+                )
             if isinstance(constraint, FixedAtoms):
                 constraint.check_size(len(system))
                 self.inverse_masses[constraint.atoms] = 0.0
@@ -67,7 +76,7 @@ class ConstraintSet:
         self._threads = threads
         # the cell for which the images of bonds were found
         self._cell = system.cell
-        is_fixed = self.inverse_masses == 0.0
+        is_fixed = (self.inverse_masses == 0.0) & ~is_site
         self.n_fixed = int(is_fixed.sum())
         self.kept: tuple[Any, ...] = (FixedAtoms(is_fixed),) if self.n_fixed else ()
         self.bonds = None
@@ -91,7 +100,7 @@ class ConstraintSet:
 
     def degrees_of_freedom(self, conserves_momentum: bool) -> int:
         """Degrees of freedom of the atoms that move, see observables. Raises ValueError if none is left."""
-        n_atoms = len(self.inverse_masses) - self.n_fixed
+        n_atoms = len(self.inverse_masses) - self.n_fixed - self._n_sites
         is_free = conserves_momentum and not self.n_fixed
         return degrees_of_freedom(n_atoms, self.n_constraints, is_free)
 
@@ -125,7 +134,7 @@ class ConstraintSet:
 
         shares[shares < NO_SHARE] = 0.0
         if leaves_out_center(n_atoms, conserves_momentum and not self.n_fixed):
-            masses = 1.0 / self.inverse_masses
+            masses = _inverse(self.inverse_masses)
             shares -= 3.0 * masses / masses.sum()
         return shares
 
@@ -188,7 +197,13 @@ class ConstraintSet:
 
     def with_equal_masses(self, system: System) -> "ConstraintSet":
         """The same constraints and lengths on atoms of mass 1: projections are then the shortest moves."""
-        light = System(system.positions, masses=1.0, cell=system.cell, units=system.units)
+        light = System(
+            system.positions,
+            masses=1.0,
+            cell=system.cell,
+            units=system.units,
+            sites=system.sites,
+        )
         return ConstraintSet(light, self.kept, self._threads)
 
     def project(self, velocities: Array, positions: Array) -> None:
@@ -215,3 +230,8 @@ class ConstraintSet:
                 "the initial state was projected onto the constraints: relative errors were "
                 f"{0.5 * off:.1e} in the lengths and {turned:.1e} in the velocities along bonds"
             )
+
+
+def _inverse(masses: Array) -> Array:
+    """1/m, (N,); 0 where m is 0."""
+    return np.divide(1.0, masses, out=np.zeros(len(masses)), where=masses > 0.0)

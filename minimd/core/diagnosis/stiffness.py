@@ -129,7 +129,7 @@ class Stiffness:
         masses = system.masses
         of_bonds = masses[bonds]
         lighter = bonds[np.arange(len(bonds)), np.argmin(of_bonds, axis=1)]
-        inverse = 1.0 / masses
+        inverse = np.divide(1.0, masses, out=np.zeros(len(masses)), where=masses > 0.0)
         inverse[lighter[of_bonds[:, 0] != of_bonds[:, 1]]] = 0.0
         fastest = np.zeros(len(system.species_names))
         np.maximum.at(fastest, system.species_index, inverse)

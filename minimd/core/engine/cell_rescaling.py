@@ -31,14 +31,18 @@ EVAPORATED = 8.0
 
 
 class StrainedBodies:
-    """The bodies that move as a whole when the cell is strained: atoms tied by rigid lengths, and single atoms.
+    """The bodies that move as a whole when the cell is strained: atoms tied by rigid lengths, with their sites, and
+    single atoms.
 
     bodies : Bodies.
     masses : (B,) of the bodies [mass].
     """
 
     def __init__(self, system: System, constraints: ConstraintSet) -> None:
-        self.bodies = bodies_of(constraints.kept[-1].pairs, constraints.inverse_masses)
+        pairs = constraints.kept[-1].pairs
+        if system.sites is not None:
+            pairs = np.concatenate([system.sites.pairs, pairs])
+        self.bodies = bodies_of(pairs, constraints.inverse_masses)
         self._system = system
         self.masses = self._sums(system.masses)
         self._translations = np.zeros_like(system.positions)

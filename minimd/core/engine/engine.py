@@ -241,6 +241,7 @@ class Engine:
                 self._rescale_cell(rescaling, step)
             if self.surroundings.stop_requested:
                 break
+        self.interactions.place_sites()
         return step - self.step
 
     def _rescale_cell(self, rescaling: CellRescaling, step: int) -> None:
@@ -265,6 +266,7 @@ class Engine:
 
         Returns whether it was not: steps then go on as if there had been no pause.
         """
+        self.interactions.place_sites()
         state = self._digest()
         if state != self._entered:
             self._entered = state

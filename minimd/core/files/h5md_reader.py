@@ -43,6 +43,7 @@ from minimd.core.files.h5md_schema import (
     factors,
     read_constraints,
     read_method,
+    read_sites,
 )
 from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.integrators.splitting import Splitting
@@ -562,6 +563,7 @@ def _stored_system(group: h5py.Group, restart: Checkpoint) -> System:
         units=SYSTEMS[group.attrs["units"]],
         constraints=read_constraints(group),
         topology=texts.view(f"S{texts.shape[-1]}")[..., 0].astype(str),
+        sites=read_sites(group),
     )
 
 

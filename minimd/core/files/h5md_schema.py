@@ -9,6 +9,7 @@
                             observers, digests: see h5md_digest
     minimd/constraints      pairs (K, 2), their lengths (K,), with the attributes tolerance and solver; fixed (F,)
                             atoms; without what the run does not have
+    minimd/sites            atoms (S,), parents (S, P), weights (S, P), out_of_plane (S,) of System.sites, if any
     minimd/topology         (N, 5, W) uint8, the texts of System.topology in ASCII, if there are any
 
 Numbers in reduced units are written unchanged with the same labels, because MDAnalysis refuses a file without units;
@@ -43,6 +44,7 @@ from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import Cell
 from minimd.core.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
+from minimd.core.structure.sites import Sites
 from minimd.core.structure.system import System
 from minimd.core.structure.units import UnitSystem
 
@@ -205,7 +207,12 @@ def description(engine: Engine) -> dict[str, Item]:
             items[f"{group}/pairs"] = Item(data=constraint.pairs)
             items[f"{group}/lengths"] = Item(data=constraint.lengths)
 
-    return items
+    return items | _of_sites(system)
+
+
+def _of_sites(system: System) -> dict[str, Item]:
+    arrays = {} if system.sites is None else vars(system.sites)
+    return {f"minimd/sites/{name}": Item(data=array) for name, array in arrays.items()}
 
 
 def of_method(engine: Engine, before: Mapping[str, Any] = NOTHING) -> dict[str, Any]:
@@ -242,6 +249,15 @@ def read_constraints(group: h5py.Group) -> tuple[Constraint, ...]:
         pairs = stored["pairs"][:]
         constraints.append(DistanceConstraints(pairs, stored["lengths"][:], tolerance, solver))
     return tuple(constraints)
+
+
+def read_sites(group: h5py.Group) -> Sites | None:
+    """The sites in the group of minimd."""
+    if "sites" not in group:
+        return None
+    stored = group["sites"]
+    names = ("atoms", "parents", "weights", "out_of_plane")
+    return Sites(*(stored[name][:] for name in names))
 
 
 def potentials_in_words(potentials: Sequence[Any]) -> list[str]:

@@ -355,6 +355,7 @@ def _obstacle(contents: H5MDContents, engine: Engine, store_forces: bool) -> str
         "the number of atoms": len(ours) == len(theirs),
         **{name: np.array_equal(getattr(ours, name), getattr(theirs, name)) for name in fixed},
         "the cell": ours.cell.same_as(theirs.cell),
+        "the massless sites": ours.sites == theirs.sites,
     }
     different = [name for name, is_same in same.items() if not is_same]
     if different:

@@ -266,8 +266,10 @@ class Door(NamedTuple):
         self._check_units(system.units)
         labels = system.species.tolist()
         names = [str(label) for label in labels]
-        stated = Stated(self.source, names, system.positions, None, system.masses)
+        of_sites = system.masses == 0.0
+        stated = Stated(self.source, names, system.positions, None, system.masses + of_sites)
         weights, symbols = identified(stated, masses, self.elements, is_reduced=system.units is LJ)
+        weights[of_sites] = 0.0
         arguments = arguments_of(system)
         arguments |= {"masses": weights, "species": species_of(symbols, labels)}
         return Structure(arguments, stated)

@@ -35,6 +35,7 @@ from minimd.core.forces.mesh_sum import charge_sum
 from minimd.core.forces.options import FIXED_POINT, Options, pool_for
 from minimd.core.forces.pair_laws import PairLaws, deepest
 from minimd.core.forces.pair_list_term import PairListTerm
+from minimd.core.forces.site_passes import SitePasses
 from minimd.core.forces.slab_term import SlabTerm
 from minimd.core.neighbors.verlet_list import Built, VerletList
 from minimd.core.potentials.coulomb import SpecialLaw
@@ -223,7 +224,7 @@ class Forces:
     Raises
     ------
     TypeError, ValueError : for an object that is no potential, a species without parameters, a periodic scene without a
-        cutoff, bonded terms that name missing atoms; and as check_resolution.
+        cutoff, bonded terms that name missing atoms, sites in fixed-point arithmetic; and as check_resolution.
     """
 
     def __init__(
@@ -234,6 +235,11 @@ class Forces:
     ) -> None:
         self.system = checked_kind("system", system, System, "a minimd System")
         self.options = checked_kind("options", options, Options | None, "Options") or Options()
+        if system.sites is not None and self.options.precision == FIXED_POINT:
+            raise ValueError(
+                "precision='fixed-point' is for atoms with masses; this system has massless sites, whose forces are "
+                "not handed over to the last bit: take precision='double'"
+            )
         self.pool = pool_for(self.options, len(system))
         self.potentials = as_potentials(potentials)
         self.terms: list[Term] = []
@@ -247,6 +253,7 @@ class Forces:
         self.impulses = np.zeros((0, 3), dtype=np.int64)
         self.unit = 1.0
         self._images = Images.of(system.cell)
+        self._sites = SitePasses(system, self._images)
         self._calls = DirectCalls()
         self._n_plans = 0
         self._bind()
@@ -386,6 +393,12 @@ class Forces:
         """What build_lists needs to rebuild the lists that are in use."""
         return tuple(pairs.built() for pairs in self._lists)
 
+    def place_sites(self) -> None:
+        """Bring massless sites, if there are any, to where their parents are in the present cell."""
+        if self.system.sites is not None:
+            self._images.take(self.system.cell)
+            self._sites.place()
+
     def build_lists(self, built: Sequence[Built]) -> None:
         """Build the lists again as they were."""
         for pairs, as_it_was in zip(self._lists, built, strict=True):
@@ -468,6 +481,7 @@ class Forces:
         with_lists, linked, others = self._in_order
         if self._timed:
             yield in_python(self._tell_time)
+        yield from self._sites.before()
         if target.detail != FORCES:
             accumulators = Accumulators(target.energies, target.virials)
             yield operation(self._calls, clear_accumulators, accumulators)
@@ -478,6 +492,7 @@ class Forces:
         yield from self._slots.operations(target)
         for term in others:
             yield from self._of(term, target)
+        yield from self._sites.after(target)
 
     def _tell_time(self) -> None:
         for term in self._timed:

@@ -37,11 +37,11 @@ from minimd.core.potentials.laws import (
     Planar,
     RestraintLaw,
 )
-from minimd.core.potentials.links import nearest_translation
 from minimd.core.potentials.pair_loop import row_of
 from minimd.core.potentials.term import FORCES, PER_ATOM, TOTALS, OwnTerm, Target, Term
 from minimd.core.potentials.truncation import Shifted
 from minimd.core.structure.arrays import Array, Indices
+from minimd.core.structure.cell import nearest_translation
 from minimd.core.structure.system import System
 
 NOWHERE = np.zeros((0, 3))
@@ -66,9 +66,11 @@ CUTOFF = declared(kind.number, REACH, "length", POSITIVE, default=None)
 WALL_LAW = declared(kind.choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
 
 
-class Sites(
+class FieldRows(
     ByAddress,
-    namedtuple("Sites", "positions images atoms anchors law columns time forces steps detail sums"),
+    namedtuple(
+        "FieldRows", "positions images atoms anchors law columns time forces steps detail sums"
+    ),
 ):
     """Where a field acts, and what on.
 
@@ -131,7 +133,7 @@ def add_field(sites, chunk):
 class FieldTerm(OwnTerm):
     """A field on atoms, (n,) int, all different.
     columns : (n,) numbers of each, for each parameter of the law.
-    anchors : see Sites.
+    anchors : see FieldRows.
     prepare : called before each evaluation, if given."""
 
     acts_from_outside = fits_grid = True
@@ -155,7 +157,7 @@ class FieldTerm(OwnTerm):
         """See Term."""
         if self.prepare is not None:
             yield in_python(self.prepare)
-        sites = Sites(
+        sites = FieldRows(
             system.positions,
             target.images,
             self._atoms,

@@ -50,7 +50,7 @@ from minimd.core.neighbors.clusters import DIMENSIONS
 from minimd.core.potentials.law import evaluate_law, loop_for, on_vectors
 from minimd.core.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, OwnTerm, Target
 from minimd.core.structure.arrays import Indices
-from minimd.core.structure.cell import minimum_image
+from minimd.core.structure.cell import nearest_translation
 from minimd.core.structure.system import System
 from minimd.core.structure.vectors import combined, cross, dot, minus, times
 
@@ -307,16 +307,6 @@ def _find_image(links, l, t, at):
     n = np.uintp(count(links.lanes))
     for k, x in enumerate(nearest_translation(minus(end, begin), links.images)):
         links.translations[at + np.uintp(k) * n] = x
-
-
-@scalar
-def nearest_translation(separation, images):
-    """The translation (x, y, z) that makes a separation (x, y, z) + translation shortest [length].
-    images : Images."""
-    lattice, inverse, pbc, safe_distance2 = images
-    x, y, z = separation
-    a, b, c = minimum_image(x, y, z, lattice, inverse, pbc, safe_distance2[0])
-    return combined(1.0, combined(a, lattice[0], b, lattice[1]), c, lattice[2])
 
 
 class LinkedTerm(OwnTerm):

@@ -16,7 +16,7 @@ from minimd.core.console.display import Displayed, Rows, as_text
 from minimd.core.console.words import shown
 from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers
-from minimd.core.structure.vectors import along, follow_lattice, inverse_of, transformed
+from minimd.core.structure.vectors import along, combined, follow_lattice, inverse_of, transformed
 
 # images among which one length is searched for: 40 cells in each of three directions
 MOST_IMAGES = 2**16
@@ -220,6 +220,16 @@ def minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2):
                     best = (a + i, b + j, c + k)
 
     return best
+
+
+@scalar
+def nearest_translation(separation, images):
+    """The translation (x, y, z) that makes a separation (x, y, z) + translation shortest [length].
+    images : Images."""
+    lattice, inverse, pbc, safe_distance2 = images
+    x, y, z = separation
+    a, b, c = minimum_image(x, y, z, lattice, inverse, pbc, safe_distance2[0])
+    return combined(1.0, combined(a, lattice[0], b, lattice[1]), c, lattice[2])
 
 
 @scalar

@@ -120,9 +120,11 @@ def lengths_of(positions: Array, cell: Cell, constraints: DistanceConstraints) -
 
 
 def joined_pairs(system: Any) -> Indices:
-    """(B, 2) the pairs of atoms that bonds and lengths held fixed connect."""
-    held = [each.pairs for each in system.constraints if isinstance(each, DistanceConstraints)]
-    return np.concatenate([system.bonds, *held])
+    """(B, 2) the pairs of atoms that bonds and lengths held fixed connect, and sites with their parents 0."""
+    joined = [each.pairs for each in system.constraints if isinstance(each, DistanceConstraints)]
+    if system.sites is not None:
+        joined.append(system.sites.pairs)
+    return np.concatenate([system.bonds, *joined])
 
 
 def molecules_of(system: Any) -> Indices:

@@ -48,7 +48,7 @@ BEADS = 2.5  # Å; bonds of guessed elements are shorter
 REMEDY = (
     "give masses={'NAME': mass} or elements={'NAME': 'symbol'}, or one for each atom, "
     "elements=['O', 'H', 'H', ...], in a scene under [structure], or a PSF or topology file beside it; "
-    "atoms of ASE have set_masses; sites without mass, which minimd does not have, must be removed"
+    "atoms of ASE have set_masses; sites without mass must be removed"
 )
 
 
@@ -136,7 +136,7 @@ def identified(
     if massless.size:
         raise ValueError(
             f"the mass of atom {massless[0]}, {stated.names[massless[0]]!r}, is 0 in {source}: it is a massless site, "
-            "which minimd does not have; take a model without such sites, or remove them from the file"
+            "and the file does not tell which atoms it follows; remove it, and give Sites to System, or call water_of"
         )
 
     missing = np.flatnonzero(np.isnan(weights)).tolist()

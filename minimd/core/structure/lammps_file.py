@@ -30,6 +30,11 @@ def write_lammps_data(file: Any, system: Any, overwrite: bool = False) -> None:
             "ase.io.write(file, system.to_ase()) formats of ASE, Simulation.run(trajectory=) those of runs, as .h5md"
         )
 
+    if system.sites is not None:
+        raise ValueError(
+            f"LAMMPS data hold atoms with masses; system.sites = {system.sites!r}: write other formats, by "
+            "ase.io.write(file, system.to_ase())"
+        )
     cell = system.cell
     box = Box(cell, system.positions, np.where(cell.pbc[:, None], cell.vectors, cell.lattice))
     box.make_room(ROOM)

@@ -196,7 +196,7 @@ def maxwell_boltzmann(
     """Normally distributed velocities, (N, 3), with total momentum zero and kinetic temperature exactly the target.
 
     Each component has variance k_B T/m before the mean motion is removed and the rest rescaled.
-    masses : (N,).
+    masses : (N,); atoms of mass 0 stay at rest.
     target : T ≥ 0 [temperature].
     seed : of numpy's PCG64; None for a new draw each time.
     Raises ValueError if the target is negative or not finite, or the seed is not a whole number."""
@@ -204,11 +204,11 @@ def maxwell_boltzmann(
     generator = np.random.default_rng(
         None if seed is None else checked_count("seed", seed, 0, SEEDS)
     )
-    velocities = (
-        generator.standard_normal((len(masses), 3)) * np.sqrt(k_B * target / masses)[:, None]
-    )
-    velocities -= center(velocities, masses)
-    n_dof = degrees_of_freedom(len(masses))
+    has_mass = masses > 0.0
+    squares = np.divide(k_B * target, masses, out=np.zeros(len(masses)), where=has_mass)
+    velocities = generator.standard_normal((len(masses), 3)) * np.sqrt(squares)[:, None]
+    velocities -= center(velocities, masses) * has_mass[:, None]
+    n_dof = degrees_of_freedom(int(has_mass.sum()))
     return (
         rescaled(velocities, masses, target, k_B, n_dof, np.zeros(3))
         if target > 0.0

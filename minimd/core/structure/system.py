@@ -27,6 +27,7 @@ from minimd.core.structure.checks import (
 )
 from minimd.core.structure.constraints import Constraint
 from minimd.core.structure.observables import largest_component
+from minimd.core.structure.sites import Sites, place_in
 from minimd.core.structure.units import UnitSystem
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     import MDAnalysis
 
 AnySystem: TypeAlias = "System | ase.Atoms"
-FIXED = ("masses", "charges", *GROUPS, "units", "topology")
+FIXED = ("masses", "charges", *GROUPS, "units", "topology", "sites")
 READ_ONLY = (*FIXED, "species_names", "species_index")
 ROW = re.compile(r"([ -~]*\n){3}-?[0-9]{1,9}\n[ -~]*")  # of topology
 MOST_BINS = 2**20  # along a lattice vector: their numbers are int64
@@ -62,6 +63,8 @@ class System(Displayed):
     constraints : DistanceConstraints and FixedAtoms that a Simulation keeps unless it is given others.
     topology : (N, 5) str in ASCII, for programs that select atoms by names: the atom's name, its element or "", the
         name and the number of its residue, and its chain; atoms of a residue follow each other. (0, 5) if not known.
+    sites : Sites, which of the atoms are massless and follow others; None for none. Their positions are those that
+        follow, whatever is given; their masses must be 0, or one number be given for all atoms.
 
     Attributes
     ----------
@@ -76,7 +79,9 @@ class System(Displayed):
         no lattice vector, or a text of topology is not printable. TypeError : for units or constraints of another kind.
     """
 
-    topology: NDArray[np.str_] = np.zeros((0, 5), str)  # of pickles of earlier versions
+    # of pickles of earlier versions
+    topology: NDArray[np.str_] = np.zeros((0, 5), str)
+    sites: Sites | None = None
 
     def __init__(
         self,
@@ -95,6 +100,7 @@ class System(Displayed):
         constraints: Sequence[Constraint] = (),
         charges: ArrayLike | Mapping[Any, float] | None = None,
         topology: ArrayLike | None = None,
+        sites: Sites | None = None,
     ) -> None:
         checked_kind("units", units, UnitSystem, "minimd.units.LJ or minimd.units.ASE")
         is_list = isinstance(constraints, list | tuple)
@@ -119,11 +125,13 @@ class System(Displayed):
         self.constraints = tuple(constraints)
         self.positions = _checked_vectors("positions", positions)
         n_atoms = len(self.positions)
-        self.masses = checked_sizes("masses", 1.0 if masses is None else masses, n_atoms, "atom")
+        self.sites = checked_kind("sites", sites, Sites | None, "Sites")
+        self.masses = _checked_masses(1.0 if masses is None else masses, n_atoms, sites)
         self.velocities = np.zeros((n_atoms, 3))
         if velocities is not None:
             self.velocities[:] = _checked_vectors("velocities", velocities, n_atoms)
         self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
+        place_in(self.positions, self.cell, sites)
         self.species_names, self.species_index = _checked_species(species, n_atoms)
         self.charges = _checked_charges(charges, self.species_names, self.species_index)
         self.bonds = checked_pairs("bonds", bonds, n_atoms)
@@ -201,6 +209,8 @@ class System(Displayed):
         for name, groups in self.groups().items():
             if len(groups):
                 table[name] = str(len(groups))
+        if self.sites is not None:
+            table["sites"] = repr(self.sites)
         if self.constraints:
             table["constraints"] = ", ".join(map(repr, self.constraints))
         table["units"] = f"{units.name}: {length}, {units.energy}, {units.time}"
@@ -332,6 +342,24 @@ def _checked_vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -
             f"{name} must be below {LARGEST:g}; the largest is {largest:g}: take other units"
         )
     return array
+
+
+def _checked_masses(masses: ArrayLike, n_atoms: int, sites: Sites | None) -> Array:
+    if sites is None:
+        return checked_sizes("masses", masses, n_atoms, "atom")
+    largest = max(sites.atoms.max(initial=-1), sites.parents.max(initial=-1))
+    if largest >= n_atoms:
+        raise ValueError(
+            f"sites and their parents must be among atoms 0 to {n_atoms - 1}; they name atom {largest}"
+        )
+    numbers = checked_numbers("masses", masses, "one number, or one for each atom")
+    if numbers.shape == (n_atoms,):
+        of_sites = numbers[sites.atoms]
+        check_rows("masses of sites", "0", of_sites == 0.0, of_sites)
+        numbers[sites.atoms] = 1.0
+    sizes = checked_sizes("masses", numbers, n_atoms, "atom")
+    sizes[sites.atoms] = 0.0
+    return sizes
 
 
 def _checked_charges(charges: Any, species_names: tuple, species_index: Indices) -> Array:

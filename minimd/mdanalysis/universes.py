@@ -398,16 +398,6 @@ def radial_distribution(
     observer = observers.RadialDistribution(
         r_max, n_bins, every=1, pairs=pairs, intramolecular=intramolecular, of=of, name=""
     )
-    return observed_pairs(run, observer)
-
-
-def observed_pairs(
-    run: Run, observer: observers.RadialDistribution | None = None
-) -> RadialDistributionResult:
-    """What an observer that looks at each step, of all pairs if not given, finds in the frames of radial_distribution.
-    Raises as it."""
-    observer = observer or observers.RadialDistribution(every=1)  # type: ignore[call-arg]
-
     with universe_of(run) as frames, quiet():
         most = min(RDF_FRAMES, max(1, RDF_ATOMS // len(frames.system)))
         _observe(observer, frames, most)

@@ -485,6 +485,10 @@ class DisplacementResult(MotionResult):
         numbers = super().numbers()
         numbers["diffusion_infinite"] = self.infinite
         numbers["diffusion_infinite_error"] = self.infinite_error
+        if len(self.of_species) > 1:
+            for name, diffusivity in zip(self.scene.species, self.of_species, strict=True):
+                numbers[f"diffusion_{name}"] = diffusivity.value
+                numbers[f"diffusion_{name}_error"] = diffusivity.error
         return numbers
 
     def display_rows(self) -> Rows:

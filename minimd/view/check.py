@@ -26,7 +26,7 @@ from minimd.mdanalysis.universes import (
     VERSION,
     RunUniverse,
     diffusion_coefficient,
-    observed_pairs,
+    radial_distribution,
     universe_of,
 )
 from minimd.observers.accumulator import first_peak
@@ -268,7 +268,7 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
         system = universe.system
         if not system.cell.pbc.all() or len(system) < 2:
             return []
-        found = observed_pairs(universe)
+        found = radial_distribution(universe)
         peak, _ = first_peak(found.r[1:], found.g[1:])
         of_molecules = " between molecules" * found.is_between
         frames = f"{found.n_frames} of {universe.n_recent} frames"

@@ -22,7 +22,7 @@ from minimd.core.engine.record_picture import (
 from minimd.mdanalysis.universes import (
     RunUniverse,
     mean_square_displacement,
-    observed_pairs,
+    radial_distribution,
     universe_of,
 )
 from minimd.observers.motion import DisplacementResult
@@ -103,7 +103,7 @@ def _draw_structure(panel: Axes, run: RunUniverse) -> None:
     units = run.system.units
     frames = f", from step {run.contents.record.step[run.n_earlier]} on" * bool(run.n_earlier)
     if _is_bulk(run):
-        pairs = observed_pairs(run)
+        pairs = radial_distribution(run)
         pairs.draw(panel)
         panel.set_title(f"{pairs.title}{frames}")
     elif run.n_recent > 1:

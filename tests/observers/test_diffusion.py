@@ -469,6 +469,10 @@ def test_fixed_atoms_do_not_count_as_atoms_that_diffuse():
     assert displacements.means[1] == pytest.approx(displacements.msd)
     assert "nan" not in str(displacements)
     assert "B: does not move" in str(displacements)
+    numbers = displacements.numbers()
+    for name, known in zip("AB", displacements.of_species, strict=True):
+        found = [numbers[f"diffusion_{name}"], numbers[f"diffusion_{name}_error"]]
+        np.testing.assert_array_equal(found, [known.value, known.error])
     for result in (displacements, velocities):
         assert "all atoms but the 55 that are fixed" in str(result)
     assert moved[fixed].max() == 0.0

@@ -133,7 +133,7 @@ MonteCarlo MC GCMC Alchemical FreeEnergy
     not here; md.SteeredSpring and md.HarmonicBond give free energies of distances | limits
 GPU CUDA OpenCL Kokkos MPI Platform mpirun
     not here: threads= of md.Simulation uses the cores of one machine | limits
-Tdamp Pdamp damp tau_t tau_p ref_t ref_p compressibility
+Tdamp Pdamp damp tau_t tau_p ref_t ref_p
     relaxation_time=, temperature=, pressure=, compressibility= of bath and barostat; friction= is 1/damp | pressure
 pcoupl NPTBerendsen MTKNPT FrechetCellFilter UnitCellFilter
     md.StochasticCellRescaling, or ASE's own classes with minimd.ase.Calculator | pressure

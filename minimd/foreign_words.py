@@ -73,6 +73,8 @@ VACF VelocityAutoCorrelation
     md.observers.VelocityAutocorrelation | observers
 GreenKubo ShearViscosity EinsteinHelfand
     md.observers.Viscosity | observers
+Conductivity ElectricalConductivity IonicConductivity NernstEinstein
+    md.observers.Conductivity | observers
 Deform Strain ChangeBox
     not during a run; between two, sim.system.cell = md.Cell(vectors, pbc) | where-is
 HeatFlux ThermalConductivity MullerPlathe

@@ -3,6 +3,7 @@ of frames to other programs."""
 
 from minimd.observers.accumulator import Accumulator, Result
 from minimd.observers.chain_shape import ChainShape
+from minimd.observers.conductivity import Conductivity
 from minimd.observers.dielectric_constant import DielectricConstant
 from minimd.observers.fluctuations import Fluctuations
 from minimd.observers.motion import (
@@ -27,6 +28,7 @@ KINDS: dict[str, type[Accumulator]] = {
         VelocityAutocorrelation,
         SelfScattering,
         Viscosity,
+        Conductivity,
         Fluctuations,
         ChainShape,
         SurfaceTension,
@@ -37,6 +39,7 @@ __all__ = [
     "KINDS",
     "Accumulator",
     "ChainShape",
+    "Conductivity",
     "DielectricConstant",
     "Fluctuations",
     "MeanSquareDisplacement",

@@ -13,6 +13,7 @@ from minimd.core.structure.constraints import joined_pairs, molecules_of
 from minimd.core.structure.system import System
 from minimd.observers.accumulator import Array
 
+NEUTRAL = 1e-6  # of the largest charge: rounding of charges in files
 CLOSED = 1e-6  # of a molecule that is not infinite: largest distance, in heights of the cell
 
 

@@ -34,6 +34,8 @@ NONE = md.LennardJones(1e-12, 1e-3, 0.1, "force-shifted")  # next to no forces
 EVERY = {"radial-distribution": 10, DISPLACEMENT: 2, VELOCITY: 2, "viscosity": 5, "fluctuations": 5, "profile": 10,
          "surface-tension": 5, "structure-factor": 10, "self-scattering": 2}  # fmt: skip
 OF_MOLECULES = {"chain-shape": 2, "dielectric-constant": 2}
+OF_IONS = {"conductivity": 2}
+CHARGES = np.random.default_rng(7).normal(size=108)
 
 
 def simulation(**options):
@@ -49,9 +51,17 @@ def molecules():
     return md.Simulation(changed(sim.system, bonds=pairs, charges={"B": 1.0, "A": -0.5}), LJ, sim.method)
 
 
+def ions():
+    """The same molecules, each with a charge of its own."""
+    sim = molecules()
+    return md.Simulation(changed(sim.system, charges=CHARGES), LJ, sim.method)
+
+
+OTHERS = {molecules: OF_MOLECULES, ions: OF_IONS}
+
+
 def several(scene=simulation):
-    kinds = EVERY if scene is simulation else OF_MOLECULES
-    return [md.observers.KINDS[kind](every=every) for kind, every in kinds.items()]
+    return [md.observers.KINDS[kind](every=every) for kind, every in OTHERS.get(scene, EVERY).items()]
 
 
 class Run:
@@ -60,11 +70,12 @@ class Run:
     def __init__(self):
         self.sim, kept = simulation(), []
         self.looking = {kind: of(every=2) for kind, of in md.observers.KINDS.items()}
-        of_molecules = [self.looking[kind] for kind in OF_MOLECULES]
-        others = [one for one in self.looking.values() if one not in of_molecules]
-        keep = [lambda sim: kept.append([sim.positions.copy(), sim.velocities.copy()]), *others]
+        of_others = {scene: [self.looking[kind] for kind in kinds] for scene, kinds in OTHERS.items()}
+        of_atoms = [one for kind, one in self.looking.items() if kind not in {*OF_MOLECULES, *OF_IONS}]
+        keep = [lambda sim: kept.append([sim.positions.copy(), sim.velocities.copy()]), *of_atoms]
         self.record = self.sim.run(100, every=2, observers=keep)
-        molecules().run(100, every=2, observers=of_molecules)
+        for scene, looking in of_others.items():
+            scene().run(100, every=2, observers=looking)
         self.positions, self.velocities = np.array(kept).swapaxes(0, 1)
         self.species, self.masses = self.sim.system.species_index, self.sim.system.masses
         self.edges, self.n_dof = np.diag(self.sim.system.cell.vectors), 3 * len(self.species) - 3
@@ -101,21 +112,31 @@ def pair_counts(run):
     return {"r": 0.5 * (bins[1:] + bins[:-1]), "g_of_pairs": g}
 
 
+def integrated(series, divisor, weight):
+    """Autocorrelation on the first level, and on one of means of two entries; and its integral times a weight."""
+    expected = []
+    for level, lags in ((series, range(32)), (0.5 * (series[:50:2] + series[1:50:2]), range(16, 25))):
+        expected += [(level[lag:] * level[: len(level) - lag]).sum(axis=1).mean() / divisor for lag in lags]
+    times, means = 0.008 * np.array([*range(32), *range(32, 50, 2)]), 0.5 * (np.array(expected[1:]) + expected[:-1])
+    integral = np.concatenate([[0.0], np.cumsum(means * np.diff(times))])
+    return {"times": times, "autocorrelation": expected, "integral": weight * integral}
+
+
+def currents(run):
+    """The charge of each molecule, times the velocity of its center."""
+    velocities = run.thermal.reshape(len(run.thermal), 36, 3, 3).swapaxes(2, 3) @ np.array([0.5, 0.25, 0.25])
+    currents = np.einsum("m,tmc->tc", CHARGES.reshape(36, 3).sum(axis=1), velocities)
+    return integrated(currents, 3.0, 1.0 / (run.edges.prod() * run.record.temperature.mean()))
+
+
 def stresses(run):
-    """On the first level, and on one of means of two entries; and the integral times V/T."""
     series, made = [], run.sim.system.copy()
     for positions, velocities in zip(run.positions, run.thermal, strict=True):
         made.positions[:] = positions
         virial = md.evaluate(made, run.sim.potentials).virial
         pressure = ((run.masses[:, None] * velocities).T @ velocities + virial) / made.volume
         series.append(0.5 * (pressure + pressure.T) - np.eye(3) * np.trace(pressure) / 3.0)
-    series, expected = np.reshape(series, (-1, 9)), []
-    for level, lags in ((series, range(32)), (0.5 * (series[:50:2] + series[1:50:2]), range(16, 25))):
-        expected += [(level[lag:] * level[: len(level) - lag]).sum(axis=1).mean() / 10.0 for lag in lags]
-    times, means = 0.008 * np.array([*range(32), *range(32, 50, 2)]), 0.5 * (np.array(expected[1:]) + expected[:-1])
-    integral = np.concatenate([[0.0], np.cumsum(means * np.diff(times))])
-    weight = made.volume / run.record.temperature.mean()
-    return {"times": times, "autocorrelation": expected, "integral": weight * integral}
+    return integrated(np.reshape(series, (-1, 9)), 10.0, made.volume / run.record.temperature.mean())
 
 
 def grown(looking):
@@ -207,7 +228,7 @@ TWINS = {  # expected attributes of the result
     VELOCITY: lambda run: correlated(run, run.thermal, lambda a, b: a * b), "radial-distribution": pair_counts,
     "viscosity": stresses, "fluctuations": heat_capacity, "profile": layers,
     "structure-factor": scattered, "self-scattering": scattered_by_each, "chain-shape": sizes,
-    "dielectric-constant": dipoles,
+    "dielectric-constant": dipoles, "conductivity": currents,
     "surface-tension": tension,
 }  # fmt: skip
 
@@ -388,7 +409,7 @@ def test_error_bars_of_fluctuations_hold_the_variance_also_of_short_runs(times):
     assert np.mean(told) > 0.9 if times == 50 else np.mean(told) < 0.1 if times == 400 else True
 
 
-@pytest.mark.parametrize("scene", [simulation, molecules])
+@pytest.mark.parametrize("scene", [simulation, *OTHERS])
 def test_a_run_that_was_cut_goes_on_to_the_same_answers(scene, tmp_path):
     """In one process, and through a file, to the last bit; the steps have the bits of a run without observers."""
     (whole, cut, resumed), file = (several(scene) for _ in range(3)), tmp_path / "a.h5md"

@@ -12,7 +12,8 @@ from minimd.view.check import check_file
 
 BATHS = [of(0.004, 0.9, 1.0, seed=3) for of in (md.LangevinBAOAB, md.StochasticVelocityRescaling)]
 
-NOT_HERE = "chain-shape", "dielectric-constant", "surface-tension"  # no molecules, and a cell that is tilted
+# no molecules and no charges, and a cell that is tilted
+NOT_HERE = "chain-shape", "conductivity", "dielectric-constant", "surface-tension"
 
 
 def whole(simulation):

@@ -78,7 +78,7 @@ Conductivity ElectricalConductivity IonicConductivity NernstEinstein
 Deform Strain ChangeBox
     not during a run; between two, sim.system.cell = md.Cell(vectors, pbc) | where-is
 HeatFlux ThermalConductivity MullerPlathe
-    not here: exchange velocities, in an observer | recipes
+    md.observers.ThermalConductivity; or exchange velocities, in an observer | observers
 Dielectric DielectricConstant Dipole Dipoles Permittivity
     md.observers.DielectricConstant | observers
 OrderParameter orientorder Hexatic Psi6 Steinhardt CNA Q6

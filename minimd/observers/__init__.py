@@ -16,6 +16,7 @@ from minimd.observers.radial_distribution import RadialDistribution
 from minimd.observers.scattering import SelfScattering, StructureFactor
 from minimd.observers.stream import Stream
 from minimd.observers.surface_tension import SurfaceTension
+from minimd.observers.thermal_conductivity import ThermalConductivity
 from minimd.observers.viscosity import Viscosity
 
 KINDS: dict[str, type[Accumulator]] = {
@@ -29,6 +30,7 @@ KINDS: dict[str, type[Accumulator]] = {
         SelfScattering,
         Viscosity,
         Conductivity,
+        ThermalConductivity,
         Fluctuations,
         ChainShape,
         SurfaceTension,
@@ -50,6 +52,7 @@ __all__ = [
     "Stream",
     "StructureFactor",
     "SurfaceTension",
+    "ThermalConductivity",
     "VelocityAutocorrelation",
     "Viscosity",
     "finite_size_correction",

@@ -13,7 +13,6 @@ from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
 from minimd.core.structure.checks import checked_count
 from minimd.core.structure.constraints import molecules_of
-from minimd.core.structure.units import BAR, PICOSECOND
 from minimd.observers.accumulator import Array, ObservedRun
 from minimd.observers.arguments import argument, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product
@@ -22,14 +21,15 @@ from minimd.observers.motion import MOST_ATOMS
 from minimd.observers.time_correlation import (
     HEAD,
     LEVELS,
+    PER_SI,
     POINTS,
     IntegralResult,
     Plateau,
     TimeCorrelation,
+    running_integral,
 )
 
 ALL, EACH = range(2)  # the current of all ions, and those of single ions
-S_PER_M = 1e-3 * PICOSECOND / BAR  # per e²/(eV Å) of ASE's unit of time
 
 
 class Conductivity(TimeCorrelation):
@@ -111,17 +111,18 @@ class Conductivity(TimeCorrelation):
             products = self._correlator.correlations(sums[HEAD:])[1][seen]
             return np.asarray(products.sum(axis=2).T / 3.0)
 
-        def integrand(sums: Array) -> Array:
+        def integrals(sums: Array) -> Array:
             looks, temperature, volume = sums[:HEAD]
-            return correlations(sums) * (looks**2 / (k_B * temperature * volume))
+            weight = looks**2 / (k_B * temperature * volume)
+            return weight * running_integral(times, correlations(sums))
 
         series = self._series(
             times,
             longest,
             lambda sums: correlations(sums)[ALL],
-            lambda sums: integrand(sums)[ALL],
+            lambda sums: integrals(sums)[ALL],
         )
-        *_, of_each = self._integral(times, longest, lambda sums: integrand(sums)[EACH])
+        *_, of_each = self._integral(times, longest, lambda sums: integrals(sums)[EACH])
         return ConductivityResult(scene, times, *series, of_each)
 
 
@@ -155,7 +156,7 @@ class ConductivityResult(IntegralResult):
     @property
     def shown(self) -> tuple[float, str]:
         """See IntegralResult."""
-        return (S_PER_M, "S/m") if self.units.name == "ASE" else (1.0, self.unit)
+        return (PER_SI, "S/m") if self.units.name == "ASE" else (1.0, self.unit)
 
     @property
     def conductivity(self) -> float:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from minimd.core.console.display import Rows
 from minimd.core.engine.observation import Look
 from minimd.core.structure.statistics import spread, with_error
-from minimd.core.structure.units import UnitSystem
+from minimd.core.structure.units import BAR, PICOSECOND, UnitSystem
 from minimd.observers.accumulator import Accumulator, Array, BlockedSums, Result, Series
 from minimd.observers.correlator import MultipleTau
 from minimd.observers.diffusion import LONGEST
@@ -23,6 +23,8 @@ from minimd.observers.diffusion import LONGEST
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+# S/m per e²/(eV Å) of ASE's unit of time, and W/(m K) per eV/(Å K) of it
+PER_SI = 1e-3 * PICOSECOND / BAR
 ENOUGH = 100.0  # times the start of the plateau: a shorter run knows its error bar badly
 # entries on each level of a correlator that averages: over at most a sixteenth of a lag
 POINTS = 32
@@ -157,15 +159,11 @@ class TimeCorrelation(Accumulator):
     def _integral(
         self, times: Array, longest: float, law: Callable[[Array], Array]
     ) -> tuple[Array, Array, Plateau]:
-        """The running integral of a correlation, (T,), its standard errors, and its plateau.
+        """A running integral, (T,), its standard errors, and its plateau.
         law : of the sums."""
-
-        def integral(sums: Array) -> Array:
-            return running_integral(times, law(sums))
-
-        values, errors = self._estimate(times, longest, integral)
+        values, errors = self._estimate(times, longest, law)
         good = times <= max(longest, times[min(1, len(times) - 1)])
-        replicas = self.sums.replicas(integral)[:, good]
+        replicas = self.sums.replicas(law)[:, good]
         return values, errors, plateau(times[good], values[good], replicas)
 
     def _series(
@@ -173,13 +171,13 @@ class TimeCorrelation(Accumulator):
         times: Array,
         longest: float,
         correlation: Callable[[Array], Array],
-        integrand: Callable[[Array], Array],
+        integral: Callable[[Array], Array],
     ) -> tuple[Array, Array, Array, Array, Plateau, float]:
         """What an IntegralResult has after its times.
-        correlation, integrand : of the sums; the integral of the second is the coefficient."""
+        correlation, integral : laws of the sums."""
         correlations = self._estimate(times, longest, correlation)
         duration = self.n_looks * self.answered().spacing
-        return *correlations, *self._integral(times, longest, integrand), duration
+        return *correlations, *self._integral(times, longest, integral), duration
 
 
 @dataclass(frozen=True, repr=False)

@@ -18,6 +18,7 @@ from minimd.observers.time_correlation import (
     VOLUME,
     IntegralResult,
     TimeCorrelation,
+    running_integral,
 )
 
 WEIGHT = 10.0  # divisor of the sum over all components of a symmetric tensor without trace
@@ -69,11 +70,12 @@ class Viscosity(TimeCorrelation):
             products = self._correlator.correlations(sums[HEAD:])[1][seen, 0]
             return np.asarray(products.sum(axis=1) / WEIGHT)
 
-        def integrand(sums: Array) -> Array:
+        def integral(sums: Array) -> Array:
             # both are sums over the same looks
-            return correlation(sums) * (sums[VOLUME] / (k_B * sums[TEMPERATURE]))
+            weight = sums[VOLUME] / (k_B * sums[TEMPERATURE])
+            return weight * running_integral(times, correlation(sums))
 
-        series = self._series(times, longest, correlation, integrand)
+        series = self._series(times, longest, correlation, integral)
         return ViscosityResult(scene, times, *series)
 
 

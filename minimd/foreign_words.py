@@ -82,7 +82,7 @@ HeatFlux ThermalConductivity MullerPlathe
 Dielectric DielectricConstant Dipole Dipoles Permittivity
     md.observers.DielectricConstant | observers
 OrderParameter orientorder Hexatic Psi6 Steinhardt CNA Q6
-    not here: md.neighbor_list and numpy, or the package freud | recipes
+    md.observers.BondOrder, by the package freud; without it md.neighbor_list and numpy | observers
 SurfaceTension Interface
     md.observers.SurfaceTension | observers
 PressureTensor Stress StressTensor

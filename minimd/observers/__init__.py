@@ -2,6 +2,7 @@
 of frames to other programs."""
 
 from minimd.observers.accumulator import Accumulator, Result
+from minimd.observers.bond_order import BondOrder
 from minimd.observers.chain_shape import ChainShape
 from minimd.observers.conductivity import Conductivity
 from minimd.observers.dielectric_constant import DielectricConstant
@@ -35,11 +36,13 @@ KINDS: dict[str, type[Accumulator]] = {
         ChainShape,
         SurfaceTension,
         DielectricConstant,
+        BondOrder,
     )
 }
 __all__ = [
     "KINDS",
     "Accumulator",
+    "BondOrder",
     "ChainShape",
     "Conductivity",
     "DielectricConstant",

@@ -75,14 +75,16 @@ VACF VelocityAutoCorrelation
     md.observers.VelocityAutocorrelation | observers
 GreenKubo ShearViscosity EinsteinHelfand
     md.observers.Viscosity | observers
+Conductivity ElectricalConductivity IonicConductivity NernstEinstein
+    md.observers.Conductivity | observers
 Deform Strain ChangeBox
     not during a run; between two, sim.system.cell = md.Cell(vectors, pbc) | where-is
 HeatFlux ThermalConductivity MullerPlathe
-    not here: exchange velocities, in an observer | recipes
+    md.observers.ThermalConductivity; or exchange velocities, in an observer | observers
 Dielectric DielectricConstant Dipole Dipoles Permittivity
     md.observers.DielectricConstant | observers
 OrderParameter orientorder Hexatic Psi6 Steinhardt CNA Q6
-    not here: md.neighbor_list and numpy, or the package freud | recipes
+    md.observers.BondOrder, by the package freud; without it md.neighbor_list and numpy | observers
 SurfaceTension Interface
     md.observers.SurfaceTension | observers
 PressureTensor Stress StressTensor

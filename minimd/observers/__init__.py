@@ -2,7 +2,9 @@
 of frames to other programs."""
 
 from minimd.observers.accumulator import Accumulator, Result
+from minimd.observers.bond_order import BondOrder
 from minimd.observers.chain_shape import ChainShape
+from minimd.observers.conductivity import Conductivity
 from minimd.observers.dielectric_constant import DielectricConstant
 from minimd.observers.fluctuations import Fluctuations
 from minimd.observers.motion import (
@@ -15,6 +17,7 @@ from minimd.observers.radial_distribution import RadialDistribution
 from minimd.observers.scattering import SelfScattering, StructureFactor
 from minimd.observers.stream import Stream
 from minimd.observers.surface_tension import SurfaceTension
+from minimd.observers.thermal_conductivity import ThermalConductivity
 from minimd.observers.viscosity import Viscosity
 
 KINDS: dict[str, type[Accumulator]] = {
@@ -27,16 +30,21 @@ KINDS: dict[str, type[Accumulator]] = {
         VelocityAutocorrelation,
         SelfScattering,
         Viscosity,
+        Conductivity,
+        ThermalConductivity,
         Fluctuations,
         ChainShape,
         SurfaceTension,
         DielectricConstant,
+        BondOrder,
     )
 }
 __all__ = [
     "KINDS",
     "Accumulator",
+    "BondOrder",
     "ChainShape",
+    "Conductivity",
     "DielectricConstant",
     "Fluctuations",
     "MeanSquareDisplacement",
@@ -47,6 +55,7 @@ __all__ = [
     "Stream",
     "StructureFactor",
     "SurfaceTension",
+    "ThermalConductivity",
     "VelocityAutocorrelation",
     "Viscosity",
     "finite_size_correction",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import field
 from functools import partial
@@ -69,6 +70,15 @@ def names(name: str, value: Any) -> list[str]:
             f"{name} must be a name, or a list of different names; {name} = {shown(value)}"
         )
     return [*texts]
+
+
+def orders(name: str, value: Any) -> list[str]:
+    """Names of orders of bonds: q or psi, and a degree of 1 to 20."""
+    texts = names(name, value)
+    if not all(re.fullmatch(r"(q|psi)([1-9]|1[0-9]|20)", text) for text in texts):
+        wanted = 'q or psi with a degree of 1 to 20, such as "q6"'
+        raise ValueError(f"{name} must be {wanted}; {name} = {shown(value)}")
+    return texts
 
 
 def identifier(name: str, value: Any) -> str:

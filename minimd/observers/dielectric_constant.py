@@ -14,14 +14,13 @@ from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun
 from minimd.observers.arguments import label, steps
 from minimd.observers.fluctuations import ENOUGH, JACKKNIFE
 from minimd.observers.means import MeansResult, Quantity
-from minimd.observers.molecules import Molecules
+from minimd.observers.molecules import NEUTRAL, Molecules
 
 COUNT, TEMPERATURE, VOLUME = range(
     3
 )  # places in the sums, before M and the squares of its components
 DIPOLE = slice(3, 6)
 SQUARES = slice(6, 9)
-NEUTRAL = 1e-6  # of the largest charge: rounding of charges in files
 
 
 class DielectricConstant(Accumulator):

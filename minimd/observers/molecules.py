@@ -12,6 +12,7 @@ from minimd.core.structure.cell import nearest_vectors
 from minimd.core.structure.constraints import joined_pairs, molecules_of
 from minimd.core.structure.system import System
 
+NEUTRAL = 1e-6  # of the largest charge: rounding of charges in files
 CLOSED = 1e-6  # of a molecule that is not infinite: largest distance, in heights of the cell
 
 

@@ -6,19 +6,29 @@ Transport coefficients are integrals of time correlations: the plateau of the in
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.core.console.display import Rows
 from minimd.core.engine.observation import Look
 from minimd.core.structure.arrays import Array
-from minimd.core.structure.statistics import spread
-from minimd.core.structure.units import UnitSystem
-from minimd.observers.accumulator import Accumulator, BlockedSums
+from minimd.core.structure.statistics import spread, with_error
+from minimd.core.structure.units import BAR, PICOSECOND, UnitSystem
+from minimd.observers.accumulator import Accumulator, BlockedSums, Result, Series
 from minimd.observers.correlator import MultipleTau
 from minimd.observers.diffusion import LONGEST
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# S/m per e²/(eV Å) of ASE's unit of time, and W/(m K) per eV/(Å K) of it
+PER_SI = 1e-3 * PICOSECOND / BAR
+ENOUGH = 100.0  # times the start of the plateau: a shorter run knows its error bar badly
+# entries on each level of a correlator that averages: over at most a sixteenth of a lag
+POINTS = 32
 # S: ratio of the slowest correlation time to the mean time of the integral; Wolff's value
 SLOWER = 1.5
 OCTAVE = 2.0  # a plateau lasts from a time to this multiple of it
@@ -150,13 +160,93 @@ class TimeCorrelation(Accumulator):
     def _integral(
         self, times: Array, longest: float, law: Callable[[Array], Array]
     ) -> tuple[Array, Array, Plateau]:
-        """The running integral of a correlation, (T,), its standard errors, and its plateau.
+        """A running integral, (T,), its standard errors, and its plateau.
         law : of the sums."""
-
-        def integral(sums: Array) -> Array:
-            return running_integral(times, law(sums))
-
-        values, errors = self._estimate(times, longest, integral)
+        values, errors = self._estimate(times, longest, law)
         good = times <= max(longest, times[min(1, len(times) - 1)])
-        replicas = self.sums.replicas(integral)[:, good]
+        replicas = self.sums.replicas(law)[:, good]
         return values, errors, plateau(times[good], values[good], replicas)
+
+    def _series(
+        self,
+        times: Array,
+        longest: float,
+        correlation: Callable[[Array], Array],
+        integral: Callable[[Array], Array],
+    ) -> tuple[Array, Array, Array, Array, Plateau, float]:
+        """What an IntegralResult has after its times.
+        correlation, integral : laws of the sums."""
+        correlations = self._estimate(times, longest, correlation)
+        duration = self.n_looks * self.answered().spacing
+        return *correlations, *self._integral(times, longest, integral), duration
+
+
+@dataclass(frozen=True, repr=False)
+class IntegralResult(Result):
+    """A transport coefficient: an autocorrelation, and its running integral with the plateau.
+
+    times : (T,) lags [time].
+    autocorrelation, autocorrelation_error : (T,).
+    integral, integral_error : its integral up to each lag, times what makes it the coefficient, (T,).
+    plateau : of the integral.
+    duration : of the run [time].
+
+    A class gives the symbol of the coefficient, square and unit, which are those of autocorrelation and integral, and
+    shown, the factor and the unit in which the coefficient is shown.
+    """
+
+    times: Array
+    autocorrelation: Array
+    autocorrelation_error: Array
+    integral: Array
+    integral_error: Array
+    plateau: Plateau
+    duration: float
+    symbol: ClassVar[str]
+    square: ClassVar[Any]
+    unit: ClassVar[Any]
+    shown: ClassVar[Any]
+
+    def series(self) -> list[Series]:
+        """See Result."""
+        correlation = (self.autocorrelation, self.autocorrelation_error)
+        return [
+            Series("time", self.units.time, self.times),
+            Series("autocorrelation", self.square, *correlation),
+            Series("integral", self.unit, self.integral, self.integral_error),
+        ]
+
+    def in_words(self, value: float, error: float) -> str:
+        """A coefficient, in the unit in which it is shown."""
+        factor, unit = self.shown
+        return f"{self.symbol} = {with_error(factor * value, factor * error)} {unit}"
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        units = self.units
+        value = self.in_words(self.plateau.value, self.plateau.error)
+        rows = [(self.title, f"{value}; {self.plateau.said(units)}")]
+        enough = ENOUGH * self.plateau.window[0]
+        if self.duration < enough:
+            short = f"the run is SHORT, {units.shown(self.duration)}"
+            needed = f"a reliable error bar takes at least about {units.shown(enough)}"
+            rows.append(("", f"{short}: {needed}"))
+        return rows
+
+    def draw(self, panel: Axes) -> None:
+        """See Result."""
+        times, time = self.abscissa()
+        factor, unit = self.shown
+        value = factor * self.plateau.value
+        start, end = np.array(self.plateau.window) * self.units.to_picosecond
+        panel.axvspan(start, end, color="0.93")
+        panel.axhline(value, color="0.6", lw=0.8, ls="--")
+        bars = factor * self.integral_error
+        panel.errorbar(times, factor * self.integral, bars, lw=1.1, elinewidth=0.6)
+        panel.set(
+            xlabel=f"t  [{time}]",
+            ylabel=f"{self.symbol}  [{unit}]",
+            title=f"{self.title}, running integral",
+            xlim=(0.0, 2.0 * end or None),
+            ylim=(0.0, 2.0 * value if value > 0.0 else None),
+        )

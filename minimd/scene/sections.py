@@ -558,7 +558,7 @@ class OfObservers(Section):
 
 ARGUMENTS: dict[Any, Any] = {  # of observers, by what they must be
     checked_count: PositiveInt, arguments.levels: PositiveInt, arguments.positive: Positive, arguments.identifier: str,
-    arguments.names: str | list[str], checked_flag: bool,
+    arguments.names: str | list[str], arguments.orders: str | list[str], checked_flag: bool,
     arguments.axis_name: Annotated[str, one_of(arguments.AXES)],
     arguments.particles: Annotated[str, one_of(arguments.PARTICLES)],
     arguments.interval: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)],

@@ -13,6 +13,7 @@ from minimd.observers.diffusion import AT_PLACES, DIFFUSIVE, NOT_YET, SHORT, Dif
 from minimd.view.check import liquid as check_of_liquid
 
 LJ = md.LennardJones(1.0, 1.0, 2.5)
+NONE = md.LennardJones(1e-12, 1e-3, 0.1, "force-shifted")  # next to no forces
 EDGES = np.eye(3)
 
 
@@ -476,3 +477,26 @@ def test_fixed_atoms_do_not_count_as_atoms_that_diffuse():
     for result in (displacements, velocities):
         assert "all atoms but the 55 that are fixed" in str(result)
     assert moved[fixed].max() == 0.0
+
+
+@pytest.mark.parametrize("drift", [0.0, 1.0, -1.0])
+@pytest.mark.parametrize("growth", [1.0, 1.001])
+def test_free_atoms_move_as_their_velocities_say(growth, drift):
+    """⟨v²⟩ t² at every lag, also in a growing cell, relative to the center of mass, also under a bath."""
+    velocities = np.random.default_rng(2).normal(size=(20, 3))
+    velocities -= velocities.mean(axis=0)
+    system = md.System(np.zeros((20, 3)), velocities=velocities + drift, cell=50.0)
+    method = md.VelocityVerlet(0.01) if drift >= 0.0 else md.LangevinBAOAB(0.01, 1.0, 1.0, seed=1)
+    sim = md.Simulation(system, NONE, method)
+    looking = md.observers.MeanSquareDisplacement(every=1)
+    looking.prepare(sim.engine)
+    for step in range(200):
+        looking.observe(sim.engine)
+        sim.engine.count(1)
+        if growth != 1.0 and step:
+            sim.system.cell = md.Cell.of(growth * sim.system.cell.vectors)
+            sim.positions[:] *= growth
+        sim.positions[:] += 0.01 * (velocities + drift)
+    result, mean = looking.result(), (velocities**2).sum(axis=1).mean()
+    assert len(result.times) > 40
+    np.testing.assert_allclose(result.msd, mean * result.times**2, rtol=1e-9, atol=1e-15)

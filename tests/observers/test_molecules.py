@@ -244,12 +244,57 @@ def test_the_error_of_a_dielectric_constant_knows_the_correlations_of_the_dipole
     assert np.mean(told) > 0.9 if times == 50 else np.mean(told) < 0.1 if times == 400 else True
 
 
+def drude(seed, n=200, n_looks=4000, spacing=0.2, **options):
+    """Ions whose velocities are independent processes of correlation e^(-t), T = 1.5, m = 2, in a volume of 1000."""
+    velocities = processes(3 * n, n_looks, np.exp(-spacing), np.random.default_rng(seed)).reshape(n_looks, n, 3)
+    charges = np.resize([1.0, -1.0], n)
+    system = md.System(np.zeros((n, 3)), cell=10.0, charges=charges, masses=2.0)
+    bath = md.LangevinBAOAB(spacing, 1.5, 1.0, seed=1)  # whose center of mass moves
+    sim = md.Simulation(system, NONE, bath)
+    looking = md.observers.Conductivity(every=1, **options)
+    looking.prepare(sim.engine)
+    for entry in np.sqrt(0.75) * velocities:
+        sim.velocities[:] = entry
+        looking.observe(sim.engine)
+        sim.engine.count(1)
+    return looking.result(), np.sqrt(0.75) * charges @ velocities
+
+
+def test_the_conductivity_of_a_drude_gas_is_exact():
+    """σ = n q²/(m γ V) = 0.1, C(t) = n q² T e^(-γt)/m; of 40 ions of 200, the part of each is that of all."""
+    result, _ = drude(1)
+    assert result.conductivity == pytest.approx(0.1, abs=4.0 * result.conductivity_error)  # statistics
+    assert 0.0 < result.conductivity_error < 0.02
+    assert result.nernst_einstein == pytest.approx(0.1, abs=4.0 * result.nernst_einstein_error)
+    assert 0.0 < result.nernst_einstein_error < 0.002
+    few, _ = drude(1, most_atoms=40)
+    assert few.nernst_einstein == pytest.approx(0.1, abs=4.0 * few.nernst_einstein_error)
+    assert few.nernst_einstein_error > 1.5 * result.nernst_einstein_error
+    assert few.conductivity == result.conductivity
+    early = result.times < 1.0
+    expected = 150.0 * np.exp(-result.times[early])
+    np.testing.assert_allclose(result.autocorrelation[early], expected, rtol=0.25)  # 4 errors of 800 correlation times
+
+
+def test_the_conductivity_is_the_slope_of_the_charge_that_has_moved():
+    """Einstein's formula, from the integral of the current, over the octave of the plateau."""
+    result, currents = drude(2)
+    moved = 0.2 * np.cumsum(0.5 * (currents[1:] + currents[:-1]), axis=0)
+    start, end = np.rint(np.array(result.plateau.window) / 0.2).astype(int)
+    squares = [np.square(moved[lag:] - moved[:-lag]).sum(axis=1).mean() for lag in (start, end)]
+    slope = np.diff(squares)[0] / (0.2 * (end - start)) / (6.0 * 1000.0)
+    assert result.conductivity == pytest.approx(slope / 1.5, rel=0.1)  # the ends of the series
+
+
 def charged(charges, **options):
     return md.System(np.eye(3), cell=9.0, charges=charges, bonds=[[0, 1]], **options)
 
 
-test_what_has_no_dipole_is_refused = answered(
+test_what_has_no_dipole_or_no_current_is_refused = answered(
     (lambda: looked_at(md.observers.DielectricConstant(), charged(None)), ValueError, "charges", "3 atoms"),
     (lambda: looked_at(md.observers.DielectricConstant(), charged([1, -1, 2.5])), ValueError, "net charge", "2.5"),
     (lambda: looked_at(md.observers.DielectricConstant(), charged([1, -1, 0], pbc=[1, 1, 0])), ValueError, "periodic"),
+    (lambda: looked_at(md.observers.Conductivity(), charged(None)), ValueError, "ions", "3 atoms"),
+    (lambda: looked_at(md.observers.Conductivity(), charged([1, -1, 0])), ValueError, "ions", "3 atoms"),
+    (lambda: looked_at(md.observers.Conductivity(), charged([1, 0, 0], pbc=[1, 1, 0])), ValueError, "periodic"),
 )

@@ -11,6 +11,7 @@ from minimd.mdanalysis import radial_distribution
 from minimd.view.check import check_file
 from minimd.view.plot import plot_file
 
+NONE = md.LennardJones(1e-12, 1e-3, 0.1, "force-shifted")  # next to no forces
 EDGE, N_MOLECULES = 5.0, 6
 SPECIES = ["A", "B", "A", "C"]  # of the four atoms of a molecule; one more atom C is a molecule of its own
 BONDS = np.array([[0, 1], [1, 2], [2, 3]])
@@ -208,3 +209,18 @@ def test_frames_and_times_of_a_run_in_parts_are_those_of_all(argon, tmp_path):
     older.restore(state)
     sim.run(10, every=10, observers=[older])
     assert older.result().scene.frames(4) == "4 frames"
+
+
+@pytest.mark.parametrize("cell", [np.eye(3), np.array([[1.0, 0, 0], [1, 1, 0], [0, -1, 1]])], ids=["cubic", "skewed"])
+def test_radial_distribution_of_a_crystal_counts_all_images(cell):
+    """Half the vectors from one atom to the other, and to the images of both, far beyond the cell."""
+    system = md.System(np.array([[0.0, 0.0, 0.0], [2.0, 1.0, 1.0]]) @ cell, cell=np.diag([4.0, 2.0, 2.0]) @ cell)
+    looking = md.observers.RadialDistribution(r_max=5.0, n_bins=500, every=1)
+    md.Simulation(system, NONE, md.VelocityVerlet(0.1)).run(0, observers=[looking])
+    result = looking.result()
+    counts = result.g * 4.0 / 3.0 * np.pi * np.diff(np.linspace(0.0, 5.0, 501) ** 3) / system.volume  # of one pair
+    shifts = (np.indices((9, 9, 9)).reshape(3, -1).T - 4) @ system.cell.vectors
+    own = shifts[len(shifts) // 2 + 1 :]  # one of each two opposite vectors
+    exact = np.linalg.norm(np.concatenate([system.positions[1] - system.positions[0] + shifts, own, own]), axis=1)
+    assert counts.sum() == pytest.approx((exact < 5.0).sum())
+    assert result.r[counts > 1e-12][0] == pytest.approx(exact.min(), abs=0.01)

@@ -1,9 +1,11 @@
 """Viscosity and diffusion of the Lennard-Jones liquid near its triple point are the published ones."""
 
+from types import SimpleNamespace
+
 import ase.io
 import numpy as np
 import pytest
-from references import liquid
+from references import liquid, processes
 from scenes import LJ
 
 import minimd as md
@@ -17,6 +19,7 @@ from minimd.view.check import check_file
 
 VISCOSITY, DIFFUSION, N_PUBLISHED = 3.258, 0.0325, 1372  # K. Meier et al., J. Chem. Phys. 121, 3671 and 9526 (2004)
 DENSITY, TEMPERATURE = 0.8442, 0.722
+CONDUCTED = 7.0  # k_B/(σ τ), the middle of 6.9 to 7.1; LAMMPS' flux, integrated by the same rule, has 7.1 ± 0.7
 BLOCKS, COMPONENTS = 32, 5
 KINDS = {  # correlations of a known integral: share of C(0), time of the exponential
     "one": [(1.0, 1.0)],
@@ -114,6 +117,45 @@ def test_viscosity_and_diffusion_near_the_triple_point():
     correction = md.observers.finite_size_correction(TEMPERATURE, VISCOSITY, (N_PUBLISHED / DENSITY) ** (1.0 / 3.0))
     error = np.hypot(np.sqrt(np.square(infinite_errors).sum()) / len(errors), 0.01 * DIFFUSION)  # theirs is some 1 %
     assert abs(infinite.mean() - (DIFFUSION + correction)) < 2.0 * error
+
+
+def test_the_heat_flux_of_a_mixture_leaves_out_what_mass_carries():
+    """J = x + 3 y - 2 z, with masses y and y + z, which also are correlated: λ is that of x, 2 · 1.5 of 0.5."""
+    looking = md.observers.ThermalConductivity(every=1)
+    looking.n_kinds, looking.scene = 3, ObservedRun("LJ", ["A"], [1], 0.25, 3, None, None)
+    looking._laid_out(looking.scene)
+    x, y, z = processes(9, 20_000, np.exp(-0.25 / 1.5), np.random.default_rng(4)).reshape(-1, 3, 3).swapaxes(0, 1)
+    fluxes = np.array([np.sqrt(2.0) * x + 3.0 * y - 2.0 * z, y, y + z])
+    look = SimpleNamespace(temperature=2.0, system=SimpleNamespace(volume=0.5))
+    for each in fluxes.swapaxes(0, 1):
+        pairs = [each[a] + each[b] for a, b in ((0, 1), (0, 2), (1, 2))]
+        looking._add(look, np.concatenate([each, pairs]).T.copy())
+        looking.sums.close_entry()
+    result = looking.result()
+    exact = 2.0 * 1.5 / (2.0**2 * 0.5)
+    assert result.thermal_conductivity == pytest.approx(exact, abs=4.0 * result.thermal_conductivity_error)
+    assert 0.0 < result.thermal_conductivity_error < 0.1 * exact
+    assert "no mass flows between the 3 kinds" in str(result)
+
+
+def conducting(seed):
+    positions, edges = md.lattice.crystal("fcc", [5] * 3, md.lattice.constant_from_density("fcc", DENSITY))
+    bath = md.StochasticVelocityRescaling.with_relaxation_time(0.004, TEMPERATURE, 10.0, seed=seed)
+    liquid = md.Simulation(md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 3.0), bath)
+    liquid.set_temperature(2.0 * TEMPERATURE, seed=seed)
+    liquid.equilibrate(20_000, TEMPERATURE)
+    looking = md.observers.ThermalConductivity(every=3)
+    liquid.run(60_000, every=1000, observers=[looking])
+    return looking.result()
+
+
+@pytest.mark.slow
+def test_thermal_conductivity_near_the_triple_point():
+    """Of four runs."""
+    found = [conducting(seed) for seed in range(1, 5)]
+    values, errors = np.array([(one.thermal_conductivity, one.thermal_conductivity_error) for one in found]).T
+    assert (errors < 0.12 * CONDUCTED).all()
+    assert abs(values.mean() - CONDUCTED) < 2.0 * np.sqrt(np.square(errors).sum()) / len(errors) + 0.1
 
 
 DRIFT, SCALE, T = np.array([0.5, 0.0, -0.5]), "scale of the report", "temperature"

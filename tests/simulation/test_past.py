@@ -12,7 +12,8 @@ from minimd.view.check import check_file
 
 BATHS = [of(0.004, 0.9, 1.0, seed=3) for of in (md.LangevinBAOAB, md.StochasticVelocityRescaling)]
 
-NOT_HERE = "chain-shape", "dielectric-constant", "surface-tension"  # no molecules, and a cell that is tilted
+# no molecules and no charges, a bath of each atom, a cell that is tilted, and another package
+NOT_HERE = "bond-order", "chain-shape", "conductivity", "dielectric-constant", "thermal-conductivity", "surface-tension"
 
 
 def whole(simulation):

@@ -86,6 +86,26 @@ class Look:
             self.motion[0] - self.drift, self.motion[1], self.virial, self.volume
         )
 
+    @property
+    def heat_flux(self) -> Any:
+        """(3,) the flux of energy, times the volume [energy length/time], see Forces.heat_flux; velocities are
+        relative to the drift, and no bit of the steps to come changes.
+        Raises ValueError for potentials without one."""
+        interactions = self.engine.interactions
+        forces = interactions.forces.copy()
+        impulses = interactions.impulses.copy()
+        lists = interactions.lists_built()
+        counts = interactions.counts
+        velocities = self.motion[0] - self.drift
+        energies = 0.5 * self.motion[1] * (velocities**2).sum(axis=1)
+        flux = energies @ velocities + interactions.heat_flux(velocities)
+        if interactions.n_builds != counts[1]:
+            interactions.build_lists(lists)
+        interactions.counts = counts
+        interactions.forces[:] = forces
+        interactions.impulses[:] = impulses
+        return flux
+
 
 @dataclass(frozen=True)
 class Observable:

@@ -194,13 +194,11 @@ class ClusterTerm(ListTerm):
         super().collect(target)
         if target.detail == FORCES:
             return
-        key = _key(target)
-        sums = self._evaluations[key][1].sums
+        sums = self._evaluations[_key(target)][1].sums
         if target.detail == TOTALS:
             add_domains(sums.of_rows, target.energies, target.virials)
         else:
             self._add_each(sums, target.energies, target.virials)
-            del self._evaluations[key]  # large
 
     def _arrange(self, system: System) -> None:
         """Arrays that go with those of the list."""

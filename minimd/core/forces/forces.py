@@ -47,6 +47,7 @@ from minimd.core.potentials.term import (
     FORCES,
     PER_ATOM,
     TOTALS,
+    VOIGT,
     OwnTerm,
     PairLaw,
     Potential,
@@ -445,8 +446,7 @@ class Forces:
         program = self._programs.get(id(target))
         if program is None:
             program = Program(lambda: self.operations(target), self.version, self.pool)
-            if detail != PER_ATOM:
-                self._programs[id(target)] = program
+            self._programs[id(target)] = program
 
         with self.running(program):
             program.run()
@@ -472,8 +472,7 @@ class Forces:
         steps = () if self.grid is None else steps_of(self.grid, (unit,))
         memory = (self._memory, energies, virials, self._slot_forces)
         target = Target(detail, *memory, self._images, steps)
-        if detail != PER_ATOM:  # whose accumulators are large
-            self._targets[key] = target
+        self._targets[key] = target
         return target
 
     def operations(self, target: Target) -> Iterator[Operation]:
@@ -542,6 +541,37 @@ class Forces:
         energies = target.energies + tail_energy / n_atoms
         virials = target.virials + isotropic * (trace / 3.0 / n_atoms)
         return sums._replace(energies=energies, virials=virials)
+
+    def heat_flux(self, velocities: Array) -> NDArray:
+        """The part of the energy flux that is due to interactions, times the volume [energy length/time], (3,).
+
+            Σ_i (u_i v_i + W_i v_i) + what W leaves out of terms of three and four atoms, see LinkedTerm.uneven_flux
+
+        With Σ_i K_i v_i it is d/dt Σ_i r_i (K_i + u_i), where no atom has images.
+        velocities : (N, 3).
+        Raises ValueError for a term whose energies and virials of atoms are not those of pairs, or of LinkedTerm.
+        """
+        for term in self.terms:
+            if not term.has_heat_flux:
+                raise ValueError(
+                    "a heat flux is known for laws of pairs (charges by pairs included), bonds, angles and dihedrals; "
+                    f"it is not for {term.name or type(term).__name__}: leave that out, or exchange velocities, see "
+                    "docs/recipes.md"
+                )
+
+        sums = self.compute(PER_ATOM)
+        flux: Array = sums.energies @ velocities
+        for virial, row, column in zip(sums.virials.T, *VOIGT, strict=True):
+            flux[row] += virial @ velocities[:, column]
+            if row != column:
+                flux[column] += virial @ velocities[:, row]
+        slots = self._slot_forces
+        if self.grid is not None:
+            slots = slots / steps_of(self.grid, (self.unit,)).per_force[0]
+        for term in self.terms:
+            if isinstance(term, LinkedTerm):
+                flux += term.uneven_flux(self.system, velocities, slots)
+        return flux
 
     def version(self) -> tuple[int, ...]:
         """Of the memory that operations work on."""

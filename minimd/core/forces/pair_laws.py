@@ -103,7 +103,7 @@ class ListTerm(OwnTerm):
             law.embedding and EmbeddingPasses(law.law, law.embedding, system)
             for law in laws.members
         ]
-        self.fits_grid = not any(self._passes)
+        self.fits_grid = self.has_heat_flux = not any(self._passes)
         self.name = ", ".join(law.name for law in laws.members if law.embedding is not None)
         self.widest_skin = widest_skin(system, laws)
 

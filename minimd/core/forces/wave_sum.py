@@ -476,6 +476,8 @@ class ChargeSum(OwnTerm):
     charges : (N,) [√(energy · length)].
     split : of 1/r."""
 
+    name = "Coulomb's sum over waves"
+
     def __init__(self, system: System, charges: Array, split: Split) -> None:
         self._charges = charges
         self._split = split

@@ -50,7 +50,7 @@ from minimd.core.neighbors.clusters import DIMENSIONS
 from minimd.core.potentials.law import evaluate_law, loop_for, on_vectors
 from minimd.core.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, OwnTerm, Target
 from minimd.core.structure.arrays import Indices
-from minimd.core.structure.cell import nearest_translation
+from minimd.core.structure.cell import nearest_translation, nearest_vectors
 from minimd.core.structure.system import System
 from minimd.core.structure.vectors import combined, cross, dot, minus, times
 
@@ -320,6 +320,7 @@ class LinkedTerm(OwnTerm):
     """
 
     fits_grid = True
+    has_heat_flux = True
 
     def __init__(
         self, sites: NDArray, shape: Any, law: tuple, columns: tuple[NDArray, ...]
@@ -375,6 +376,32 @@ class LinkedTerm(OwnTerm):
             totals = self._totals.sum(axis=0)
             target.energies[0] += totals[0]
             target.virials[0] += totals[1:]
+
+    def uneven_flux(self, system: System, velocities: NDArray, slots: NDArray) -> NDArray:
+        """What equal shares of the virial leave out of the heat flux, (3,): nothing for bonds.
+
+            Σ_terms Σ_s (r_s − r̄) F_s · (v_s − v̄),   r̄, v̄: means over the atoms of the term
+
+        slots : (3 S,) f_l of all terms, of the last evaluation [energy/length].
+        D. Surblys, H. Matsubara, G. Kikugawa, T. Ohara, Phys. Rev. E 99, 051301 (2019), on centroids.
+        """
+        n_links = len(self.first)
+        starts = DIMENSIONS * self.first_slot
+        blocks = slots[starts : starts + self._translations.size]
+        blocks = blocks.reshape(n_links, -1, DIMENSIONS, self.lanes.size).swapaxes(2, 3)
+        pulls = blocks.reshape(n_links, -1, DIMENSIONS)[:, : self.n_terms]
+        pairs = np.stack([self.first, self.second], axis=2)[:, : self.n_terms]
+        arms = nearest_vectors(system.positions, system.cell, pairs.reshape(-1, 2))
+        # from sites to links: r_l = Σ_s ends_ls r_s; back, with mean 0, by its pseudoinverse
+        ends = np.zeros((n_links, n_links + 1))
+        first, second = np.transpose(self._shape.ends)
+        ends[range(n_links), first] = -1.0
+        ends[range(n_links), second] = 1.0
+        places = np.tensordot(np.linalg.pinv(ends), arms.reshape(pulls.shape), 1)
+        forces = np.tensordot(ends.T, pulls, 1)
+        relative = velocities[self._sites.T]
+        relative -= relative.mean(axis=0)
+        return np.asarray(np.einsum("stc,std,std->c", places, forces, relative))
 
 
 class FixedPairs(LinkedTerm):

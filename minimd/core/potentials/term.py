@@ -157,6 +157,8 @@ class Term:
     is_checked : whether the first run compares its force with its energy, see check_force. False for a force that is no
         gradient, such as friction beside an energy. A term without any energy is not checked.
     fits_grid : whether it can add impulses, for precision="fixed-point".
+    has_heat_flux : whether its energies and virials of atoms are halves of pairs, or it is a LinkedTerm, as
+        Forces.heat_flux needs it.
     assigns : whether its operations set all forces and do not add to them: of one term only, which comes first.
     """
 
@@ -176,6 +178,7 @@ class Term:
     power: float = 0.0
     is_checked: bool = True
     fits_grid: bool = False
+    has_heat_flux: bool = False
     assigns: bool = False
 
     def add(
@@ -219,6 +222,7 @@ class NoTerm(OwnTerm):
     """The term of a potential in a system where it has nothing to act on."""
 
     fits_grid = True
+    has_heat_flux = True
 
     def __init__(self, warning: str = "") -> None:
         self.warning = warning

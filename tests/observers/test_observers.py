@@ -20,7 +20,7 @@ from minimd.core.files.h5md_digest import observers_of, read_restart
 from minimd.core.structure.checks import checked_count
 from minimd.core.structure.statistics import FEWEST, with_error
 from minimd.core.structure.system import changed
-from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series, first_peak
+from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import argument, label, positive, steps
 from minimd.observers.fluctuations import lengths
 from minimd.observers.profile import limits
@@ -607,21 +607,6 @@ def seen_by(*looking, sim=None):
     (sim or simulation()).run(1, observers=list(looking), progress=False)
 
 
-@pytest.mark.parametrize("move", [7.0, 23.0, -41.0])  # the film of 8 σ is cut by the boundary at ±12 σ, or is an image
-def test_layers_about_the_center_move_with_a_film(move):
-    places = np.random.default_rng(1).random((200, 3)) * [6.0, 6.0, 8.0]
-    found = []
-    for shift in (0.0, move):
-        film = md.System(places + shift * np.eye(3)[2], masses=np.linspace(1.0, 2.0, 200), cell=[6.0, 6.0, 24.0])
-        layers = md.observers.Profile(n_bins=48, center=True)
-        seen_by(layers, sim=md.Simulation(film, [], md.VelocityVerlet(0.004)))
-        found.append(layers.result())
-    np.testing.assert_array_equal(found[0].densities, found[1].densities)
-    assert (found[0].z[0], found[0].z[-1]) == (-11.75, 11.75)
-    occupied = found[0].z[found[0].density > 0.0]
-    assert (occupied.min(), occupied.max()) == pytest.approx((-4.0, 4.0), abs=0.5)  # of the center, one bin
-
-
 def open_along_z():
     system = md.System(np.eye(3), cell=[9.0, 9.0, 9.0], pbc=(True, True, False))
     return md.Simulation(system, [], md.VelocityVerlet(0.004))
@@ -703,11 +688,7 @@ def test_a_mean_is_drawn_over_time_by_its_symbol_with_a_band_of_its_error(kind, 
     assert band.get_height() == pytest.approx(2.0 * np.nan_to_num(result.errors[k]) / size)
 
 
-def test_the_first_peak_is_the_vertex_of_a_parabola_and_its_numbers_are_those_that_are_printed(run):
-    x = np.array([0.0, 1.0, 1.5, 2.5, 3.0, 4.0, 5.0])
-    place, k = first_peak(x, np.maximum(0.0, 2.0 - (x - 2.2) ** 2) + 2.5 * (x == 5.0))  # not the higher one at the end
-    assert (place, k) == (pytest.approx(2.2), 3)
-    assert first_peak(x, x) == (5.0, 6)
+def test_the_numbers_of_the_first_peak_are_those_that_are_printed(run):
     result = run.looking["radial-distribution"].result()
     for pair, (r, g, error) in result.peaks().items():
         found = [result.numbers()[name] for name in (f"r_peak_{pair}", f"g_peak_{pair}", f"g_peak_{pair}_error")]

@@ -8,6 +8,7 @@ from wrong_calls import answered
 
 import minimd as md
 from minimd.mdanalysis import radial_distribution
+from minimd.observers.accumulator import first_peak
 from minimd.view.check import check_file
 from minimd.view.plot import plot_file
 
@@ -224,3 +225,10 @@ def test_radial_distribution_of_a_crystal_counts_all_images(cell):
     exact = np.linalg.norm(np.concatenate([system.positions[1] - system.positions[0] + shifts, own, own]), axis=1)
     assert counts.sum() == pytest.approx((exact < 5.0).sum())
     assert result.r[counts > 1e-12][0] == pytest.approx(exact.min(), abs=0.01)
+
+
+def test_the_first_peak_is_the_vertex_of_a_parabola():
+    x = np.array([0.0, 1.0, 1.5, 2.5, 3.0, 4.0, 5.0])
+    place, k = first_peak(x, np.maximum(0.0, 2.0 - (x - 2.2) ** 2) + 2.5 * (x == 5.0))  # not the higher one at the end
+    assert (place, k) == (pytest.approx(2.2), 3)
+    assert first_peak(x, x) == (5.0, 6)

@@ -542,7 +542,7 @@ class Forces:
         virials = target.virials + isotropic * (trace / 3.0 / n_atoms)
         return sums._replace(energies=energies, virials=virials)
 
-    def heat_flux(self, velocities: Array) -> NDArray:
+    def heat_flux(self, velocities: Array) -> Array:
         """The part of the energy flux that is due to interactions, times the volume [energy length/time], (3,).
 
             Σ_i (u_i v_i + W_i v_i) + what W leaves out of terms of three and four atoms, see LinkedTerm.uneven_flux

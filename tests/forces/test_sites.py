@@ -184,7 +184,7 @@ def test_water_has_the_energies_and_forces_of_openmm(model):
     ):
         scale = np.sqrt((forces**2).mean())
         assert found.potential_energy - without == pytest.approx(energy, rel=1e-6)
-        assert np.abs(found.forces[own] - forces)[is_atom].max() < 2e-6 * scale
+        assert np.abs(found.forces[own] - forces)[is_atom].max() < 1e-6 * scale
     assert np.sort(held.lengths) == pytest.approx(np.sort(rigid.lengths), rel=1e-6)
 
 
@@ -365,7 +365,8 @@ def test_density_of_tip4p_2005_at_1_bar():
     bath = md.LangevinBAOAB(2.0 * FS, 298.0, 0.002 / FS, seed=3)
     barostat = md.StochasticCellRescaling(md.units.BAR, 4.6e-5 / md.units.BAR, 1000 * FS, seed=4, every=20)
     sim = md.Simulation(sim.system, sim.potentials, bath, sim.constraints, barostat=barostat)
-    sim.run(50_000)
-    record = sim.run(250_000, every=50)
+    sim.run(25_000)
+    record = sim.run(125_000, every=50)
     density, error = md.mean_and_error(sim.system.masses.sum() / record.volume / md.units.GRAM_PER_CM3)
-    assert density == pytest.approx(0.9979, abs=max(4.0 * error, 0.002))
+    assert error < 0.004
+    assert density == pytest.approx(0.9979, abs=4.0 * error)  # statistics

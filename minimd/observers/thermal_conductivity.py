@@ -143,7 +143,7 @@ class ThermalConductivityResult(IntegralResult):
     """
 
     n_kinds: int
-    title = "thermal conductivity"
+    title = "heat flux"
     symbol = "λ"
     coefficients = ("thermal_conductivity", "thermal_conductivity_error")
 

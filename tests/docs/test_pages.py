@@ -132,10 +132,10 @@ def whole_files(page):
 
 
 OWN, RECIPES = whole_files("own-parts.md"), whole_files("recipes.md")
-QUICK_PARTS = ("A file format 0",)
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n not in QUICK_PARTS)) for n in OWN])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OWN)
 def test_each_part_of_ones_own_is_a_whole_file_that_runs(name, here, install, capsys):
     Path("part.py").write_text(OWN[name], encoding="utf-8")
     process = ended("part.py")

@@ -232,9 +232,9 @@ def test_charges_come_with_a_structure_and_a_warning_tells_if_nothing_uses_them(
         md.evaluate(system, [law, md.Coulomb(2.6)])
         md.evaluate(system, [law, ForcesFromCalculator(LennardJones(rc=2.6))])
         md.evaluate(neutral, law)
-        assert [one for one in told if "not used" in str(one.message)] == []
+        assert [one for one in told if "no potential uses" in str(one.message)] == []
         md.evaluate(system, law)
-    assert ["0.8476 e" in str(one.message) for one in told if "not used" in str(one.message)] == [True]
+    assert ["0.8476 e" in str(one.message) for one in told if "no potential uses" in str(one.message)] == [True]
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the limits are those of a child process")

@@ -494,10 +494,12 @@ class DisplacementResult(MotionResult):
     def display_rows(self) -> Rows:
         """See Displayed."""
         units = self.units
-        rows = [("diffusion", self.in_words(self.diffusivity)), *self.fixed_rows]
-        if len(self.of_species) > 1:
-            for name, diffusivity in zip(self.scene.species, self.of_species, strict=True):
-                rows.append(("", f"{name}: {self.in_words(diffusivity)}"))
+        of_all = self.in_words(self.diffusivity)
+        rows = [("diffusion", of_all), *self.fixed_rows]
+        of_each = [self.in_words(diffusivity) for diffusivity in self.of_species]
+        if {*of_each} != {of_all}:  # not of molecules of one kind
+            for name, words in zip(self.scene.species, of_each, strict=True):
+                rows.append(("", f"{name}: {words}"))
         if np.isfinite(self.infinite):
             infinite = diffusion_words(self.infinite, self.infinite_error, units)
             rows.append(("", f"D = {infinite} in an infinite cell (Yeh and Hummer)"))

@@ -370,7 +370,10 @@ class RadialDistributionResult(Result):
             f"{len(self.r)} bins of {width:.3g} {length}, {self.scene.frames(self.n_frames)}{left_out}"
         ]
         for pair, (r, g, error) in self.peaks().items():
-            lines.append(f"{pair}: first peak at {r:.4g} {length}, {with_error(g, error)}")
+            line = f"{pair}: first peak at {r:.4g} {length}, {with_error(g, error)}"
+            if g - 1.0 <= 2.0 * error:
+                line += ", IS NOISE: there are too few pairs, or frames"
+            lines.append(line)
         return [("g(r)" * (k == 0), line) for k, line in enumerate(lines)]
 
     def draw(self, panel: Axes) -> None:

@@ -33,6 +33,9 @@ POINTS = 32
 SLOWER = 1.5
 OCTAVE = 2.0  # a plateau lasts from a time to this multiple of it
 FEWEST_LAGS = 3  # in a plateau
+# multiples of its start at which a plateau still has its value, and the errors by which it may differ
+FLAT_UNTIL = np.array([2.0, 4.0])
+FLAT = 1.5
 
 
 class Plateau(NamedTuple):
@@ -71,8 +74,10 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
 
     The first t that fulfills this is used: there the sum of both errors is smallest, if the rest beyond t is A
     e^(−t/Sτ) and the standard error σ grows as √t. For C = e^(−t/τ₀), τ is τ₀; a slow part contributes to τ in
-    proportion to its share of the integral. If there is no such t, the last octave is used. A slow correlation whose
-    whole share of the integral is below the error bar is not noticed, and is missing from the result.
+    proportion to its share of the integral. A correlation that is negative at last, as that of ions in a solvent, has
+    an integral with a maximum, which is no plateau: at 2t and 4t the integral must differ from I(t) by less than 1.5
+    of the standard errors of these differences. If there is no such t, the last octave is used. A slow correlation
+    whose whole share of the integral is below the error bar is not noticed, and is missing from the result.
 
     times, integral : (T,), from time 0.
     without : (K, T), replicas of the integral.
@@ -92,7 +97,11 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
         slowest = SLOWER * late / largest[i] if largest[i] > 0.0 else np.inf
         noise = errors[i] * slowest / (2.0 * start)
         is_late = not slowest > 0.0 or largest[i] * np.exp(-start / slowest) <= noise
-        if octave.sum() >= FEWEST_LAGS and is_late:
+        later = np.searchsorted(times, start * FLAT_UNTIL)
+        later = later[later < len(times)]
+        change = np.abs(integral[later] - integral[i])
+        is_flat = (change <= FLAT * spread(without[:, later] - without[:, i, None])).all()
+        if octave.sum() >= FEWEST_LAGS and is_late and is_flat:
             inside = octave
             is_reached = True
             break
@@ -248,5 +257,5 @@ class IntegralResult(Result):
             ylabel=f"{self.symbol}  [{unit}]",
             title=f"{self.title}, running integral",
             xlim=(0.0, 2.0 * end or None),
-            ylim=(0.0, 2.0 * value if value > 0.0 else None),
+            ylim=(0.0, max(2.0 * value, 1.1 * factor * np.nanmax(self.integral)) or None),
         )

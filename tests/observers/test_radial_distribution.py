@@ -1,6 +1,7 @@
 """g(r) of molecules: which pairs count, how many there are, of which centers, and in files."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -232,3 +233,13 @@ def test_the_first_peak_is_the_vertex_of_a_parabola():
     place, k = first_peak(x, np.maximum(0.0, 2.0 - (x - 2.2) ** 2) + 2.5 * (x == 5.0))  # not the higher one at the end
     assert (place, k) == (pytest.approx(2.2), 3)
     assert first_peak(x, x) == (5.0, 6)
+
+
+def test_a_peak_within_its_error_is_noise():
+    looking = md.observers.RadialDistribution(r_max=2.0, n_bins=20, every=1, pairs="A-B")
+    seen(looking, n_frames=3)
+    result = looking.result()
+    ((_, g, _),) = result.peaks().values()
+    for error, is_noise in ((0.49 * (g - 1.0), False), (0.51 * (g - 1.0), True)):
+        known = replace(result, errors_of_pairs=np.full_like(result.errors_of_pairs, error))
+        assert ("IS NOISE" in str(known)) == is_noise

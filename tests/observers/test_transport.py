@@ -26,6 +26,7 @@ KINDS = {  # correlations of a known integral: share of C(0), time of the expone
     "one": [(1.0, 1.0)],
     "two": [(0.9, 1.0), (0.1, 5.0)],
     "one slow, a tenth of the integral": [(0.99, 1.0), (0.01, 10.0)],
+    "negative at last": [(1.0, 1.0), (-0.1, 4.0)],  # as of ions in water: 0.6 of the first term
     "cosine": [(1.0, 1.0 / (0.5 - 3.0j)), (0.1, 2.0)],  # the integral first goes far beyond its end
 }
 
@@ -59,7 +60,8 @@ def test_plateaus_have_honest_error_bars(kind):
     truth = sum(share * tau for share, tau in KINDS[kind]).real
     for duration in (1000.0, 5000.0):
         integrals, without = sampled(exact, times, duration, 150, np.random.default_rng(3))
-        one = check_honesty(integrals, without, times, truth)[0]
+        least = 0.87 if kind == "negative at last" else 0.9  # its integral has a maximum, where some runs stay
+        one = check_honesty(integrals, without, times, truth, least)[0]
         other = plateau(1e-3 * times, 1e5 * integrals[0], 1e5 * without[0])
         assert (other.value, other.window[0]) == pytest.approx((1e5 * one.value, 1e-3 * one.window[0]))
 

@@ -105,8 +105,10 @@ CIF POSCAR VASP PDB SaveAs
     ase.io.write(file, system.to_ase()); LAMMPS data: sim.system.write("melt.data") | formats
 Barometric Sedimentation Atmosphere
     md.Gravity, md.Wall and md.observers.Profile | recipes
-DensityProfile TemperatureProfile Chunk PressureProfile
-    md.observers.Profile; the pressure in layers is not here, virials of atoms are | observers
+DensityProfile TemperatureProfile Chunk
+    md.observers.Profile | observers
+PressureProfile IrvingKirkwood
+    md.observers.PressureProfile | observers
 ScatteringFunction IntermediateScattering FsQT Overlap Chi4
     md.observers.SelfScattering; overlaps are not here | observers
 TwoDimensional Dimension Enforce2D Disks

@@ -84,3 +84,32 @@ def melt_scene(n_cells, steps, more=""):
     """The text of a scene file: a small Lennard-Jones melt, and lines to add to its [dynamics] and behind."""
     text = scene_text("melt").replace("[4, 4, 4]", str([n_cells] * 3))
     return text.replace("steps = 20", f"steps = {steps}") + more
+
+
+def pressures_in_layers(run):
+    """Each pair cut at the planes between layers, along z."""
+    n, edges = 100, run.edges
+    sums = np.zeros((2, n))
+    planes = np.arange(-n, 2 * n + 1) * edges[2] / n
+
+    def force(r):
+        return 24.0 * (2.0 * r**-13.0 - r**-7.0)
+
+    first, second = np.triu_indices(len(run.species), 1)
+    for positions, velocities in zip(run.positions, run.thermal, strict=True):
+        squares = run.masses[:, None] * velocities**2
+        places = np.floor(positions[:, 2] / edges[2] * n).astype(int) % n
+        np.add.at(sums[0], places, squares[:, 2])
+        np.add.at(sums[1], places, 0.5 * squares[:, :2].sum(axis=1))
+        r = positions[second] - positions[first]
+        r -= edges * np.rint(r / edges)
+        is_near = np.linalg.norm(r, axis=1) < 1.8
+        r, begin = r[is_near], positions[first[is_near], 2:] % edges[2]
+        ends = np.sort(np.hstack([begin, begin + r[:, 2:]]), axis=1)
+        shares = np.diff(np.clip(planes, ends[:, :1], ends[:, 1:]), axis=1) / np.diff(ends, axis=1)
+        distances = np.linalg.norm(r, axis=1)
+        forces = force(distances) - force(1.8)
+        squares = np.array([r[:, 2] ** 2, 0.5 * (r[:, :2] ** 2).sum(axis=1)])
+        sums += (forces / distances * squares @ shares).reshape(2, 3, n).sum(axis=1)
+    normal, tangential = sums / (len(run.positions) * edges.prod() / n)
+    return {"normal": normal, "tangential": tangential}

@@ -12,6 +12,7 @@ from minimd.observers.motion import (
     VelocityAutocorrelation,
     finite_size_correction,
 )
+from minimd.observers.pressure_profile import PressureProfile
 from minimd.observers.profile import Profile
 from minimd.observers.radial_distribution import RadialDistribution
 from minimd.observers.scattering import SelfScattering, StructureFactor
@@ -35,6 +36,7 @@ KINDS: dict[str, type[Accumulator]] = {
         Fluctuations,
         ChainShape,
         SurfaceTension,
+        PressureProfile,
         DielectricConstant,
         BondOrder,
     )
@@ -48,6 +50,7 @@ __all__ = [
     "DielectricConstant",
     "Fluctuations",
     "MeanSquareDisplacement",
+    "PressureProfile",
     "Profile",
     "RadialDistribution",
     "Result",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from minimd.core.engine.engine import Engine
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_count, checked_flag
 from minimd.core.structure.observables import temperature
+from minimd.core.structure.system import System
 from minimd.observers.accumulator import AIR, Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import AXES, argument, axis_name, interval, label, steps
 
@@ -30,28 +31,32 @@ CENTER_WORDS = (
 FRAMES, EXTENT, HEAD = range(3)
 
 
-class Profile(Accumulator):
-    """Number density of each species, and temperature, in layers across one axis of the cell.
+class Stack(NamedTuple):
+    """Where the layers of one state are.
 
-        ρ(z) = ⟨n(z) / ΔV⟩,   T(z) = ⟨Σ m v²⟩ / (k_B ⟨Σ g⟩)
-
-    g are the degrees of freedom of each atom: 0 if it is fixed, less than 3 with constraints (ConstraintSet.shares).
-    z is the distance along the normal of the two other lattice vectors. If the cell changes, layers of a periodic axis
-    move with it, and z is given in the mean cell. The velocities of a flow count as thermal, but not those of the whole
-    if n_dof leaves them out.
-
-    With center=True z runs from −L/2 to L/2, with 0 at the center of mass along the periodic axis, of length L:
-
-        z₀ = (L/2π) arg Σ m e^(2πi z/L)
-
-    L. Bai, D. Breen, J. Graphics, GPU, Game Tools 13 (4), 53 (2008), on this center.
-
-    Raises ValueError for arguments out of range; when a run begins, if the cell and extent do not define the volume of
-    layers: the other two axes must be periodic, and the axis itself without extent, or with center=True.
+    normal : (3,) across them, of length area.
+    area : of a layer [length²].
+    height : of all layers together [length].
+    lower : where they begin, along the normal [length].
     """
 
-    kind = "profile"
-    convention = 2  # degrees of freedom of each layer
+    normal: Array
+    area: float
+    height: float
+    lower: float
+
+    def rises(self, vectors: Array) -> Array:
+        """(n,) of vectors (n, 3), along the normal, in heights."""
+        return np.einsum("ij,j->i", vectors, self.normal) / self.area / self.height
+
+    def fractions(self, positions: Array) -> Array:
+        """(n,) of positions (n, 3), from 0 to 1 within the layers."""
+        return self.rises(positions) - self.lower / self.height
+
+
+class Layers(Accumulator):
+    """An observer in layers across one axis of the cell."""
+
     axis: str = argument(axis_name, "the lattice vector a, b or c", "c")
     n_bins: int = argument(checked_count, "number of bins", 100)
     every: int = steps(50)
@@ -74,30 +79,64 @@ class Profile(Accumulator):
         if not pbc[k] and self.extent is None:
             raise ValueError(f"axis {self.axis} of this cell is open: give extent=(lower, upper)")
 
+    def _stack(self, system: System) -> Stack:
+        k = AXES.index(self.axis)
+        vectors = system.cell.vectors
+        normal = np.cross(vectors[k - 2], vectors[k - 1])
+        area = float(np.linalg.norm(normal))
+        if self.extent is not None:
+            lower, upper = self.extent
+            return Stack(normal, area, upper - lower, lower)
+        along = float(vectors[k] @ normal)
+        stack = Stack(np.sign(along) * normal, area, abs(along) / area, 0.0)
+        if not self.center:
+            return stack
+        wave = system.masses @ np.exp(2j * np.pi * stack.fractions(system.positions))
+        center = np.angle(wave) / (2.0 * np.pi)
+        return stack._replace(lower=(center - 0.5) * stack.height)
+
+    def _middles(self) -> Array:
+        """z of the layers, (B,) [length]."""
+        height = self.sums.total[EXTENT] / self.sums.total[FRAMES]
+        lower = -0.5 * height if self.center else 0.0
+        if self.extent is not None:
+            lower = self.extent[0]
+        return np.asarray(lower + (np.arange(self.n_bins) + 0.5) * height / self.n_bins)
+
+
+class Profile(Layers):
+    """Number density of each species, and temperature, in layers across one axis of the cell.
+
+        ρ(z) = ⟨n(z) / ΔV⟩,   T(z) = ⟨Σ m v²⟩ / (k_B ⟨Σ g⟩)
+
+    g are the degrees of freedom of each atom: 0 if it is fixed, less than 3 with constraints (ConstraintSet.shares).
+    z is the distance along the normal of the two other lattice vectors. If the cell changes, layers of a periodic axis
+    move with it, and z is given in the mean cell. The velocities of a flow count as thermal, but not those of the whole
+    if n_dof leaves them out.
+
+    With center=True z runs from −L/2 to L/2, with 0 at the center of mass along the periodic axis, of length L:
+
+        z₀ = (L/2π) arg Σ m e^(2πi z/L)
+
+    L. Bai, D. Breen, J. Graphics, GPU, Game Tools 13 (4), 53 (2008), on this center.
+
+    Raises ValueError for arguments out of range; when a run begins, if the cell and extent do not define the volume of
+    layers: the other two axes must be periodic, and the axis itself without extent, or with center=True.
+    """
+
+    kind = "profile"
+    convention = 2  # degrees of freedom of each layer
+
     def _laid_out(self, scene: ObservedRun) -> None:
         self.sums = BlockedSums(HEAD + (len(scene.numbers) + 2) * self.n_bins)
 
     def _look(self, engine: Engine) -> None:
         system = engine.system
         n_bins = self.n_bins
-        k = AXES.index(self.axis)
-        vectors = system.cell.vectors
-        normal = np.cross(vectors[k - 2], vectors[k - 1])
-        area = float(np.linalg.norm(normal))
-        heights = np.einsum("ij,j->i", system.positions, normal) / area
+        stack = self._stack(system)
+        layers = np.floor(stack.fractions(system.positions) * n_bins)
         if self.extent is None:
-            along = vectors[k] @ normal
-            height = abs(float(along)) / area
-            fractions = heights * np.sign(along) / height
-            if self.center:
-                wave = system.masses @ np.exp(2j * np.pi * fractions)
-                fractions += 0.5 - np.angle(wave) / (2.0 * np.pi)
-            layers = np.floor(fractions % 1.0 * n_bins) % n_bins
-        else:
-            lower, upper = self.extent
-            height = upper - lower
-            layers = np.floor((heights - lower) / height * n_bins)
-
+            layers %= n_bins
         inside = (layers >= 0) & (layers < n_bins)
         layers = layers[inside].astype(np.int64)
         places = system.species_index[inside] * n_bins + layers
@@ -107,8 +146,8 @@ class Profile(Accumulator):
         numbers = np.bincount(places, minlength=len(system.species_names) * n_bins)
         self.sums.total += np.concatenate(
             [
-                [1.0, height],
-                numbers / (area * height / n_bins),
+                [1.0, stack.height],
+                numbers / (stack.area * stack.height / n_bins),
                 np.bincount(layers, shares[inside], n_bins),
                 np.bincount(layers, squares[inside], n_bins),
             ]
@@ -126,14 +165,8 @@ class Profile(Accumulator):
             return np.array([*(density / sums[FRAMES] for density in densities), heat])
 
         values, errors = self.sums.estimate(law)
-        total = self.sums.total
-        height = total[EXTENT] / total[FRAMES]
-        lower = -0.5 * height if self.center else 0.0
-        if self.extent is not None:
-            lower = self.extent[0]
-        z = lower + (np.arange(n) + 0.5) * height / n
         profiles = (values[:-1], errors[:-1], values[-1], errors[-1])
-        return ProfileResult(scene, self.axis, z, *profiles, self.n_looks)
+        return ProfileResult(scene, self.axis, self._middles(), *profiles, self.n_looks)
 
 
 @dataclass(frozen=True, repr=False)

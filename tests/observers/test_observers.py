@@ -11,7 +11,7 @@ from importlib.util import find_spec
 import h5py
 import numpy as np
 import pytest
-from references import melt_scene, processes
+from references import melt_scene, pressures_in_layers, processes
 from scenes import LJ, argon, chain
 from wrong_calls import answered, assert_answered
 
@@ -31,7 +31,8 @@ from minimd.view.plot import plot_file
 DISPLACEMENT, VELOCITY = "mean-square-displacement", "velocity-autocorrelation"
 NONE = md.LennardJones(1e-12, 1e-3, 0.1, "force-shifted")  # next to no forces
 EVERY = {"radial-distribution": 10, DISPLACEMENT: 2, VELOCITY: 2, "viscosity": 5, "fluctuations": 5, "profile": 10,
-         "thermal-conductivity": 5, "surface-tension": 5, "structure-factor": 10, "self-scattering": 2}  # fmt: skip
+         "thermal-conductivity": 5, "surface-tension": 5, "pressure-profile": 5, "structure-factor": 10,
+         "self-scattering": 2}  # fmt: skip
 OF_MOLECULES = {"chain-shape": 2, "dielectric-constant": 2}
 OF_IONS = {"conductivity": 2}
 CHARGES = np.random.default_rng(7).normal(size=108)
@@ -263,7 +264,7 @@ TWINS = {  # expected attributes of the result
     "viscosity": stresses, "fluctuations": heat_capacity, "profile": layers,
     "structure-factor": scattered, "self-scattering": scattered_by_each, "chain-shape": sizes,
     "dielectric-constant": dipoles, "conductivity": currents, "thermal-conductivity": heat, "bond-order": hexatics,
-    "surface-tension": tension,
+    "surface-tension": tension, "pressure-profile": pressures_in_layers,
 }  # fmt: skip
 
 

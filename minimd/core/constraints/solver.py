@@ -188,13 +188,19 @@ class ConstraintSolver:
 
     def virial(self, positions: Array, velocities: Array, forces: Array) -> Array:
         """W = Σ λ r_ij ⊗ r_ij of the constraint forces, (3, 3) [energy]. forces : (N, 3), all others."""
+        _, arms, pulls = self.lines(positions, velocities, forces)
+        return sum_in_any_order(np.einsum("ki,kj->kij", pulls, arms))
+
+    def lines(
+        self, positions: Array, velocities: Array, forces: Array
+    ) -> tuple[Array, Array, Array]:
+        """r_i, r_ij [length], and the constraint force on atom j, λ r_ij [energy/length], each (K, 3)."""
         accelerations = forces * self.inverse_masses[:, None]
-        bonds = self.bonds(positions)
-        shares = np.empty((len(bonds), 3, 3))
+        arms = self.bonds(positions)
+        pulls = np.empty_like(arms)
         for order, multipliers in self.multipliers(positions, velocities, accelerations):
-            r = bonds[order]
-            shares[order] = np.einsum("k,ki,kj->kij", multipliers, r, r)
-        return sum_in_any_order(shares)
+            pulls[order] = multipliers[:, None] * arms[order]
+        return positions[self.pairs[:, 0]], arms, pulls
 
     def bonds(self, positions: Array) -> Array:
         """r_ij, (K, 3) [length]."""

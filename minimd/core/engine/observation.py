@@ -1,6 +1,7 @@
 """Observables of an engine: the table of them all, and their values for one state."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -91,20 +92,34 @@ class Look:
         """(3,) the flux of energy, times the volume [energy length/time], see Forces.heat_flux; velocities are
         relative to the drift, and no bit of the steps to come changes.
         Raises ValueError for potentials without one."""
+        velocities = self.motion[0] - self.drift
+        energies = 0.5 * self.motion[1] * (velocities**2).sum(axis=1)
+        with self._aside() as interactions:
+            return energies @ velocities + interactions.heat_flux(velocities)
+
+    @property
+    def lines(self) -> Any:
+        """See Forces.lines, and those of the constraint forces; no bit of the steps to come changes."""
+        with self._aside() as interactions:
+            lines = [*interactions.lines()]
+        if self.bonds is not None:
+            lines.append(self.bonds.lines(*self.path[:2], self.engine.forces))
+        return lines
+
+    @contextmanager
+    def _aside(self) -> Iterator[Any]:
+        """Context of an evaluation of which no trace remains; yields Forces."""
         interactions = self.engine.interactions
         forces = interactions.forces.copy()
         impulses = interactions.impulses.copy()
         lists = interactions.lists_built()
         counts = interactions.counts
-        velocities = self.motion[0] - self.drift
-        energies = 0.5 * self.motion[1] * (velocities**2).sum(axis=1)
-        flux = energies @ velocities + interactions.heat_flux(velocities)
+        yield interactions
         if interactions.n_builds != counts[1]:
             interactions.build_lists(lists)
         interactions.counts = counts
         interactions.forces[:] = forces
         interactions.impulses[:] = impulses
-        return flux
 
 
 @dataclass(frozen=True)

@@ -33,14 +33,14 @@ from minimd.core.console.quiet import warn
 from minimd.core.forces.cluster_term import ClusterTerm
 from minimd.core.forces.mesh_sum import charge_sum
 from minimd.core.forces.options import FIXED_POINT, Options, pool_for
-from minimd.core.forces.pair_laws import PairLaws, deepest
+from minimd.core.forces.pair_laws import ListTerm, PairLaws, deepest
 from minimd.core.forces.pair_list_term import PairListTerm
 from minimd.core.forces.site_passes import SitePasses
 from minimd.core.forces.slab_term import SlabTerm
 from minimd.core.neighbors.verlet_list import Built, VerletList
 from minimd.core.potentials.coulomb import SpecialLaw
 from minimd.core.potentials.laws import Scaled
-from minimd.core.potentials.links import FixedPairs, LinkedTerm, Slots
+from minimd.core.potentials.links import FixedPairs, Lines, LinkedTerm, Slots
 from minimd.core.potentials.pair_loop import from_table
 from minimd.core.potentials.term import (
     BOND_LOOP,
@@ -549,29 +549,49 @@ class Forces:
 
         With Σ_i K_i v_i it is d/dt Σ_i r_i (K_i + u_i), where no atom has images.
         velocities : (N, 3).
-        Raises ValueError for a term whose energies and virials of atoms are not those of pairs, or of LinkedTerm.
+        Raises ValueError as check_pairwise.
         """
-        for term in self.terms:
-            if not term.has_heat_flux:
-                raise ValueError(
-                    "a heat flux is known for laws of pairs (charges by pairs included), bonds, angles and dihedrals; "
-                    f"it is not for {term.name or type(term).__name__}: leave that out, or exchange velocities, see "
-                    "docs/recipes.md"
-                )
-
+        self.check_pairwise("a heat flux", "exchange velocities, see docs/recipes.md")
         sums = self.compute(PER_ATOM)
         flux: Array = sums.energies @ velocities
         for virial, row, column in zip(sums.virials.T, *VOIGT, strict=True):
             flux[row] += virial @ velocities[:, column]
             if row != column:
                 flux[column] += virial @ velocities[:, row]
-        slots = self._slot_forces
-        if self.grid is not None:
-            slots = slots / steps_of(self.grid, (self.unit,)).per_force[0]
+        slots = self._pulls()
         for term in self.terms:
             if isinstance(term, LinkedTerm):
                 flux += term.uneven_flux(self.system, velocities, slots)
         return flux
+
+    def lines(self) -> Iterator[Lines]:
+        """The straight lines between two atoms along which the forces of all terms act, see Lines; tail corrections
+        have none. Atoms are at any of their images.
+
+            Σ_lines r ⊗ f = W,   for terms that check_pairwise accepts
+        """
+        self.compute(FORCES)
+        slots = self._pulls()
+        for term in self.terms:
+            if isinstance(term, ListTerm):
+                yield term.lines(self.system)
+            elif isinstance(term, LinkedTerm):
+                yield term.lines(self.system, slots)
+
+    def _pulls(self) -> Array:
+        """(3 S,) the forces of links, of the last evaluation [energy/length]."""
+        steps = self.target(FORCES, self.unit).steps
+        return np.asarray(self._slot_forces / (steps.per_force[0] if steps else 1.0))
+
+    def check_pairwise(self, quantity: str, instead: str) -> None:
+        """Raise ValueError for a term whose energies and virials of atoms are not those of pairs, or of LinkedTerm.
+        quantity, instead : what needs them, and what can be done, for the message."""
+        for term in self.terms:
+            if not term.has_heat_flux:
+                raise ValueError(
+                    f"{quantity} is known for laws of pairs (charges by pairs included), bonds, angles and dihedrals; "
+                    f"it is not for {term.name or type(term).__name__}: leave that out, or {instead}"
+                )
 
     def version(self) -> tuple[int, ...]:
         """Of the memory that operations work on."""

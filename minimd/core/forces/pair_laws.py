@@ -6,13 +6,17 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.core.compiled.kernels import kernel
 from minimd.core.forces.embedding import EmbeddingPasses
 from minimd.core.forces.options import Options
 from minimd.core.neighbors.cluster_search import LAYERS
+from minimd.core.neighbors.pair_list import PairList
 from minimd.core.neighbors.verlet_list import LEAST_SKIN, VerletList, best_skin
 from minimd.core.potentials.coulomb import with_charges
-from minimd.core.potentials.law import law_at, nested, runs_on_vectors
+from minimd.core.potentials.law import evaluate_law, law_at, loop_for, nested, runs_on_vectors
 from minimd.core.potentials.laws import LennardJonesLaw
+from minimd.core.potentials.links import Lines
+from minimd.core.potentials.pair_loop import parameters_of_pair, separation, source_for
 from minimd.core.potentials.term import OwnTerm, PairLaw, Target
 from minimd.core.structure.bond_graph import among, pairs_by_bonds_apart
 from minimd.core.structure.system import System, local_density
@@ -92,6 +96,25 @@ def merged(members: Sequence[PairLaw]) -> list[PairLaw]:
     return [*members]
 
 
+@kernel
+def add_pulls(positions, pairs, law, parameters, arms, pulls):
+    """arms = r_ij of P pairs, (P, 3); pulls (P, 3) += f r_ij, f = −u′(r)/r, of those within the cutoff of a law.
+
+    positions, pairs, law, parameters : as in PairWork.
+    """
+    for i in range(pairs.start.size - 1):
+        at = positions[i, 0], positions[i, 1], positions[i, 2]
+        for p in range(pairs.start[i], pairs.start[i + 1]):
+            x, y, z, r2 = separation(positions, pairs, at, p)
+            arms[p] = x, y, z
+            numbers = parameters_of_pair(parameters, i, pairs.second[p])
+            if r2 < numbers[0]:
+                _, f = evaluate_law(law, r2, numbers[1:])
+                pulls[p, 0] += f * x
+                pulls[p, 1] += f * y
+                pulls[p, 2] += f * z
+
+
 class ListTerm(OwnTerm):
     """Laws on all pairs within their cutoffs, found with one list."""
 
@@ -118,6 +141,22 @@ class ListTerm(OwnTerm):
             return False
         self.list.follow(system.cell)
         return True
+
+    def lines(self, system: System) -> Lines:
+        """Of the listed pairs, each once, without embedded atoms."""
+        laws = self._pair_laws
+        pair_list = PairList(len(system), laws.cutoff, 0.0, laws.excluded)
+        pair_list.update(system.positions, system.cell)
+        pairs = pair_list.pairs
+        order = pair_list.order
+        positions = system.positions[order] + pair_list.offsets
+        starts = np.repeat(positions, np.diff(pairs.start), axis=0)
+        arms = np.zeros_like(starts)
+        pulls = np.zeros_like(starts)
+        for member in laws.members:
+            source = source_for(member, system, order, arms)
+            loop_for(add_pulls, member.law)(positions, pairs, member.law, source, arms, pulls)
+        return starts, arms, pulls
 
     def collect(self, target: Target) -> None:
         """See Term."""

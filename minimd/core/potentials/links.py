@@ -49,7 +49,7 @@ from minimd.core.compiled.simd.vector import (
 from minimd.core.neighbors.clusters import DIMENSIONS
 from minimd.core.potentials.law import evaluate_law, loop_for, on_vectors
 from minimd.core.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, OwnTerm, Target
-from minimd.core.structure.arrays import Indices
+from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.cell import nearest_translation, nearest_vectors
 from minimd.core.structure.system import System
 from minimd.core.structure.vectors import combined, cross, dot, minus, times
@@ -57,6 +57,8 @@ from minimd.core.structure.vectors import combined, cross, dot, minus, times
 VIRIAL = 6  # components: xx yy zz yz xz xy
 # the smallest sin² of the angle between two neighboring bonds by which forces are divided: its rounding error
 STRAIGHT2 = 1e-16
+# straight lines between two atoms, along which their forces act: from where, how far, and the force at the far end
+Lines = tuple[Array, Array, Array]
 
 
 class Links(
@@ -377,27 +379,36 @@ class LinkedTerm(OwnTerm):
             target.energies[0] += totals[0]
             target.virials[0] += totals[1:]
 
+    def lines(self, system: System, slots: NDArray) -> Lines:
+        """The links: r_first (L, T, 3), r_l at the nearest image (L, T, 3) [length], f_l (L, T, 3) [energy/length].
+
+        slots : (3 S,) f_l of all terms, of the last evaluation [energy/length].
+        """
+        n_links = len(self.first)
+        start = DIMENSIONS * self.first_slot
+        blocks = slots[start : start + self._translations.size]
+        blocks = blocks.reshape(n_links, -1, DIMENSIONS, self.lanes.size).swapaxes(2, 3)
+        pulls = blocks.reshape(n_links, -1, DIMENSIONS)[:, : self.n_terms]
+        pairs = np.stack([self.first, self.second], axis=2)[:, : self.n_terms]
+        arms = nearest_vectors(system.positions, system.cell, pairs.reshape(-1, 2))
+        return system.positions[pairs[..., 0]], arms.reshape(pulls.shape), pulls
+
     def uneven_flux(self, system: System, velocities: NDArray, slots: NDArray) -> NDArray:
         """What equal shares of the virial leave out of the heat flux, (3,): nothing for bonds.
 
             Σ_terms Σ_s (r_s − r̄) F_s · (v_s − v̄),   r̄, v̄: means over the atoms of the term
 
-        slots : (3 S,) f_l of all terms, of the last evaluation [energy/length].
+        slots : see lines.
         D. Surblys, H. Matsubara, G. Kikugawa, T. Ohara, Phys. Rev. E 99, 051301 (2019), on centroids.
         """
-        n_links = len(self.first)
-        starts = DIMENSIONS * self.first_slot
-        blocks = slots[starts : starts + self._translations.size]
-        blocks = blocks.reshape(n_links, -1, DIMENSIONS, self.lanes.size).swapaxes(2, 3)
-        pulls = blocks.reshape(n_links, -1, DIMENSIONS)[:, : self.n_terms]
-        pairs = np.stack([self.first, self.second], axis=2)[:, : self.n_terms]
-        arms = nearest_vectors(system.positions, system.cell, pairs.reshape(-1, 2))
+        _, arms, pulls = self.lines(system, slots)
+        n_links = len(arms)
         # from sites to links: r_l = Σ_s ends_ls r_s; back, with mean 0, by its pseudoinverse
         ends = np.zeros((n_links, n_links + 1))
         first, second = np.transpose(self._shape.ends)
         ends[range(n_links), first] = -1.0
         ends[range(n_links), second] = 1.0
-        places = np.tensordot(np.linalg.pinv(ends), arms.reshape(pulls.shape), 1)
+        places = np.tensordot(np.linalg.pinv(ends), arms, 1)
         forces = np.tensordot(ends.T, pulls, 1)
         relative = velocities[self._sites.T]
         relative -= relative.mean(axis=0)

@@ -136,6 +136,7 @@ class ConductivityResult(IntegralResult):
     of_each: Plateau
     title = "conductivity"
     symbol = "σ"
+    in_si = (PER_SI, "S/m")
     coefficients = (
         "conductivity",
         "conductivity_error",
@@ -152,11 +153,6 @@ class ConductivityResult(IntegralResult):
     def unit(self) -> str:
         """See IntegralResult."""
         return f"e²/({self.units.energy} {self.units.length} {self.units.time})"
-
-    @property
-    def shown(self) -> tuple[float, str]:
-        """See IntegralResult."""
-        return (PER_SI, "S/m") if self.units.name == "ASE" else (1.0, self.unit)
 
     @property
     def conductivity(self) -> float:

@@ -145,6 +145,7 @@ class ThermalConductivityResult(IntegralResult):
     n_kinds: int
     title = "heat flux"
     symbol = "λ"
+    in_si = (PER_SI, "W/(m K)")
     coefficients = ("thermal_conductivity", "thermal_conductivity_error")
 
     @property
@@ -159,11 +160,6 @@ class ThermalConductivityResult(IntegralResult):
         if units.name == "ASE":
             return f"{units.energy}/({units.length} {units.time} {units.temperature})"
         return f"k_B/({units.length} {units.time})"
-
-    @property
-    def shown(self) -> tuple[float, str]:
-        """See IntegralResult."""
-        return (PER_SI, "W/(m K)") if self.units.name == "ASE" else (1.0, self.unit)
 
     @property
     def thermal_conductivity(self) -> float:

@@ -201,7 +201,7 @@ class IntegralResult(Result):
     duration : of the run [time].
 
     A class gives the symbol of the coefficient, square and unit, which are those of autocorrelation and integral, and
-    shown, the factor and the unit in which the coefficient is shown.
+    in_si, the factor and the unit in which the coefficient is shown if it is in ASE's units.
     """
 
     times: Array
@@ -214,7 +214,12 @@ class IntegralResult(Result):
     symbol: ClassVar[str]
     square: ClassVar[Any]
     unit: ClassVar[Any]
-    shown: ClassVar[Any]
+    in_si: ClassVar[tuple[float, str]]
+
+    @property
+    def shown(self) -> tuple[float, str]:
+        """The factor and the unit in which the coefficient is shown."""
+        return self.in_si if self.units.name == "ASE" else (1.0, self.unit)
 
     def series(self) -> list[Series]:
         """See Result."""
@@ -252,10 +257,11 @@ class IntegralResult(Result):
         panel.axhline(value, color="0.6", lw=0.8, ls="--")
         bars = factor * self.integral_error
         panel.errorbar(times, factor * self.integral, bars, lw=1.1, elinewidth=0.6)
+        highest = factor * self.integral[times <= 2.0 * end].max()  # not of the noise beyond
         panel.set(
             xlabel=f"t  [{time}]",
             ylabel=f"{self.symbol}  [{unit}]",
             title=f"{self.title}, running integral",
             xlim=(0.0, 2.0 * end or None),
-            ylim=(0.0, max(2.0 * value, 1.1 * factor * np.nanmax(self.integral)) or None),
+            ylim=(0.0, max(2.0 * value, 1.1 * highest) or None),
         )

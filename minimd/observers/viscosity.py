@@ -91,6 +91,7 @@ class ViscosityResult(IntegralResult):
 
     title = "viscosity"
     symbol = "η"
+    in_si = (1.0 / MPA_S, "mPa s")
     coefficients = ("viscosity", "viscosity_error")
 
     @property
@@ -102,11 +103,6 @@ class ViscosityResult(IntegralResult):
     def unit(self) -> str:
         """See IntegralResult."""
         return f"{self.units.pressure} {self.units.time}"
-
-    @property
-    def shown(self) -> tuple[float, str]:
-        """See IntegralResult."""
-        return (1.0 / MPA_S, "mPa s") if self.units.name == "ASE" else (1.0, self.unit)
 
     @property
     def viscosity(self) -> float:

@@ -235,3 +235,12 @@ def test_viscosity_is_drawn_in_the_unit_of_its_text():
     told = float(str(result).split("η = ")[1].split()[0])
     assert panel.get_ylabel() == "η  [mPa s]"
     assert panel.lines[0].get_ydata()[0] == pytest.approx(told, rel=1e-2)
+
+
+def test_the_picture_of_an_integral_shows_its_maximum_and_not_the_noise_beyond():
+    times = np.arange(9.0)
+    integral = np.array([0.0, 5.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0, 90.0])
+    scene = SimpleNamespace(unit_system=md.units.LJ)
+    flat = np.zeros_like(times)
+    result = ViscosityResult(scene, times, flat, flat, integral, flat, Plateau(1.0, 0.1, (2.0, 3.0), True), 9.0)
+    assert result.plot().axes[0].get_ylim() == pytest.approx((0.0, 5.5))

@@ -169,6 +169,7 @@ def water(
     Raises ValueError for an unknown model, ions without parameters in it, a number of molecules below one, a density
     or cutoff that is not positive.
     """
+    n = checked_count("n", n)
     potentials = water_potentials(model, n, density, cutoff, accuracy, ions)
     counts = checked_ions(model, ions)
     dissolved = [name for name in counts for _ in range(counts[name])]
@@ -353,11 +354,11 @@ DENSEST = 3.0  # g/cm³, more than that of any ice
 def edge_of(n: int, density: float) -> float:
     """Edge of the box [Å] of n molecules.
     density : [g/cm³].
-    Raises ValueError if it or n is not positive."""
+    Raises ValueError if it is not positive."""
     density = checked_number("density", density, "positive and finite")
     if density > DENSEST:
         raise ValueError(f"density must be at most {DENSEST:g} g/cm³; density = {density:g}")
-    return (checked_count("n", n) * sum(MASSES) / (density * GRAM_PER_CM3)) ** (1.0 / 3.0)
+    return (n * sum(MASSES) / (density * GRAM_PER_CM3)) ** (1.0 / 3.0)
 
 
 def water_potentials(
@@ -372,7 +373,7 @@ def water_potentials(
     _, _, _, epsilon, sigma, offset = MODELS[checked_choice("model", model, MODELS)]
     counts = checked_ions(model, ions)
 
-    n_bodies = checked_count("n", n) + sum(counts.values())
+    n_bodies = n + sum(counts.values())
     longest = min(CUTOFF, OF_BOX * edge_of(n_bodies, density))
     cutoff = longest if cutoff is None else checked_number("cutoff", cutoff, "positive and finite")
     excluded = (0.0, 0.0, 1.0)

@@ -12,7 +12,7 @@ REPOSITORY = Path(__file__).parents[2]
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 AROUND = ["CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "SECURITY.md", "noxfile.py", ".pre-commit-config.yaml"]
 FORMS = ["dependabot.yml", "pull_request_template.md", "ISSUE_TEMPLATE/bug.yml", "ISSUE_TEMPLATE/question.yml"]
-WORKFLOWS = ["ci.yml", "docs.yml", "release.yml"]
+WORKFLOWS = ["ci.yml", "docs.yml", "release.yml", "slow.yml"]
 AROUND += [f".github/{name}" for name in FORMS] + [f".github/workflows/{name}" for name in WORKFLOWS]
 MUTANTS = [(mutant.file, mutant.old) for mutant in mutants.listed()]
 if not (REPOSITORY / ".ci").exists():

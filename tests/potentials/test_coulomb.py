@@ -255,7 +255,7 @@ def test_forces_of_a_coarse_mesh_are_the_gradient_of_its_energy_and_its_virial_t
 @pytest.mark.parametrize("name", ["SPC/E", "TIP3P", "OPC3"])
 def test_water_by_name_is_rigid_neutral_and_has_its_density(name):
     with pytest.warns(UserWarning, match=r" 4\.63 Å"):  # of a box so small
-        system, potentials, rigid = md.water(name, 40, density=1.1)
+        system, potentials, rigid = md.water(name, np.uint64(40), density=1.1)
     assert system.charges.sum() == pytest.approx(0.0, abs=1e-12)
     assert system.masses.sum() / system.volume == pytest.approx(1.1 * 0.602214, rel=1e-6)
     assert rigid.lengths[2] == pytest.approx({"SPC/E": 1.63298, "TIP3P": 1.5139, "OPC3": 1.59849}[name], abs=5e-5)

@@ -11,6 +11,7 @@ pytestmark = pytest.mark.slow
 ROWS, TIMESTEP, EVERY = load("nist_lj/state_points.json")["mc_rows"], 0.004, 10
 N_MELT, N_EQUILIBRATION, N_STEPS = 5_000, 20_000, 100_000  # 20 t* at twice the temperature, 80 t*, 400 t*
 LONGER = {0.9: 4, 0.003: 2, 0.005: 2, 0.007: 2, 0.009: 2}  # a gas forgets slowly, a dense liquid still more so
+LONGER[0.776] = 4  # dynamics does not feel the jump at the cutoff: 0.0024 lower in U*, 0.019 in p*, seen in 4 runs
 
 
 def fluid_at(density, temperature, law, seed, **options):

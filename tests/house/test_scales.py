@@ -33,6 +33,7 @@ def nodes_of(text):
     return [*ast.walk(ast.parse(text))]
 
 
+@cache
 def tokens(text):
     """Of code, without comments and docstrings: what there is to read."""
     count, before = 0, None

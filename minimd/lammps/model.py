@@ -278,8 +278,7 @@ class Model:
     def _take(self, potential: Any, engine: Engine) -> None:
         system = engine.system
         exclusions = getattr(potential, "exclusions", None)
-        is_slab = getattr(potential, "slab", "none") != "none"
-        if is_slab or (exclusions is not None and len(exclusions)):
+        if exclusions is not None and len(exclusions):
             raise _outside(potential, KINDS)
         if isinstance(potential, EmbeddedAtom):
             self.pair_styles.append(self._embedded(potential, system.species_names))
@@ -352,6 +351,8 @@ class Model:
         common = (False, tuple(potential.bonded_scale), [("* *", "")])
         if term.cutoff == np.inf:
             return PairStyle("coul/cut", self._farthest, *common)
+        if term.pair_law.slab != "none":
+            raise _outside(potential, KINDS)
         obstacle = term.warning
         if potential.accuracy < FINEST:
             obstacle = (

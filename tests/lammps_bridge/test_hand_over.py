@@ -175,8 +175,9 @@ def held(n_atoms, *constraints):
     return lambda: scene(md.System([[1.1 * k, 0.1 * (k % 2), 0.0] for k in range(n_atoms)]), LJ, constraints)
 
 
-def charged(charges, *how, **more):
-    return lambda: scene(md.System(SALT.positions, cell=SALT.cell, charges=charges), md.Coulomb(5.0, *how, **more))
+def charged(charges, *how, pbc=True, **more):
+    cell = md.Cell(SALT.cell.vectors, pbc)
+    return lambda: scene(md.System(SALT.positions, cell=cell, charges=charges), md.Coulomb(5.0, *how, **more))
 
 
 OUTSIDE = [  # scene, what must be named
@@ -185,6 +186,8 @@ OUTSIDE = [  # scene, what must be named
     (with_potential(md.LennardJones(1.0, 1.0, 2.5, exclusions=[[0, 1]])), "without exclusions", "LennardJones("),
     (with_potential(TABLE), "Lepton", "the law tabulated"), (with_potential(*OTHER_BONDS), "bonded_scale", "[4, 5]"),
     (charged(SALT.charges, method="reaction-field"), "dihedrals", "method='reaction-field'"),
+    (charged(SALT.charges, slab="z"), "no slab", "slab='z'"),
+    (charged(SALT.charges, pbc=(True, False, True)), "no slab", "Coulomb("),
     (charged(SALT.charges + 0.25), "charges", "net charge of the cell is 16 e"),
     (charged(SALT.charges, 1e-8), "accuracy", "at least 1e-07, and is 1e-08"),
     (with_method(md.PositionVerlet(TIMESTEP)), "method", "position-verlet"),

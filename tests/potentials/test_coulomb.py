@@ -38,7 +38,7 @@ WRONG = [
     (lambda: md.System(np.eye(3), charges=[1.0, np.nan, 0.0]), "charges", "nan"),
     (lambda: md.evaluate(md.System(np.eye(3), cell=5.0), md.Coulomb(2.0)), "charges", "zero"),
     (lambda: md.evaluate(md.System(np.eye(3), cell=5.0, charges=[1, 1, -2]), md.Coulomb()), "cutoff"),
-    (lambda: md.evaluate(md.System(np.eye(3), cell=5.0, pbc=(1, 1, 0), charges=[1, 1, -2]), md.Coulomb(2.0)),
+    (lambda: md.evaluate(md.System(np.eye(3), cell=5.0, pbc=(1, 0, 0), charges=[1, 1, -2]), md.Coulomb(2.0)),
      "periodic", "shifted-force"),
     (lambda: md.evaluate(salt(1), md.Coulomb(0.9, 1e-13, method="mesh")), "waves", "1e-13"),
     (lambda: md.Simulation(salt(1), md.Coulomb(0.9, method="mesh"), md.VelocityVerlet(0.1), precision="fixed-point"),

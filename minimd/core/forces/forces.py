@@ -36,7 +36,7 @@ from minimd.core.forces.options import FIXED_POINT, Options, pool_for
 from minimd.core.forces.pair_laws import ListTerm, PairLaws, deepest
 from minimd.core.forces.pair_list_term import PairListTerm
 from minimd.core.forces.site_passes import SitePasses
-from minimd.core.forces.slab_term import SlabTerm
+from minimd.core.forces.slab_term import OpenSlabTerm, SlabTerm
 from minimd.core.neighbors.verlet_list import Built, VerletList
 from minimd.core.potentials.coulomb import SpecialLaw
 from minimd.core.potentials.laws import Scaled
@@ -92,12 +92,15 @@ def plan(
     n_threads = pool_for(options, len(system)).n_threads
 
     for law in pair_laws:
-        if law.split is not None and law.charges is not None:
-            terms.append(
-                charge_sum(system, law.charges, law.split, law.method, is_fixed, n_threads)
-            )
-            if law.slab != "none":
-                terms.append(SlabTerm(system, law.charges, law.slab))
+        if law.split is None or law.charges is None:
+            continue
+        how = law.split, law.method, is_fixed, n_threads
+        if not system.cell.pbc.all():
+            terms.append(OpenSlabTerm(system, law.charges, law.slab, *how))
+            continue
+        terms.append(charge_sum(system, law.charges, *how))
+        if law.slab != "none":
+            terms.append(SlabTerm(system, law.charges, law.slab))
 
     return terms
 
@@ -303,6 +306,7 @@ class Forces:
         n_builds = self.n_builds
         self.terms = terms
         self._lists = [term.list for term in terms if term.list is not None]
+        self._renewed = [*self._lists, *(term for term in terms if isinstance(term, OpenSlabTerm))]
         self._builds_before += n_builds - self.n_builds
         self._bound = terms_bound
         self._planned_for = self.system.cell
@@ -595,7 +599,7 @@ class Forces:
 
     def version(self) -> tuple[int, ...]:
         """Of the memory that operations work on."""
-        return self._n_plans, *map(attrgetter("version"), self._lists)
+        return self._n_plans, *map(attrgetter("version"), self._renewed)
 
     @contextmanager
     def _compiling(self) -> Iterator[None]:

@@ -26,6 +26,7 @@ from minimd.core.potentials.declared import (
 from minimd.core.potentials.law import evaluate_law, law_type
 from minimd.core.potentials.prolates import LEAST_ACCURATE, MOST_ACCURATE, Numbers, Split, split_for
 from minimd.core.potentials.term import OwnTerm, PairLaw
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.bond_graph import checked_pairs
 from minimd.core.structure.system import System
 
@@ -117,7 +118,8 @@ class Coulomb(Declared):
     k = (ε − 1)/((2ε + 1) r_c³), c = 3ε/((2ε + 1) r_c); "shifted-force", u = q (1/r − 2/r_c + r/r_c²).
     slab="z" is for one layer of charges along the first two lattice vectors, with empty space along the third: its
     images, which would act on it, are taken away, also with a net charge, then without background (see slab_term.py).
-    Refused at the start: a system without charges, or periodic in some directions only.
+    In a cell that is open in one direction the slab is the one across it, and has empty space of its own.
+    Refused at the start: a system without charges, or periodic in one direction only.
     """
 
     cutoff: float | None = declared(
@@ -145,7 +147,7 @@ class Coulomb(Declared):
     )
     slab: SlabName = declared(
         choice,
-        "the lattice vector out of a slab, which lies in empty space",
+        "the lattice vector out of a slab, which lies in empty space; an open direction is one, also if not named",
         of=get_args(SlabName),
         default="none",
     )
@@ -178,25 +180,32 @@ class Coulomb(Declared):
                 "atoms.set_initial_charges(q) of ASE, or in a scene file structure.charges"
             )
         pbc = system.cell.pbc
+        slab: str = self.slab
         is_sum = self.method in SUMS
-        is_slab = self.slab != "none"
-        is_partly = pbc.any() and not pbc.all()
-        if (is_sum and is_partly) or (is_slab and not (is_sum and pbc.all())):
+        if slab == "none" and is_sum and pbc.sum() == 2:
+            slab = "xyz"[pbc.argmin()]
+        if slab == "none":
+            is_possible = not is_sum or pbc.all() or not pbc.any()
+        else:
+            is_possible = is_sum and np.delete(pbc, "xyz".index(slab)).all()
+        if not is_possible:
             raise ValueError(
-                f"Coulomb cannot sum charges where pbc = {pbc}, method = {self.method!r}, slab = {self.slab!r}: make "
-                "the cell of a slab periodic in all three directions, three times as high as the slab is thick, and "
-                'give slab="z"; or take method="shifted-force"'
+                f"Coulomb cannot sum charges where pbc = {pbc}, method = {self.method!r}, slab = {self.slab!r}: a slab "
+                'is periodic along the two other lattice vectors, such as slab="z" with pbc=(True, True, False); for '
+                'anything else take method="shifted-force"'
             )
         if self.cutoff is None and (pbc.any() or not is_sum):
             where = "in a periodic cell" if is_sum else f"with method {self.method!r}"
             raise ValueError(f"cutoff of Coulomb must be given {where}; it is None")
-        return CoulombTerm(self, system)
+        return CoulombTerm(self, system, slab)
 
 
 class CoulombTerm(OwnTerm):
     """Charges in a system: a law for the planner to run on a list of neighbors, and perhaps with a sum over waves."""
 
-    def __init__(self, potential: Coulomb, system: System) -> None:
+    pair_law: PairLaw
+
+    def __init__(self, potential: Coulomb, system: System, slab: str) -> None:
         cutoff = potential.cutoff or inf
         split: Split | None = None
         if potential.method == "shifted-force":
@@ -207,7 +216,7 @@ class CoulombTerm(OwnTerm):
             split = split_for(cutoff, potential.accuracy)
             law = CoulombLaw(split.numbers)
             net_charge = system.net_charge
-            if potential.slab != "none":
+            if slab != "none":
                 self.warning = _narrow(system, potential)
             elif net_charge != 0.0:
                 self.warning = f"the net charge of the cell is {net_charge:.6g} e: a uniform background balances it"
@@ -226,7 +235,7 @@ class CoulombTerm(OwnTerm):
             system.charges * sqrt(system.units.coulomb),
             split,
             potential.method,
-            potential.slab,
+            slab,
             checked_pairs("exclusions", potential.exclusions, len(system)),
         )
 
@@ -239,13 +248,21 @@ def spaces(system: System) -> tuple[NDArray, NDArray, NDArray]:
     return inverse, fractions, np.diff(fractions, axis=0, append=fractions[:1] + 1.0)
 
 
+def empty_space(vectors: Array, axis: int, accuracy: float) -> float:
+    """How wide the empty space beside a slab must be, see slab_term.py [length].
+    vectors : (3, 3), the one with the number axis is out of the slab."""
+    longest = np.linalg.norm(np.delete(vectors, axis, axis=0), axis=1).max()
+    return float(longest) / (2.0 * pi) * log(LAYERS / accuracy)
+
+
 def _narrow(system: System, potential: Coulomb) -> str:
-    """The warning that images of a slab act on it by more than the accuracy, see slab_term.py."""
+    """The warning that images of a slab act on it by more than the accuracy."""
+    if not system.cell.pbc.all():
+        return ""
     inverse, _, gaps = spaces(system)
     axis = "xyz".index(potential.slab)
-    longest = np.linalg.norm(np.delete(system.cell.vectors, axis, axis=0), axis=1).max()
     empty = gaps[:, axis].max() / np.linalg.norm(inverse[:, axis])
-    needed = longest / (2.0 * pi) * log(LAYERS / potential.accuracy)
+    needed = empty_space(system.cell.vectors, axis, potential.accuracy)
     if empty >= needed:
         return ""
     return (

@@ -36,6 +36,7 @@ from minimd.core.minimization.minimization import Minimization as Minimization, 
 from minimd.core.neighbors.queries import neighbor_list as neighbor_list
 from minimd.core.potentials.bonded import (
     BondPotential as BondPotential,
+    DihedralMap as DihedralMap,
     DihedralPotential as DihedralPotential,
     FENEBond as FENEBond,
     HarmonicAngle as HarmonicAngle,

@@ -119,6 +119,10 @@ Restart Checkpoint Load Resume read_restart CheckpointReporter loadCheckpoint
     md.Simulation.resume(file, potentials) | files
 Atoms Topology Box Particles Molecule read read_lammps_data from_file read_data read_dump
     md.System, or system_from_file of minimd.ase | formats
+CMAP CMAPTorsionForce Crossterms
+    md.DihedralMap; md.from_openmm makes it | forces
+NBFIX
+    md.LennardJones(..., pairs={...}); md.from_openmm makes them | forces
 ForceField AmberPrmtopFile GromacsTopFile CharmmPsfFile ITP
     md.from_openmm; types and parameters are given as numbers | forces
 Slurm sbatch Cluster Queue maxh WallTime

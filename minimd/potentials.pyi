@@ -2,6 +2,7 @@
 
 from minimd.core.potentials.bonded import (
     BondPotential as BondPotential,
+    DihedralMap as DihedralMap,
     DihedralPotential as DihedralPotential,
     FENEBond as FENEBond,
     HarmonicAngle as HarmonicAngle,

@@ -6,7 +6,7 @@ Units are converted from OpenMM's nm, kJ/mol and e to minimd.units.ASE.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from minimd.core.console.quiet import warn
 from minimd.core.console.words import listed, shown
 from minimd.core.potentials.bonded import (
     BondPotential,
+    DihedralMap,
     HarmonicAngle,
     HarmonicBond,
     HarmonicImproper,
@@ -98,6 +99,10 @@ BONDED: dict[str, tuple[str, Any]] = {
         "Bond",
         lambda at, c, a: BondPotential(LennardJonesLaw(), _in_ase_units(*_well(a, c)), at),
     ),
+    "4*α*((β/r)^12-(β/r)^6)": (
+        "Bond",
+        lambda at, *well: BondPotential(LennardJonesLaw(), _in_ase_units(*well), at),
+    ),
 }
 for _law in IMPROPERS:
     BONDED[_law] = ("Torsion", partial(_improper, 2.0, _law))
@@ -109,6 +114,14 @@ WELLS: Mapping[str, Any] = {
     "4*(sqrt(α1*α2))*(((sqrt(β1*β2))/r)^12-((sqrt(β1*β2))/r)^6)": lambda *well: well,
     "α1*α2/r^12-β1*β2/r^6": lambda a, c: _well(a * a, c * c),
 }
+# the same by tables of A and C, or √A and C, of pairs of types: A and C of their entries
+TABLES: Mapping[str, Any] = {
+    "acoef(α1,α2)/r^12-bcoef(α1,α2)/r^6": lambda a, c: (a, c),
+    "((acoef(α1,α2))/(r^6))^2-(bcoef(α1,α2))/(r^6)": lambda root, c: (root * root, c),
+}
+MIXED = (
+    1e-9  # relative difference between wells of a table and mixed ones that rounding can explain
+)
 # virtual sites: weights of their particles, which are 1 with that of the first, and of the normal [1/nm]
 SITES: Mapping[str, Any] = {
     "TwoParticleAverageSite": lambda site: (site.getWeight(1), 0.0, 0.0),
@@ -119,7 +132,7 @@ SITES: Mapping[str, Any] = {
         site.getWeightCross(),
     ),
 }
-KNOWN = (*BONDED, *WELLS, "CMMotionRemover")
+KNOWN = (*BONDED, "CMAPTorsionForce", *WELLS, *TABLES, "CMMotionRemover")
 # what OpenMM calls the terms of a force, and those of custom ones that may be taken
 TERMS = ("Particles", "Bonds", "Angles", "Torsions", "Donors", "Multipoles", "TorsionTorsions")
 CUSTOM = {
@@ -143,10 +156,11 @@ def from_openmm(
         system, potentials, constraints = md.from_openmm(made, pdb.topology, pdb.positions)
         sim = md.Simulation(system, potentials, md.VelocityVerlet(2.0 * md.units.fs), constraints)
 
-    Taken: harmonic bonds and angles, periodic and Ryckaert-Bellemans torsions, NonbondedForce, masses, box vectors,
-    constraints. Of custom forces: harmonic impropers, and, as OPLS has them, wells that mix geometrically beside a
-    NonbondedForce without wells, and bonds C, A of GROMACS, by the expressions that readers of OpenMM write; see
-    IMPROPERS, BONDED and WELLS. CMMotionRemover is left out, because minimd's forces conserve momentum, and so are
+    Taken: harmonic bonds and angles, periodic and Ryckaert-Bellemans torsions, CMAP, NonbondedForce, masses, box
+    vectors, constraints. Of custom forces: harmonic impropers; beside a NonbondedForce without wells, those that mix
+    geometrically, as OPLS has them, and tables of wells of pairs of types, as CHARMM with NBFIX; wells of bonds, as
+    CHARMM, and bonds C, A of GROMACS, by the expressions that readers of OpenMM write; see IMPROPERS, BONDED, WELLS and
+    TABLES. CMMotionRemover is left out, because minimd's forces conserve momentum, and so are
     forces without terms. Virtual sites of two or three particles and out of their plane are Sites. Any other particle
     of mass 0 is one of FixedAtoms, with the mass of its element. Species are the elements, X without one, numbered
     where they have several Lennard-Jones parameters; bonds and names are those of the topology.
@@ -169,8 +183,8 @@ def from_openmm(
     ------
     TypeError : for anything but a system of OpenMM.
     ValueError : for other forces (other custom ones, with their expressions, baths, barostats), other virtual
-        sites, LJPME and parameter offsets, by name; for a particle without mass and element; for another number of
-        atoms; as System and potentials.
+        sites, LJPME, parameter offsets and CMAP of several sizes, by name; for a particle without mass and element; for
+        another number of atoms; as System and potentials.
     """
     if not hasattr(openmm_system, "getForces"):
         raise TypeError(
@@ -190,28 +204,27 @@ def from_openmm(
     fixed = _fixed(openmm_system, masses)
     for k in fixed:  # held by OpenMM
         masses[k] = _plain(atoms[k].element.mass)
+
     charges = np.zeros(n)
-    numbers = np.zeros((n, 2))
-    potentials: list[OwnPotential] = []
-    wells = nonbonded = None
+    numbers = np.zeros((n, 3))
+    potentials = [potential for force in forces for potential in _bonded(force)]
+    wells = nonbonded = table = None
+
     for force in forces:
         kind, order = _kind(force)
-        if kind in BONDED:
-            name, potential = BONDED[kind]
-            rows = _rows(force, name)
-            size = SIZES[name]
-            potentials.append(potential(rows[:, :size].astype(int), *rows[:, size:].T[order]))
-        elif kind in WELLS:
+        if kind in (*WELLS, *TABLES):
             parameters = _rows(force, "Particle").T[order]
-            epsilon, sigma = _in_ase_units(*WELLS[kind](*parameters))
-            if epsilon.any():
+            of_atoms, of_types = _wells(force, kind, parameters)
+            if of_atoms[:, 0].any() or of_types is not None:
                 if wells is not None:
                     raise ValueError(TWICE)
                 wells = force
-                numbers = np.column_stack([epsilon, sigma])
+                numbers = of_atoms
+                table = of_types
             if kind == "NonbondedForce":
                 nonbonded = force
                 charges = parameters[0]
+
     names = [*map(_names, atoms)]
     kinds = [*map(tuple, numbers.tolist())]
     species = _labels([(row[1] or "X", kind) for row, kind in zip(names, kinds, strict=True)])
@@ -228,7 +241,7 @@ def from_openmm(
         sites=_sites(openmm_system),
     )
     if wells is not None:
-        potentials.append(_lennard_jones(wells, dict(zip(species, kinds, strict=True))))
+        potentials.append(_lennard_jones(wells, dict(zip(species, kinds, strict=True)), table))
     if nonbonded is not None:
         potentials += _charged(nonbonded, charges)
     return system, potentials, system.constraints
@@ -256,6 +269,7 @@ def _sites(openmm_system: openmm.System) -> Sites | None:
     sites = [*map(openmm_system.getVirtualSite, atoms)]
     parents = [[site.getParticle(k % site.getNumParticles()) for k in range(3)] for site in sites]
     rows = [SITES[type(site).__name__](site) for site in sites]
+
     second, third, normal = np.array(rows).T
     weights = np.column_stack([1.0 - second - third, second, third])
     return Sites(atoms, parents, weights, normal / NM)
@@ -266,6 +280,7 @@ def _constraints(openmm_system: openmm.System, fixed: list[int]) -> list[Constra
     held = _rows(openmm_system, "Constraint")
     held = held[~np.isin(held[:, :2], fixed).all(axis=1)]
     constraints: list[Constraint] = []
+
     if len(held):
         constraints.append(DistanceConstraints(held[:, :2].astype(int), NM * held[:, 2]))
     if fixed:
@@ -326,6 +341,9 @@ def _check(
             strange.append(name)
             if hasattr(force, "getEnergyFunction"):
                 strange.append(f"its energy {force.getEnergyFunction()}")
+        elif kind == "CMAPTorsionForce":
+            if len({force.getMapParameters(k)[0] for k in range(force.getNumMaps())}) > 1:
+                strange.append("CMAP of several sizes")
         elif kind == "NonbondedForce":
             if force.getNonbondedMethod() == force.LJPME:
                 strange.append("the method LJPME")
@@ -343,33 +361,102 @@ def _check(
         )
 
 
-def _lennard_jones(force: Any, kinds: Mapping[Any, Any]) -> LennardJones:
+def _bonded(force: Any) -> Iterator[OwnPotential]:
+    """The potential of a bonded force, if it is one."""
+    kind, order = _kind(force)
+
+    if kind == "CMAPTorsionForce":
+        yield _dihedral_map(force)
+
+    if kind in BONDED:
+        name, potential = BONDED[kind]
+        rows = _rows(force, name)
+        size = SIZES[name]
+        yield potential(rows[:, :size].astype(int), *rows[:, size:].T[order])
+
+
+def _dihedral_map(force: openmm.CMAPTorsionForce) -> DihedralMap:
+    """Its maps, of one size; those of OpenMM run along the first angle."""
+    maps = [force.getMapParameters(k) for k in range(force.getNumMaps())]
+    size = maps[0][0]
+
+    energies = np.reshape([_plain(energy) for _, energy in maps], (-1, size, size))
+
+    rows = _rows(force, "Torsion").astype(int)
+    return DihedralMap(KJ * energies.swapaxes(1, 2), rows[:, 1:5], rows[:, 5:], rows[:, 0])
+
+
+def _wells(force: Any, kind: str, parameters: Array) -> tuple[Array, Array | None]:
+    """ε [eV], σ [Å] and type of each particle, (N, 3); and ε and σ of pairs of types, (2, T, T), if a force has tables.
+    Types that are alike become the first of them.
+
+    kind : one of WELLS and TABLES.
+    parameters : (P, N).
+    """
+    if kind in WELLS:
+        wells = _in_ase_units(*WELLS[kind](*parameters))
+        return np.column_stack([*wells, np.zeros(len(wells[0]))]), None
+
+    functions = {
+        force.getTabulatedFunctionName(k): force.getTabulatedFunction(k).getFunctionParameters()
+        for k in range(force.getNumTabulatedFunctions())
+    }
+
+    n_types = functions["acoef"][0]
+    coefficients = [np.array(functions[name][2]) for name in ("acoef", "bcoef")]
+    wells = _in_ase_units(*_well(*TABLES[kind](*coefficients)))
+
+    present, places = np.unique(parameters[0].astype(int), return_inverse=True)
+    table = np.reshape(wells, (2, n_types, n_types))[:, present][:, :, present]
+    _, first, alike = np.unique(np.hstack([*table]), True, True, axis=0)
+    types = first[alike][places]
+    return np.column_stack([*table[:, types, types], types]), table
+
+
+def _lennard_jones(force: Any, kinds: Mapping[Any, Any], table: Array | None) -> LennardJones:
     """The wells of a NonbondedForce, or of a CustomNonbondedForce.
-    kinds : (ε, σ) of each species."""
+    kinds : (ε, σ, type) of each species.
+    table : ε and σ of pairs of types; those that mixing does not give become pairs."""
+    own = {name: kind[:2] for name, kind in kinds.items()}
     mixing: Any = "lorentz-berthelot"
+    pairs = {}
+
+    if table is not None:
+        names = [*kinds]
+        types = [int(kind[2]) for kind in kinds.values()]
+        given = np.moveaxis(table, 0, 2)[types][:, types]
+        mixed = LennardJones(own, truncation="truncated").table(names)[:, :, 1:]
+        differ = ~np.isclose(given, mixed, MIXED, 0.0).all(axis=2)
+
+        for i, j in np.argwhere(np.triu(differ)):
+            pairs[names[i], names[j]] = tuple(given[i, j].tolist())
+
     truncation: Any = "truncated"
     switch_start = None
     if type(force).__name__ == "CustomNonbondedForce":
-        mixing = "geometric"
+        mixing = "geometric" if table is None else mixing
         has_tail = force.getUseLongRangeCorrection()
-        pairs = _rows(force, "Exclusion", "Particles")
+        excluded = _rows(force, "Exclusion", "Particles")
     else:
         has_tail = force.getUseDispersionCorrection()
-        pairs = _rows(force, "Exception")
+        excluded = _rows(force, "Exception")
 
     cutoff = _cutoff(force)
+
     if cutoff is not None and force.getUseSwitchingFunction():
         truncation = "switched"
         switch_start = NM * _plain(force.getSwitchingDistance())
+
     return LennardJones(
-        kinds,
+        own,
         None,
         cutoff,
         truncation,
         mixing=mixing,
+        pairs=pairs,
         switch_start=switch_start,
         tail_correction=has_tail and force.usesPeriodicBoundaryConditions(),
-        exclusions=pairs[:, :2].astype(int),
+        exclusions=excluded[:, :2].astype(int),
     )
 
 
@@ -384,6 +471,7 @@ def _charged(force: openmm.NonbondedForce, charges: Array) -> list[OwnPotential]
     potentials: list[OwnPotential] = []
     rows = _rows(force, "Exception")
     pairs = rows[:, :2].astype(int)
+
     if charges.any():
         accuracy = min(max(force.getEwaldErrorTolerance(), MOST_ACCURATE), LEAST_ACCURATE)
         options: Any = {}
@@ -398,6 +486,7 @@ def _charged(force: openmm.NonbondedForce, charges: Array) -> list[OwnPotential]
     no_cutoff = np.full(len(rows), LARGEST)
     numbers = np.array([product, no_cutoff, *_in_ase_units(rows[:, 4], rows[:, 3])])
     acts = numbers[[0, 2]].any(axis=0)
+
     if acts.any():
         law = ChargedLaw(LennardJonesLaw(), CoulombLaw(NO_REST))
         potentials.append(BondPotential(law, (*numbers[:, acts],), pairs[acts]))
@@ -415,9 +504,11 @@ def _names(atom: Any) -> list[str]:
 def _labels(atoms: list[tuple[str, Any]]) -> list[str]:
     """Species of atoms (symbol, well): the symbols, and where one has several wells, their numbers, from 1 on."""
     numbers: dict[str, dict[Any, int]] = {}
+
     for symbol, well in atoms:
         wells = numbers.setdefault(symbol, {})
         wells.setdefault(well, len(wells) + 1)
+
     return [
         f"{symbol}{numbers[symbol][well]}" if len(numbers[symbol]) > 1 else symbol
         for symbol, well in atoms

@@ -45,6 +45,8 @@ KINDS: dict[Any, Any] = dict.fromkeys(
     ],
     law.atoms: Atoms,
     law.pairs: list[PairOfAtoms],
+    law.quadruples: GROUPS[4],
+    law.maps: list[list[FiniteFloat]],
 }
 
 

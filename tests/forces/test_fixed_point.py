@@ -17,7 +17,9 @@ from minimd.core.integrators.table import SPLITTINGS
 from minimd.core.potentials.term import OwnTerm
 from minimd.core.structure.cell import nearest_vectors
 
-TORSIONS = [md.PeriodicDihedral(1.0, 3, 0.4, np.arange(0, 104, 8)[:, None] + np.arange(4))]
+CHAINS = np.arange(0, 96, 8)[:, None] + np.arange(4)
+MAP = np.random.default_rng(5).normal(size=(6, 6))
+TORSIONS = [md.PeriodicDihedral(1.0, 3, 0.4, CHAINS), md.DihedralMap(MAP, CHAINS, CHAINS + 1)]
 FIELDS = [md.Gravity(0.5), md.Wall([0.0, 0.0, -3.0], [0.0, 0.0, 1.0])]
 SLOW = [pytest.param(False, more, marks=pytest.mark.slow) for more in (TORSIONS, FIELDS)]
 OTHERS = [("as it is", {"threads": 2}), ("as it is", {"threads": 3, "skin": 0.1}), ("as it is", {"skin": 0.6})]

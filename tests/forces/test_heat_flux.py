@@ -8,12 +8,14 @@ import minimd as md
 from minimd.core.engine.observation import Look
 
 N, STEP = 8, 1e-5
+MAP = np.random.default_rng(5).normal(size=(6, 6))
 LAWS = {
     "pairs": md.LennardJones(1.0, 0.6, 9.0),
     "charges by pairs": md.Coulomb(20.0, method="shifted-force"),
     "bonds": md.HarmonicBond(30.0, 1.0),
     "angles": md.HarmonicAngle(20.0, 1.9),
     "dihedrals": md.PeriodicDihedral(3.0, 2, 0.4),
+    "two dihedrals": md.DihedralMap(MAP, [[0, 1, 2, 3], [1, 2, 3, 4]], [[4, 5, 6, 7], [2, 3, 4, 5]]),
 }
 
 

@@ -131,3 +131,22 @@ def test_replicas_in_threads_of_one_process_have_the_bits_of_single_runs():
         together = list(pool.map(replica, range(4)))
     for seed, one in enumerate(together):
         assert_same_bits(one, replica(seed))
+
+
+def test_maps_of_dihedrals_have_the_same_bits_with_threads_and_after_a_resume(tmp_path):
+    """1200 terms, in two chunks."""
+    k = np.arange(1205)
+    places = np.column_stack([np.cos(0.9 * k), np.sin(0.9 * k), 0.4 * k + 0.1 * np.sin(k * k)])
+    angles = k[:1200, None] + np.arange(4)
+    maps = np.random.default_rng(2).normal(size=(3, 6, 6))
+    laws = [md.DihedralMap(maps, angles, angles + 1, k[:1200] % 3), md.HarmonicBond(50.0, 1.0)]
+    system = md.System(places, bonds=np.column_stack([k[:-1], k[1:]]))
+    one = md.Simulation(system.copy(), laws, FREE, threads=1)
+    one.run(25)
+    other = md.Simulation(system.copy(), laws, FREE, threads=2)
+    other.run(11, every=11, trajectory=tmp_path / "run.h5md")
+    other = md.Simulation.resume(tmp_path / "run.h5md", laws, threads=2)
+    other.run(14)
+    assert np.abs(one.positions - places).max() > 0.01
+    for name in ("positions", "velocities", "forces"):
+        assert np.array_equal(getattr(other, name), getattr(one, name))

@@ -183,6 +183,7 @@ def charged(charges, *how, pbc=True, **more):
 OUTSIDE = [  # scene, what must be named
     (with_potential(LJ, md.Gravity(1.0)), "dihedrals", "Gravity(acceleration="),
     (with_potential(LJ, md.HarmonicImproper(1.0, 0.0, [[0, 1, 2, 3]])), "dihedrals", "HarmonicImproper(k="),
+    (with_potential(LJ, md.DihedralMap(np.eye(3), [[0, 1, 2, 3]], [[1, 2, 3, 4]])), "dihedrals", "DihedralMap("),
     (with_potential(md.LennardJones(1.0, 1.0, 2.5, exclusions=[[0, 1]])), "without exclusions", "LennardJones("),
     (with_potential(TABLE), "Lepton", "the law tabulated"), (with_potential(*OTHER_BONDS), "bonded_scale", "[4, 5]"),
     (charged(SALT.charges, method="reaction-field"), "dihedrals", "method='reaction-field'"),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from MDAnalysis.lib.distances import calc_dihedrals
 from scenes import BONDED
+from scipy.interpolate import CubicSpline
 
 import minimd as md
 
@@ -152,6 +153,28 @@ def test_dihedral_angles_are_those_of_mdanalysis_and_planar_ones_have_forces():
     assert np.abs(at_bottom.forces).max() < 1e-14  # rounding
     straight = md.System([[-1.0, 0, 0], [0, 0, 0], [1, 0, 0], [1.5, 1, 0]], dihedrals=[[0, 1, 2, 3]])
     assert np.isfinite(md.evaluate(straight, md.PeriodicDihedral(1.0, 3, 0.4)).forces).all()
+
+
+def test_maps_of_dihedrals_go_through_their_points_with_smooth_slopes():
+    """u is the map at its points, and the product of two periodic splines between them, in any turn of the angles."""
+    rng = np.random.default_rng(7)
+    turns = 2.0 * np.pi * np.arange(6) / 5
+    maps = rng.normal(size=(2, 5, 5))
+    closed = np.pad(maps, ((0, 0), (0, 1), (0, 1)), "wrap")
+    places = [*itertools.product(turns, turns), *rng.uniform(-np.pi, np.pi, (20, 2)), (np.pi, -np.pi)]
+    for angles, which in itertools.product(places, (0, 1)):
+        chains = [
+            [[1.2 + x, 0, 0.1], [x, 0, 0], [x, 0, 1.1], [x + 1.3 * np.cos(angle), 1.3 * np.sin(angle), 1.2]]
+            for x, angle in zip((0.0, 5.0), angles, strict=True)
+        ]
+        law = md.DihedralMap(maps, [[0, 1, 2, 3]], [[4, 5, 6, 7]], which)
+        rows = CubicSpline(turns, closed[which], bc_type="periodic")(angles[0])
+        rows[-1] = rows[0]
+        expected = CubicSpline(turns, rows, bc_type="periodic")(angles[1])
+        found = md.evaluate(md.System(np.concatenate(chains)), law).potential_energy
+        assert found == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    straight = md.System([[-1.0, 0, 0], [0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    assert np.isfinite(md.evaluate(straight, md.DihedralMap(maps[0], [[0, 1, 2, 3]], [[3, 2, 1, 0]])).forces).all()
 
 
 def test_dihedrals_follow_a_strained_cell():

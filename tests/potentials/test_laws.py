@@ -36,6 +36,7 @@ R = np.linspace(0.3, CUTOFF, 60)
 TABLES = {("A", "A"): np.exp(-R), ("A", "B"): np.exp(-2.0 * R), ("B", "B"): 1.0 / R}
 TWO_KINDS, CUTOFFS = {"A": (1.0, 1.0), "B": (0.5, 0.88)}, {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}
 CHAINS = [[k, k + 1, k + 2, k + 3] for k in range(7)]
+MAPS = np.random.default_rng(3).normal(size=(2, 6, 6))
 pytestmark = pytest.mark.filterwarnings("ignore:the charges of the atoms", "ignore:the net charge")
 PAIRS = {
     "lennard-jones": md.LennardJones(1.0, 1.0, CUTOFF),
@@ -55,6 +56,7 @@ BONDED = {
     "periodic dihedrals": md.PeriodicDihedral(np.linspace(0.5, 2.0, 7), [0, 1, 2, 3, 4, 5, 6], 0.4, CHAINS),
     "ryckaert-bellemans": md.RyckaertBellemans((1.3, 1.4, -1.6, -0.4, 3.1, -3.4), CHAINS),
     "harmonic impropers": md.HarmonicImproper(3.0, np.linspace(-3.1, 3.1, 7), CHAINS),
+    "dihedral maps": md.DihedralMap(MAPS, CHAINS[:-1], CHAINS[1:], [0, 1, 0, 1, 1, 0]),
     "charges": md.Coulomb(1.75, 1e-7, bonded_scale=(0.0, 0.3, 1.0)),
     "reaction field": md.Coulomb(CUTOFF, method="reaction-field", bonded_scale=(0.5, 1.0, 0.5)),
     "charged": [md.LennardJones(TWO_KINDS, cutoff=1.6, bonded_scale=(0.0, 0.0, 0.5)), md.Coulomb(1.75, 1e-7)],

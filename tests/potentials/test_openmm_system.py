@@ -168,19 +168,28 @@ def test_what_is_no_force_arrives_in_the_units_of_ase():
     assert md.from_openmm(*chains())[2] == ()
 
 
-def read(file, water="tip3p", **options):
-    """A file with Amber's force field, or that with GAFF, without a tail: system, topology, positions [nm]."""
+def read(file, water="amber14/tip3p", protein="amber14-all", **options):
+    """A file with a force field, or that with GAFF, without a tail: system, topology, positions [nm]."""
     if file == GAFF:
         model, made = app.AmberInpcrdFile(str(file.with_suffix(".inpcrd"))), app.AmberPrmtopFile(str(file))
         topology, made = made.topology, made.createSystem(nonbondedCutoff=0.9, **options)
     else:
-        pdb, field = app.PDBFile(str(file)), app.ForceField("amber14-all.xml", f"amber14/{water}.xml")
+        pdb, field = app.PDBFile(str(file)), app.ForceField(f"{protein}.xml", f"{water}.xml")
         model = app.Modeller(pdb.topology, pdb.positions)
         if pdb.topology.getPeriodicBoxVectors() is None:
-            model.addSolvent(field, "tip3p" if water == "tip3p" else "tip4pew", padding=1.0)
+            has_sites = water.endswith(("opc", "tip4pew"))
+            model.addSolvent(field, "tip4pew" if has_sites else "tip3p", padding=1.0)
         topology, made = model.topology, field.createSystem(model.topology, nonbondedCutoff=0.9, **options)
-    nonbonded(made).setUseDispersionCorrection(False)
+    without_tail(made)
     return made, topology, plain(model.positions)
+
+
+def without_tail(made):
+    for force in made.getForces():
+        if isinstance(force, openmm.NonbondedForce):
+            force.setUseDispersionCorrection(False)
+        elif isinstance(force, openmm.CustomNonbondedForce):
+            force.setUseLongRangeCorrection(False)
 
 
 @pytest.mark.parametrize(("file", "method"), [(DIPEPTIDE, "PME"), (PROTEIN, "CutoffPeriodic"), (GAFF, "NoCutoff")])
@@ -188,15 +197,49 @@ def test_molecules_have_the_energies_and_the_forces_of_openmm(file, method):
     assert_agrees(*read(file, nonbondedMethod=getattr(app, method), ewaldErrorTolerance=1e-7))
 
 
-@pytest.mark.parametrize("water", ["opc", "tip4pew"])
-def test_a_dipeptide_in_water_of_four_sites_has_the_forces_of_openmm(water):
+WATERS = [  # with Amber's proteins, those with maps of ff19SB, and CHARMM's, with maps and tables of wells
+    ("amber14/opc", "amber14-all"), ("amber14/tip4pew", "amber14-all"), ("amber19/opc", "amber19/protein.ff19SB"),
+    pytest.param("charmm36_2024/water", "charmm36_2024", marks=pytest.mark.slow),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("water", "protein"), WATERS)
+def test_a_dipeptide_in_water_has_the_forces_of_openmm(water, protein):
     """On atoms: OpenMM leaves forces on sites where they are, besides handing them over."""
-    made, topology, places = read(DIPEPTIDE, water, nonbondedMethod=app.PME, ewaldErrorTolerance=1e-7)
+    made, topology, places = read(DIPEPTIDE, water, protein, nonbondedMethod=app.PME, ewaldErrorTolerance=1e-7)
     system, potentials, _ = md.from_openmm(made, topology, places)
     found, (energy, forces) = md.evaluate(system, potentials), reference(made, places)()
-    forces[system.sites.atoms] = 0.0
+    if system.sites is not None:
+        forces[system.sites.atoms] = 0.0
     assert_same(found, energy, forces)
     assert found.potential_energy == pytest.approx(energy, rel=1e-6)
+    kinds = [type(potential) for potential in potentials]
+    assert (md.DihedralMap in kinds) == (protein != "amber14-all")
+
+
+def villin(field):
+    """The protein in vacuum: system, topology, positions [nm]."""
+    pdb = app.PDBFile(str(PROTEIN))
+    model = app.Modeller(pdb.topology, pdb.positions)
+    model.delete([residue for residue in pdb.topology.residues() if residue.name in ("HOH", "Cl")])
+    return app.ForceField(f"{field}.xml").createSystem(model.topology), model.topology, plain(model.positions)
+
+
+@pytest.mark.parametrize("field", ["amber19-all", "charmm36", pytest.param("charmm36_2024", marks=pytest.mark.slow)])
+def test_a_protein_with_maps_has_the_energies_and_forces_of_openmm(field):
+    """The maps alone, and all."""
+    made, topology, places = villin(field)
+    (system, potentials, _), openmm_finds = md.from_openmm(made, topology, places), reference(made, places)
+    assert_same(md.evaluate(system, potentials), *openmm_finds())
+    [maps] = [potential for potential in potentials if isinstance(potential, md.DihedralMap)]
+    [force] = [force for force in made.getForces() if isinstance(force, openmm.CMAPTorsionForce)]
+    assert len(maps.phi) == force.getNumTorsions() == 33
+    assert_same(md.evaluate(system, maps), *openmm_finds(force.getForceGroup()), 1e-11)  # rounding
+    [lj] = [potential for potential in potentials if isinstance(potential, md.LennardJones)]
+    n_pairs = 0 if lj.pairs is None else len(lj.pairs)
+    assert (n_pairs, len(lj.parameters)) == {"amber19-all": (0, 14), "charmm36": (0, 24), "charmm36_2024": (1, 26)}[
+        field
+    ]
 
 
 @pytest.mark.slow
@@ -220,6 +263,22 @@ def test_molecules_keep_their_energy_and_their_bonds(file, method, timestep):
     assert exchanged > 0.05
     assert energies.std() < 4e-3 * exchanged  # measured: 2.5e-3 and 3.4e-3, 4.8 and 3.9 times with 2 Δt
     assert np.ptp(np.polyval(np.polyfit(record.time, energies, 1), record.time)) < 3e-3 * exchanged
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("field", ["amber19-all", "charmm36"])
+def test_a_protein_with_maps_keeps_its_energy(field):
+    """For 2 ps, without constraints."""
+    system, potentials, _ = md.from_openmm(*villin(field))
+    sim = md.Simulation(system, potentials, md.LangevinBAOAB(0.5 * md.units.fs, 300.0, 0.05 / md.units.fs, seed=3))
+    sim.minimize()
+    sim.run(2000, progress=False)
+    sim = md.Simulation(sim.system, potentials, md.VelocityVerlet(0.5 * md.units.fs))
+    sim.velocities -= sim.drift
+    record = sim.run(4000, every=10, progress=False)
+    energies, exchanged = np.array(record.total_energy), np.std(record.kinetic_energy)
+    assert energies.std() < 0.012 * exchanged  # measured: 8.2e-3 and 8.3e-3, 4.2 times with 2 Δt
+    assert np.ptp(np.polyval(np.polyfit(record.time, energies, 1), record.time)) < 5e-3 * exchanged
 
 
 def of_argon(n, spacing=0.4, elements="Ar", ids=None):
@@ -291,6 +350,20 @@ def test_custom_torsions_of_harmonic_impropers_have_the_energies_and_forces_of_o
     [improper] = assert_one_force_agrees(made, topology, np.array(places), 1e-5 if "3.141593" in energy else 1e-9)
     assert type(improper) is md.HarmonicImproper
     assert improper.k == pytest.approx(2.0 * factor * KJ * (40.0 + np.arange(len(scenes))))
+
+
+def test_maps_of_two_dihedrals_have_the_energies_and_forces_of_openmm():
+    """Of neighbors, which share atoms, and of others."""
+    made, topology, places = of_argon(40)
+    force, rng = openmm.CMAPTorsionForce(), np.random.default_rng(8)
+    for _ in range(3):
+        force.addMap(7, rng.normal(size=49))
+    for k in range(33):
+        force.addTorsion(k % 3, *range(k, k + 4), *range(k + 1, k + 5))
+        force.addTorsion(2, *range(k, k + 4), *range(39, 35, -1))
+    made.addForce(force)
+    [maps] = assert_one_force_agrees(made, topology, places)
+    assert type(maps) is md.DihedralMap
 
 
 def test_a_jump_of_openmms_impropers_is_told():
@@ -366,6 +439,39 @@ def test_the_tail_of_geometric_mixing_is_that_of_openmm_up_to_its_mean_over_pair
     assert openmms == pytest.approx(n / (n + 1) * (tail + own), rel=1e-4)
 
 
+TABLES = {  # as OpenMM's reader of XML files writes it, and those of PSF, AMBER and GROMACS; the power of A
+    "acoef(type1, type2)/r^12 - bcoef(type1, type2)/r^6;": 1.0,
+    "(a/r6)^2-b/r6; r6=r^6; a=acoef(type1, type2); b=bcoef(type1, type2)": 0.5,
+}
+
+
+@pytest.mark.parametrize("energy", TABLES)
+def test_tables_of_wells_of_pairs_of_types_have_the_energies_and_forces_of_openmm(energy):
+    """Of eight types, 0 and 6 are alike, 7 is not there, 4 has no well, the pair of 1 and 3 has one of its own."""
+    depth, size = np.array([0.3, 0.5, 0.7, 0.9, 0.0, 1.3, 0.3, 2.0]), 0.2 + 0.02 * np.array([0, 1, 2, 3, 4, 5, 0, 9])
+    depth, size = np.sqrt(np.outer(depth, depth)), 0.5 * np.add.outer(size, size)
+    for pair in ((1, 3), (3, 1)):
+        depth[pair], size[pair] = 1.1, 0.29
+    made, topology, places = chains("CutoffPeriodic", wells=False)
+    wells = openmm.CustomNonbondedForce(energy)
+    wells.addPerParticleParameter("type")
+    for name, values in (("acoef", (4 * depth * size**12) ** TABLES[energy]), ("bcoef", 4 * depth * size**6)):
+        wells.addTabulatedFunction(name, openmm.Discrete2DFunction(8, 8, values.ravel()))
+    for k in range(N_CHAINS * N):
+        wells.addParticle([6 if k == 6 else k % 6])
+    pairs = nonbonded(made)
+    for k in range(pairs.getNumExceptions()):
+        wells.addExclusion(*pairs.getExceptionParameters(k)[:2])
+    wells.setNonbondedMethod(wells.CutoffPeriodic)
+    wells.setCutoffDistance(0.9)
+    made.addForce(wells)
+    system, potentials, _ = md.from_openmm(made, topology, places)
+    assert_same(md.evaluate(system, potentials), *reference(made, places)(), 1e-8)
+    [lj] = [potential for potential in potentials if isinstance(potential, md.LennardJones)]
+    assert (lj.mixing, sorted(lj.parameters)) == ("lorentz-berthelot", ["C1", "C2", "H1", "H2", "N", "O"])
+    assert lj.pairs[("N", "O")] == pytest.approx((1.1 * KJ, 2.9))
+
+
 BUTANE = """
 [ defaults ]
 1 3 yes 0.5 0.5
@@ -409,9 +515,7 @@ def test_a_file_of_gromacs_with_the_rules_of_opls_has_the_energies_and_forces_of
     made = top.createSystem(nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=1.0, useDispersionCorrection=False)
     one = [[0.1, 0.1, 0.2], [0.25, 0.11, 0.2], [0.31, 0.24, 0.2], [0.46, 0.25, 0.22], [0.5, 0.32, 0.29]]
     places = np.concatenate([np.add(one, [1.1 * (k % 2), 1.1 * (k // 2 % 2), 1.03 * (k // 4)]) for k in range(8)])
-    for force in made.getForces():
-        if isinstance(force, openmm.CustomNonbondedForce):
-            force.setUseLongRangeCorrection(False)
+    without_tail(made)
     potentials = assert_one_force_agrees(made, top.topology, places)
     kinds = {type(potential) for potential in potentials}
     assert {md.HarmonicImproper, md.LennardJones, md.BondPotential, md.RyckaertBellemans} <= kinds
@@ -486,9 +590,10 @@ def with_torsion(energy, *names, is_global=False):
     return with_terms(force, "Torsion", 0, 1, 2, 3, [1.0] * len(names))
 
 
-def with_map():
+def with_maps():
     force = openmm.CMAPTorsionForce()
-    force.addMap(2, [0.0] * 4)
+    force.addMap(3, [0.0] * 9)
+    force.addMap(4, [0.0] * 16)
     return with_terms(force, "Torsion", 0, *range(4), *range(1, 5))
 
 
@@ -531,7 +636,7 @@ REFUSED = [  # arguments, error, what must be named
     (lambda: with_force(openmm.MonteCarloBarostat(1.0, 300.0)), ValueError, "'MonteCarloBarostat'", "md.Simulation"),
     (lambda: with_force(openmm.AndersenThermostat(300.0, 1.0)), ValueError, "'AndersenThermostat'"),
     (lambda: with_terms(openmm.GBSAOBCForce(), "Particle", 0.0, 0.1, 0.8), ValueError, "'GBSAOBCForce'"),
-    (with_map, ValueError, "'CMAPTorsionForce'"),
+    (with_maps, ValueError, "CMAP of several sizes"),
     (lambda: with_terms(openmm.NonbondedForce(), "Particle", 0, 1, 0), ValueError, "second NonbondedForce"),
     (lambda: chains("LJPME"), ValueError, "LJPME"),
     (

@@ -1,4 +1,5 @@
-"""Laws on bonds, angles, dihedrals and impropers: groups of two, three or four atoms, given or those of the system."""
+"""Laws on bonds, angles, dihedrals and impropers: groups of two, three or four atoms, given or those of the system; and
+maps of two dihedrals."""
 
 from __future__ import annotations
 
@@ -8,10 +9,19 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from minimd.core.console.words import shown
 from minimd.core.potentials import declared as kind, laws
-from minimd.core.potentials.declared import NOT_NEGATIVE, POSITIVE, Declared, LammpsStyle, declared
+from minimd.core.potentials.declared import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    WHOLE,
+    Declared,
+    LammpsStyle,
+    declared,
+)
 from minimd.core.potentials.law import check_law_of_angles, check_user_law, checked_law, on_vectors
-from minimd.core.potentials.links import Bend, FixedPairs, LinkedTerm, Torsion
+from minimd.core.potentials.links import Bend, FixedPairs, LinkedTerm, Torsion, TwoTorsions
+from minimd.core.potentials.splines import periodic_cubics
 from minimd.core.potentials.term import NoTerm, Term, no_bonds
 from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.bond_graph import GROUPS, checked_groups, checked_pairs
@@ -257,3 +267,48 @@ class HarmonicImproper(Dihedral):
         kind.each, "rest angle, with its sign", "angle", kind.SIGNED_ANGLE, default=0.0
     )
     quadruples: ArrayLike | None = QUADRUPLES
+
+
+class DihedralMap(Declared):
+    """A map u(φ, ψ) of two dihedral angles of neighbors, as CMAP in CHARMM and in Amber's ff19SB.
+
+    Point [i, j] of n × n is u(2π i/n, 2π j/n). Between them u is the bicubic spline that is periodic in both angles, as
+    in OpenMM; its forces have no jump. LAMMPS' `fix cmap` is another interpolation.
+
+    A. D. MacKerell Jr., M. Feig, C. L. Brooks III, J. Comput. Chem. 25, 1400 (2004).
+    """
+
+    energies: ArrayLike = declared(kind.maps, "u of one map, or of each", "energy")
+    phi: ArrayLike = declared(kind.quadruples, "atoms of the first angles")
+    psi: ArrayLike = declared(kind.quadruples, "atoms of the second angles, as many")
+    which: ArrayLike = declared(
+        kind.each, "number of the map of each pair of angles, from 0 on", "", WHOLE, default=0
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given: Any = self
+        if len(given.phi) != len(given.psi):
+            raise ValueError(
+                "phi and psi must have as many quadruples as each other; they have "
+                f"{len(given.phi)} and {len(given.psi)}"
+            )
+        if given.which.max(initial=0) >= len(given.energies):
+            raise ValueError(
+                f"which must be less than the number of maps, {len(given.energies)}; "
+                f"which = {shown(given.which.tolist())}"
+            )
+
+    def bind(self, system: System) -> Term:
+        """The term of these angles in a system.
+        Raises ValueError if they name a missing atom, or which has another length."""
+        angles = [
+            checked_groups(name, getattr(self, name), 4, len(system)) for name in ("phi", "psi")
+        ]
+        columns = self.columns("pairs of angles", len(angles[0]))
+        if not len(angles[0]):
+            return NoTerm()
+        # (k, l, M, j, i), of powers and steps
+        coefficients = periodic_cubics(periodic_cubics(np.asarray(self.energies)).swapaxes(-1, -2))
+        law = laws.DihedralMapLaw(np.ascontiguousarray(coefficients.transpose(2, 4, 3, 0, 1)))
+        return LinkedTerm(np.hstack(angles), TwoTorsions(), law, columns)

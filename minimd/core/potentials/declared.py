@@ -225,6 +225,14 @@ def _of_atoms(shape: tuple) -> bool:
     return shape == (3,) or (len(shape) == 2 and shape[1] == 3)
 
 
+def _is_square(shape: tuple) -> bool:
+    return len(shape) in (2, 3) and 0 < shape[-1] == shape[-2]
+
+
+def _several(_name: str, array: Array) -> Array:
+    return array.reshape(-1, *array.shape[-2:])
+
+
 def _coefficients(name: str, values: Any, asked: Parameter) -> tuple[Array, ...]:
     is_list = isinstance(values, list | tuple) or (
         isinstance(values, np.ndarray) and values.ndim > 0
@@ -274,6 +282,7 @@ factors = shaped("three numbers", (3,).__eq__, lambda _, same: tuple(same.tolist
 coefficients = Kind(
     "up to six, each one number for all or one for each; missing ones are 0", _coefficients
 )
+maps = shaped("a square, n × n, or several of one size", _is_square, _several)
 own_law = Kind("a user's function, or a law type", lambda _name, law, _asked: checked_law(law))
 own_parameters = Kind("a tuple, each entry one number for all or one for each", _own_parameters)
 number = Kind("one number", _number)
@@ -293,4 +302,5 @@ given = Kind(  # its class checks it
 )
 choice = Kind("one of {of}", lambda name, value, asked: checked_choice(name, value, asked.of))
 atoms = Kind("indices of different atoms; all if not given", _atoms)
+quadruples = Kind("quadruples of atoms", lambda name, value, _: checked_groups(name, value, 4))
 groups = Kind("groups of {of} atoms; those of the system if not given", _groups)

@@ -2,6 +2,7 @@
 
     law(r2, …)         of a squared distance, > 0 [length²]: u [energy] and −u′(r)/r [energy/length²]
     law(phi, …)        of a dihedral angle [rad]: u [energy] and u′(φ) [energy/rad]
+    law(phi, psi, …)   of two of them: u [energy], ∂u/∂φ and ∂u/∂ψ [energy/rad]
     law(x, y, z, t, …) of fields: u [energy], the force on the atom [energy/length] and ∂u/∂t [energy/time]
 
 φ is zero where the first and the last atom lie on one side (cis), and π or −π where they lie on opposite sides (trans):
@@ -15,6 +16,7 @@ import numpy as np
 from minimd.core.compiled.kernels import scalar
 from minimd.core.compiled.simd import select
 from minimd.core.potentials.law import evaluate_law, law_type
+from minimd.core.potentials.splines import cubic
 
 
 @scalar
@@ -156,6 +158,40 @@ def harmonic_torsion(phi, k, angle):
 
 
 @scalar
+def _step_of(angle, n):
+    """The step in which an angle lies, of n in a turn, from 0 on, and the part of it that is behind it."""
+    x = angle * (n / (2.0 * pi))
+    start = np.floor(x)
+    step = int(start) if start == start else 0
+    return step % n, x - start
+
+
+@scalar
+def dihedral_map(phi, coefficients, parameters):
+    """A map of two dihedral angles.
+
+        u(φ, ψ) = Σ cₖₗ sᵏ tˡ, k, l = 0 … 3,   s, t : the parts of a step that are behind φ and ψ
+
+    coefficients : (M, n, n, 4, 4) c of M maps with n steps in a turn of each angle [energy].
+    parameters : (ψ [rad], number of the map).
+    A. D. MacKerell Jr., M. Feig, C. L. Brooks III, J. Comput. Chem. 25, 1400 (2004).
+    """
+    psi, m = parameters
+    n = coefficients.shape[1]
+    i, s = _step_of(phi, n)
+    j, t = _step_of(psi, n)
+    u = slope = other = 0.0
+    for k in range(3, -1, -1):
+        c = coefficients[int(m), i, j, k]
+        value, along = cubic(t, c[0], c[1], c[2], c[3])
+        slope = slope * s + u
+        u = u * s + value
+        other = other * s + along
+    per_step = n / (2.0 * pi)
+    return u, slope * per_step, other * per_step
+
+
+@scalar
 def constant(x, y, z, _t, fx, fy, fz):
     """Constant force: u = −F·r.
     x, y, z : position [length].
@@ -228,6 +264,7 @@ Scaled = law_type("Scaled", scaled)
 PeriodicLaw = law_type("PeriodicLaw", periodic)
 HarmonicTorsionLaw = law_type("HarmonicTorsionLaw", harmonic_torsion)
 RyckaertBellemansLaw = law_type("RyckaertBellemansLaw", ryckaert_bellemans)
+DihedralMapLaw = law_type("DihedralMapLaw", dihedral_map)
 ConstantLaw = law_type("ConstantLaw", constant)
 RestraintLaw = law_type("RestraintLaw", restraint)
 Planar = law_type("Planar", planar)

@@ -1,4 +1,5 @@
-"""The loop over terms of two to four atoms, such as bonds, angles and dihedrals: images, forces, energies, virial.
+"""The loop over terms of two to four atoms, such as bonds, angles and dihedrals, and of two dihedrals: images, forces,
+energies, virial.
 
 A term is a chain or a star of links. Link l of term t leads from atom first[l, t] to atom second[l, t]:
 
@@ -37,7 +38,7 @@ from minimd.core.compiled.program import (
     operation,
     share_of,
 )
-from minimd.core.compiled.simd import bits_from_mask, fma, lane, select
+from minimd.core.compiled.simd import bits_from_mask, fma, lane, select, with_lane
 from minimd.core.compiled.simd.vector import (
     count,
     gathered,
@@ -148,8 +149,8 @@ def _bend(links, block, _law, numbers):
 
 
 @scalar
-def _turn(links, block, law, numbers):
-    """A law of the dihedral angle, without a division by sin φ.
+def _dihedral(links, l, block):
+    """φ of links l to l + 2 [rad], and what _twist needs, without a division by sin φ.
 
         F = r_i − r_j,  G = r_j − r_k,  H = r_l − r_k,  A = F × G,  B = H × G
         cos φ = A·B/(|A||B|),   sin φ = (B × A)·G/(|A||B||G|)
@@ -158,9 +159,9 @@ def _turn(links, block, law, numbers):
 
     A. Blondel, M. Karplus, J. Comput. Chem. 17, 1132 (1996), eq. 6, 27.
     """
-    f, _ = arm(links, 0, block)
-    g, _ = arm(links, 1, block)
-    h, _ = arm(links, 2, block)
+    f, _ = arm(links, l, block)
+    g, _ = arm(links, l + 1, block)
+    h, _ = arm(links, l + 2, block)
     a = cross(f, g)
     b = cross(h, g)
     g2 = dot(g, g)
@@ -170,17 +171,52 @@ def _turn(links, block, law, numbers):
     b2 = max(dot(b, b), STRAIGHT2 * g2 * dot(h, h))
     length = g2**0.5
     phi = np.arctan2(dot(g, cross(b, a)) / length, dot(a, b))
-    u, slope = evaluate_law(law, phi, numbers)
+    return phi, (a, b, a2, b2, fg, hg, length)
+
+
+@scalar
+def _twist(links, l, block, slope, parts):
+    """Push the ends of links l to l + 2, with u′ = slope [energy/rad], see _dihedral."""
+    a, b, a2, b2, fg, hg, length = parts
     s = combined(-slope * fg / (a2 * length), a, slope * hg / (b2 * length), b)
-    is_out = push(links, 0, block, times(slope * length / a2, a))
-    is_out |= push(links, 1, block, s)
-    is_out |= push(links, 2, block, times(-slope * length / b2, b))
+    is_out = push(links, l, block, times(slope * length / a2, a))
+    is_out |= push(links, l + 1, block, s)
+    is_out |= push(links, l + 2, block, times(-slope * length / b2, b))
+    return is_out
+
+
+@scalar
+def _turn(links, block, law, numbers):
+    """A law of the dihedral angle."""
+    phi, parts = _dihedral(links, 0, block)
+    u, slope = evaluate_law(law, phi, numbers)
+    return u, _twist(links, 0, block, slope, parts)
+
+
+@scalar
+def _turn_both(links, block, law, numbers):
+    """A law of two dihedral angles and a number, for one term at a time. The last link joins them, without a force."""
+    phi, first = _dihedral(links, 0, block)
+    psi, second = _dihedral(links, 3, block)
+    u = slope = other = phi
+    for k in range(count(phi)):
+        v, f, g = evaluate_law(law, lane(phi, k), (lane(psi, k), lane(numbers[0], k)))
+        u = with_lane(u, k, v)
+        slope = with_lane(slope, k, f)
+        other = with_lane(other, k, g)
+    nothing = 0.0 * u
+    is_out = _twist(links, 0, block, slope, first)
+    is_out |= _twist(links, 3, block, other, second)
+    is_out |= push(links, 6, block, (nothing, nothing, nothing))
     return u, is_out
 
 
 Stretch = link_shape("Stretch", _stretch, (0, 1))
 Bend = link_shape("Bend", _bend, (1, 0), (1, 2))
 Torsion = link_shape("Torsion", _turn, (1, 0), (2, 1), (2, 3))
+TwoTorsions = link_shape(
+    "TwoTorsions", _turn_both, (1, 0), (2, 1), (2, 3), (5, 4), (6, 5), (6, 7), (1, 4)
+)
 
 
 @scalar

@@ -71,6 +71,25 @@ def _coefficients(f: Array, n_steps: int) -> Array:
     return np.vstack([np.column_stack(columns), beyond])
 
 
+def periodic_cubics(f: Array) -> Array:
+    """c₀ to c₃, (4, …, n), of the smooth spline through the points of a period along the last axis, f (…, n).
+
+    S(x) = c₀ + c₁ t + c₂ t² + c₃ t³,   t = x − k  for  k ≤ x ≤ k + 1
+    s₋₁ + 4 s + s₁ = 3 (f₁ − f₋₁) of its slopes,   s = Σ_d (zᵈ + zⁿ⁻ᵈ)/(√12 (1 − zⁿ)) 3 (f₁₋d − f₋₁₋d),   z = √3 − 2
+    """
+    n = f.shape[-1]
+    powers = np.cumprod([1.0, *[3.0**0.5 - 2.0] * n])
+    weights = (powers + powers[::-1]) / (12.0**0.5 * (1.0 - powers[n]))
+    right = np.roll(f, -1, -1)
+    bend = 3.0 * (right - np.roll(f, 1, -1))
+    slopes = np.zeros(f.shape)
+    for d in range(n):
+        slopes += weights[d] * np.roll(bend, d, -1)
+    last = np.roll(slopes, -1, -1)
+    rise = right - f
+    return np.stack([f, slopes, 3.0 * rise - 2.0 * slopes - last, slopes + last - 2.0 * rise])
+
+
 @scalar
 def step_at(x, row):
     """MAGIC + row + k, see simd.vector, and t.

@@ -338,10 +338,10 @@ def _check(
         strange.append("a second NonbondedForce")
     if strange:
         is_bath = strange[0].endswith("stat")  # a thermostat or barostat
-        advice = "give it to md.Simulation instead" if is_bath else "take another force field"
+        advice = "give it to md.Simulation" if is_bath else "take other forces, or OpenMM itself"
         raise ValueError(
             f"from_openmm takes {listed(filter(str.isalpha, KNOWN))}, and {listed(CUSTOM)} by the expressions of OPLS, "
-            f"CHARMM and GROMACS; it does not take {listed(strange)}: {advice}, or OpenMM itself"
+            f"CHARMM and GROMACS; it does not take {listed(strange)}: {advice}"
         )
 
 

@@ -167,6 +167,7 @@ def test_a_file_counts_the_same_pairs_and_says_so(tmp_path):
         np.testing.assert_allclose(found.g, observer.result().g, rtol=0.05, atol=0.02)
     told = str(check_file(file))
     assert "g(r)           first peak between molecules at " in told
+    found = radial_distribution(file)
     peak, _ = first_peak(found.r[1:], found.g[1:])
     nearest = min(found.peaks().items(), key=lambda row: abs(row[1][0] - peak))[0]
     assert f" at {peak:.3g} σ, of {nearest}, from " in told

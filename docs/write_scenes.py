@@ -150,7 +150,8 @@ MEANINGS = {
         "method": "integration method",
         "timestep": "time step",
         "steps": "number of steps of the run",
-        "temperature": "initial temperature, also that of a thermostat; if not given, the velocities are not changed",
+        "temperature": "initial temperature, also that of a thermostat; if not given, the velocities are not changed; "
+        "a run has one, and a ramp [several](temperature.md#annealing-ramps-and-the-next-day)",
         "relaxation_time": "relaxation time of a thermostat, required with one; 1/friction in Langevin dynamics",
         "seed": "seed of velocities and noise",
         "threads": "largest number of threads; if not given, the number of cores that the process may use",

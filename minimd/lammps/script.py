@@ -81,12 +81,11 @@ def check_method(engine: Engine) -> None:
 
 
 def write(folder: Path, engine: Engine, model: Model, n_steps: int, every: int) -> None:
-    """All files that a hand-over begins with."""
+    """The input of a run: atoms, forces, tables of embedded atoms, script."""
     write_atoms(folder / ATOMS, model, model.box, engine.velocities)
     write_whole(folder / FORCES, forces_script(model))
     if model.tables is not None:
         write_whole(folder / METALS, model.tables.as_text())
-    write_whole(folder / VERIFY, VERIFICATION)
     write_whole(folder / RUN, run_script(engine, model, n_steps, every))
 
 

@@ -13,6 +13,7 @@ from minimd.core.engine.observation import Look
 from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.checks import checked_count
 from minimd.core.structure.constraints import molecules_of
+from minimd.core.structure.units import S_PER_M
 from minimd.observers.accumulator import ObservedRun
 from minimd.observers.arguments import argument, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product
@@ -21,7 +22,6 @@ from minimd.observers.motion import MOST_ATOMS
 from minimd.observers.time_correlation import (
     HEAD,
     LEVELS,
-    PER_SI,
     POINTS,
     IntegralResult,
     Plateau,
@@ -136,7 +136,7 @@ class ConductivityResult(IntegralResult):
     of_each: Plateau
     title = "conductivity"
     symbol = "σ"
-    in_si = (PER_SI, "S/m")
+    in_si = (1.0 / S_PER_M, "S/m")
     coefficients = (
         "conductivity",
         "conductivity_error",

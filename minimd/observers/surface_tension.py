@@ -10,12 +10,11 @@ from minimd.core.engine.observation import Look, check_has_volume
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_count
 from minimd.core.structure.statistics import with_error
-from minimd.core.structure.units import BAR
+from minimd.core.structure.units import MN_PER_M
 from minimd.observers.accumulator import ObservedRun
 from minimd.observers.arguments import AXES, argument, axis_name, label, steps
 from minimd.observers.means import Means, MeansResult, Quantity
 
-MN_PER_M = 0.01 / BAR  # per eV/Å²: a bar times an Å is 0.01 mN/m
 UPRIGHT = 1e-6  # largest cosine of the angle between the axis and the other lattice vectors
 TAILS = "the part of the interactions beyond their cutoffs is left out"
 
@@ -29,7 +28,7 @@ class SurfaceTensionResult(MeansResult):
         """See Displayed."""
         rows = super().display_rows()
         if self.units.name == "ASE":
-            shown = with_error(MN_PER_M * self.tension, MN_PER_M * self.tension_error)
+            shown = with_error(self.tension / MN_PER_M, self.tension_error / MN_PER_M)
             rows.insert(1, ("", f"γ = {shown} mN/m"))
         return [*rows, ("", TAILS)]
 

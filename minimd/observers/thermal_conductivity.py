@@ -12,13 +12,13 @@ from minimd.core.engine.observation import Look, check_has_volume
 from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.system import System
+from minimd.core.structure.units import W_PER_M_K
 from minimd.observers.accumulator import ObservedRun
 from minimd.observers.arguments import argument, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product
 from minimd.observers.time_correlation import (
     HEAD,
     LEVELS,
-    PER_SI,
     POINTS,
     IntegralResult,
     TimeCorrelation,
@@ -145,7 +145,7 @@ class ThermalConductivityResult(IntegralResult):
     n_kinds: int
     title = "heat flux"
     symbol = "λ"
-    in_si = (PER_SI, "W/(m K)")
+    in_si = (1.0 / W_PER_M_K, "W/(m K)")
     coefficients = ("thermal_conductivity", "thermal_conductivity_error")
 
     @property

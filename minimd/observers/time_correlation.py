@@ -16,7 +16,7 @@ from minimd.core.console.display import Rows
 from minimd.core.engine.observation import Look
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.statistics import spread, with_error
-from minimd.core.structure.units import BAR, PICOSECOND, UnitSystem
+from minimd.core.structure.units import UnitSystem
 from minimd.observers.accumulator import Accumulator, BlockedSums, Result, Series
 from minimd.observers.correlator import MultipleTau
 from minimd.observers.diffusion import LONGEST
@@ -24,8 +24,6 @@ from minimd.observers.diffusion import LONGEST
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# S/m per e²/(eV Å) of ASE's unit of time, and W/(m K) per eV/(Å K) of it
-PER_SI = 1e-3 * PICOSECOND / BAR
 ENOUGH = 100.0  # times the start of the plateau: a shorter run knows its error bar badly
 # entries on each level of a correlator that averages: over at most a sixteenth of a lag
 POINTS = 32

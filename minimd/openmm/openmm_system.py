@@ -355,9 +355,11 @@ def _check(
     if names.count("NonbondedForce") > 1:
         strange.append("a second NonbondedForce")
     if strange:
+        is_bath = strange[0].endswith("stat")  # a thermostat or barostat
+        advice = "give it to md.Simulation" if is_bath else "take other forces, or OpenMM itself"
         raise ValueError(
-            f"from_openmm takes {listed(filter(str.isalpha, KNOWN))}; it does not take {listed(strange)}: baths and "
-            "barostats are given to md.Simulation; other forces need OpenMM itself, or another force field"
+            f"from_openmm takes {listed(filter(str.isalpha, KNOWN))}, and {listed(CUSTOM)} by the expressions of OPLS, "
+            f"CHARMM and GROMACS; it does not take {listed(strange)}: {advice}"
         )
 
 

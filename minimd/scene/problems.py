@@ -31,6 +31,11 @@ THREE = {  # lists of the wrong length: what to write
     "structure.pbc": ": give one for all directions, or three, as of a slab: [true, true, false]",
 }
 
+RAMP = (
+    ": a scene has one temperature; for a ramp go on from its run with minimd resume run.h5md --scene cooler.toml, "
+    "or write it in Python"
+)
+
 
 def problems(reading: Reading, error: ValidationError) -> list[str]:
     """Sentences about the errors that pydantic found in a document, in the same order, one for each place."""
@@ -103,6 +108,8 @@ def _problem(details: Any, reading: Reading) -> tuple[str, str]:
     is_of_entry = place.endswith("]") or (isinstance(value, list) and len(value) == 3)
     if not is_of_entry:
         sentence += THREE.get(".".join(map(str, loc[:2])), "")
+    if isinstance(value, list) and "temperature" in loc:
+        sentence += RAMP
     return place, sentence
 
 

@@ -373,14 +373,14 @@ def hand_over_scene(
     progress: bool | None = None,
     tell: Tell = print,
 ) -> "HandOver":
-    """Build a scene, minimize and equilibrate it, and let LAMMPS run it.
+    """Build a scene, minimize and equilibrate it, and let LAMMPS run it. Without LAMMPS, only its input is written.
 
     folder : for all files.
     steps : in place of those of the scene.
         Other arguments and errors are those of minimd.lammps.hand_over.
-    Raises ValueError, OSError also for a scene that cannot be built.
+    Raises ValueError, OSError also for a scene that cannot be built, FileNotFoundError after input without LAMMPS.
     """
-    from minimd.lammps import check_hand_over, hand_over  # a run by minimd needs none of it
+    from minimd import lammps  # a run by minimd needs none of it
 
     output = scene.sections.output
     n_steps = scene.sections.dynamics.steps if steps is None else steps
@@ -393,7 +393,13 @@ def hand_over_scene(
         "overwrite": overwrite,
     }
     # before the minimization begins
-    check_hand_over(simulation, folder, n_steps, **options)
+    lammps.check_hand_over(simulation, folder, n_steps, **options)
+    missing = ""
+    try:
+        lammps.find_program(processes)
+    except FileNotFoundError as error:
+        missing = f"{error}; the input is in {str(folder)!r}, not compared with minimd: run lmp -in run.lmp there"
+        tell("NOTE           LAMMPS was not found: its input is written, and nothing is run")
     if scene.sections.observer:
         tell(
             "NOTE           the observers of the scene are not used: they work in runs of minimd only, and LAMMPS "
@@ -402,8 +408,11 @@ def hand_over_scene(
 
     minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell)
+    if missing:
+        lammps.write_input(simulation, folder, n_steps, every=output.every, overwrite=overwrite)
+        raise FileNotFoundError(missing)
     options |= {"store_forces": output.forces, "progress": progress, "tell": tell}
-    result = hand_over(simulation, folder, n_steps, **options)
+    result = lammps.hand_over(simulation, folder, n_steps, **options)
     is_free = simulation.conserves_momentum
     angular = is_free and not simulation.system.cell.is_periodic
     n_dof = simulation.n_dof

@@ -24,6 +24,7 @@ from minimd.core.structure.units import (
     BOLTZMANN_EV_PER_K,
     DEGREE,
     FEMTOSECOND,
+    GPA,
     GRAM_PER_CM3,
     PICOSECOND,
 )
@@ -37,8 +38,8 @@ KEY_UNITS["ASE"] = {
     "energy": {"_K": BOLTZMANN_EV_PER_K, "_eV": 1.0},
     "force": {"_eV_A": 1.0},
     "density": {"_g_cm3": GRAM_PER_CM3},
-    "pressure": {"_bar": BAR, "_GPa": 1e4 * BAR},
-    "compressibility": {"_per_bar": 1.0 / BAR, "_per_GPa": 1e-4 / BAR},
+    "pressure": {"_bar": BAR, "_GPa": GPA},
+    "compressibility": {"_per_bar": 1.0 / BAR, "_per_GPa": 1.0 / GPA},
     "stiffness": {"_eV_A2": 1.0},
     "angle": {"_degree": DEGREE},
     "angular stiffness": {"_eV_rad2": 1.0},

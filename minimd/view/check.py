@@ -258,8 +258,8 @@ def _compared(
 
 
 def liquid(run: str | Path | RunUniverse) -> list[str]:
-    """Lines about a liquid that is periodic in all directions: the first peak of g(r); D, or why it is not known, if
-    there are enough frames.
+    """Lines about a liquid that is periodic in all directions: the first peak of g(r), and the pair of species whose
+    peak is nearest to it; D of atoms, or why it is not known, if there are enough frames.
 
     run : a file, or its universe.
     Raises as universe.
@@ -270,16 +270,18 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
             return []
         found = radial_distribution(universe)
         peak, _ = first_peak(found.r[1:], found.g[1:])
-        of_molecules = " between molecules" * found.is_between
+        between = " between molecules" * found.is_between
+        pairs = {abs(r - peak): pair for pair, (r, _, _) in found.peaks().items()}
+        of_pair = f", of {pairs[min(pairs)]}" if len(pairs) > 1 else ""
         frames = f"{found.n_frames} of {universe.n_recent} frames"
         lines = [
-            f"g(r)           first peak{of_molecules} at {peak:.3g} {system.units.length}, from {frames}"
+            f"g(r)           first peak{between} at {peak:.3g} {system.units.length}{of_pair}, from {frames}"
         ]
         if universe.n_recent > 1:
             diffusion = diffusion_coefficient(universe)
             if diffusion.result.diffusivity.state != SHORT:
                 has_friction = universe.contents.method == LangevinBAOAB.name
                 slowed = ", slowed by the friction of Langevin dynamics" if has_friction else ""
-                lines.append(f"diffusion      {diffusion}{slowed}")
+                lines.append(f"diffusion      {diffusion}{', of atoms' * found.is_between}{slowed}")
 
     return lines

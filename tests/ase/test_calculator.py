@@ -57,6 +57,11 @@ def test_units_are_those_of_ase():
     assert our.ps == pytest.approx(1000.0 * a.fs, rel=1e-15) == 1.0 / our.ASE.to_picosecond
     assert a.mol / a.kJ == our.KJ_PER_MOL_PER_EV == our.ASE.to_kj_per_mol
     assert 1e-3 * a.kg / (1e-2 * a.m) ** 3 == pytest.approx(our.GRAM_PER_CM3, rel=1e-15)
+    second, volt = a.second, a.J / a.C
+    of_si = (a.GPa, 1e-3 * a.J / a.m**2, a.C / (second * volt * a.m), a.J / (second * a.m))
+    of_si += (1e-3 * a.Pascal * second, (1e-2 * a.m) ** 2 / second)
+    ours_in_si = (our.GPA, our.MN_PER_M, our.S_PER_M, our.W_PER_M_K, our.MPA_S, our.CM2_PER_S)
+    assert of_si == pytest.approx(ours_in_si, rel=1e-13)
 
 
 @pytest.mark.parametrize("species", [["A", "Ar", "A"], [7, 8, 7]])

@@ -249,7 +249,7 @@ def test_doctor_finds_this_machine_in_order(told):
 
 
 def test_doctor_calls_nothing_in_order_that_is_not_there(monkeypatch):
-    def none():
+    def none(processes):
         raise FileNotFoundError("LAMMPS")
 
     monkeypatch.setattr("minimd.lammps.handing_over.find_program", none)

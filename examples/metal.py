@@ -48,7 +48,7 @@ for temperature in temperatures:
     simulation.run(n_equilibration, every=n_equilibration, progress=False)
     distances.clear()
     record = simulation.run(n_steps, every=every, observers=[look], progress=False)
-    energies.append(record.potential_energy[-len(distances) :].mean() / len(cluster))
+    energies.append(record.potential_energy.mean() / len(cluster))
     deltas.append((np.std(distances, axis=0) / np.mean(distances, axis=0)).mean())
     print(f"Cu  {temperature:4.0f} K: {energies[-1]:.4f} eV per atom, Lindemann's index {deltas[-1]:.3f}")
 first = np.argmax(np.array(deltas) > 0.1)

@@ -11,11 +11,11 @@ from typing import Any
 from minimd.core.console import __version__ as __version__
 from minimd.core.console.annexes import provide
 from minimd.core.console.lazy import LazyNames, submodule
-from minimd.core.console.words import near
 from minimd.moved import follow_moved_modules
 
 # in which people look for a name that is not here
 ROOMS = "integrators", "observers", "lattice", "units"
+ELSEWHERE = "; docs/where-is.md has words of other programs, docs/limits.md what is not here"
 HIDDEN = {"ensemble", "grade", "replay", "view", "water"}  # modules behind functions of these names
 
 _names = LazyNames(__name__)
@@ -53,13 +53,14 @@ def __getattr__(name: str) -> Any:
 
 def _hint(name: str) -> str:
     """Where a name is that is not here, what is in its place, or a public name that is nearly the same."""
+    from minimd.core.console.words import near
     from minimd.foreign_words import answer_to
 
     for room in ROOMS:
         module = _names.load(room)
         if name in getattr(module, "__all__", dir(module)):
-            return f"; it is minimd.{room}.{name}{answer_to(name)}"
-    return answer_to(name) or near(name, __all__)
+            return f"; it is minimd.{room}.{name}{answer_to(name, str)}"
+    return answer_to(name) or near(name, __all__) or ELSEWHERE
 
 
 def __dir__() -> list[str]:

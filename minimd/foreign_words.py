@@ -3,6 +3,8 @@
 docs/where-is.md has the same words and answers, and a test compares them.
 """
 
+from collections.abc import Callable
+
 # words; the answer, and its page in docs/
 WORDS = """
 NVT NoseHoover NoseHooverChain NoseHooverChainNVT Bussi CSVR VRescale Thermostat tcoupl
@@ -23,6 +25,8 @@ Minimizer FIRE BFGS LBFGS ConjugateGradient SteepestDescent Relax Optimizer mini
     sim.minimize(), or md.minimize | blow-up
 KobAndersen Kob BinaryMixture Mixture
     md.LennardJones of species, with mixing= or pairs= | bonds
+Neon Argon Krypton Xenon NobleGas NobleGases LJParameters
+    md.LennardJones(epsilon, sigma, cutoff); the page has ε and σ of Ne, Ar, Kr and Xe | forces
 LJ LennardJonesCut WCA SoftSphere
     md.LennardJones; WCA has cutoff=2 ** (1 / 6) | forces
 Mie Buckingham Yukawa SoftCore Gaussian BornMayer Custom CustomNonbondedForce PairLaw
@@ -36,16 +40,18 @@ Ewald PME PPPM Electrostatics ReactionField Wolf Charges
 Madelung MadelungConstant LatticeEnergy
     md.evaluate(ions, md.Coulomb(cutoff, accuracy)).potential_energy | charges
 PerAtomVirial AtomicStress Virial Virials
-    md.evaluate(system, potentials).virials | pressure
+    md.evaluate(sim.system, sim.potentials).virial, or .virials of atoms; the pressure is sim.pressure | pressure
 EAM Metal SuttonChen Gupta FinnisSinclair
     md.EmbeddedAtom; of a file for LAMMPS: md.EmbeddedAtom.from_file(file) | metals
-Nanocluster Nanoparticle Lindemann LindemannIndex Melting MeltingPoint
+Nanocluster Nanoparticle Lindemann LindemannIndex
     an open cell and md.EmbeddedAtom; Lindemann's index is one line of numpy, in examples/metal.py | metals
+Melting MeltingPoint Freezing Superheating Coexistence TwoPhase
+    density and U against T, md.observers.BondOrder("q6"); one phase alone melts too late | temperature
 RESPA MTS MultipleTimestep RK4 RungeKutta4 run_style
     one time step for all forces; Runge-Kutta methods are in md.integrators, for small systems | small-systems
 Tersoff StillingerWeber MEAM SNAP MACE MLPotential sw
     not here: pass a calculator of ASE as the potential | limits
-Umbrella UmbrellaSampling Bias Colvar Plumed Metadynamics WHAM MBAR Histogram
+Umbrella UmbrellaSampling Bias Colvar Plumed Metadynamics WHAM MBAR Histogram PMF PotentialOfMeanForce
     md.Restraint, or md.HarmonicBond on a distance | recipes
 SMD Pull Pulling Jarzynski SteeredMD
     md.SteeredSpring, and record.work | forces
@@ -73,8 +79,12 @@ RDF GofR PairCorrelation
     md.observers.RadialDistribution | observers
 MSD Diffusion
     md.observers.MeanSquareDisplacement | observers
+Spectrum PowerSpectrum VibrationalSpectrum VDOS DensityOfStates NormalModes Phonons Hessian DynamicalMatrix FFT
+    velocities that a function keeps, and numpy's FFT; VelocityAutocorrelation has uneven lags | recipes
 VACF VelocityAutoCorrelation
     md.observers.VelocityAutocorrelation | observers
+Shear ShearFlow Couette Poiseuille Flow FlowProfile LeesEdwards SLLOD NEMD SineForce
+    a force A cos kz of a Term, or layers that md.SteeredSpring moves; md.observers.Profile has the flow | recipes
 GreenKubo ShearViscosity EinsteinHelfand
     md.observers.Viscosity | observers
 Conductivity ElectricalConductivity IonicConductivity NernstEinstein
@@ -161,15 +171,15 @@ MDLogger attach nstxout
     sim.run(n, every=..., trajectory="run.h5md", observers=[function]) | own-parts
 velocity gen_vel gen_temp gen_seed setVelocitiesToTemperature CMMotionRemover
     sim.set_temperature(T, seed); sim.velocities -= sim.drift | temperature
-AveTime TimeAverage RunningAverage Average
+AveTime TimeAverage RunningAverage Average BlockAverage Autocorrelation Error ErrorBar StatisticalInefficiency
     record = sim.run(n, every=10), then md.mean_and_error(record.pressure) | notebook
 thermo thermo_style getState get_potential_energy get_stress
     record = sim.run(n, every=100); now sim.potential_energy, sim.stress; without a run md.evaluate | notebook
 EnergyTerms EnergyComponents evdwl ecoul ebond
     each potential alone: md.evaluate(sim.system, potential).potential_energy | recipes
-Heat EHEX NEMD TwoBaths ThermostatGroup tc_grps
+Heat EHEX TwoBaths ThermostatGroup tc_grps
     a bath for a part of the atoms is a class of twenty lines | own-parts
-pair_style pair_modify special_bonds bond_style angle_style rvdw DispCorr
+pair_style pair_modify special_bonds bond_style angle_style rvdw DispCorr TailCorrection LongRangeCorrection
     a potential for each: md.LennardJones(..., cutoff, tail_correction=True), md.HarmonicBond, ... | forces
 create_atoms
     md.lattice.crystal | bonds
@@ -183,6 +193,8 @@ set_initial_charges
     md.System(..., charges=q) | water
 FixCom
     taken over from atoms of ASE; else sim.velocities -= sim.drift | ase
+RMSD RMSF
+    MDAnalysis.analysis.rms, on minimd.mdanalysis.universe(file) | formats
 rerun
     observers of a file: minimd.mdanalysis | formats
 GBSAOBCForce AmoebaMultipoleForce CustomGBForce
@@ -207,9 +219,10 @@ def plain(word: str) -> str:
     return word.lower().replace("_", "")
 
 
-def answer_to(name: str) -> str:
-    """What to use in place of a name, with the page that tells it; empty if the word is not known."""
+def answer_to(name: str, spelling: Callable[[str], str] = plain) -> str:
+    """What to use in place of a name, with the page that tells it; empty if the word is not known.
+    spelling : of words that count as the same; str for the word as it is written."""
     for words, answer, page in entries():
-        if plain(name) in map(plain, words):
+        if spelling(name) in map(spelling, words):
             return f"; here: {answer} (docs/{page}.md)"
     return ""

@@ -303,7 +303,7 @@ class Result(Displayed):
                 )
         if len(curves) > 1:
             columns = 1 + len(curves) // FEW_CURVES
-            panel.legend(frameon=False, fontsize=8, ncols=columns, loc="upper right")
+            panel.legend(frameon=False, fontsize=8, ncols=columns, loc="best")
         panel.set(xlabel=f"{symbol}  [{unit}]", ylabel=label, title=self.title)
 
     def plot(self) -> Figure:

@@ -1,4 +1,4 @@
-"""Profiles of density and temperature along an axis of the cell."""
+"""Profiles of density, temperature and flow along an axis of the cell."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EXTENT_WORDS = "lower and upper end, needed if the axis is open; atoms outside a
 CENTER_WORDS = (
     "whether z is the distance from the center of mass, of a film that moves along a periodic axis"
 )
-# places in the sums, before the densities of each species, and Σ g and Σ m v² of the atoms in each bin
+# places in the sums, before the densities of each species, and Σ g, Σ m v², Σ m and Σ m v of the atoms in each bin
 FRAMES, EXTENT, HEAD = range(3)
 
 
@@ -105,14 +105,14 @@ class Layers(Accumulator):
 
 
 class Profile(Layers):
-    """Number density of each species, and temperature, in layers across one axis of the cell.
+    """Number density of each species, temperature and flow in layers across one axis of the cell.
 
-        ρ(z) = ⟨n(z) / ΔV⟩,   T(z) = ⟨Σ m v²⟩ / (k_B ⟨Σ g⟩)
+        ρ(z) = ⟨n(z) / ΔV⟩,   u(z) = ⟨Σ m v⟩ / ⟨Σ m⟩,   T(z) = (⟨Σ m v²⟩ − ⟨Σ m⟩ u²) / (k_B ⟨Σ g⟩)
 
     g are the degrees of freedom of each atom: 0 if it is fixed, less than 3 with constraints (ConstraintSet.shares).
     z is the distance along the normal of the two other lattice vectors. If the cell changes, layers of a periodic axis
-    move with it, and z is given in the mean cell. The velocities of a flow count as thermal, but not those of the whole
-    if n_dof leaves them out.
+    move with it, and z is given in the mean cell. A steady flow u is no heat. The velocity of the whole is left out
+    if n_dof leaves it out.
 
     With center=True z runs from −L/2 to L/2, with 0 at the center of mass along the periodic axis, of length L:
 
@@ -125,10 +125,10 @@ class Profile(Layers):
     """
 
     kind = "profile"
-    convention = 2  # degrees of freedom of each layer
+    convention = 3  # degrees of freedom, mass and momentum of each layer
 
     def _laid_out(self, scene: ObservedRun) -> None:
-        self.sums = BlockedSums(HEAD + (len(scene.numbers) + 2) * self.n_bins)
+        self.sums = BlockedSums(HEAD + (len(scene.numbers) + 6) * self.n_bins)
 
     def _look(self, engine: Engine) -> None:
         system = engine.system
@@ -141,15 +141,16 @@ class Profile(Layers):
         layers = layers[inside].astype(np.int64)
         places = system.species_index[inside] * n_bins + layers
         velocities = system.velocities - engine.drift
-        squares = system.masses * np.einsum("ij,ij->i", velocities, velocities)
+        momenta = system.masses[:, None] * velocities
+        squares = np.einsum("ij,ij->i", momenta, velocities)
         shares = engine.constraint_set.shares(system.positions, engine.conserves_momentum)
+        added = shares, squares, system.masses, *momenta.T
         numbers = np.bincount(places, minlength=len(system.species_names) * n_bins)
         self.sums.total += np.concatenate(
             [
                 [1.0, stack.height],
                 numbers / (stack.area * stack.height / n_bins),
-                np.bincount(layers, shares[inside], n_bins),
-                np.bincount(layers, squares[inside], n_bins),
+                *(np.bincount(layers, of_atoms[inside], n_bins) for of_atoms in added),
             ]
         )
 
@@ -160,12 +161,15 @@ class Profile(Layers):
         n = self.n_bins
 
         def law(sums: Array) -> Array:
-            *densities, shares, squares = sums[HEAD:].reshape(-1, n)
-            heat = temperature(0.5 * squares, shares, scene.unit_system.k_B)
-            return np.array([*(density / sums[FRAMES] for density in densities), heat])
+            layers = sums[HEAD:].reshape(-1, n)
+            shares, squares, masses = layers[-6:-3]
+            flow = layers[-3:] / masses
+            thermal = 0.5 * (squares - masses * (flow**2).sum(axis=0))
+            heat = temperature(thermal, shares, scene.unit_system.k_B)
+            return np.array([*flow, heat, *(layers[:-6] / sums[FRAMES])])
 
         values, errors = self.sums.estimate(law)
-        profiles = (values[:-1], errors[:-1], values[-1], errors[-1])
+        profiles = (values[4:], errors[4:], values[3], errors[3], values[:3], errors[:3])
         return ProfileResult(scene, self.axis, self._middles(), *profiles, self.n_looks)
 
 
@@ -177,6 +181,7 @@ class ProfileResult(Result):
     z : (B,) middles of the layers [length].
     densities, density_errors : (S, B) of each species [1/length³].
     temperature, temperature_error : (B,); NaN in layers where no atom moves.
+    flow, flow_errors : (3, B) u along x, y and z [length/time]; NaN in empty layers.
     n_frames : number of looks.
     """
 
@@ -186,6 +191,8 @@ class ProfileResult(Result):
     density_errors: Array
     temperature: Array
     temperature_error: Array
+    flow: Array
+    flow_errors: Array
     n_frames: int
     title = "profile"
 
@@ -210,6 +217,8 @@ class ProfileResult(Result):
         densities = zip(self.scene.species, self.densities, self.density_errors, strict=True)
         for species, *density in densities:
             series.append(Series(f"density_{species}", f"1/{units.length}³", *density))
+        for axis, *flow in zip("xyz", self.flow, self.flow_errors, strict=True):
+            series.append(Series(f"flow_{axis}", f"{units.length}/{units.time}", *flow))
         return series
 
     def display_rows(self) -> Rows:

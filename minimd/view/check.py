@@ -141,7 +141,7 @@ def checked(run: RunUniverse, damaged: str = "") -> FileCheck:
     )
     if "temperature" in contents.parameters:  # of a thermostat
         changed = "method, bath or state were changed during the run" if run.n_earlier else ""
-        bath = (contents.parameters["temperature"], 0.0)
+        bath = (contents.parameters["temperature"], np.nan)
         report = replace(report, bath=bath, changed=changed)
     plural = "s" * (contents.n_frames > 1)
     heading = (

@@ -36,7 +36,8 @@ def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
     if it is conserved, else the pressure, or U per atom without one; volume and pressure if the volume changes; and
     g(r) if the cell is periodic in all directions, else the mean-square displacement, both since method, bath or state
     were changed last. The energy has the line of its drift if it should be constant.
-    A further panel is drawn for each observer of the run, and none for structure if an observer has measured it.
+    A further panel is drawn for each observer of the run, and none for structure if an observer has measured it, or if
+    they were changed until the last frame, as in a ramp of the temperature, or the only one has no g(r).
     out : the picture, in the format of its suffix; the name of the file with .png if not given.
 
     Raises FileNotFoundError, OSError, ValueError as universe, or if the picture cannot be written.
@@ -55,7 +56,8 @@ def drawn(run: RunUniverse) -> Figure:
     answers = [observer.result() for observer in contents.observers.values() if observer.n_looks]
     results = [answer.draw for answer in answers]
     structure = RadialDistributionResult if _is_bulk(run) else DisplacementResult
-    if not any(isinstance(answer, structure) for answer in answers):
+    is_measured = any(isinstance(answer, structure) for answer in answers)
+    if not is_measured and (run.n_recent > 1 or (_is_bulk(run) and not run.n_earlier)):
         results.insert(0, partial(_draw_structure, run=run))
     figure, panels = empty_panels(n + len(results))
     draw_quantities(panels, record, quantities)
@@ -99,27 +101,17 @@ def _is_bulk(run: RunUniverse) -> bool:
 
 
 def _draw_structure(panel: Axes, run: RunUniverse) -> None:
-    """g(r) if possible, else the mean-square displacement, else a note that there is none."""
+    """g(r) if possible, else the mean-square displacement."""
     units = run.system.units
     frames = f", from step {run.contents.record.step[run.n_earlier]} on" * bool(run.n_earlier)
     if _is_bulk(run):
         pairs = radial_distribution(run)
         pairs.draw(panel)
         panel.set_title(f"{pairs.title}{frames}")
-    elif run.n_recent > 1:
+    else:
         panel.plot(*mean_square_displacement(run), color=STRUCTURE, **STYLE)
         panel.set(
             xlabel=f"lag  [{units.shown_time}]",
             ylabel=f"⟨|r(t) − r(0)|²⟩  [{units.length}²]",
             title=f"mean-square displacement{frames}",
-        )
-    else:
-        panel.text(
-            0.5,
-            0.5,
-            f"one frame only{frames}, no displacement",
-            ha="center",
-            va="center",
-            transform=panel.transAxes,
-            color="0.4",
         )

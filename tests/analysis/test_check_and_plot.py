@@ -199,7 +199,7 @@ def test_a_file_of_several_temperatures_is_drawn_and_its_motion_measured_since_t
     sim.method = md.LangevinBAOAB(0.004, 0.9, 1.0, seed=1)
     sim.run(0, every=10, trajectory=file, append=True)
     with universe_of(file) as run:
-        assert "no displacement" in drawn(run).axes[3].texts[0].get_text()
+        assert len(drawn(run).axes) == 3  # nothing has moved since
         assert_answered(lambda: mean_square_displacement(run), ValueError, "2 frames", "holds 1", "changed")
 
 

@@ -76,6 +76,45 @@ def ramp(tmp_path):
     return sim
 
 
+class Wind(md.Term):
+    """A force without a potential, which does work."""
+
+    acts_from_outside = True
+    is_checked = False
+
+    def bind(self, system):
+        return self
+
+    def add(self, system, detail, forces, energies, virials):
+        forces += 0.3 * system.velocities
+
+
+def test_the_work_of_a_force_without_a_potential_is_no_drift():
+    sim = md.Simulation(liquid(3), [LJ, Wind()], VERLET)
+    sim.set_temperature(0.5, seed=1)
+    sim.run(500, every=10)
+    report = sim.report()
+    assert report.energy_drift.is_significant
+    assert report.energy_is_conserved is None
+    assert "the work of Wind is not counted" in report.verdict
+    assert "reduce the time step" not in str(report)
+
+
+def test_a_mean_temperature_that_is_not_that_of_the_bath_is_told():
+    report = simulation_at(0.5).report()
+    far = replace(report, mean_temperature=0.6, temperature_error=0.02)
+    near = replace(far, temperature_error=0.05)
+    assert "5 STANDARD ERRORS" in str(far)
+    assert "STANDARD ERRORS" not in str(near) + str(replace(far, bath=(0.5, np.nan)))
+
+
+def simulation_at(temperature):
+    sim = simulation()
+    sim.method = md.LangevinBAOAB(0.002, temperature, friction=1.0, seed=1)
+    sim.run(100, every=10)
+    return sim
+
+
 def test_a_file_with_one_frame_since_its_bath_was_changed_is_checked(tmp_path):
     ramp(tmp_path)
     check = check_file(tmp_path / "ramp.h5md")
@@ -92,6 +131,10 @@ def test_a_change_of_the_bath_is_no_fault_of_the_run(tmp_path):
     assert drifting.energy_is_conserved is False
     assert "temperature of the bath changed" in drifting.verdict
     assert "equilibrate" not in drifting.verdict
+    assert "K on average" not in str(told[0])
+    assert "in the first fifth of the run" in str(told[0])
+    steady = replace(drifting, energy_drift=DriftRate(3.9, 1.0, 10.0), energy_range=0.1 * drifting.kinetic_energy)
+    assert (steady.energy_drift.is_significant, steady.energy_is_conserved) == (False, None)
     slight = replace(drifting, energy_range=1e-3 * drifting.kinetic_energy)
     assert slight.energy_is_conserved is None
     assert slight.is_quiet

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import minimd as md
+from minimd.core.console.words import near
 from minimd.foreign_words import WORDS, answer_to, entries, plain
 
 REPOSITORY = Path(__file__).parents[2]
@@ -41,6 +42,20 @@ def test_a_word_of_the_field_is_answered_in_python(word):
         getattr(md, word)
     assert f"no attribute '{word}'; " in str(caught.value)
     assert answer in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [("LenardJones", "LennardJones"), ("lennardjones", "LennardJones"), ("Coulombs", "Coulomb"), ("Wal", "Wall"),
+     ("Restraints", "Restraint"), ("Hessain", ""), ("NormalMode", ""), ("LeesEdward", ""), ("RMSD", ""), ("", "")],
+)  # fmt: skip
+def test_a_name_that_differs_in_more_than_two_letters_is_not_suggested(name, meant):
+    assert near(name, md.__all__) == (f"; did you mean {meant!r}?" if meant else "")
+
+
+def test_a_class_is_not_answered_as_a_function_of_the_same_letters():
+    with pytest.raises(AttributeError, match=r"it is minimd.observers.RadialDistribution$"):
+        _ = md.RadialDistribution
 
 
 def test_each_word_has_one_answer_and_its_page_is_there():

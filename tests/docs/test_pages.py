@@ -170,6 +170,9 @@ KNOWN = {  # what a recipe prints first, and how far it may be off
     "Thermal conductivity 0": (6.9, 1.5),  # of the liquid near its triple point, by a short run
     "Umbrella sampling 0": (0.0, 0.2),  # largest difference from the exact free energy, in k_B T
     "Umbrella sampling 1": (1.5, 0.15),  # the length of the spring
+    "Vibrational spectrum 0": (0.0, 0.05),  # largest difference from a mode
+    "Shear flow, and the viscosity 0": (2.5, 0.6),  # η, by a short run
+    "Shear flow, and the viscosity 1": (-0.5, 0.05),  # of the layer in the lower wall
     "Do two averages agree? 0": (0.0, 4.0),  # z, in standard errors, of two means that are equal
     "Elastic constants and the bulk modulus 0": (67.7, 0.1),  # −V ΔP/ΔV of the same crystal
     "Several runs together 0": (22.0, 0.0),  # frames

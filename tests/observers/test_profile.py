@@ -22,6 +22,27 @@ def test_layers_about_the_center_move_with_a_film(move):
     assert (occupied.min(), occupied.max()) == pytest.approx((-4.0, 4.0), abs=0.5)  # of the center, one bin
 
 
+def test_a_flow_has_a_velocity_and_no_heat():
+    """u = 0.5 z along x, and −1 along y, of thermal atoms of two masses; one frame."""
+    rng = np.random.default_rng(2)
+    n, thermal = 8000, 0.7
+    masses = np.resize([1.0, 3.0], n)
+    places = 10.0 * rng.random((n, 3))
+    velocities = rng.normal(size=(n, 3)) * np.sqrt(thermal / masses)[:, None]
+    velocities += np.column_stack([0.5 * places[:, 2], -np.ones(n), np.zeros(n)])
+    gas = md.System(places, masses=masses, velocities=velocities, cell=[10.0, 10.0, 10.0])
+    looking = md.observers.Profile(n_bins=20, every=1)
+    sim = md.Simulation(gas, [], md.VelocityVerlet(0.004))
+    looking.observe(sim.engine)
+    result = looking.result()
+    flow = np.array([0.5 * result.z, np.full(20, -1.0), np.zeros(20)]) - sim.drift[:, None]
+    most = 4.0 * np.sqrt(thermal / masses.mean() / (n / 20))  # statistics
+    np.testing.assert_allclose(result.flow, flow, atol=most)
+    shear = masses.mean() * 0.5**2 * 0.5**2 / 36.0  # of the slope within a layer, on the three directions
+    assert result.temperature.mean() == pytest.approx(thermal + shear, rel=4.0 * np.sqrt(2.0 / (3.0 * n)))  # statistics
+    assert result.columns()["flow_y"][3] == result.flow[1, 3]
+
+
 N_ATOMS = 216
 GROUPS = "bonds", "angles", "dihedrals"
 

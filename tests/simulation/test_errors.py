@@ -1,5 +1,6 @@
 """Wrong or senseless input of whatever a user calls is answered with a sentence, and soon; what is right is taken."""
 
+import warnings
 from fractions import Fraction
 from pathlib import Path
 from time import perf_counter
@@ -118,6 +119,16 @@ WRONG = [  # a call that raises ValueError, and what its sentence must contain
     (lambda: md.VelocityVerlet(0.0), "timestep", "0.0"), (lambda: simulate(trajectory="run.pdf"), ".h5md", "'run.pdf'"),
     (lambda: made().report(), "call run first"),
 ]
+
+
+def without_a_number(name):
+    """A run after a state was changed to NaN: no arithmetic is made with it, which NumPy would warn of."""
+    sim = made(cell=9.0)
+    getattr(sim, name)[1, 2] = np.nan
+    with warnings.catch_warnings(action="error"):
+        sim.run(1, progress=False)
+
+
 OTHERS = [  # calls that raise something else, its kind, and what its sentence must contain
     (lambda: simulate([[0, 0, 0], [3, 3, 3], [3, 3, 3]], cell=10), md.NonFiniteError, "atoms 1 and 2, 0 σ apart"),
     (lambda: simulate([[0, 0, 0], [3, 3, 3], [3, 3, 3.001]], cell=10), md.NonFiniteError, "force on atom", "0.001 σ"),
@@ -129,6 +140,11 @@ OTHERS = [  # calls that raise something else, its kind, and what its sentence m
     (lambda: setattr(made(), "timestep", 0.001), AttributeError, "sim.method = VelocityVerlet"),
     (lambda: md.METHODS, AttributeError, "'METHODS'", "minimd.integrators.METHODS"),
     (lambda: md.LenardJones, AttributeError, "'LenardJones'", "'LennardJones'"),
+    (lambda: lj(1.0, 1.0, rcut=2.5), TypeError, "'rcut'", "cutoff, truncation"),
+    (lambda: md.VelocityVerlet(timstep=1.0), TypeError, "'timstep'", "did you mean 'timestep'"),
+    (lambda: made().virial, AttributeError, "'virial'", "md.evaluate"), (lambda: made().stp, AttributeError, "'step'"),
+    (lambda: without_a_number("positions"), md.NonFiniteError, "positions of 1 atoms", "atom 1", "step 0"),
+    (lambda: without_a_number("velocities"), md.NonFiniteError, "velocities of 1 atoms", "atom 1", "step 0"),
 ]
 # fmt: on
 WRONG += [(lambda given=given: system(**given), *shown) for given, *shown in SYSTEMS]

@@ -25,6 +25,8 @@ def test_few_entries_and_constant_series():
     assert np.isnan([statistics.mean_and_error([1.0, 2.0])[1], statistics.mean_and_error([])[0]]).all()
     assert (*statistics.mean_and_error([2.0] * 10), statistics.statistical_inefficiency([2.0] * 10)) == (2.0, 0.0, 1.0)
     assert (statistics.with_error(1.23456, 0.0123), statistics.with_error(2.0, 0.0)) == ("1.235 ± 0.012", "2")
+    assert statistics.with_error(5.84441e-6, 1.51e-9) == "5.8444e-06 ± 1.5e-09"
+    assert statistics.with_error(1e-9, 0.0123) == "0.000 ± 0.012"
 
 
 @pytest.mark.parametrize("n_blocks", [16, 31])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import wraps
 from html import escape
 from inspect import signature
 from math import inf
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from minimd.core.console.words import shown
+from minimd.core.console.words import near, shown
 
 NAME_WIDTH = 14  # letters of a name, at least; the words begin one further
 LEFT = 'style="text-align: left; vertical-align: top"'
@@ -21,11 +22,14 @@ Rows = list[tuple[str, str]]
 
 class Displayed:
     """Base class of objects that a notebook displays; inside another object, such as a list, the repr is shown.
-    A class defines either __str__ or display_rows; here each is defined by the other."""
+    A class defines either __str__ or display_rows; here each is defined by the other. A constructor that it defines
+    tells its arguments, see with_arguments_told."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         cls._repr_pretty_ = Displayed._repr_pretty_  # type: ignore[method-assign] # else IPython takes __repr__
+        if "__init__" in vars(cls):
+            with_arguments_told(cls)
 
     def display_rows(self) -> Rows:
         """Names and words; a row without a name continues the one before."""
@@ -48,6 +52,25 @@ class Displayed:
             for name, words in self.display_rows()
         )
         return f"<table><caption {LEFT}>{type(self).__name__}</caption>{rows}</table>"
+
+
+def with_arguments_told(kind: Any) -> None:
+    """Let the constructor of a class tell its arguments, with a TypeError, if it is given one that it does not have."""
+    made = kind.__init__
+    known = signature(kind).parameters
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values()):
+        return
+
+    @wraps(made)
+    def told(self: Any, *arguments: Any, **named: Any) -> None:
+        for name in named.keys() - known:
+            raise TypeError(
+                f"{type(self).__name__} has no argument {name!r}; "
+                f"it has {', '.join(known)}{near(name, known)}"
+            )
+        made(self, *arguments, **named)
+
+    kind.__init__ = told
 
 
 def call_of(

@@ -1,18 +1,29 @@
 """Words of messages: names that are near, lists of names, values shortened, texts that a terminal may show."""
 
 from collections.abc import Iterable
-from difflib import get_close_matches
+from difflib import SequenceMatcher
 from typing import Any
 
 SHOWN = 80  # characters of a value in a message
-SIMILAR = 0.5  # of the letters are the same, as of Ar and Al
+MOST_WRONG = 2  # letters of a misspelt name; one of a name as short as Al for Ar
 
 
 def near(name: Any, known: Iterable[Any]) -> str:
-    """The words "did you mean ...?" with the most similar of the known names; empty if none is similar."""
-    texts = [text for text in known if isinstance(text, str)]
-    matches = get_close_matches(name, texts, n=1, cutoff=SIMILAR) if isinstance(name, str) else []
-    return f"; did you mean {matches[0]!r}?" if matches else ""
+    """The words "did you mean ...?" with the known name that has the fewest other letters, two at most, upper and lower
+    case alike; empty if there is none."""
+    if not isinstance(name, str):
+        return ""
+    texts = [(_letters_wrong(name, text), text) for text in known if isinstance(text, str)]
+    wrong, meant = min(texts, default=(len(name) + 1, ""))
+    return f"; did you mean {meant!r}?" if wrong <= min(MOST_WRONG, (len(name) + 1) / 3) else ""
+
+
+def _letters_wrong(name: str, meant: str) -> int:
+    """How many letters of the longer name have no equal one, in the same order, in the other."""
+    blocks = SequenceMatcher(
+        None, name.lower(), meant.lower(), autojunk=False
+    ).get_matching_blocks()
+    return max(len(name), len(meant)) - sum(block.size for block in blocks)
 
 
 def listed(names: Iterable[Any]) -> str:

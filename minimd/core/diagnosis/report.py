@@ -230,10 +230,11 @@ class Report(Displayed):
     temperatures, volumes : means of the first and of the last fifth of the run; volumes of zero if they are unknown.
     not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if none has.
     lines : results that need no run: see diagnosis.run_report.
-    bath : temperature of the thermostat, and how far below it the time step keeps that of the velocities (0 if that is
-    unknown); None without a thermostat.
+    bath : temperature of the thermostat, and how far below it the time step keeps that of the velocities (NaN if that
+    is unknown); None without a thermostat.
     too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown.
     changed : a clause, if thermostat or barostat were set to something else during the run; empty if they were not.
+    uncounted : a clause, if a force does work that is not known; empty if none does.
     is_at_rest : whether nothing moves except by rounding; changes of momentum then have no scale to be judged by.
     """
 
@@ -264,20 +265,24 @@ class Report(Displayed):
     bath: tuple[float, float] | None = None
     too_long_a_step: str = ""
     changed: str = ""
+    uncounted: str = ""
 
     @property
     def energy_is_conserved(self) -> bool | None:
         """True if the drift is zero within its error, or below 1e-6 of the kinetic energy in each ps or τ;
-        None if the run is too short to tell, or if the baths were changed and the energy varies by less than a
-        hundredth of the kinetic energy: its error depends on the temperature.
+        None if the run is too short to tell, if the work of a force is not known, or if the baths were changed and
+        there is no drift, or the energy varies by less than a hundredth of the kinetic energy: its error depends on the
+        temperature.
 
         An energy that varies by more than half the kinetic energy is not conserved, whatever its drift: one bad step is
         no drift. Nothing is conserved if an observable is not finite."""
+        if self.uncounted and not self.not_finite:
+            return None
         if self.not_finite or self._varies_too_much:
             return False
         has_no_drift = self._has_no(self.energy_drift)
-        if self.changed and self._varies_little:
-            return has_no_drift or None
+        if self.changed and (has_no_drift or self._varies_little):
+            return None
         return has_no_drift
 
     @property
@@ -349,7 +354,7 @@ class Report(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        energy, time, heat = self.units
+        energy, time, _ = self.units
         per = f"{energy} per atom"
         has_one_frame = self.n_frames == 1
         minus = " - reservoir" * self.has_bath + " - work" * self.has_work
@@ -384,28 +389,48 @@ class Report(Displayed):
             violation = f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {kept}"
             rows.append(("lengths", violation))
         rows += [(line.name, f"{line.summary}: {line.verdict}") for line in self.lines]
-        mean = f"{with_error(self.mean_temperature, self.temperature_error)} {heat}"
+        rows += self._temperature_rows
+        if self.cost is not None:
+            rows += self.cost.rows()
+        return [*rows, ("verdict", self.verdict)]
+
+    @property
+    def _temperature_rows(self) -> Rows:
+        """The mean temperature, or, of a ramp, that of its ends, and what was asked of the thermostat."""
+        heat = self.units[2]
+        error = self.temperature_error
+        mean = f"{with_error(self.mean_temperature, error)} {heat}"
         spread = f"on average, standard deviation {self.temperature_deviation:.2g} {heat}"
-        rows.append(("temperature", f"{mean} {'of one frame' if has_one_frame else spread}"))
-        times = float(correlation_times(self.temperature_deviation**2, self.temperature_error))
+        rows = [("temperature", f"{mean} {'of one frame' if self.n_frames == 1 else spread}")]
+        times = float(correlation_times(self.temperature_deviation**2, error))
         short = short_run(times, "temperature")
-        if short:
+        if self.changed and self.is_settling:
+            first, last = self.temperatures
+            ends = (
+                f"{first:.4g} {heat} in the first fifth of the run, {last:.4g} {heat} in the last"
+            )
+            rows = [("temperature", ends)]
+        elif short:
             rows.append(("", short))
         if self.bath is not None:
             asked, deficit = self.bath
             setting = f"{asked:.4g} {heat} is asked of the thermostat"
+            distance = abs(self.mean_temperature - asked + deficit)
             if self.changed:
                 setting += f" at the end; {self.changed}"
-            elif deficit > self.temperature_error:
+            elif deficit > error:
                 expected = f"{asked - deficit:.4g} {heat} is expected of them"
                 setting += (
                     f"; the time step makes velocities too slow: {expected}, positions have what is asked "
                     "(docs/temperature.md, which temperature?)"
                 )
+            if distance > SIGNIFICANT * error and not self.changed:
+                setting += (
+                    f"; THE MEAN IS {distance / error:.2g} STANDARD ERRORS FROM IT: not settled, heated by "
+                    "work or a flow, or so short a run that its error bar is itself uncertain"
+                )
             rows.append(("", setting))
-        if self.cost is not None:
-            rows += self.cost.rows()
-        return [*rows, ("verdict", self.verdict)]
+        return rows
 
     @property
     def verdict(self) -> str:
@@ -427,7 +452,7 @@ class Report(Displayed):
 
     @property
     def _change(self) -> str:
-        return f"{self.changed}, and with it the energy or its error"
+        return f"{self.changed}, and with it the energy, or its error, of which half the time step leaves a quarter"
 
     @property
     def _and_the_step(self) -> str:
@@ -442,8 +467,9 @@ class Report(Displayed):
             if self.is_quiet:
                 share = self.energy_range / self.kinetic_energy
                 varies = f"varies by {100.0 * share:.1g} % of the kinetic energy"
-            if self.changed:
-                return f"the {name} {varies}; whether it drifts cannot be told: {self._change}"
+            if self.changed or self.uncounted:
+                why = self.uncounted or self._change
+                return f"the {name} {varies}; whether it drifts cannot be told: {why}"
             return (
                 f"the {name} {varies}; the run is too short to tell whether it drifts: "
                 f"its fluctuations last nearly as long as the run{self._and_the_step}"

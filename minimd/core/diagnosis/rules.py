@@ -105,7 +105,7 @@ def long_steps(evidence: Evidence) -> Verdicts:
         recommended = shown(step / stiffness.collisions())  # for the heat of these atoms
         yield Verdict(
             "long step",
-            f"timestep {evidence.step} is long for Lennard-Jones atoms as light as these: "
+            f"timestep {evidence.step} is long for Lennard-Jones atoms of these masses: "
             f"in a liquid {method.name} conserves the energy with steps up to {recommended}",
             CHECK_STEP,
         )
@@ -261,13 +261,11 @@ def at_start(evidence: Evidence) -> Verdicts:
         yield Verdict("start", f"the force on atom {atom} would move it by {way} in one step")
 
 
-def during(evidence: Evidence) -> Verdicts:
-    """Positions or velocities that are not finite; an atom that has moved farther than the largest cutoff in one step,
-    and has passed its neighbors unseen."""
-    system = evidence.system
-    for name, array in (("positions", system.positions), ("velocities", system.velocities)):
-        atom, length = longest(array)
-        if length <= LARGEST:
+def not_finite(evidence: Evidence) -> Verdicts:
+    """Positions or velocities that are not finite."""
+    for name in ("positions", "velocities"):
+        array = getattr(evidence.system, name)
+        if longest(array)[1] <= LARGEST:
             continue
         bad = np.flatnonzero(~(np.abs(array) <= LARGEST).all(axis=1))
         more = " ..." if bad.size > 1 else ""
@@ -276,6 +274,13 @@ def during(evidence: Evidence) -> Verdicts:
                 "number",
                 f"{name} of {bad.size} atoms are not finite, or larger than {LARGEST:g} (atom {bad[0]}{more})",
             )
+
+
+def during(evidence: Evidence) -> Verdicts:
+    """Positions or velocities that are not finite; an atom that has moved farther than the largest cutoff in one step,
+    and has passed its neighbors unseen."""
+    yield from not_finite(evidence)
+    atom, length = longest(evidence.system.velocities)
     distance = length * evidence.timestep  # of the fastest atom
     cutoff = evidence.engine.interactions.largest_cutoff
     if distance > cutoff:

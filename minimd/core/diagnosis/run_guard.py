@@ -9,9 +9,9 @@ from typing import Any, NoReturn
 from minimd.core.compiled.kernels import compile_clock
 from minimd.core.console.quiet import warn
 from minimd.core.diagnosis.crash_report import examine
-from minimd.core.diagnosis.evidence import Failure
+from minimd.core.diagnosis.evidence import Evidence, Failure
 from minimd.core.diagnosis.judge import GROWTH, RUNAWAY, fault_of, hints, runaway
-from minimd.core.diagnosis.rules import at_start
+from minimd.core.diagnosis.rules import at_start, not_finite
 from minimd.core.engine.engine import Engine, Snapshot
 from minimd.core.engine.observation import observe
 from minimd.core.engine.record import Frame
@@ -112,6 +112,8 @@ class RunGuard:
             self.forget()
         is_checked = engine.enter() and self._checked == (timestep, engine.beginnings)
         if not is_checked:
+            for verdict in not_finite(Evidence(engine)):
+                raise NonFiniteError(f"at step {engine.step} {verdict.cause}")
             engine.interactions.check_resolution()
         if not self._checked_timestep:
             engine.interactions.check_forces(engine.time)

@@ -21,6 +21,7 @@ from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.integrators.thermostats import Thermostat
 from minimd.core.potentials.law import law_at
 from minimd.core.potentials.pair import Nonbonded
+from minimd.core.potentials.term import OwnTerm
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.observables import leaves_out_center, longest
 from minimd.core.structure.statistics import (
@@ -70,7 +71,18 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     advice = too_long_a_step(engine) or ""
     report = conservation_report(record, angular, cost, is_free, lines, engine.n_dof, advice)
     changed = f"the {' and '.join(changes)} of the bath changed during the run" if changes else ""
-    return replace(report, bath=bath_of(engine), changed=changed)
+    return replace(report, bath=bath_of(engine), changed=changed, uncounted=uncounted_work(engine))
+
+
+def uncounted_work(engine: Engine) -> str:
+    """A clause about a force from outside whose energy nobody has checked; empty without such."""
+    for term in engine.interactions.terms:
+        if term.acts_from_outside and not (term.is_checked or isinstance(term, OwnTerm)):
+            name = type(term).__name__
+            return (
+                f"the work of {name} is not counted, a force from outside with is_checked = False"
+            )
+    return ""
 
 
 def bath_changes(guard: RunGuard) -> list[str]:

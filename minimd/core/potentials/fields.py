@@ -405,7 +405,8 @@ class _Trial(NamedTuple):
             elif k < len(returned):
                 fault = (
                     f"the law must return u, -∇u and ∂u/∂t, to a relative {ACCURACY:g}; {where} it returns "
-                    f"{number:.8g} where {SLOPES[k]} is {slope:.8g}"
+                    f"{number:.8g} where {SLOPES[k]} is {slope:.8g}; "
+                    "a force without a potential is a Term with is_checked = False (docs/own-laws.md)"
                 )
             else:
                 fault = (

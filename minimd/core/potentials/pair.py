@@ -7,6 +7,7 @@ from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY
 from functools import cached_property, partial
+from itertools import combinations_with_replacement
 from math import factorial, inf, isclose, isfinite, nan, pi, sqrt
 from typing import Any, ClassVar, Literal
 
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.core.compiled.kernels import scalar
+from minimd.core.console.display import Rows, as_text
 from minimd.core.console.words import listed, near, shown
 from minimd.core.potentials import declared as kind
 from minimd.core.potentials.declared import Declared, declared
@@ -139,6 +141,13 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         own = {"law": type(self.plain_law).python, "cutoff": self._given_cutoff}
         return {name: own.get(name, value) for name, value in super().arguments().items()}
 
+    def display_rows(self) -> Rows:
+        """See Displayed. Parameters that are mixed are given for each pair of species."""
+        own = self.parameters if self.mixing else ()
+        pairs = combinations_with_replacement(own, 2) if isinstance(own, dict) else ()
+        mixed = [(f"{a}-{b}", as_text(self._parameters_of(a, b))) for a, b in pairs]
+        return super().display_rows() + mixed
+
     def bind(self, system: System) -> PairTerm:
         """The term of this potential in a system.
         Raises ValueError as table; for a periodic cell without a cutoff, an open one with a tail correction, or pairs
@@ -147,7 +156,6 @@ class Nonbonded(Declared, metaclass=ABCMeta):
             raise ValueError(
                 f"cutoff must be given in a periodic cell; that of {type(self).__name__} is None"
             )
-
         own = self.parameters if isinstance(self.parameters, dict) else {}
         known = [*own, *(name for name in system.species_names if name not in own)]
 
@@ -229,7 +237,6 @@ class Nonbonded(Declared, metaclass=ABCMeta):
             raise ValueError(
                 f"cutoff has no entry for the species {a!r}, {b!r}; it has {listed(self._cutoffs)}"
             )
-
         parameters = self._parameters_of(a, b)
         if not self._is_tried:
             length = cutoff if isfinite(cutoff) else 1.0
@@ -256,7 +263,6 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                 f"the law is {extra[0]} at the cutoff {cutoff:g}, where it must be finite to be {self.truncation}: "
                 "give another cutoff, or truncation='truncated'"
             )
-
         return (*extra, *parameters)
 
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
@@ -271,7 +277,6 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                 raise ValueError(
                     f"{type(self).__name__} has no parameters for species {name!r}; it has {listed(own)}"
                 )
-
         if a == b:
             return own[a]
         if self.mixing is None:
@@ -279,7 +284,6 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                 f"{type(self).__name__} has no parameters for the pair {a!r}, {b!r}; "
                 "give pairs={...}, or a mixing rule"
             )
-
         rule = MIXING[self.mixing] if isinstance(self.mixing, str) else self.mixing
         mixed = self._checked_numbers(rule(own[a], own[b]), (a, b))
         reverse = self._checked_numbers(rule(own[b], own[a]), (b, a))
@@ -289,7 +293,6 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                 f"mixing must give all parameters, the same for ({a!r}, {b!r}) as for ({b!r}, {a!r}); "
                 f"it gives {mixed} for the first and {reverse} for the second"
             )
-
         return mixed
 
     def _checked_parameters(

@@ -263,8 +263,11 @@ class OwnPotential(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        arguments = ((name, as_text(value)) for name, value in self.arguments().items())
-        return [("potential", type(self).__name__), *arguments]
+        rows = [("potential", type(self).__name__)]
+        for name, value in self.arguments().items():
+            if value is not None:
+                rows.append((name, as_text(value)))
+        return rows
 
 
 def bound(potential: Any, system: System) -> Term:

@@ -1,22 +1,26 @@
 """Attributes of a simulation that are read from its engine, or measured on it."""
 
 from collections.abc import Callable
-from difflib import get_close_matches
 from operator import attrgetter
 from typing import Any, ClassVar, Generic, TypeVar
 
+from minimd.core.console.words import near
 from minimd.core.engine.observation import measure
 
 T = TypeVar("T")
 # for names that are not misspelt
-HINTS = dict.fromkeys(
-    ("timestep", "dt"), "give it to a new method: sim.method = VelocityVerlet(0.001)"
-)
+OF_METHOD = "; give it to a new method: sim.method = VelocityVerlet(0.001)"
+HINTS = {
+    "timestep": OF_METHOD,
+    "dt": OF_METHOD,
+    "virial": "; see sim.pressure, md.evaluate(sim.system, sim.potentials).virial",
+}
 ARRAYS = ("positions", "velocities")
 
 
 class Closed:
     """Base of a class whose objects refuse unknown attributes: setting a misspelt attribute would have no effect.
+    One that is asked for is answered with what a user may have meant.
 
     own : names of attributes that exist only in objects.  Subclasses of users may set any attribute.
     """
@@ -27,20 +31,23 @@ class Closed:
         kind = type(self)
         is_known = name.startswith("_") or name in kind.own or hasattr(kind, name)
         if "own" in vars(kind) and not is_known:
-            hint = _hint(kind, name)
             raise AttributeError(
-                f"a {kind.__name__} has no attribute {name!r} that could be set; {hint}"
+                f"a {kind.__name__} has no attribute {name!r} that could be set{_hint(kind, name)}"
             )
         super().__setattr__(name, value)
+
+    def __getattr__(self, name: str) -> Any:
+        kind = type(self)
+        if name.startswith("_") or hasattr(kind, name):
+            return super().__getattribute__(name)  # it raises again what was raised within
+        raise AttributeError(f"a {kind.__name__} has no attribute {name!r}{_hint(kind, name)}")
 
 
 def _hint(kind: type[Closed], name: str) -> str:
     """What a user may have meant with an attribute of this name."""
-    if name in HINTS:
-        return HINTS[name]
     public = [attribute for attribute in dir(kind) if not attribute.startswith("_")]
-    near = get_close_matches(name, [*kind.own, *public], n=1)
-    return f"did you mean {near[0]!r}?" if near else "dir(...) lists its attributes"
+    hint = HINTS.get(name) or near(name, [*kind.own, *public])
+    return hint or "; dir(...) lists its attributes, docs/where-is.md words of the field"
 
 
 class EngineAttribute(Generic[T]):

@@ -14,6 +14,7 @@ Weighted = Callable[[int], list[tuple[float, Array]]]
 # correlation times; a run with fewer cannot tell how many it has, and its error bars are too small
 FEWEST = 30.0
 FEW = 4  # entries or blocks: from fewer, no error can be estimated
+LEAST_POWER = -4  # of ten: smaller means are written with a power of ten
 MOST_BLOCKS = 32  # at this number, blocks are joined in pairs: a long run always has 16 to 31
 # of slow correlations, in parts of the run and of the variance of the mean
 TIMES = (0.02, 0.05, 0.12, 0.3)
@@ -186,10 +187,13 @@ def spread(without: Array) -> Array:
 
 
 def with_error(mean: float, error: float) -> str:
-    """A mean with two digits of its error, as 1.234 ± 0.056."""
+    """A mean with two digits of its error, as 1.234 ± 0.056, or 1.234e-05 ± 5.6e-08."""
     if not (isfinite(error) and error > 0.0 and isfinite(mean)):
         return f"{mean:.6g}"
     digits = max(0, 1 - floor(log10(error)))
+    power = floor(log10(max(abs(mean), error)))
+    if power < LEAST_POWER:
+        return f"{mean:.{min(12, digits + power)}e} ± {error:.1e}"
     if digits < 12:
         return f"{mean:.{digits}f} ± {error:.{digits}f}"
     return f"{mean:.12g} ± {error:.1e}"

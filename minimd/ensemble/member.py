@@ -363,7 +363,7 @@ def _results(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> R
 
 def averages_of(result: Any, mass: float) -> dict[str, tuple[float, float]]:
     """Means and errors, by name, of what the function run returned; none for None. Where a record has volumes, the
-    density is among them.
+    density is among them; in a periodic cell, where it is no constant, the angular momentum is not.
 
     result : a Record, or a dict of numbers, of tuples (mean, error) or of series.
     mass : of all atoms.
@@ -377,7 +377,8 @@ def averages_of(result: Any, mass: float) -> dict[str, tuple[float, float]]:
         return averages
     if isinstance(result, Record):
         for name, column in result.columns().items():
-            if name not in ("step", "time"):
+            is_turning = "angular_momentum" in name and "pressure" in result
+            if name not in ("step", "time") and not is_turning:
                 averages[name] = mean_and_error(column)
         if "volume" in result:
             averages["density"] = mean_and_error(densities(result, mass)[0])

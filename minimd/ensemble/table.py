@@ -218,8 +218,8 @@ class EnsembleTable(Displayed):
         return {name: self.array[name] for name in self.array.dtype.names or ()}
 
     def write(self) -> None:
-        """Write table.csv and table.json into the folder; numbers have all their digits, paths are relative to the
-        folder.
+        """Write table.csv, its titles with units, and table.json into the folder; numbers have all their digits, paths
+        are relative to the folder.
         Raises OSError."""
         columns = {name: column.tolist() for name, column in self._columns().items()}
         for index, file in enumerate(columns["file"]):
@@ -227,12 +227,13 @@ class EnsembleTable(Displayed):
                 columns["file"][index] = file_of(index).as_posix()
         stream = io.StringIO()
         lines = csv.writer(stream, lineterminator="\n")
-        lines.writerow(columns)
+        units = {name: self.unit(name) for name in self.observables if self.unit(name)}
+        titles = {f"{name}_{of}": unit for name, unit in units.items() for of in ("mean", "error")}
+        lines.writerow(f"{name} [{titles[name]}]" if name in titles else name for name in columns)
         lines.writerows(zip(*columns.values(), strict=True))
         write_whole(self.folder / "table.csv", stream.getvalue())
         for name, column in columns.items():
             columns[name] = [None if number != number else number for number in column]
-        units = {name: self.unit(name) for name in self.observables if self.unit(name)}
         table = {"parameters": self.parameters, "units": units, "columns": columns}
         write_whole(self.folder / "table.json", json.dumps(table))
 

@@ -273,13 +273,15 @@ class Result(Displayed):
         return values, unit
 
     def draw(self, panel: Axes) -> None:
-        """Draw the result into axes of matplotlib: the first series, and those with its unit; or the rows as text."""
+        """Draw the result into axes of matplotlib: the first series, and those with its unit, under the title if there
+        are several; or the rows as text."""
         series = self.series()
         if series:
             x, first, *_ = series
             curves = [curve for curve in series[1:] if curve.unit == first.unit]
-            quantity = f"{first.name}  [{first.unit}]" if first.unit else first.name
-            return self.draw_curves(panel, curves, x.name, quantity)
+            quantity = self.title if len(curves) > 1 else first.name
+            label = f"{quantity}  [{first.unit}]" if first.unit else quantity
+            return self.draw_curves(panel, curves, x.name, label)
         text = "\n".join(fill(row, LINE) for _, row in self.display_rows())
         style: dict[str, Any] = {"va": "top", "fontsize": 8, "parse_math": False}
         panel.axis("off")

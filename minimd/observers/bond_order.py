@@ -11,13 +11,17 @@ from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import check_has_volume
 from minimd.core.neighbors.queries import neighbor_list
 from minimd.core.structure.arrays import Array
+from minimd.core.structure.checks import checked_choice
 from minimd.core.structure.system import System
 from minimd.observers.accumulator import ObservedRun
-from minimd.observers.arguments import argument, label, orders, positive, steps
+from minimd.observers.arguments import argument, label, names, orders, positive, steps
 from minimd.observers.means import Means, MeansResult, Quantity
 
 CUTOFF = 1.4  # (V/N)^(1/3): beyond 12 neighbors in fcc and hcp, and 14 in bcc
 WIDE = 10.0  # cutoffs: a box in which a bond has no images
+AMONG = (
+    'species whose atoms and neighbors are meant, such as "O", or a list of them; all if not given'
+)
 REACH = "of neighbors; 1.4 (V/N)^(1/3) if not given, which is for three dimensions"
 
 
@@ -34,7 +38,8 @@ class BondOrder(Means):
         ψ_k = |⟨e^(i k φ_ij)⟩|,   φ: angle of r_ij in the xy plane                                    hexatic: k = 6
 
     Of each order, such as "q6" or "psi6", the mean over atoms is known, and that of_all, in which q_lm or e^(i k φ) are
-    averaged over atoms first: 0 in a large liquid, and not in a crystal. An atom without neighbors counts as 0. In
+    averaged over atoms first: 0 in a large liquid, and not in a crystal. An atom without neighbors counts as 0. Of some
+    species both atoms and neighbors are meant, such as the oxygens of water; N is their number. In
     perfect crystals q6 is 0.5745 (fcc), 0.5107 (bcc, 14 neighbors), 0.4848 (hcp), psi6 is 1 (triangular lattice).
 
     P. J. Steinhardt, D. R. Nelson, M. Ronchetti, Phys. Rev. B 28, 784 (1983), eq. 1.3; D. R. Nelson, B. I. Halperin,
@@ -49,9 +54,12 @@ class BondOrder(Means):
     order: str | list[str] = argument(orders, 'orders, such as "q6", "psi6" or ["q4", "q6"]', "q6")
     cutoff: float | None = argument(positive, REACH, None, "length")
     every: int = steps(100)
+    species: str | list[str] | None = argument(names, AMONG, None)
     name: str = label()
 
     def _begin(self, engine: Engine) -> None:
+        for name in self.species or ():
+            checked_choice("species", name, [*map(str, engine.system.species_names)])
         if self.cutoff is None:
             check_has_volume(engine)
         _freud()
@@ -66,6 +74,9 @@ class BondOrder(Means):
 
     def _values(self, engine: Engine) -> Array:
         system = engine.system
+        if self.species is not None:
+            chosen = np.isin(system.species.astype(str), self.species)
+            system = System(system.positions[chosen], cell=system.cell)
         cutoff = self.cutoff or CUTOFF * (float(system.volume or 0.0) / len(system)) ** (1.0 / 3.0)
         values: list[float] = []
         for order in self.order:

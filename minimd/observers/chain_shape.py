@@ -71,8 +71,9 @@ class ChainShape(Means):
         quantities = []
         for kind, number, is_chain in zip(self.kinds, self.numbers, self.are_chains, strict=True):
             end = f"_{kind}" if len(self.kinds) > 1 else ""
+            of_kind = f" of {number} molecule{'s' * (number > 1)} {kind}"
             for name, symbol, unit in zip(NAMES[: 3 + is_chain], SYMBOLS, units, strict=False):
-                quantities.append(Quantity(name + end, f"{number} {kind}: {symbol}", unit))
+                quantities.append(Quantity(name + end, symbol + of_kind, unit))
         return quantities
 
     def _values(self, engine: Engine) -> Array:

@@ -88,7 +88,7 @@ class Diffusivity(NamedTuple):
         if self.state == SHORT:
             return f"unknown: the run has fewer than four lags that double, up to a quarter of it; {advice}"
         if self.state == FIXED:
-            return "does not move: all these atoms are fixed"
+            return "does not move by itself: all these atoms are fixed, or massless sites"
         start, end = self.window
         lags = f"lags of {units.shown(start)} to {units.shown(end)}"
         percent = _known(100.0 * self.trend, 100.0 * self.trend_error)

@@ -22,6 +22,7 @@ from minimd.core.structure.checks import checked_count, checked_number
 from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.observables import center
 from minimd.core.structure.statistics import with_error
+from minimd.core.structure.units import ASE, MPA_S
 from minimd.observers.accumulator import ObservedRun, Result, Series, State
 from minimd.observers.arguments import (
     ATOMS,
@@ -280,8 +281,8 @@ class MeanSquareDisplacement(_OfAtoms):
 
         window : lags [time]; D is then the mean slope over its octaves, whether atoms diffuse there or not. If not
             given, D is that of diffusivity, if the slope has stopped to change with the lag.
-        viscosity : η [energy time/length³], for the finite-size correction of Yeh and Hummer, which needs a cubic cell;
-            or the result of md.observers.Viscosity, whose error then counts, too.
+        viscosity : η [energy time/length³], such as 0.855 * md.units.MPA_S, for the finite-size correction of Yeh and
+            Hummer, which needs a cubic cell; or the result of md.observers.Viscosity, whose error then counts, too.
 
         Raises ValueError before the first look, for a window without an octave of lags, or if a viscosity is given and
         the cell is not cubic.
@@ -435,6 +436,7 @@ class DisplacementResult(MotionResult):
     window : lags of D [time].
     infinite, infinite_error : D of an infinite system by Yeh and Hummer; NaN without a viscosity. The error includes
         that of the viscosity, if it is known.
+    viscosity : the one with which infinite was computed [energy time/length³].
     temperature, volume : means.
     """
 
@@ -444,6 +446,7 @@ class DisplacementResult(MotionResult):
     volume: float
     infinite: float = np.nan
     infinite_error: float = np.nan
+    viscosity: float = np.nan
     title = "mean-square displacement"
     symbol = "msd"
 
@@ -478,7 +481,8 @@ class DisplacementResult(MotionResult):
             viscosity = viscosity.viscosity
         added = finite_size_correction(thermal_energy, viscosity, edge)
         error = float(np.hypot(self.diffusion_error, added * viscosity_error / viscosity))
-        return replace(self, infinite=self.diffusion + added, infinite_error=error)
+        infinite = self.diffusion + added
+        return replace(self, infinite=infinite, infinite_error=error, viscosity=viscosity)
 
     def numbers(self) -> dict[str, float]:
         """See Result."""
@@ -496,13 +500,22 @@ class DisplacementResult(MotionResult):
         units = self.units
         of_all = self.in_words(self.diffusivity)
         rows = [("diffusion", of_all), *self.fixed_rows]
-        of_each = [self.in_words(diffusivity) for diffusivity in self.of_species]
-        if {*of_each} != {of_all}:  # not of molecules of one kind
-            for name, words in zip(self.scene.species, of_each, strict=True):
-                rows.append(("", f"{name}: {words}"))
+        alike: dict[
+            str, list[str]
+        ] = {}  # species by their words: those of a molecule move with its center
+        for name, of_one in zip(self.scene.species, self.of_species, strict=True):
+            alike.setdefault(self.in_words(of_one), []).append(name)
+        for words, names in alike.items():
+            if words != of_all:
+                rows.append(("", f"{', '.join(names)}: {words}"))
         if np.isfinite(self.infinite):
             infinite = diffusion_words(self.infinite, self.infinite_error, units)
-            rows.append(("", f"D = {infinite} in an infinite cell (Yeh and Hummer)"))
+            eta = f"{self.viscosity:.4g} {units.pressure} {units.time}"
+            if units == ASE:
+                eta = f"{self.viscosity / MPA_S:.4g} mPa s"
+            rows.append(
+                ("", f"D = {infinite} in an infinite cell (Yeh and Hummer, with η = {eta})")
+            )
         elif self.is_cubic and np.isfinite(self.diffusion):
             larger = "in a larger cell D is larger: result(viscosity=...) corrects for this"
             rows.append(("", larger))

@@ -115,8 +115,8 @@ class Document:
     def barostat(self) -> StochasticCellRescaling | None:
         """The barostat of the scene, or None."""
         section = self.sections.barostat
-        temperature = self.sections.dynamics.temperature
-        return None if section is None or temperature is None else section.barostat(temperature)
+        dynamics = self.sections.dynamics
+        return None if section is None else section.barostat(dynamics)
 
     def observers(self) -> list[Accumulator]:
         """New observers as described in the scene.

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from minimd.lammps import HandOver
 
 Tell = Callable[[str], None]
-OF_THE_START = ("structure.", "water.seed", "minimization.", "equilibration.")
+# keys, or how they begin, that a run that goes on does not use
+NOT_USED = ("structure.", "water.seed", "minimization.", "equilibration.", "output.trajectory")
 LONGEST_VALUE = 60  # characters of a value in a message
 CLOCK = 1.0  # s, the coarsest time stamps of a file system
 
@@ -254,7 +255,7 @@ def differences(one: Scene, other: Scene) -> list[str]:
         old = before.get(key, "not given")
         new = now.get(key, "not given")
         if old != new:
-            remark = " (no effect: the start is over)" if key.startswith(OF_THE_START) else ""
+            remark = " (no effect on a run that goes on)" if key.startswith(NOT_USED) else ""
             lines.append(f"{key}: {_shortened(old)} before, {_shortened(new)} now{remark}")
     return lines
 

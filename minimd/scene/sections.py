@@ -510,9 +510,10 @@ class BarostatSection(Section):
     every: PositiveInt = 50
     seed: NonNegativeInt = 1
 
-    def barostat(self, temperature: float) -> StochasticCellRescaling:
-        """The barostat that the section describes."""
-        return StochasticCellRescaling(**self.model_dump(), temperature=temperature)
+    def barostat(self, dynamics: DynamicsSection) -> StochasticCellRescaling:
+        """The barostat that the section describes; it follows a thermostat, and else has a temperature of its own."""
+        own = None if dynamics.method in THERMOSTATS else dynamics.temperature
+        return StochasticCellRescaling(**self.model_dump(), temperature=own)
 
 
 class MinimizationSection(Section):

@@ -74,13 +74,15 @@ class FileCheck(Displayed):
 
     @property
     def passed(self) -> bool:
-        """True if all comparisons agree, and energy and momentum are conserved; False with too few frames to judge.
+        """True if all comparisons agree, energy and momentum are conserved, and a barostat has reached its pressure;
+        False with too few frames to judge.
 
         A run that is too short to show a drift of the energy passes if the energy varies little: see Report.is_quiet.
         """
         report = self.report
         energy = report.energy_is_conserved is True or report.is_quiet
-        return energy and report.momentum_is_conserved and self._agrees
+        is_kept = energy and report.momentum_is_conserved
+        return is_kept and not report.is_far_from_pressure and self._agrees
 
     @property
     def _agrees(self) -> bool:
@@ -93,7 +95,7 @@ class FileCheck(Displayed):
             return "FAILED: see the lines that end with FAILED; the verdict above does not count"
         if self.passed:
             return "passed"
-        if self.report.energy_is_conserved is None:
+        if self.report.energy_is_conserved is None or self.report.is_far_from_pressure:
             return f"NOT PASSED: {self.report.verdict}"
         return "FAILED"
 
@@ -121,7 +123,10 @@ def checked(run: RunUniverse, damaged: str = "") -> FileCheck:
     system = run.system
     is_free = contents.conserves_momentum
     record, figures = recomputed(run)
-    lines = [*pressure_lines(record, system.masses.sum(), contents.barostat, is_free)]
+    # at the present temperature and pressure
+    recent = {name: getattr(record, name)[run.n_earlier :] for name in record.names}
+    steady = Record.of(system.units, len(system), recent)
+    lines = [*pressure_lines(steady, system.masses.sum(), contents.barostat, is_free)]
     for potential in contents.potentials:
         name, _, call = potential.partition(": ")
         if name == "Coulomb":

@@ -35,7 +35,6 @@ from minimd.core.forces.forces import Potential
 from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.constraints import joined_pairs
 from minimd.core.structure.system import System
-from minimd.core.structure.units import ASE
 from minimd.mdanalysis.universes import RunUniverse, universe_of
 from minimd.past.replay import replay
 from minimd.view.check import checked
@@ -345,20 +344,9 @@ def page(story: Story) -> str:
 def parameters(contents: H5MDContents) -> Rows:
     """System, method and potentials, in the units of the system; times and rates in ps, or τ."""
     system = contents.system
-    units = system.units
-    mass = "m"
-    picosecond = ""
-    if units is ASE:
-        mass = "u"
-        picosecond = f", of which {units.to_picosecond**-1:.5g} make a ps"
-    names = (
-        f"lengths in {units.length}, energies in {units.energy}, masses in {mass}, "
-        f"times in {units.time}{picosecond}, temperatures in {units.temperature}"
-    )
     rows = [row for row in system.display_rows() if row[0] != "units"]
     known = {"system", "cell", "constraints"}  # these are in rows
-    rows += [row for row in contents.scene_in_words() if row[0] not in known]
-    return [*rows, ("units", names)]
+    return rows + [row for row in contents.scene_in_words() if row[0] not in known]
 
 
 def known_to_the_program(story: Story) -> dict[str, Any]:

@@ -386,3 +386,20 @@ def test_forces_of_any_size_are_judged():
     simulation = md.Simulation(system, md.ConstantForce([1e200, 0.0, 0.0]), md.VelocityVerlet(1e-3))
     with warnings.catch_warnings(action="error", category=RuntimeWarning), pytest.raises(md.NonFiniteError):
         simulation.run(0)
+
+
+def pushing(x, y, z, t):
+    """Walls across z, by a force that grows with the distance from the middle."""
+    return 0.5e-6 * z * z, 0.0, 0.0, -1e-6 * z
+
+
+@pytest.mark.parametrize(("charged", "is_told"), [("none", True), ("x", True), ("z", False)])
+def test_a_field_across_a_periodic_direction_is_told_unless_a_slab_leaves_it_empty(charged, is_told):
+    laws = [md.Coulomb(1.4, 1e-4, slab=charged), md.Field(pushing)]
+    sim = md.Simulation(slab(2, gap=9.0), laws, md.VelocityVerlet(1e-6))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        sim.run(1)
+    told = [str(one.message) for one in caught if "but the field is not" in str(one.message)]
+    assert len(told) == is_told
+    assert all("periodic along c" in words and 'slab="z"' in words for words in told)

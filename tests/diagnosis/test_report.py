@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from argon_atoms import CUTOFF, EPSILON, SIGMA, TIMESTEP, argon as of_ase
 from charged_scenes import EDGE, LAWS, ions, run_of
 from h5md_runs import record_of, simulation
 from references import liquid, melt_scene, processes
@@ -64,6 +65,42 @@ def test_the_report_tells_conserved_from_not(conserved):
     cluster = md.Simulation(md.System(liquid(2, jitter=0.0).positions - 1.0), LJ, VERLET)
     cluster.run(500, every=100)  # at rest as a whole: L = 0 is judged by its scale, and rounding is no change
     assert cluster.report().angular_momentum_change < 1e-12
+
+
+def test_a_drift_of_many_errors_that_is_called_none_has_its_reason_beside_it(conserved):
+    """3.9 errors known from few blocks; 40 errors of next to nothing. A drift within three errors needs no reason."""
+    few, small = "in so short a run chance makes up to 4.3 of them", "below 1e-06 of the kinetic energy"
+    for slope, error, n, reason in ((3.9, 1.0, 10.0, few), (4e-9, 1e-10, np.inf, small), (2.9, 1.0, 10.0, "")):
+        report = replace(conserved.report(), energy_drift=DriftRate(slope, error, n), shadow_drift=DriftRate(0.0, 1.0))
+        assert report.energy_is_conserved
+        first, *others = str(report).splitlines()
+        assert first.partition(" (")[2].startswith(f"standard error; {reason}" if reason else "standard error)")
+        assert all(words not in line for line in others for words in (few, small))
+    lost = str(replace(conserved.report(), energy_drift=DriftRate(5.0, 1.0, 10.0)))
+    assert few not in lost
+    assert "DRIFTS" in lost
+
+
+@pytest.mark.parametrize(("truncation", "is_rough"), [("truncated", True), ("shifted", True), ("force-shifted", False)])
+def test_only_what_jumps_is_to_be_smoothed(truncation, is_rough):
+    system = SCENES["argon"]().simulation(VERLET).system
+    sim = md.Simulation(system, md.LennardJones(1.0, 1.0, 2.5, truncation), VERLET)
+    sim.run(100, every=10)
+    steady = {"energy_range": 0.0, "temperatures": (1.0, 1.0)}
+    drifting = replace(sim.report(), energy_drift=DriftRate(1.0, 0.01), **steady)
+    assert drifting.energy_is_conserved is False
+    assert ("smooth the cutoff" in drifting.verdict) is is_rough
+
+
+def test_the_speed_is_in_nanoseconds_of_each_day_where_time_has_a_unit(conserved):
+    assert "ns/day" not in str(conserved.report())
+    law = md.LennardJones(EPSILON, SIGMA, CUTOFF)
+    sim = md.Simulation(of_ase(), law, md.VelocityVerlet(TIMESTEP))
+    sim.run(40, every=20)
+    report = sim.report()
+    days = report.cost.seconds / 86400.0
+    (speed,) = re.findall(r"^speed .* ([0-9.]+) ns/day;", str(report), re.M)
+    assert float(speed) == pytest.approx(40 * sim.method.timestep / md.units.fs * 1e-6 / days, rel=1e-3)  # as printed
 
 
 def ramp(tmp_path):

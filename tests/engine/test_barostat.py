@@ -5,7 +5,8 @@ import MDAnalysis
 import numpy as np
 import pytest
 from h5md_runs import record_of
-from scene_texts import ARGON
+from references import melt_scene, processes
+from scene_texts import ARGON, scene_of
 from scenes import LJ, SCENES
 from scipy.optimize import minimize_scalar
 from step_scenes import bead_melt
@@ -15,12 +16,13 @@ import minimd as md
 from minimd.core.diagnosis.report import conservation_report
 from minimd.core.diagnosis.run_report import pressure_lines
 from minimd.core.engine.cell_rescaling import rescaling_of
+from minimd.core.files.h5md_reader import read_file
 from minimd.core.integrators.barostats import ThermodynamicState
 from minimd.core.structure.statistics import FEWEST, mean_and_error, with_error
 from minimd.core.structure.units import GRAM_PER_CM3
 from minimd.mdanalysis import universe as universe_of
-from minimd.scene import load_scene, run_scene
-from minimd.view.check import check_file
+from minimd.scene import load_scene, resume_run, run_scene
+from minimd.view.check import FileCheck, check_file
 
 slow = pytest.mark.slow
 BATH, BUSSI = md.LangevinBAOAB(0.003, 0.8, 1.0, 2), md.StochasticVelocityRescaling(0.003, 0.8, 0.1, 2)
@@ -159,6 +161,47 @@ def test_a_file_tells_volume_and_pressure_as_the_report_does_with_the_error_of_a
     assert f" {with_error(*mean_and_error(record.pressure + of_center))} " in told[1]
 
 
+def test_a_run_goes_on_in_its_file_with_another_temperature_and_another_barostat(tmp_path):
+    """The temperature of the barostat follows that of the thermostat; who changes it means it, and is not warned."""
+    path = tmp_path / "a.h5md"
+    first = at_pressure("clusters")
+    first.run(10, every=5, trajectory=path, progress=False)
+    cooler = md.LangevinBAOAB(0.003, 0.6, 1.0, 2)
+    cooled = md.Simulation.resume(path, LJ, method=cooler)
+    cooled.run(10, every=5, trajectory=path, append=True, progress=False)
+    stored = read_file(path)
+    assert (stored.parameters["temperature"], stored.barostat.temperature, stored.n_frames) == (0.6, None, 5)
+    pressed = md.Simulation(stored.system, LJ, cooler, barostat=barostat(pressure=2.0))
+    pressed.engine.go_on_from(stored.restart)
+    with pytest.warns(UserWarning, match=r"pressure=1, .* before, .*pressure=2, .* now"):
+        pressed.run(100, every=5, trajectory=path, append=True, progress=False)
+    assert read_file(path).barostat == pressed.barostat
+    (of_last_part,) = (line for line in check_file(path).report.lines if line.name == "pressure")
+    record = read_file(path).record
+    mean = with_error(*mean_and_error(record.pressure[record.step >= 20]))
+    assert of_last_part.summary == f"{mean} ε/σ³ on average, 2 wanted"
+
+
+def test_a_scene_with_a_barostat_is_cooled_in_its_file(here):
+    bath = 'method = "langevin-baoab"\nrelaxation_time = 1.0\n[barostat]\npressure = 1.0\ncompressibility = 0.05\n'
+    scene = melt_scene(4, 10, f"{bath}relaxation_time = 2.0\n")
+    hot, cold = (scene_of(scene.replace("temperature = 1.44", f"temperature = {t}")) for t in (0.8, 0.6))
+    run_scene(hot, trajectory=here / "a.h5md", tell=lambda _: None)
+    lines = []
+    resume_run("a.h5md", 10, scene=cold, tell=lines.append)
+    assert any("temperature 0.6 ε/k_B" in line for line in lines)
+    assert read_file("a.h5md").parameters["temperature"] == 0.6
+
+
+def test_the_lines_of_a_run_are_in_the_units_that_scenes_take(here):
+    """Bar and ps, of a scene in bar and ps; and the units of the numbers of a potential are told."""
+    text = ARGON.read_text() + "[barostat]\npressure_bar = 25.0\ncompressibility_per_bar = 2e-4\n"
+    scene = scene_of(text + "relaxation_time_fs = 2000.0\n")
+    lines = dict(scene.simulation().engine.scene_in_words())
+    assert "pressure 25 bar, compressibility 0.0002 per bar, relaxation time 2 ps" in lines["barostat"]
+    assert "98.227 make a ps" in lines["units"]
+
+
 def test_a_pressure_is_reached_within_three_standard_errors():
     noise = np.random.default_rng(1).normal(size=200)
     mean, error = mean_and_error(noise)
@@ -177,6 +220,41 @@ def test_a_pressure_is_reached_within_three_standard_errors():
     record.units = md.units.ASE
     _, density, _ = map(str, pressure_lines(record, 2.0 * GRAM_PER_CM3, barostat(), True))
     assert f" {with_error(1.0, 0.0)} g/cm³ " in density
+
+
+@pytest.mark.parametrize("coupling", ["isotropic", "triclinic", "xyz", "z"])
+def test_the_pressure_is_compared_unless_some_lengths_of_the_cell_are_constant(coupling):
+    flat = np.ones(40) + 0.01 * np.random.default_rng(1).normal(size=40)
+    record = record_of(np.full(40, 2.0), volume=flat, pressure=flat)
+    names = [line.name for line in pressure_lines(record, 1.0, barostat(coupling=coupling), False)]
+    assert ("pressure" in names) is (coupling != "z")
+
+
+VOLUMES = {  # of (T,) times in units of the run
+    "it collapses at the start": lambda t: 1.0 + 0.4 * np.exp(-t / 0.05),
+    "it relaxes": lambda t: 1.0 + 0.3 * np.exp(-t / 0.3),
+    "it grows steadily": lambda t: 1.0 + 0.2 * t,
+    "it collapses at the end": lambda t: 1.0 - 0.3 * (t > 0.85),
+    "it fluctuates": lambda t: 1.0 + 0.0 * t,
+    "a small gas fluctuates": lambda t: 1.0 + 0.2 * processes(1, len(t), 0.7, np.random.default_rng(3))[:, 0],
+    "it has settled at the start": lambda t: 1.0 + 0.4 * np.exp(-t / 0.01),
+}
+
+
+@pytest.mark.parametrize("name", VOLUMES)
+def test_a_volume_that_still_changes_is_no_success_whatever_the_mean_pressure_is(name):
+    t = np.linspace(0.0, 1.0, 200)
+    noise = 0.005 * processes(1, len(t), 0.5, np.random.default_rng(2))[:, 0]
+    record = record_of(np.full(200, 2.0), volume=VOLUMES[name](t) + noise, pressure=1.0 + noise)
+    lines = tuple(pressure_lines(record, 1.0, barostat(), False))
+    report = conservation_report(record, angular=False, lines=lines)
+    changes = name.startswith(("it collapses", "it relaxes", "it grows"))
+    assert report.is_far_from_pressure is changes
+    assert report.energy_is_conserved
+    check = FileCheck("", [], report, [])
+    assert check.passed is not changes
+    assert ("NOT REACHED" in str(check)) is changes
+    assert ("far from its pressure" in check.outcome) is changes
 
 
 def test_every_file_has_the_cell_of_every_frame(tmp_path):

@@ -59,3 +59,21 @@ test_wrong_orders_are_refused = answered(
     (lambda: md.observers.BondOrder(cutoff=0.0), ValueError, "cutoff", "0"),
     (lambda: looked_at(md.System(np.zeros((1, 3)), cell=9.0, pbc=[1, 1, 0])), ValueError, "volume", "False"),
 )
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_of_one_species_both_atoms_and_neighbors_are_meant():
+    """Another species in the gaps of an fcc crystal changes nothing, nor the cutoff that is not given."""
+    pytest.importorskip("freud")
+    positions, edges = md.lattice.crystal("fcc", [3, 3, 3], 1.6)
+    both = np.concatenate([positions, positions + 0.8])
+    salt = md.System(both, cell=edges, species=["A"] * len(positions) + ["B"] * len(positions))
+    alone = looked_at(salt, ["q4", "q6"], species="A").values
+    np.testing.assert_allclose(alone, np.repeat(KNOWN["fcc"], 2), atol=6e-5)  # four digits
+    assert abs(looked_at(salt, ["q4", "q6"]).values - alone).max() > 0.1
+
+
+test_wrong_species_are_refused = answered(
+    (lambda: md.observers.BondOrder(species=["A", "A"]), ValueError, "species", "'A'"),
+    (lambda: looked_at(md.System(np.eye(3), cell=9.0), species="A"), ValueError, "species", "X", "'A'"),
+)

@@ -479,6 +479,22 @@ def test_fixed_atoms_do_not_count_as_atoms_that_diffuse():
     assert moved[fixed].max() == 0.0
 
 
+def test_what_moves_alike_is_told_once_and_massless_sites_are_not_called_fixed():
+    system, laws, lengths = md.water("TIP4P/2005", 27)
+    looking = [md.observers.MeanSquareDisplacement(every=1, of=of, name=of) for of in ("molecules", "atoms")]
+    sim = md.Simulation(system, laws, md.VelocityVerlet(0.5 * md.units.fs), lengths)
+    sim.set_temperature(298.0, seed=1)
+    sim.run(64, observers=looking)
+    of_molecules, of_atoms = (one.result() for one in looking)
+    assert not [words for name, words in of_molecules.display_rows() if words.startswith(("H", "O"))]
+    assert [words[0] for _, words in of_atoms.display_rows() if words[1] == ":"] == ["H", "M", "O"]
+    window = (of_atoms.times[1], of_atoms.times[-1])  # too early for a D, but a cube
+    known = looking[1].result(window=window, viscosity=1.5 * md.units.MPA_S)
+    assert "with η = 1.5 mPa s)" in str(known)
+    for result in (of_molecules, of_atoms):
+        assert "M: does not move by itself: all these atoms are fixed, or massless sites" in str(result)
+
+
 @pytest.mark.parametrize("drift", [0.0, 1.0, -1.0])
 @pytest.mark.parametrize("growth", [1.0, 1.001])
 def test_free_atoms_move_as_their_velocities_say(growth, drift):

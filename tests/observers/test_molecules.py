@@ -79,7 +79,7 @@ def test_each_kind_of_molecule_has_its_own_mean():
         "squared_end_to_end_AB",
         "squared_end_to_end_AB_error",
     ]
-    assert "2 AB: R_g² = 0.1875" in str(result)
+    assert "R_g² of 2 molecules AB = 0.1875" in str(result)
 
 
 def infinite():
@@ -179,7 +179,8 @@ def test_the_error_of_a_mean_over_few_correlation_times_is_a_lower_bound(times, 
             looking.sums.total += [1.0, *values, *values**2]
             looking.sums.close_entry()
         told.append(
-            "correlation times of the 1 A2: R_g² long: THE ERROR BARS ARE LOWER BOUNDS" in str(looking.result())
+            "correlation times of the R_g² of 1 molecule A2 long: THE ERROR BARS ARE LOWER BOUNDS"
+            in str(looking.result())
         )
     assert share[0] <= np.mean(told) <= share[1]
 

@@ -88,6 +88,7 @@ def test_the_mean_over_all_layers_is_the_pressure_of_the_cell(axis, options):
     height = sim.system.volume / np.linalg.norm(normal)
     assert result.integral == pytest.approx(height * (across - along), abs=1e-9 * scale * height)  # rounding
     assert np.ptp(result.normal) > 0.1 * abs(across)
+    assert result.plot().axes[0].get_ylabel() == "pressure profile  [ε/σ³]"  # of both curves
 
 
 def test_lines_are_shared_by_the_layers_that_they_cross():

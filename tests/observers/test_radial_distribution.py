@@ -92,6 +92,15 @@ def test_a_picture_of_one_pair_names_it():
     assert observer.result().plot().axes[0].get_ylabel() == "g(r) of A-B"
 
 
+def test_a_pair_keeps_the_name_by_which_it_was_asked_for():
+    system = md.System(np.eye(3), cell=9.0, species=["Na", "Cl", "Na"])
+    for pair in ("Na-Cl", "Cl-Na"):
+        observer = md.observers.RadialDistribution(pairs=pair)
+        observer.observe(md.Simulation(system, (), md.VelocityVerlet(0.001)).engine)
+        assert observer.result().pairs == (pair,)
+        assert f"{pair}: first peak" in str(observer.result())
+
+
 def test_few_molecules_of_an_ideal_gas_have_a_distribution_of_one():
     """N² in place of N_ab would give 0.84 for A-A."""
     observer = looking(n_bins=8)

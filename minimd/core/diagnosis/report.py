@@ -19,6 +19,7 @@ from minimd.core.structure.statistics import (
     with_error,
 )
 
+DAY = 86400.0  # seconds
 BLOCKS = 40  # averages of the total energy between which the drift is fitted
 BLOCKS_OF_WALK = 20  # the same for a series that wanders like a random walk
 SIGNIFICANT = 3.0  # standard errors, if these are well known: chance exceeds them 3 times in 1000
@@ -39,10 +40,11 @@ ANGULAR_MOMENTUM_KEPT = 1e-12
 KEPT_ON_A_GRID = 1e-9
 # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
 SETTLING = 0.1
-SWELLING = 0.05  # of the volume, likewise; of 100 atoms of a liquid it fluctuates by 0.03
+SWELLING = 0.05  # of the volume, likewise
 # of |r² − d²|/d²: a rigid length is then off by 5e-9 of itself, far below the thermal motion of any bond
 LENGTHS_KEPT = 1e-8
 
+FAR_FROM_PRESSURE = "the barostat is far from its pressure; equilibrate first"
 KEPT = {True: "conserved", False: "NOT CONSERVED"}
 DRIFTS = {None: "too short to judge", True: "none", False: "IT DRIFTS"}
 
@@ -54,13 +56,16 @@ class Line:
     summary : with figures.
     verdict : in words.
     is_good : whether it is as it should be.
-    misses_pressure : whether it says that the mean pressure is not that of the barostat."""
+    misses_pressure : whether it says that the volume still changes, or that the mean pressure is not that of the
+        barostat.
+    is_rough : whether it says that an energy or a force jumps at a cutoff."""
 
     name: str
     summary: str
     verdict: str
     is_good: bool
     misses_pressure: bool = False
+    is_rough: bool = False
 
     def __str__(self) -> str:
         return f"{self.name:<14} {self.summary}: {self.verdict}"
@@ -84,16 +89,20 @@ class DriftRate:
         return f"{self.slope:+.2e}{error}"
 
     @property
-    def is_significant(self) -> bool:
-        """True if chance produces such a slope less than 3 times in 1000, or if it is not a number: it is then larger
-        than three standard errors, or up to six (Student's t) if fluctuations last long compared with the run."""
-        most = SIGNIFICANT
-        if not np.isinf(self.n_independent):
-            from scipy.special import ndtr, stdtrit  # takes its time to load
+    def most(self) -> float:
+        """Standard errors that chance exceeds 3 times in 1000: three, or up to six (Student's t) if fluctuations last
+        long compared with the run."""
+        if np.isinf(self.n_independent):
+            return SIGNIFICANT
+        from scipy.special import ndtr, stdtrit  # takes its time to load
 
-            largest = stdtrit(max(1.0, self.n_independent - 2.0), ndtr(SIGNIFICANT))
-            most = min(MOST_SIGNIFICANT, float(largest))
-        return not abs(self.slope) <= most * self.error
+        largest = stdtrit(max(1.0, self.n_independent - 2.0), ndtr(SIGNIFICANT))
+        return min(MOST_SIGNIFICANT, float(largest))
+
+    @property
+    def is_significant(self) -> bool:
+        """True if the slope is beyond what chance makes of it, or if it is not a number."""
+        return not abs(self.slope) <= self.most * self.error
 
     @property
     def is_too_short(self) -> bool:
@@ -170,7 +179,8 @@ class Cost:
     a method that begins with a drift); and in words its lists, its constraints and the work it did not need.
     seconds : of wall time, of the steps alone.
     peak_memory : bytes that the process has held at most so far, or None if that is unknown.
-    observing : seconds that observers of minimd.observers took besides those of the steps."""
+    observing : seconds that observers of minimd.observers took besides those of the steps.
+    nanoseconds : of the run [ns]; 0 in reduced units."""
 
     n_atoms: int
     n_steps: int
@@ -182,12 +192,15 @@ class Cost:
     constraints: str = ""
     peak_memory: int | None = None
     observing: float = 0.0
+    nanoseconds: float = 0.0
 
     def rows(self) -> Rows:
         """Rows of a report."""
         speed = "no steps"
         if self.seconds > 0.0:
             speed = f"{1e-6 * self.n_atoms * self.n_steps / self.seconds:.4g} Matom-steps/s"
+            if self.nanoseconds > 0.0:
+                speed += f", {DAY * self.nanoseconds / self.seconds:.4g} ns/day"
         work = f"{self.n_evaluations} force evaluations, {self.pair_search}, built {self.list_builds} times"
         rows = [("speed", f"{speed}; {work}")]
         if self.observing > 0.0:
@@ -227,7 +240,7 @@ class Report(Displayed):
     kinetic_energy : mean per atom [energy]: ½ n_dof k_B T / N, without a motion of the center of mass if n_dof is.
     energy_range : largest difference of two total energies per atom beyond rounding [energy].
     shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.
-    temperatures, volumes : means of the first and of the last fifth of the run; volumes of zero if they are unknown.
+    temperatures : means of the first and of the last fifth of the run.
     not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if none has.
     lines : results that need no run: see diagnosis.run_report.
     bath : temperature of the thermostat, and how far below it the time step keeps that of the velocities (NaN if that
@@ -235,6 +248,7 @@ class Report(Displayed):
     too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown.
     changed : a clause, if thermostat or barostat were set to something else during the run; empty if they were not.
     uncounted : a clause, if a force does work that is not known; empty if none does.
+    is_smooth : whether no energy and no force is known to jump at a cutoff; False if that is unknown.
     is_at_rest : whether nothing moves except by rounding; changes of momentum then have no scale to be judged by.
     """
 
@@ -258,7 +272,6 @@ class Report(Displayed):
     lines: tuple[Line, ...] = ()
     energy_range: float = 0.0
     temperatures: tuple[float, float] = (0.0, 0.0)
-    volumes: tuple[float, float] = (0.0, 0.0)
     not_finite: str = ""
     temperature_error: float = np.nan
     is_at_rest: bool = False
@@ -266,6 +279,7 @@ class Report(Displayed):
     too_long_a_step: str = ""
     changed: str = ""
     uncounted: str = ""
+    is_smooth: bool = False
 
     @property
     def energy_is_conserved(self) -> bool | None:
@@ -313,6 +327,19 @@ class Report(Displayed):
             return None
         return not drift.is_significant or slope < negligible
 
+    def _about_error(self, drift: DriftRate) -> str:
+        """What the error of a drift is, and why one of more than three of them is none, in parentheses; empty if it is
+        unknown."""
+        if np.isinf(drift.error):
+            return ""
+        words = "standard error"
+        if abs(drift.slope) > SIGNIFICANT * drift.error and self._has_no(drift):
+            reason = f"in so short a run chance makes up to {drift.most:.2g} of them"
+            if drift.is_significant:
+                reason = f"below {NEGLIGIBLE_DRIFT:g} of the kinetic energy per {self.units[1]}, which counts as none"
+            words = f"{words}; {reason}"
+        return f" ({words})"
+
     @property
     def momentum_is_conserved(self) -> bool:
         """True if rounding, which adds up like a random walk, explains the change, or if it need not be constant."""
@@ -336,12 +363,7 @@ class Report(Displayed):
     @property
     def is_far_from_pressure(self) -> bool:
         """Whether a barostat still changes the volume much, or the mean pressure is not the one wanted."""
-        return self.swells or any(line.misses_pressure for line in self.lines)
-
-    @property
-    def swells(self) -> bool:
-        """Whether the volume of the first and of the last fifth of the run differ much."""
-        return _differ(self.volumes, SWELLING)
+        return any(line.misses_pressure for line in self.lines)
 
     @property
     def is_quiet(self) -> bool:
@@ -358,8 +380,7 @@ class Report(Displayed):
         per = f"{energy} per atom"
         has_one_frame = self.n_frames == 1
         minus = " - reservoir" * self.has_bath + " - work" * self.has_work
-        error = "" if np.isinf(self.energy_drift.error) else " (standard error)"
-        change = f"drift {self.energy_drift} {per} per {time}{error}"
+        change = f"drift {self.energy_drift} {per} per {time}{self._about_error(self.energy_drift)}"
         rows = [
             (
                 f"E{minus}" if minus else "total energy",
@@ -369,7 +390,7 @@ class Report(Displayed):
         ]
         if self.shadow_drift is not None:
             verdict = DRIFTS[self.shadow_is_conserved]
-            change = f"drift {self.shadow_drift} {per} per {time}: {verdict}"
+            change = f"drift {self.shadow_drift} {per} per {time}{self._about_error(self.shadow_drift)}: {verdict}"
             rows.append(("shadow energy", change))
             rows.append(("", f"oscillation {self.shadow_oscillation:.2e} {per}"))
         if self.momentum_change is not None:
@@ -448,7 +469,9 @@ class Report(Displayed):
             momentum = "the total momentum is not a constant of this run."
         elif self.momentum_is_conserved:
             momentum = f"momentum is {'conserved to rounding' if self.momentum_change else 'exactly constant'}."
-        return f"{self._energy_verdict}; {momentum}"
+        is_to_be_told = self.is_far_from_pressure and self.energy_is_conserved is not False
+        far = f" BUT {FAR_FROM_PRESSURE}." if is_to_be_told else ""
+        return f"{self._energy_verdict}; {momentum}{far}"
 
     @property
     def _change(self) -> str:
@@ -491,12 +514,11 @@ class Report(Displayed):
                 "and with it the error of the energy; equilibrate first"
             )
         if self.is_far_from_pressure:
-            change = ""
-            if self.swells:
-                first, last = self.volumes
-                change = f" (the volume changed by {100.0 * (last / first - 1.0):+.2g} %)"
-            causes.append(f"the barostat is far from its pressure{change}; equilibrate first")
-        return f"THE {name.upper()} DRIFTS: {'; '.join(causes) or 'reduce the time step or smooth the cutoff'}"
+            causes.append(FAR_FROM_PRESSURE)
+        cure = "reduce the time step"
+        if not self.is_smooth:
+            cure += " or smooth the cutoff"
+        return f"THE {name.upper()} DRIFTS: {'; '.join(causes) or cure}"
 
 
 def _differ(ends: tuple[float, float], share: float) -> bool:
@@ -562,7 +584,6 @@ def conservation_report(
         lines=tuple(lines),
         energy_range=max(0.0, energy_range),
         temperatures=_ends(heat),
-        volumes=_ends(record.volume if "volume" in record else np.zeros(1)),
         not_finite=_not_finite(record),
         temperature_error=mean_and_error(heat)[1],
         is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * potential.max()),
@@ -598,6 +619,25 @@ def _ends(series: Array) -> tuple[float, float]:
     """Means of the first and of the last fifth."""
     fifth = max(1, len(series) // 5)
     return float(series[:fifth].mean()), float(series[-fifth:].mean())
+
+
+def swelling(volume: Array) -> float:
+    """The change of a volume, (T,), from the first to the last fifth of a run, as a fraction; 0 if it is at most
+    SWELLING, or if fluctuations explain it.
+
+    They do if the means of the first fifth and of the second half differ by at most three standard errors, and those of
+    the last fifth and of the first half. If e is the error of the half, that of the difference is √(1 + 5/2) e: the
+    error of a mean falls as the root of the length of the run."""
+    first, last = _ends(volume)
+    change = last / first - 1.0
+    if not _differ((first, last), SWELLING):
+        return 0.0
+    half = len(volume) // 2
+    for fifth, rest in ((first, volume[half:]), (last, volume[:half])):
+        mean, error = mean_and_error(rest)
+        if abs(fifth - mean) > SIGNIFICANT * 3.5**0.5 * error:
+            return change
+    return 0.0
 
 
 def _oscillation(time: Array, series: Array, slope: DriftRate) -> float:

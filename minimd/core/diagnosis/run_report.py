@@ -11,7 +11,7 @@ import numpy as np
 
 from minimd.core.compiled.machine import peak_memory
 from minimd.core.diagnosis.judge import too_long_a_step
-from minimd.core.diagnosis.report import Cost, Line, Report, conservation_report
+from minimd.core.diagnosis.report import Cost, Line, Report, conservation_report, swelling
 from minimd.core.diagnosis.reversibility import Reversibility
 from minimd.core.diagnosis.run_guard import RunGuard
 from minimd.core.engine.cell_rescaling import EVAPORATED
@@ -51,6 +51,7 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     bonds = engine.constraint_set.bonds
     is_free = engine.conserves_momentum
     solvers = f"{bonds.summary}; at most {bonds.iterations} iterations in a drift" if bonds else ""
+    picoseconds = guard.n_steps * abs(engine.method.timestep) * engine.system.units.to_picosecond
     cost = Cost(
         n_atoms=len(engine.system),
         n_steps=guard.n_steps,
@@ -62,16 +63,21 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
         constraints=solvers,
         peak_memory=peak_memory(),
         observing=guard.observing,
+        nanoseconds=picoseconds / 1000.0 if engine.system.units == ASE else 0.0,
     )
     angular = is_free and not engine.system.cell.is_periodic
     lines = static_checks(engine, reversibility)
     changes = bath_changes(guard)
-    barostat = None if "pressure" in changes else engine.barostat  # a ramp has no mean
+    barostat = None if changes else engine.barostat  # a ramp has no mean
     lines += pressure_lines(record, float(engine.system.masses.sum()), barostat, is_free)
     advice = too_long_a_step(engine) or ""
     report = conservation_report(record, angular, cost, is_free, lines, engine.n_dof, advice)
     changed = f"the {' and '.join(changes)} of the bath changed during the run" if changes else ""
-    return replace(report, bath=bath_of(engine), changed=changed, uncounted=uncounted_work(engine))
+    is_smooth = not any(line.is_rough for line in lines)
+    uncounted = uncounted_work(engine)
+    return replace(
+        report, bath=bath_of(engine), changed=changed, uncounted=uncounted, is_smooth=is_smooth
+    )
 
 
 def uncounted_work(engine: Engine) -> str:
@@ -184,7 +190,8 @@ def cutoff_lines(
             f"energy {energy:.1e} {units.energy}{where}, "
             f"force {force:.1e} {units.energy}/{units.length} at {there:g} {units.length}"
         )
-        yield Line("cutoff jump", summary, verdict, not energy_jumps)
+        is_rough = energy_jumps or force_jumps
+        yield Line("cutoff jump", summary, verdict, not energy_jumps, is_rough=is_rough)
 
 
 def _jump(law: tuple, cutoff2: float, *numbers: float) -> Jump:
@@ -211,8 +218,8 @@ def densities(record: Record, mass: float) -> tuple[Array, str]:
 def pressure_lines(
     record: Record, mass: float, barostat: StochasticCellRescaling | None, is_free: bool
 ) -> Iterator[Line]:
-    """Lines with the means of volume and density, and the mean pressure compared with the target of the barostat; none
-    without a barostat.
+    """Lines with the means of volume and density, and, unless only some lengths of the cell change, the mean pressure
+    compared with the target of the barostat; none without a barostat.
     mass : of all atoms."""
     if barostat is None or len(record) < ENOUGH or not np.isfinite(record.pressure).all():
         return
@@ -224,12 +231,12 @@ def pressure_lines(
         verdict = "EVAPORATED: at this pressure and temperature the atoms are a gas; for a liquid raise the pressure"
         yield Line("volume", grown, verdict, False)
         return
-    yield Line(
-        "volume",
-        f"{record.volume.mean():.6g} {units.volume} on average",
-        f"standard deviation {record.volume.std():.2g}",
-        True,
-    )
+    change = swelling(record.volume)
+    deviation = f"standard deviation {record.volume.std():.2g}"
+    if change:
+        deviation = f"NOT REACHED: it changed by {100.0 * change:+.2g} % from the first to the last fifth of the run"
+    mean_volume = f"{record.volume.mean():.6g} {units.volume} on average"
+    yield Line("volume", mean_volume, deviation, not change, misses_pressure=bool(change))
     density, unit = densities(record, mass)
     yield Line(
         "density",
@@ -237,7 +244,7 @@ def pressure_lines(
         f"standard deviation {density.std():.2g}{_unless_long(density, 'density')}",
         True,
     )
-    if barostat.coupling not in ("isotropic", "triclinic"):
+    if barostat.coupling not in ("isotropic", "triclinic", "xyz"):
         return
     missing = 0.0
     if leaves_out_center(record.n_atoms, is_free):

@@ -8,6 +8,7 @@ import numpy as np
 from minimd.core.console.display import Rows
 from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.structure.system import System
+from minimd.core.structure.units import ASE
 
 
 def scene_in_words(
@@ -30,21 +31,35 @@ def scene_in_words(
     for name, group in system.groups().items():
         if len(group):
             atoms += f"; {len(group)} {name}"
+    pressure = units.shown_pressure
     shown = {
         "timestep": units.shown,
         "temperature": lambda value: f"{value:.10g} {units.temperature}",
         "friction": lambda value: f"{value / units.to_picosecond:.10g} / {units.shown_time}",
         "relaxation_time": units.shown,
+        "pressure": lambda value: f"{value * units.to_shown_pressure:.10g} {pressure}",
+        "compressibility": lambda value: f"{value / units.to_shown_pressure:.10g} per {pressure}",
     }
-    settings = [method]
-    for name, value in parameters.items():
-        settings.append(f"{name.replace('_', ' ')} {shown.get(name, str)(value)}")
+
+    def settings(kind: str, of: Mapping[str, Any]) -> str:
+        told = [f"{name.replace('_', ' ')} {shown.get(name, str)(of[name])}" for name in of]
+        return ", ".join([kind, *told])
+
     rows = [("system", atoms), ("cell", cell)]
     if system.constraints:
         rows.append(("constraints", ", ".join(map(repr, system.constraints))))
     for potential in potentials:
         rows.append(("potential", potential))
-    rows.append(("method", ", ".join(settings)))
+    rows.append(("method", settings(method, parameters)))
     if barostat is not None:
-        rows.append(("barostat", repr(barostat)))
-    return rows
+        rows.append(("barostat", settings("stochastic cell rescaling", barostat.stated)))
+    mass = "m"
+    picosecond = ""
+    if units is ASE:
+        mass = "u"
+        picosecond = f", of which {units.to_picosecond**-1:.5g} make a ps"
+    numbers = (
+        f"of potentials: lengths in {units.length}, energies in {units.energy}, masses in {mass}, "
+        f"times in {units.time}{picosecond}"
+    )
+    return [*rows, ("units", numbers)]

@@ -23,6 +23,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -316,21 +317,28 @@ def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
     return f"{left or 'none'} before, {new or 'none'} now"
 
 
-def other_method(name: str, parameters: Mapping[str, Any], precision: str, engine: Engine) -> str:
-    """The method, bath and precision of the last steps in a file beside those with which its run goes on, in words;
-    empty if they are the same, or if only the temperature of the bath is another: who anneals means it."""
+def other_method(contents: Any, engine: Engine) -> str:
+    """The method, barostat and precision of the last steps in a file beside those with which its run goes on, in words;
+    empty if they are the same, or if only the temperature is another: who anneals means it.
+    contents : H5MDContents, which has a barostat if the engine has one."""
+    parameters = contents.parameters
+    precision = contents.precision
     own = json.loads(json.dumps(engine.method.parameters))
     now = (engine.method.name, own, engine.interactions.options.precision)
     annealed = dict(parameters)
     if "temperature" in parameters:
         annealed["temperature"] = own.get("temperature")
-    if now == (name, annealed, precision):
+    bath = engine.barostat
+    is_same_bath = bath is None or bath == replace(contents.barostat, temperature=bath.temperature)
+    if is_same_bath and now == (contents.method, annealed, precision):
         return ""
+    before = (contents.method, parameters, precision)
     runs = []
-    for method, values, arithmetic in ((name, parameters, precision), now):
+    for (method, values, arithmetic), barostat in ((before, contents.barostat), (now, bath)):
         arguments = ", ".join(f"{key}={as_text(value)}" for key, value in values.items())
+        beside = "" if is_same_bath else f" with {barostat!r}"
         suffix = "" if now[2] == precision else f" in {arithmetic} precision"
-        runs.append(f"{method}({arguments}){suffix}")
+        runs.append(f"{method}({arguments}){beside}{suffix}")
     return "{} before, {} now".format(*runs)
 
 

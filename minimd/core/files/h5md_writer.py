@@ -40,6 +40,7 @@ MOST_OFTEN = 50.0
 # of a block of frames
 BLOCK_BYTES = 32 * 1024**2
 MOST_FRAMES = 4096
+ANEW = "write to a new file; a scene with [structure] file begins one from the state of this file"
 BESIDE = "beside."  # in the names of arrays that are kept with a restart
 
 
@@ -113,10 +114,11 @@ class H5MDWriter:
         Forces are written if the file has them. A frame at the step of the restart is not written twice. Observers that
         have not looked yet take over the state of those in the file with the same names.
 
-        Warns if the steps to come are those of another method, bath or precision.
+        Warns if the steps to come are those of another method, barostat or precision.
 
-        Raises ValueError if the file holds another system, other constraints, another barostat or other observables, if
-        it has no forces and store_forces asks for them, or if the simulation is not at the step of the restart.
+        Raises ValueError if the file holds another system, other constraints or other observables, if
+        only one of them has a barostat, if the file has no forces and store_forces asks for them, or if the simulation
+        is not at the step of the restart.
         OSError if the file cannot be written, or is damaged.
         """
         opened(file).close()
@@ -141,9 +143,7 @@ class H5MDWriter:
         obstacle = _obstacle(contents, self._engine, self._store_forces)
         if obstacle:
             raise ValueError(f"trajectory {file!r} {obstacle}")
-        methods = layout.other_method(
-            contents.method, contents.parameters, contents.precision, self._engine
-        )
+        methods = layout.other_method(contents, self._engine)
         if methods:
             warn(
                 f"the run in {file!r} is continued with another method, barostat or precision: {methods}; "
@@ -369,10 +369,9 @@ def _obstacle(contents: H5MDContents, engine: Engine, store_forces: bool) -> str
             f"continues from step {contents.step}, but the simulation is at step {engine.step}; "
             "take the state of the file with minimd.Simulation.resume, or write to a new file"
         )
-    if engine.barostat != contents.barostat:
-        old = "no barostat" if contents.barostat is None else repr(contents.barostat)
-        new = "no barostat" if engine.barostat is None else repr(engine.barostat)
-        return f"holds a run with {old}; the simulation has {new}; write to a new file"
+    if (engine.barostat is None) != (contents.barostat is None):
+        has_one = "without" if contents.barostat is None else "with"
+        return f"was written {has_one} a barostat, the simulation has {engine.barostat!r}; {ANEW}"
     return _obstacle_of_observables(contents, engine, store_forces)
 
 
@@ -381,10 +380,7 @@ def _obstacle_of_observables(contents: H5MDContents, engine: Engine, store_force
     names = contents.record.names
     if engine.has_bath != ("conserved_energy" in names):
         thermostat = "without" if engine.method.is_thermostat else "with"
-        return (
-            f"was written {thermostat} a thermostat; it cannot be continued with {engine.method.name}; "
-            "write to a new file"
-        )
+        return f"was written {thermostat} a thermostat; it cannot be continued with {engine.method.name}; {ANEW}"
     extras = extras_in(contents.record)
     if set(extras) != set(engine.extra_observables):
         return (

@@ -111,21 +111,23 @@ class StochasticCellRescaling(Displayed):
         object.__setattr__(self, "_key", key_of(self.seed))
 
     def __repr__(self) -> str:
-        arguments = (f"{name}={as_text(value)}" for name, value in self._stated())
+        arguments = (f"{name}={as_text(value)}" for name, value in self.stated.items())
         return f"StochasticCellRescaling({', '.join(arguments)})"
 
     def display_rows(self) -> Rows:
         """See Displayed."""
         rows = [("barostat", "stochastic cell rescaling")]
-        return rows + [(name, as_text(value)) for name, value in self._stated()]
+        return rows + [(name, as_text(value)) for name, value in self.stated.items()]
 
     @property
     def parameters(self) -> dict[str, float | int | str | None]:
         """The constructor arguments that recreate this barostat, by name."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.init}
 
-    def _stated(self) -> list[tuple[str, Any]]:
-        return [(name, value) for name, value in self.parameters.items() if value is not None]
+    @property
+    def stated(self) -> dict[str, Any]:
+        """Those of the parameters that are not None."""
+        return {name: value for name, value in self.parameters.items() if value is not None}
 
     def strain(self, state: ThermodynamicState, duration: float, number: int) -> Array:
         """ε, (3, 3).

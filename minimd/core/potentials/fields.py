@@ -134,10 +134,12 @@ class FieldTerm(OwnTerm):
     """A field on atoms, (n,) int, all different.
     columns : (n,) numbers of each, for each parameter of the law.
     anchors : see FieldRows.
-    prepare : called before each evaluation, if given."""
+    prepare : called before each evaluation, if given.
+    changes_along : periodic directions along which an atom and its image feel different forces."""
 
     acts_from_outside = fits_grid = True
     prepare: Callable[[], None] | None = None
+    changes_along: tuple[int, ...] = ()
 
     def __init__(
         self, acting: Indices, law: tuple, columns: tuple, anchors: Array = NOWHERE
@@ -351,7 +353,9 @@ class Field(OnAtoms):
                 trials.append(_Trial(self.law, system.positions[acting[k]] + BESIDE, numbers))
         _check_slopes(trials)
         term: Any = FieldTerm(acting, self.law, columns)  # type: ignore[arg-type]
-        term.warning = next(filter(None, (trial.repeats(system) for trial in trials)), "")
+        for k in np.flatnonzero(system.cell.pbc):
+            if any(trial.changes(system.cell.vectors[k]) for trial in trials):
+                term.changes_along += (int(k),)
         term.depends_on_time = any(len(trial.at(TIMES[0])) == TIMED for trial in trials)
         term.fits_grid = not term.depends_on_time  # its work is no whole number of steps
         return term
@@ -418,17 +422,12 @@ class _Trial(NamedTuple):
 
         return compared
 
-    def repeats(self, system: System) -> str:
-        """A warning if the force is another one lattice vector away; empty if not."""
+    def changes(self, vector: Array) -> bool:
+        """Whether the force is another one a lattice vector away."""
         force = np.array(self.at(TIMES[0])[1:4])
-        for k in np.flatnonzero(system.cell.pbc):
-            at_image = self.at(TIMES[0], np.append(system.cell.vectors[k], 0.0))[1:4]
-            if not np.allclose(force, at_image, rtol=ACCURACY, atol=ACCURACY * np.abs(force).max()):
-                return (
-                    f"the cell is periodic along {'abc'[k]}, but the field is not: "
-                    "an atom and its image feel different forces"
-                )
-        return ""
+        at_image = self.at(TIMES[0], np.append(vector, 0.0))[1:4]
+        tolerance = ACCURACY * np.abs(force).max()
+        return not np.allclose(force, at_image, rtol=ACCURACY, atol=tolerance)
 
 
 def _check_slopes(trials: list[_Trial]) -> None:
@@ -514,10 +513,10 @@ class Wall(OwnWall):
         normal = np.asarray(self.normal)
         crossed = np.abs((vectors * normal).sum(axis=1)) > ALONG * np.linalg.norm(vectors, axis=1)
         if crossed.any():
-            name = "abc"[np.flatnonzero(cell.pbc)[np.argmax(crossed)]]
+            k = np.flatnonzero(cell.pbc)[np.argmax(crossed)]
             raise ValueError(
-                f"a Wall must lie along all periodic directions; it crosses {name}: "
-                "set pbc to False there, or turn the wall"
+                f"a Wall must lie along all periodic directions; it crosses {'abc'[k]}: set pbc to False there "
+                f'(in a charged slab with Coulomb(..., slab="{"xyz"[k]}")), or turn the wall'
             )
         along_normal = float((normal * self.point).sum())
         distances = ((positions - np.asarray(self.point)) * normal).sum(axis=1)

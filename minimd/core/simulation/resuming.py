@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,8 @@ def resumed(
     if potentials is None:
         potentials = stored_potentials(contents, file)
     options = {name: getattr(contents, name) for name in ("precision", "skin", "barostat")}
+    if contents.barostat is not None and method is not None and method.is_thermostat:
+        options["barostat"] = replace(contents.barostat, temperature=None)  # that of the method
     simulation = kind(
         contents.system, potentials, method or contents.integrator(), threads=threads, **options
     )

@@ -46,7 +46,7 @@ SHORTER = {
     ".repeat(6)": ".repeat(4)", "probe_reversibility(200)": "probe_reversibility(50)",
 }  # fmt: skip
 LONG = "fixed-point lists timestep observers pressure forces own-laws view grade small-systems notebook metals past"
-LONG = {f"{name}.md" for name in LONG.split()}  # long runs
+LONG = {f"{name}.md" for name in f"{LONG} charges water i-pi".split()}  # long runs, many kernels
 ELSEWHERE = (
     "formats.md",
     "ensembles.md",

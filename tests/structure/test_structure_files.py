@@ -97,7 +97,8 @@ def test_angles_and_constraints_of_a_file_are_those_named_by_hand(folder):
 def test_scenes_have_every_field_and_law():
     made, wrong = parse_scene(scene_text("fields"), "scene.toml").potentials(), scene_text("gravity")
     kinds = [md.ConstantForce, md.Gravity, md.Restraint, md.SteeredSpring, md.Wall, md.CylinderWall, md.SphereWall]
-    assert [type(one) for one in made] == [*kinds, md.MorseBond, md.OPLSDihedral, md.RyckaertBellemans]
+    kinds += [md.MorseBond, md.OPLSDihedral, md.RyckaertBellemans, md.DihedralMap]
+    assert [type(one) for one in made] == kinds
     assert repr(made[3]) == "SteeredSpring(k=3.0, points=[1.0, 2.0, 3.0], velocity=[0.1, 0.0, 0.0], atoms=[3], end=5)"
     words = "potential[0]", "'acceleration'", "'acceleration_A_ps2'"
     assert_answered(lambda: parse_scene(wrong, "scene.toml"), ValueError, *words)

@@ -133,7 +133,7 @@ class Calculator(ASECalculator):
             return forces
         system = System(**system_arguments(atoms, self.bonds, constraints=False))
         forces = Forces(system, self.potentials, self.options)
-        forces.warn_of_idle_charges()
+        forces.warn_of_potentials()
         self._plan = (atoms, forces)
         return forces
 

@@ -180,7 +180,8 @@ class ProfileResult(Result):
     axis : its name.
     z : (B,) middles of the layers [length].
     densities, density_errors : (S, B) of each species [1/length³].
-    temperature, temperature_error : (B,); NaN in layers where no atom moves.
+    temperature, temperature_error : (B,); NaN in layers where no atom moves. Of n visits of atoms to a layer the flow
+        takes one, so that the temperature is low by one part in n: of a single visit it is 0.
     flow, flow_errors : (3, B) u along x, y and z [length/time]; NaN in empty layers.
     n_frames : number of looks.
     """

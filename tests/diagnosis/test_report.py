@@ -126,8 +126,11 @@ class Wind(md.Term):
         forces += 0.3 * system.velocities
 
 
-def test_the_work_of_a_force_without_a_potential_is_no_drift():
-    sim = md.Simulation(liquid(3), [LJ, Wind()], VERLET)
+@pytest.mark.parametrize("is_checked", [False, True])  # it has no energy to compare with
+def test_the_work_of_a_force_without_a_potential_is_no_drift(is_checked):
+    wind = Wind()
+    wind.is_checked = is_checked
+    sim = md.Simulation(liquid(3), [LJ, wind], VERLET)
     sim.set_temperature(0.5, seed=1)
     sim.run(500, every=10)
     report = sim.report()
@@ -135,6 +138,14 @@ def test_the_work_of_a_force_without_a_potential_is_no_drift():
     assert report.energy_is_conserved is None
     assert "the work of Wind is not counted" in report.verdict
     assert "reduce the time step" not in str(report)
+
+
+def test_atoms_that_a_bath_leaves_at_rest_have_a_report():
+    bath = md.StochasticVelocityRescaling(0.001, 1.0, 1.0, seed=1)
+    sim = md.Simulation(md.System([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]), LJ, bath)
+    sim.run(100, every=10)
+    assert "the atoms are at rest" in str(sim.report())
+    assert "STANDARD ERRORS" not in str(sim.report())
 
 
 def test_a_mean_temperature_that_is_not_that_of_the_bath_is_told():

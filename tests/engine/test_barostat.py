@@ -299,7 +299,8 @@ def test_what_evaporates_at_a_negative_pressure_is_told():
     assert caught.value.crash_report.kind == "barostat"
     assert simulation.system.volume < 300.0
     record = record_of(np.ones(20), volume=np.geomspace(1.0, 9.0, 20), pressure=np.ones(20))  # of a file
-    assert "EVAPORATED" in str(next(pressure_lines(record, 1.0, barostat(), False)))
+    for is_ramp in (False, True):
+        assert "EVAPORATED" in str(next(pressure_lines(record, 1.0, barostat(), False, is_ramp)))
 
 
 @pytest.mark.parametrize("make", [lambda: SCENES["dumbbells"]()[:3], wrapped_dumbbells], ids=["whole", "wrapped"])

@@ -23,13 +23,13 @@ Rows = list[tuple[str, str]]
 class Displayed:
     """Base class of objects that a notebook displays; inside another object, such as a list, the repr is shown.
     A class defines either __str__ or display_rows; here each is defined by the other. A constructor that it defines
-    tells its arguments, see with_arguments_told."""
+    names its arguments, see refuse_unknown_arguments."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         cls._repr_pretty_ = Displayed._repr_pretty_  # type: ignore[method-assign] # else IPython takes __repr__
         if "__init__" in vars(cls):
-            with_arguments_told(cls)
+            refuse_unknown_arguments(cls)
 
     def display_rows(self) -> Rows:
         """Names and words; a row without a name continues the one before."""
@@ -54,23 +54,24 @@ class Displayed:
         return f"<table><caption {LEFT}>{type(self).__name__}</caption>{rows}</table>"
 
 
-def with_arguments_told(kind: Any) -> None:
-    """Let the constructor of a class tell its arguments, with a TypeError, if it is given one that it does not have."""
-    made = kind.__init__
+def refuse_unknown_arguments(kind: Any) -> None:
+    """Let the constructor of a class name its arguments, in a TypeError, if it is given one that it does not have."""
+    construct = kind.__init__
     known = signature(kind).parameters
     if any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values()):
         return
 
-    @wraps(made)
-    def told(self: Any, *arguments: Any, **named: Any) -> None:
-        for name in named.keys() - known:
+    @wraps(construct)
+    def checked_construct(self: Any, *arguments: Any, **named: Any) -> None:
+        unknown = [name for name in named if name not in known]
+        if unknown:
             raise TypeError(
-                f"{type(self).__name__} has no argument {name!r}; "
-                f"it has {', '.join(known)}{near(name, known)}"
+                f"{kind.__name__} has no argument {unknown[0]!r}; "
+                f"it has {', '.join(known)}{near(unknown[0], known)}"
             )
-        made(self, *arguments, **named)
+        construct(self, *arguments, **named)
 
-    kind.__init__ = told
+    kind.__init__ = checked_construct
 
 
 def call_of(

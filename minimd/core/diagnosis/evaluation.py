@@ -71,7 +71,7 @@ def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potent
     system = system if isinstance(system, System) else System.from_ase(system)
     forces = Forces(system, potentials, Options(skin=0.0))
     if isinstance(potentials, Sequence):  # a single one is a part of the energy
-        forces.warn_of_idle_charges()
+        forces.warn_of_potentials()
     sums = forces.compute(PER_ATOM)
     cause = thin_cell(system, forces.potentials)
     if cause:

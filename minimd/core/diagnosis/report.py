@@ -284,9 +284,9 @@ class Report(Displayed):
     @property
     def energy_is_conserved(self) -> bool | None:
         """True if the drift is zero within its error, or below 1e-6 of the kinetic energy in each ps or τ;
-        None if the run is too short to tell, if the work of a force is not known, or if the baths were changed and
-        there is no drift, or the energy varies by less than a hundredth of the kinetic energy: its error depends on the
-        temperature.
+        None if the run is too short to tell, or if the work of a force is not known. A run whose baths were changed is
+        never True, because the error of the energy depends on the temperature: None unless it drifts and varies by more
+        than a hundredth of the kinetic energy.
 
         An energy that varies by more than half the kinetic energy is not conserved, whatever its drift: one bad step is
         no drift. Nothing is conserved if an observable is not finite."""
@@ -437,6 +437,7 @@ class Report(Displayed):
             asked, deficit = self.bath
             setting = f"{asked:.4g} {heat} is asked of the thermostat"
             distance = abs(self.mean_temperature - asked + deficit)
+            is_far = error > 0.0 and distance > SIGNIFICANT * error
             if self.changed:
                 setting += f" at the end; {self.changed}"
             elif deficit > error:
@@ -445,7 +446,7 @@ class Report(Displayed):
                     f"; the time step makes velocities too slow: {expected}, positions have what is asked "
                     "(docs/temperature.md, which temperature?)"
                 )
-            if distance > SIGNIFICANT * error and not self.changed:
+            if is_far and not (self.changed or self.is_at_rest):
                 setting += (
                     f"; THE MEAN IS {distance / error:.2g} STANDARD ERRORS FROM IT: not settled, heated by "
                     "work or a flow, or so short a run that its error bar is itself uncertain"

@@ -17,7 +17,6 @@ from minimd.core.neighbors.queries import closest_pair
 from minimd.core.potentials.bonded import HarmonicBond
 from minimd.core.potentials.coulomb import SUMS, Coulomb, spaces
 from minimd.core.potentials.embedded import EmbeddedAtom
-from minimd.core.potentials.fields import FieldTerm
 from minimd.core.potentials.pair import Nonbonded
 from minimd.core.structure.bond_graph import among
 from minimd.core.structure.checks import LARGEST
@@ -74,7 +73,6 @@ def before(evidence: Evidence) -> Verdicts:
     yield from _moving_center(evidence)
     yield from _flat_motion(evidence)
     yield from _polar_slab(evidence)
-    yield from _field_across_cell(evidence)
     # atoms that are pushed by their own images, as in a cell of two dimensions that is left periodic
     cause = thin_cell(evidence.system, evidence.potentials)
     if cause:
@@ -244,18 +242,6 @@ def _polar_slab(evidence: Evidence) -> Verdicts:
             f"along the normal of the slab, across {'abc'[axis]}: "
             f"its periodic images make a field of {field:.3g} {units.energy}/(e {units.length}) in it",
             f'Coulomb(..., slab="{"xyz"[axis]}") is without this field',
-        )
-
-
-def _field_across_cell(evidence: Evidence) -> Verdicts:
-    """A field of the user's that has another force one lattice vector away, unless there is only empty space."""
-    slabs = {"xyz".find(law.slab) for law in evidence.potentials if isinstance(law, Coulomb)}
-    fields = (term for term in evidence.engine.interactions.terms if isinstance(term, FieldTerm))
-    for k in {k for field in fields for k in field.changes_along} - slabs:
-        yield Verdict(
-            "field",
-            f"the cell is periodic along {'abc'[k]}, but the field is not: an atom and its image feel different forces",
-            f'set pbc to False there, or, in a charged slab, give Coulomb(..., slab="{"xyz"[k]}")',
         )
 
 

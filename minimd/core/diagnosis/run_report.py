@@ -21,7 +21,6 @@ from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.integrators.thermostats import Thermostat
 from minimd.core.potentials.law import law_at
 from minimd.core.potentials.pair import Nonbonded
-from minimd.core.potentials.term import OwnTerm
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.observables import leaves_out_center, longest
 from minimd.core.structure.statistics import (
@@ -68,8 +67,8 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     angular = is_free and not engine.system.cell.is_periodic
     lines = static_checks(engine, reversibility)
     changes = bath_changes(guard)
-    barostat = None if changes else engine.barostat  # a ramp has no mean
-    lines += pressure_lines(record, float(engine.system.masses.sum()), barostat, is_free)
+    mass = float(engine.system.masses.sum())
+    lines += pressure_lines(record, mass, engine.barostat, is_free, is_ramp=bool(changes))
     advice = too_long_a_step(engine) or ""
     report = conservation_report(record, angular, cost, is_free, lines, engine.n_dof, advice)
     changed = f"the {' and '.join(changes)} of the bath changed during the run" if changes else ""
@@ -81,14 +80,11 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
 
 
 def uncounted_work(engine: Engine) -> str:
-    """A clause about a force from outside whose energy nobody has checked; empty without such."""
-    for term in engine.interactions.terms:
-        if term.acts_from_outside and not (term.is_checked or isinstance(term, OwnTerm)):
-            name = type(term).__name__
-            return (
-                f"the work of {name} is not counted, a force from outside with is_checked = False"
-            )
-    return ""
+    """A clause about forces from outside whose energy nobody has checked; empty without such."""
+    names = ", ".join(engine.interactions.unchecked)
+    return (
+        f"the work of {names} is not counted, a force from outside without energy" if names else ""
+    )
 
 
 def bath_changes(guard: RunGuard) -> list[str]:
@@ -216,11 +212,16 @@ def densities(record: Record, mass: float) -> tuple[Array, str]:
 
 
 def pressure_lines(
-    record: Record, mass: float, barostat: StochasticCellRescaling | None, is_free: bool
+    record: Record,
+    mass: float,
+    barostat: StochasticCellRescaling | None,
+    is_free: bool,
+    is_ramp: bool = False,
 ) -> Iterator[Line]:
     """Lines with the means of volume and density, and, unless only some lengths of the cell change, the mean pressure
     compared with the target of the barostat; none without a barostat.
-    mass : of all atoms."""
+    mass : of all atoms.
+    is_ramp : whether the baths have changed; there are no means then."""
     if barostat is None or len(record) < ENOUGH or not np.isfinite(record.pressure).all():
         return
     first = float(record.volume[0])
@@ -230,6 +231,8 @@ def pressure_lines(
         grown = f"from {first:.4g} to {last:.4g} {units.volume}"
         verdict = "EVAPORATED: at this pressure and temperature the atoms are a gas; for a liquid raise the pressure"
         yield Line("volume", grown, verdict, False)
+        return
+    if is_ramp:
         return
     change = swelling(record.volume)
     deviation = f"standard deviation {record.volume.std():.2g}"

@@ -163,7 +163,9 @@ def advise_timestep(
     if constraints is None:
         constraints = system.constraints
     constraint_set = ConstraintSet(system, constraints)
-    return _advice(Forces(system, potentials), constraint_set, method)
+    forces = Forces(system, potentials)
+    forces.warn_of_potentials()
+    return _advice(forces, constraint_set, method)
 
 
 def advice_at(

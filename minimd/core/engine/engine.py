@@ -118,7 +118,7 @@ class Engine:
         self.notes = {"title": "", "scene": ""}
         self.extra_observables: Sequence[str] = ()
         self.interactions = Forces(self.system, potentials, options)
-        self.interactions.warn_of_idle_charges()
+        self.interactions.warn_of_potentials()
         _warn_of_dropped(self.system.constraints, constraints)
         held = self.system.constraints if constraints is None else constraints
         self.constraint_set = ConstraintSet(

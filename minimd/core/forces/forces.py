@@ -38,7 +38,8 @@ from minimd.core.forces.pair_list_term import PairListTerm
 from minimd.core.forces.site_passes import SitePasses
 from minimd.core.forces.slab_term import OpenSlabTerm, SlabTerm
 from minimd.core.neighbors.verlet_list import Built, VerletList
-from minimd.core.potentials.coulomb import SpecialLaw
+from minimd.core.potentials.coulomb import Coulomb, SpecialLaw
+from minimd.core.potentials.fields import FieldTerm
 from minimd.core.potentials.laws import Scaled
 from minimd.core.potentials.links import FixedPairs, Lines, LinkedTerm, Slots
 from minimd.core.potentials.pair_loop import from_table
@@ -246,6 +247,7 @@ class Forces:
             )
         self.pool = pool_for(self.options, len(system))
         self.potentials = as_potentials(potentials)
+        self.unchecked: list[str] = []  # see check_forces
         self.terms: list[Term] = []
         self._lists: list[VerletList] = []
         self.n_evaluations = 0
@@ -281,8 +283,21 @@ class Forces:
                 "out or scaled, cutoff + skin can be at most half the height of the cell"
             )
 
-    def warn_of_idle_charges(self) -> None:
-        """Warn if atoms have charges that no potential uses; one of a user's own may use them."""
+    def warn_of_potentials(self) -> None:
+        """Warn if atoms have charges that no potential uses, one of a user's own may use them, and of a field that has
+        another force one lattice vector away, unless a slab has only empty space there."""
+        slabs = {
+            "xyz".find(potential.slab)
+            for potential in self.potentials
+            if isinstance(potential, Coulomb)
+        }
+        fields = [term for term in self._bound if isinstance(term, FieldTerm)]
+        for axis in {axis for field in fields for axis in field.changes_along} - slabs:
+            warn(
+                f"the cell is periodic along {'abc'[axis]}, but the field is not: an atom and its image feel "
+                f"different forces; set pbc to False there, or, in a charged slab, give "
+                f'Coulomb(..., slab="{"xyz"[axis]}")'
+            )
         largest = np.abs(self.system.charges).max(initial=0.0)
         laws = [term.pair_law for term in self._bound]
         is_used = any(law is not None and law.charges is not None for law in laws)
@@ -371,10 +386,13 @@ class Forces:
             check_resolution(system, term.shortest_length, "the shortest length of a potential")
 
     def check_forces(self, time: float) -> None:
-        """Raise ValueError if the force of a user's term is not minus the gradient of its energy, at a time."""
+        """Raise ValueError if the force of a user's term is not minus the gradient of its energy, at a time.
+        Those from outside that cannot be compared, or shall not be, are in unchecked from now on."""
+        self.unchecked = []
         for potential, term in zip(self.potentials, self._bound, strict=True):
-            if term.is_checked:
-                check_force(potential, self.system, time)
+            is_compared = term.is_checked and check_force(potential, self.system, time)
+            if term.acts_from_outside and not (is_compared or isinstance(term, OwnTerm)):
+                self.unchecked.append(type(potential).__name__)
 
     def fit_skin(self, displacement: float) -> None:
         """Choose the skin anew if the displacement of the fastest atom in a step [length] has changed much,

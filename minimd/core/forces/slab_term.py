@@ -214,9 +214,11 @@ class OpenSlabTerm(OwnTerm):
         height = self._empty * (1.0 + STEP * n_steps)
         vectors = self._lattice.copy()
         vectors[self._open] *= height
-        self._taller.cell = Cell.of(vectors)
-        self._sum = charge_sum(self._taller, self._charges, *self._how)
+        taller = copy(self._taller)
+        taller.cell = Cell.of(vectors)
+        self._sum = charge_sum(taller, self._charges, *self._how)
         # only now, since there may be no such sum
+        self._taller = taller
         self._n_steps = n_steps
         self._height = height
         self._slab = SlabTerm(self._taller, self._charges, self._axis)

@@ -140,8 +140,10 @@ def minimize(
     E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006); J. Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020).
     """
     system = system.copy() if isinstance(system, System) else System.from_ase(system)
+    forces = Forces(system, potentials)
+    forces.warn_of_potentials()
     return minimized(
-        Forces(system, potentials),
+        forces,
         ConstraintSet(system, system.constraints if constraints is None else constraints),
         force_tolerance,
         max_steps,

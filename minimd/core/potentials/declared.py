@@ -22,7 +22,7 @@ from typing import Any, ClassVar, NamedTuple, dataclass_transform
 
 import numpy as np
 
-from minimd.core.console.display import with_arguments_told
+from minimd.core.console.display import refuse_unknown_arguments
 from minimd.core.console.words import shown
 from minimd.core.potentials.law import checked_law
 from minimd.core.potentials.term import OwnPotential
@@ -127,7 +127,7 @@ class Declared(OwnPotential):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        with_arguments_told(dataclass(eq=False, repr=False)(cls))
+        refuse_unknown_arguments(dataclass(eq=False, repr=False)(cls))
         lines = [parameter.told(name) for name, parameter in cls.parameters_of().items()]
         if lines:
             sections = ["", "Parameters", "----------", *lines, "", "Raises", "------", RAISES]

@@ -296,18 +296,19 @@ def bound(potential: Any, system: System) -> Term:
     return completed
 
 
-def check_force(potential: Any, system: System, time: float) -> None:
+def check_force(potential: Any, system: System, time: float) -> bool:
     """Compare the force of a term with its energy at a time: F·w = −dU/dw, along random displacements w of all atoms.
 
     The slope is a central difference. The larger the disagreement with that of twice the step, as at a jump of the
     energy or in float32, the more may the force differ. A copy of the potential is bound to a copy of the system: the
-    term of the run sees nothing of it. A potential that cannot be copied is not checked.
+    term of the run sees nothing of it. Returns whether they were compared: a potential that cannot be copied, or has
+    no energy, is not.
     Raises ValueError if most of the finite forces are wrong.
     """
     try:
         potential, system = deepcopy((potential, system))
     except Exception:  # whatever an object of the user's raises
-        return
+        return False
 
     term = bound(potential, system)
     term.time = time
@@ -330,7 +331,7 @@ def check_force(potential: Any, system: System, time: float) -> None:
 
     forces, energies = evaluate(0.0)
     if not energies.any():
-        return
+        return False
     n_compared = 0
     faults = []
 
@@ -348,6 +349,7 @@ def check_force(potential: Any, system: System, time: float) -> None:
             f"for a displacement w of all atoms {faults[0]}; "
             "a term whose force is no gradient sets is_checked = False"
         )
+    return True
 
 
 def _length_of(system: System) -> float:

@@ -151,7 +151,7 @@ def not_carried_over(simulation: Simulation) -> list[str]:
         "order of the thermostat: fix langevin adds friction and noise to the forces of velocity Verlet, and has "
         "other errors of order Δt² than BAOAB": isinstance(method, LangevinBAOAB),
         "sum over waves: by pppm, with Gaussians and a mesh, to the accuracy asked for": has_waves,
-        f"{', '.join(extra)}: computed by minimd for each frame, not by LAMMPS": len(extra) > 0,
+        f"{', '.join(extra)}: computed by minimd for each frame, not by LAMMPS": bool(extra),
         "fixed-point arithmetic: LAMMPS computes in double precision": is_fixed_point,
         f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration": is_rigid,
         "observers, crash reports and the run guard: a run of LAMMPS that fails ends with LAMMPS' own error, and the "
@@ -205,9 +205,16 @@ def hand_over(
     with_forces = checked_flag("store_forces", store_forces)
     tell = tell or (lambda line: None)
 
+    try:
+        job.program = find_program(job.processes)
+    except FileNotFoundError as error:
+        Model(job.engine)  # what LAMMPS cannot run is told first
+        raise FileNotFoundError(
+            f"{error}; write_input writes the input for another machine"
+        ) from None
+
     with _in_folder(job), stop_on_signals(job):
         model = _written(job)
-        job.program = find_program(job.processes)
         tell(f"LAMMPS         {job.program.version}, on {_named(job.processes)}")
         for k, line in enumerate(not_carried_over(simulation)):
             tell(f"{'' if k else 'not carried':<14} {line}")
@@ -274,12 +281,18 @@ def write_input(
 ) -> None:
     """Write the input of LAMMPS, which another machine may run by `lmp -in run.lmp` in the folder.
 
-    It needs no LAMMPS, and its forces are not compared with those of minimd.
-    Arguments and errors are those of hand_over.
+    It needs no LAMMPS, and its forces are not compared with those of minimd. Positions and velocities in it satisfy the
+    constraints; the simulation is left in its state.
+
+    folder, steps, every, overwrite : see hand_over.
+    Raises ValueError for a scene that LAMMPS cannot run as minimd does; FileExistsError for a folder that is not empty;
+    FileNotFoundError if the one that would hold it does not exist; OSError for files. Nothing new is then left in it.
     """
     job = _checked_job(simulation, folder, steps, 1, every, overwrite)
+    before = simulation.snapshot()
     with _in_folder(job):
         _written(job)
+    simulation.restore(before)
 
 
 @dataclass

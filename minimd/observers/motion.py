@@ -500,9 +500,8 @@ class DisplacementResult(MotionResult):
         units = self.units
         of_all = self.in_words(self.diffusivity)
         rows = [("diffusion", of_all), *self.fixed_rows]
-        alike: dict[
-            str, list[str]
-        ] = {}  # species by their words: those of a molecule move with its center
+        # species by their words: those of a molecule move with its center
+        alike = dict[str, list[str]]()
         for name, of_one in zip(self.scene.species, self.of_species, strict=True):
             alike.setdefault(self.in_words(of_one), []).append(name)
         for words, names in alike.items():

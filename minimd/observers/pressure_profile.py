@@ -42,9 +42,10 @@ class PressureProfile(Layers):
         P(z) = ⟨Σ_i m v ⊗ v + Σ_lines s r ⊗ f⟩ / ΔV,   P_N = n · P n,   P_T = ½ (tr P − P_N)
 
     n is the normal of the layers, ΔV the volume of one, in which the atoms i are. Each pair, bond and length held fixed
-    has a line r, with the force f on its far end, an angle two and a dihedral three, along their bonds; s is the share
-    of the line in the layer. Velocities are relative to the center of mass. The mean over all layers is the pressure
-    without tail corrections, and ∫ (P_N − P_T) dz the surface tension times the number of surfaces, see SurfaceTension.
+    has a line r, with the force f on its far end, an angle two, a dihedral three and a DihedralMap six, along their
+    bonds; s is the share of the line in the layer. Velocities are relative to the center of mass. The mean over all
+    layers is the pressure without tail corrections, and ∫ (P_N − P_T) dz the surface tension times the number of
+    surfaces, see SurfaceTension.
     In equilibrium P_N is the same in all layers. The layers are those of Profile.
 
     J. H. Irving, J. G. Kirkwood, J. Chem. Phys. 18, 817 (1950).

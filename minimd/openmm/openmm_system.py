@@ -119,9 +119,8 @@ TABLES: Mapping[str, Any] = {
     "acoef(α1,α2)/r^12-bcoef(α1,α2)/r^6": lambda a, c: (a, c),
     "((acoef(α1,α2))/(r^6))^2-(bcoef(α1,α2))/(r^6)": lambda root, c: (root * root, c),
 }
-MIXED = (
-    1e-9  # relative difference between wells of a table and mixed ones that rounding can explain
-)
+# relative difference between wells of a table and mixed ones that rounding can explain
+MIXED = 1e-9
 # virtual sites: weights of their particles, which are 1 with that of the first, and of the normal [1/nm]
 SITES: Mapping[str, Any] = {
     "TwoParticleAverageSite": lambda site: (site.getWeight(1), 0.0, 0.0),
@@ -324,6 +323,7 @@ def _check(
 ) -> None:
     """Raise ValueError for what minimd does not have, in words."""
     strange = []
+    baths = []
 
     for k, atom in enumerate(atoms):
         if openmm_system.isVirtualSite(k):
@@ -333,11 +333,12 @@ def _check(
         elif not (atom.element or masses[k]):
             strange = [f"particles of mass 0 that have no element, such as particle {k}"]
 
-    names = [type(force).__name__ for force in forces]
-
-    for force, name in zip(forces, names, strict=True):
+    for force in forces:
         kind, _ = _kind(force)
-        if kind not in KNOWN:
+        name = type(force).__name__
+        if name.endswith("stat"):
+            baths.append(name)
+        elif kind not in KNOWN:
             strange.append(name)
             if hasattr(force, "getEnergyFunction"):
                 strange.append(f"its energy {force.getEnergyFunction()}")
@@ -352,14 +353,16 @@ def _check(
             if not force.getIncludeDirectSpace():
                 strange.append("NonbondedForce without its direct space")
 
-    if names.count("NonbondedForce") > 1:
+    if [type(force).__name__ for force in forces].count("NonbondedForce") > 1:
         strange.append("a second NonbondedForce")
     if strange:
-        is_bath = strange[0].endswith("stat")  # a thermostat or barostat
-        advice = "give it to md.Simulation" if is_bath else "take other forces, or OpenMM itself"
+        strange = [f"{listed(strange)}: take other forces, or OpenMM itself"]
+    if baths:
+        strange.append(f"{listed(baths)}: give a method or barostat of minimd to md.Simulation")
+    if strange:
         raise ValueError(
             f"from_openmm takes {listed(filter(str.isalpha, KNOWN))}, and {listed(CUSTOM)} by the expressions of OPLS, "
-            f"CHARMM and GROMACS; it does not take {listed(strange)}: {advice}"
+            f"CHARMM and GROMACS; it does not take {'; nor '.join(strange)}"
         )
 
 
@@ -429,6 +432,7 @@ def _lennard_jones(force: Any, kinds: Mapping[Any, Any], table: Array | None) ->
         given = np.moveaxis(table, 0, 2)[types][:, types]
         mixed = LennardJones(own, truncation="truncated").table(names)[:, :, 1:]
         differ = ~np.isclose(given, mixed, MIXED, 0.0).all(axis=2)
+        differ &= np.logical_or(given, mixed)[..., 0]  # without ε, σ means nothing
 
         for i, j in np.argwhere(np.triu(differ)):
             pairs[names[i], names[j]] = tuple(given[i, j].tolist())

@@ -400,7 +400,7 @@ def hand_over_scene(
         lammps.find_program(processes)
     except FileNotFoundError as error:
         missing = f"{error}; the input is in {str(folder)!r}, not compared with minimd: run lmp -in run.lmp there"
-        tell("NOTE           LAMMPS was not found: its input is written, and nothing is run")
+        tell(f"NOTE           {error}: the input is written, and nothing is run")
     if scene.sections.observer:
         tell(
             "NOTE           the observers of the scene are not used: they work in runs of minimd only, and LAMMPS "
@@ -417,6 +417,5 @@ def hand_over_scene(
     is_free = simulation.conserves_momentum
     angular = is_free and not simulation.system.cell.is_periodic
     n_dof = simulation.n_dof
-    report = conservation_report(result.record, linear=is_free, angular=angular, n_dof=n_dof)
-    tell(str(report))
+    tell(str(conservation_report(result.record, linear=is_free, angular=angular, n_dof=n_dof)))
     return result

@@ -178,6 +178,30 @@ def test_without_lammps_the_command_writes_the_input_that_lammps_runs(here, monk
         assert (folder / name).read_bytes() == (here / "run" / name).read_bytes()
 
 
+def test_without_mpiexec_the_command_says_so_and_not_that_lammps_is_missing(here, monkeypatch, capsys):
+    (here / "melt.toml").write_text(melt_scene(3, 100, "[output]\nevery = 10\n"))
+    monkeypatch.setattr(*found(None))
+    assert cli.main(["lammps", "melt.toml", "--processes", "2"]) == 2
+    told, error = capsys.readouterr()
+    assert "NOTE           mpiexec" in told
+    assert "LAMMPS was not found" not in told
+    assert "write_input" not in told + error
+
+
+def test_without_lammps_nothing_is_written(tmp_path, monkeypatch):
+    for one in (NO_PACKAGE, found(None), (script, "write", Mock())):
+        monkeypatch.setattr(*one)
+    assert_answered(lambda: handed_over(scene(fluid()), tmp_path / "run"), FileNotFoundError, "write_input")
+    script.write.assert_not_called()
+
+
+def test_written_input_leaves_the_simulation_in_its_state(tmp_path):
+    simulation = displaced_dumbbells()
+    before = simulation.positions.copy()
+    md.lammps.write_input(simulation, tmp_path / "run", 20)
+    assert np.array_equal(simulation.positions, before)
+
+
 def test_without_lammps_the_scene_is_refused_first(tmp_path, monkeypatch):
     water, potentials, rigid = md.water("TIP4P/2005", 8, accuracy=1e-3)
     simulation = scene(water, potentials, rigid)

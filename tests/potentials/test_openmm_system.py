@@ -469,6 +469,7 @@ def test_tables_of_wells_of_pairs_of_types_have_the_energies_and_forces_of_openm
     assert_same(md.evaluate(system, potentials), *reference(made, places)(), 1e-8)
     [lj] = [potential for potential in potentials if isinstance(potential, md.LennardJones)]
     assert (lj.mixing, sorted(lj.parameters)) == ("lorentz-berthelot", ["C1", "C2", "H1", "H2", "N", "O"])
+    assert {frozenset(pair) for pair in lj.pairs} == {frozenset("NO")}
     assert lj.pairs[("N", "O")] == pytest.approx((1.1 * KJ, 2.9))
 
 
@@ -571,6 +572,12 @@ def with_force(force):
     return changed(lambda made: made.addForce(force))
 
 
+def add_bath_and_strange(made):
+    made.addForce(openmm.MonteCarloBarostat(1.0, 300.0))
+    made.addForce(openmm.CustomExternalForce("x"))
+    made.getForce(made.getNumForces() - 1).addParticle(0)
+
+
 def add_offset(made):
     made.getForce(4).addGlobalParameter("lambda", 1.0)
     made.getForce(4).addParticleParameterOffset("lambda", 0, 0.1, 0.0, 0.0)
@@ -635,6 +642,7 @@ REFUSED = [  # arguments, error, what must be named
     (with_a_massless_site, ValueError, "particle 2", "mass 0"),
     (lambda: with_force(openmm.MonteCarloBarostat(1.0, 300.0)), ValueError, "'MonteCarloBarostat'", "md.Simulation"),
     (lambda: with_force(openmm.AndersenThermostat(300.0, 1.0)), ValueError, "'AndersenThermostat'"),
+    (lambda: changed(add_bath_and_strange), ValueError, "OpenMM itself; nor 'MonteCarloBarostat'", "md.Simulation"),
     (lambda: with_terms(openmm.GBSAOBCForce(), "Particle", 0.0, 0.1, 0.8), ValueError, "'GBSAOBCForce'"),
     (with_maps, ValueError, "CMAP of several sizes"),
     (lambda: with_terms(openmm.NonbondedForce(), "Particle", 0, 1, 0), ValueError, "second NonbondedForce"),

@@ -138,6 +138,7 @@ OTHERS = [  # calls that raise something else, its kind, and what its sentence m
     (lambda: setattr(made(), "stp", 3), AttributeError, "'stp'", "did you mean 'step'"),
     (lambda: setattr(made(), "forces", THREE), AttributeError, "forces"),
     (lambda: setattr(made(), "timestep", 0.001), AttributeError, "sim.method = VelocityVerlet"),
+    (lambda: made().timestep, AttributeError, "'timestep'", "sim.method.timestep"),
     (lambda: md.METHODS, AttributeError, "'METHODS'", "minimd.integrators.METHODS"),
     (lambda: md.LenardJones, AttributeError, "'LenardJones'", "'LennardJones'"),
     (lambda: lj(1.0, 1.0, rcut=2.5), TypeError, "'rcut'", "cutoff, truncation"),

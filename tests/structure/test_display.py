@@ -55,6 +55,16 @@ def test_laws_of_pairs_tell_their_arguments_in_the_order_of_their_signature_and_
         assert names == [*one.arguments()] == told[:-1]
 
 
+def test_laws_tell_what_is_mixed_of_few_species_even_if_the_rule_fails():
+    def told(n_species, mixing="geometric"):
+        species = {f"X{k}": (1.0, 1.0 + k) for k in range(n_species)}
+        lj = md.LennardJones(species, None, 2.5, mixing=mixing, pairs={("X0", "X2"): (1.0, 7.0)})
+        return [name for name, _ in lj.display_rows() if name.startswith("X")]
+
+    assert (told(3), told(40)) == (["X0-X1", "X1-X2"], [])
+    assert told(3, lambda first, second: (1.0, -1.0)) == told(3, lambda first, second: first[2]) == []
+
+
 def test_html_is_escaped():
     text = "a <b>          words & more\n               of the same"
     odd = type("Odd", (Displayed,), {"__str__": lambda self: text})()

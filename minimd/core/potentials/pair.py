@@ -5,9 +5,10 @@ from __future__ import annotations
 from abc import ABCMeta, abstractmethod
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import KW_ONLY
 from functools import cached_property, partial
-from itertools import combinations_with_replacement
+from itertools import combinations
 from math import factorial, inf, isclose, isfinite, nan, pi, sqrt
 from typing import Any, ClassVar, Literal
 
@@ -42,6 +43,7 @@ TRIED_AT = (0.47, 0.71, 0.93)  # of the cutoff: where a user's laws are tried
 UNSCALED = (1.0, 1.0, 1.0)
 # relative difference between mixed parameters of a pair and of the reverse pair that rounding can explain
 MIXED = 1e-9
+MOST_SHOWN = 6  # species whose mixed parameters are displayed
 # of the pieces of a table: four continuous derivatives of u, so that methods up to order 4 keep their order
 DEGREE = 5
 FEWEST = DEGREE + 1  # points that one piece goes through
@@ -142,11 +144,14 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         return {name: own.get(name, value) for name, value in super().arguments().items()}
 
     def display_rows(self) -> Rows:
-        """See Displayed. Parameters that are mixed are given for each pair of species."""
-        own = self.parameters if self.mixing else ()
-        pairs = combinations_with_replacement(own, 2) if isinstance(own, dict) else ()
-        mixed = [(f"{a}-{b}", as_text(self._parameters_of(a, b))) for a, b in pairs]
-        return super().display_rows() + mixed
+        """See Displayed. Pairs of at most MOST_SHOWN species follow with their mixed parameters, if they have some."""
+        rows = super().display_rows()
+        own = self.parameters if self.mixing and isinstance(self.parameters, dict) else ()
+        for a, b in combinations(own, 2) if len(own) <= MOST_SHOWN else ():
+            with suppress(Exception):  # errors of a user's rule are raised in a system
+                if (a, b) not in self._by_pair:
+                    rows.append((f"{a}-{b}", as_text(self._parameters_of(a, b))))
+        return rows
 
     def bind(self, system: System) -> PairTerm:
         """The term of this potential in a system.
@@ -157,7 +162,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                 f"cutoff must be given in a periodic cell; that of {type(self).__name__} is None"
             )
         own = self.parameters if isinstance(self.parameters, dict) else {}
-        known = [*own, *(name for name in system.species_names if name not in own)]
+        known = own | dict.fromkeys(system.species_names)
 
         for pair in self._by_pair if own else ():
             for name in pair:
@@ -166,12 +171,10 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                         f"pairs of {type(self).__name__} must be of known species, {listed(known)}; "
                         f"they name {name!r}{near(name, known)}"
                     )
-
         if self.tail_correction and system.volume is None:
             raise ValueError(
                 "tail_correction needs a density: a cell that is periodic in all three directions"
             )
-
         return PairTerm(self, system)
 
     def table(self, species_names: Sequence[Label]) -> Array:
@@ -242,7 +245,6 @@ class Nonbonded(Declared, metaclass=ABCMeta):
             length = cutoff if isfinite(cutoff) else 1.0
             self._try_laws(parameters, [x * length for x in TRIED_AT])
             self._is_tried = True
-
         return (cutoff * cutoff, *self._numbers_of_laws(parameters, cutoff))
 
     def _try_laws(self, parameters: Parameters, distances: Sequence[float]) -> None:
@@ -347,7 +349,6 @@ class Nonbonded(Declared, metaclass=ABCMeta):
             return cutoff * difference * r ** (2 + 2 * k)
 
         integrals = np.zeros(2)
-
         for k in (0, 1):
             for low, high in limits:
                 value, error = quad(
@@ -358,7 +359,6 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                         "tail_correction needs a law that falls off faster than 1/r³; "
                         f"its integral is {value:.3g} ± {error:.1g}"
                     )
-
                 integrals[k] += value
 
         return integrals

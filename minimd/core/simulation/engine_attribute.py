@@ -9,7 +9,7 @@ from minimd.core.engine.observation import measure
 
 T = TypeVar("T")
 # for names that are not misspelt
-OF_METHOD = "; give it to a new method: sim.method = VelocityVerlet(0.001)"
+OF_METHOD = "; it is sim.method.timestep; change it by sim.method = VelocityVerlet(0.001)"
 HINTS = {
     "timestep": OF_METHOD,
     "dt": OF_METHOD,
@@ -115,5 +115,7 @@ class MeasuredAttribute(Generic[T]):
         return value
 
     def __set__(self, _simulation: Any, _value: T) -> None:
-        see = "change the velocities, by set_temperature for example, or system.cell"
-        raise AttributeError(f"{self._name} of a Simulation is measured and cannot be set; {see}")
+        raise AttributeError(
+            f"{self._name} of a Simulation is measured and cannot be set; change the velocities, by set_temperature "
+            "for example, or system.cell"
+        )

@@ -187,7 +187,7 @@ def spread(without: Array) -> Array:
 
 
 def with_error(mean: float, error: float) -> str:
-    """A mean with two digits of its error, as 1.234 ± 0.056, or 1.234e-05 ± 5.6e-08."""
+    """A mean with two digits of its error, as 1.234 ± 0.056, or 1.2340e-05 ± 5.6e-08."""
     if not (isfinite(error) and error > 0.0 and isfinite(mean)):
         return f"{mean:.6g}"
     digits = max(0, 1 - floor(log10(error)))

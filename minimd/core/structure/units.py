@@ -18,9 +18,8 @@ GPA = 1e4 * BAR  # eV/Å³
 MN_PER_M = 100.0 * BAR  # eV/Å², of surface tensions: a bar times an Å is 0.01 mN/m
 CM2_PER_S = 1e4 / PICOSECOND  # Å²/(Å √(u/eV)), of coefficients of diffusion
 MPA_S = 1e4 * BAR * PICOSECOND  # eV/Å³ · Å √(u/eV): a bar times a picosecond is 1e-4 mPa s
-S_PER_M = (
-    1e3 * BAR / PICOSECOND
-)  # e²/(eV Å) per Å √(u/eV), of conductivities: 1 S/m is 1 J/(V² s m)
+# e²/(eV Å) per Å √(u/eV), of conductivities: 1 S/m is 1 J/(V² s m)
+S_PER_M = 1e3 * BAR / PICOSECOND
 W_PER_M_K = S_PER_M  # eV/(K Å) per Å √(u/eV): 1 W/(m K) is 1 J/(K s m)
 COULOMB = 14.399645351950548  # eV Å/e²
 DEGREE = math.pi / 180.0  # rad

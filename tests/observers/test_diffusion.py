@@ -352,7 +352,7 @@ GASES = {
     "Langevin gas": (lambda seed: gas(1.0, 4000, seed, looked=[0])[0], 1.0, 0.8),
     "Langevin gas, velocities": (lambda seed: gas(1.0, 4000, seed, looked=[2])[2], 1.0, 0.8),
     "thin Langevin gas": (lambda seed: gas(0.2, 16_000, seed, looked=[0])[0], 5.0, 0.7),
-    "half fixed": (lambda seed: gas(1.0, 4000, seed, held=32, looked=[0])[0], 0.5, 0.7),
+    "half fixed": (lambda seed: gas(1.0, 4000, seed, held=32, looked=[0])[0], 1.0, 0.7),
     "centers of chains": (lambda seed: chains(4000, seed=seed, looked=[1])[1], 1.0 / 16.0, 0.7),
 }
 
@@ -416,7 +416,7 @@ TWELVE = {
     "weak friction": (lambda seed: gas(0.2, 6000, seed, looked=[0])[0], 5.0, False),
     "liquid": (lambda seed: fluid(0.8, 0.85, 20_000, seed), LIQUID, True),
     "melt of chains": (melt, None, False),
-    "half fixed": (lambda seed: gas(1.0, 6000, seed, held=32, looked=[0])[0], 0.5, True),
+    "half fixed": (lambda seed: gas(1.0, 6000, seed, held=32, looked=[0])[0], 1.0, True),
     "glass": (glass, None, False),
     "crystal": (lambda seed: crystal(md.VelocityVerlet(0.005), seed)[0], None, False),
     "crystal with a bath": (lambda seed: crystal(md.LangevinBAOAB(0.005, 0.3, 1.0, seed=seed), seed)[0], None, False),

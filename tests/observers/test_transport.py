@@ -201,7 +201,8 @@ def test_a_drift_changes_nothing_that_is_thermal(name, tmp_path):
     assert (moving.pop("total_energy") - rest["total_energy"]).mean() == pytest.approx(108 * energy, rel=1e-9)
     assert moving.pop(SCALE) == pytest.approx(rest[SCALE], rel=0.01)  # it is that of 3N degrees of freedom, at most
     for key, values in moving.items():  # rounding, which grows; that of float32 in what MDAnalysis reads
-        np.testing.assert_allclose(values, rest[key], rtol=1e-6, atol=1e-6 * np.nanmax(np.abs(rest[key])), err_msg=key)
+        most = 1e-6 * np.nanmax(np.abs(rest[key])) + 1e-12  # a flow of one layer is rounding
+        np.testing.assert_allclose(values, rest[key], rtol=1e-6, atol=most, err_msg=key)
 
 
 def diffusing(seed):

@@ -219,12 +219,15 @@ def diffusing(seed):
 
 @pytest.mark.slow
 def test_the_error_of_diffusion_is_what_runs_scatter_by():
-    """Of 40 runs; 0.71 if blocks that follow the slow temperature of the bath were taken for uncorrelated."""
-    found = [one.result() for one in map(diffusing, range(1, 41))]
-    values, errors = np.array([(one.diffusion, one.diffusion_error) for one in found]).T
+    """Of 80 runs, one of which has no D; 0.71 if blocks that follow the slow temperature of the bath were taken for
+    uncorrelated."""
+    found = [one.result() for one in map(diffusing, range(1, 81))]
+    found = np.array([(one.diffusion, one.diffusion_error) for one in found])
+    values, errors = found[np.isfinite(found).all(axis=1)].T
+    assert len(values) >= 76
     ratio = np.sqrt((errors**2).mean()) / values.std(ddof=1)
     within = (np.abs(values - values.mean()) < 2.0 * errors).mean()
-    assert 0.75 < ratio < 1.45  # 0.85 to 1.3, and what 40 runs can tell: 11 %
+    assert 0.8 < ratio < 1.38  # 0.85 to 1.3, and what 80 runs can tell: 8 %; seen: 0.91, and 0.86 within two errors
     assert within >= 0.85
 
 

@@ -33,7 +33,7 @@ for _name, _scene in SCENES.items():
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark as slow what would make the suite take more than four minutes, see data/slow_tests.txt."""
+    """Mark as slow what would make the suite take more than five minutes, see data/slow_tests.txt."""
     left = dict(quick_cases())
     for item in items:
         name = f"{item.path.relative_to(Path(__file__).parent).as_posix()}::{item.originalname}"

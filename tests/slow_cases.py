@@ -1,4 +1,4 @@
-"""Tests most of whose cases are slow: with all of them the suite would take more than four minutes."""
+"""Tests most of whose cases are slow: with all of them the suite would take more than five minutes."""
 
 from pathlib import Path
 

@@ -476,7 +476,7 @@ class Report(Displayed):
 
     @property
     def _change(self) -> str:
-        return f"{self.changed}, and with it the energy, or its error, of which half the time step leaves a quarter"
+        return f"{self.changed}, and with it the energy, or its error (with half the time step a quarter of it)"
 
     @property
     def _and_the_step(self) -> str:

@@ -284,15 +284,15 @@ class Forces:
             )
 
     def warn_of_potentials(self) -> None:
-        """Warn if atoms have charges that no potential uses, one of a user's own may use them, and of a field that has
-        another force one lattice vector away, unless a slab has only empty space there."""
+        """Warn of charges that no potential uses, unless one of a user's own may use them; and of a field whose force
+        is another one a lattice vector away, unless a slab has only empty space there."""
         slabs = {
             "xyz".find(potential.slab)
             for potential in self.potentials
             if isinstance(potential, Coulomb)
         }
         fields = [term for term in self._bound if isinstance(term, FieldTerm)]
-        for axis in {axis for field in fields for axis in field.changes_along} - slabs:
+        for axis in sorted({axis for field in fields for axis in field.changes_along} - slabs):
             warn(
                 f"the cell is periodic along {'abc'[axis]}, but the field is not: an atom and its image feel "
                 f"different forces; set pbc to False there, or, in a charged slab, give "

@@ -272,6 +272,8 @@ class HarmonicImproper(Dihedral):
 class DihedralMap(Declared):
     """A map u(φ, ψ) of two dihedral angles of neighbors, as CMAP in CHARMM and in Amber's ff19SB.
 
+        u(φ, ψ) = Σ cₖₗ sᵏ tˡ,   k, l = 0 … 3,   s, t : the parts of a step 2π/n that are behind φ and ψ
+
     Point [i, j] of n × n is u(2π i/n, 2π j/n). Between them u is the bicubic spline that is periodic in both angles, as
     in OpenMM; its forces have no jump. LAMMPS' `fix cmap` is another interpolation.
 

@@ -150,8 +150,9 @@ MEANINGS = {
         "method": "integration method",
         "timestep": "time step",
         "steps": "number of steps of the run",
-        "temperature": "initial temperature, also that of a thermostat; if not given, the velocities are not changed; "
-        "a run has one, and a ramp [several](temperature.md#annealing-ramps-and-the-next-day)",
+        "temperature": "initial temperature, also that of a thermostat; if not given, the velocities are not changed. "
+        "Of a thermostat also two numbers, from the first of which to the second it goes during the run, "
+        "a [ramp](temperature.md#annealing-ramps-and-the-next-day)",
         "relaxation_time": "relaxation time of a thermostat, required with one; 1/friction in Langevin dynamics",
         "seed": "seed of velocities and noise",
         "threads": "largest number of threads; if not given, the number of cores that the process may use",
@@ -159,7 +160,7 @@ MEANINGS = {
         "precision": "arithmetic of the run, see [fixed point](fixed-point.md)",
     },
     "barostat": {
-        "pressure": "target pressure",
+        "pressure": "target pressure; or two numbers, from the first of which to the second it goes during the run",
         "compressibility": (
             "isothermal compressibility; a rough value is enough: 4.6e-5 bar⁻¹ for water, 2e-4 bar⁻¹ for liquid argon"
         ),

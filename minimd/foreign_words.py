@@ -20,7 +20,7 @@ NPT NPH Barostat ParrinelloRahman MTK BerendsenBarostat MonteCarloBarostat CResc
 NVE Verlet VerletIntegrator LeapFrog Integrator MD Dynamics CustomIntegrator
     md.VelocityVerlet, or another of md.integrators.METHODS | timestep
 Ramp Anneal Annealing Quench Heating
-    an observer that sets sim.method.temperature, or stages with sim.method = ... | own-parts
+    temperature=md.Ramp(start, stop, n_steps) of a bath, also pressure=; or stages with sim.method = ... | temperature
 Minimizer FIRE BFGS LBFGS ConjugateGradient SteepestDescent Relax Optimizer minimizeEnergy
     sim.minimize(), or md.minimize | blow-up
 KobAndersen Kob BinaryMixture Mixture

@@ -9,6 +9,7 @@ from minimd.core.integrators.order_conditions import (
     separable_order as separable_order,
     stability_limit as stability_limit,
 )
+from minimd.core.integrators.ramp import Ramp as Ramp
 from minimd.core.integrators.rows import (
     PEFRL as PEFRL,
     SE1 as SE1,

@@ -142,7 +142,7 @@ class AndersenBath(Thermostat):
         bath = bath_of(around)
         velocities = state.velocities
         noise = self.noise(bath)
-        thermal = bath.k_B * self.temperature
+        thermal = bath.k_B * self.temperature_at(bath.step)
         if self.keeps_center:
             velocities += sqrt(thermal / state.masses.sum()) * noise.standard_normal(3)
         spread = np.sqrt(thermal * state.inverse_masses[:, None])

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from minimd.core.console.whole_file import write_whole
 from minimd.core.engine.engine import Engine
+from minimd.core.integrators.ramp import Ramp
 from minimd.core.integrators.rows import Leapfrog, VelocityVerlet
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.thermostats import LangevinBAOAB, StochasticVelocityRescaling
@@ -128,7 +129,7 @@ def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
     """The commands of the run: integrator, bath, rigid bonds, output."""
     fixed = " ".join(str(k + 1) for k in np.flatnonzero(model.types.is_fixed))
     moving = "mobile" if fixed else "all"
-    bath = _bath(engine, moving)
+    bath = _bath(engine, moving, n_steps)
     # steps between two lines of the log: the largest divisor of every that gives LOOKS lines or more
     most = max(1, min(every, n_steps // LOOKS))
     look_every = max(k for k in range(1, most + 1) if every % k == 0)
@@ -167,23 +168,31 @@ def held(
     return [f"fix rigid all {fix} {tolerance} {most} 0 {' '.join(types)}"] if types else []
 
 
-def _bath(engine: Engine, moving: str) -> list[str]:
-    """The commands of the bath; LAMMPS' temperature is k_B T [energy]. Each part of a run has its own seed."""
+def _bath(engine: Engine, moving: str, n_steps: int) -> list[str]:
+    """The commands of the bath; LAMMPS' temperature is k_B T [energy], at the first and at the last step. Each part of
+    a run has its own seed."""
     method: Any = engine.method
     if type(method) not in BATHS or (isinstance(method, LangevinBAOAB) and method.friction == 0.0):
         return []
     source = np.random.SeedSequence(method.seed, spawn_key=(engine.step,))
     seed = 1 + int(source.generate_state(1)[0]) % LARGEST_SEED
-    heat = f"{engine.system.units.k_B * method.temperature:.17g}"
+    ends = (engine.step, engine.step + n_steps)
+    level = method.temperature
+    if isinstance(level, Ramp) and any(ends[0] < step < ends[1] for step, _ in level):
+        raise ValueError(
+            "LAMMPS can change a temperature linearly from the first step of a run, "
+            f"{ends[0]}, to its last, {ends[1]}; the temperature is {level!r}: "
+            "hand over the parts between its points one by one"
+        )
+    k_B = engine.system.units.k_B
+    heat = words(*(k_B * method.temperature_at(step) for step in ends))
     if isinstance(method, LangevinBAOAB):
-        return [
-            f"fix bath {moving} langevin {heat} {heat} {1.0 / method.friction:.17g} {seed} tally yes"
-        ]
+        return [f"fix bath {moving} langevin {heat} {1.0 / method.friction:.17g} {seed} tally yes"]
     style, extra = ("temp/com", 3) if engine.conserves_momentum else ("temp", 0)
     return [
         f"compute heat {moving} {style}",
         f"compute_modify heat extra/dof {extra}",
-        f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}",
+        f"fix bath {moving} temp/csvr {heat} {method.relaxation_time:.17g} {seed}",
         "fix_modify bath temp heat",
     ]
 

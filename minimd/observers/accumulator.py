@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from minimd.core.console.display import Displayed, Rows, call_of
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.observer import StoredObserver
+from minimd.core.integrators.ramp import Ramp
 from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.statistics import MOST_BLOCKS, replicas, spread
 from minimd.core.structure.units import SYSTEMS, UnitSystem
@@ -402,7 +403,14 @@ class Accumulator(StoredObserver, Displayed):
 
     def prepare(self, engine: Engine) -> None:
         """Prepare for a run, or a look.
-        Raises ValueError if the engine cannot be observed, or is another scene than the one observed before."""
+        Raises ValueError if the engine cannot be observed, or is another scene than the one observed before, or if the
+        setting of a bath is going to change."""
+        for level in engine.bath_levels:
+            if isinstance(level, Ramp) and level.changes_after(engine.step):
+                raise ValueError(
+                    f"{self!r} averages over a state that does not change, but {level!r} of the bath goes on "
+                    f"until step {level[-1][0]}: pass the observer to a run after it"
+                )
         scene = ObservedRun.of(engine, self.every)
         if self.scene is None:
             self._begin(engine)

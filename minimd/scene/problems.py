@@ -32,8 +32,8 @@ THREE = {  # lists of the wrong length: what to write
 }
 
 RAMP = (
-    ": a scene has one temperature; for a ramp go on from its run with minimd resume run.h5md --scene cooler.toml, "
-    "or write it in Python"
+    ": give one number, or two, from which and to which it goes during the run; for several ramps go on from its run "
+    "with minimd resume run.h5md --scene cooler.toml, or write it in Python"
 )
 
 
@@ -108,7 +108,7 @@ def _problem(details: Any, reading: Reading) -> tuple[str, str]:
     is_of_entry = place.endswith("]") or (isinstance(value, list) and len(value) == 3)
     if not is_of_entry:
         sentence += THREE.get(".".join(map(str, loc[:2])), "")
-    if isinstance(value, list) and "temperature" in loc:
+    if isinstance(value, list) and "dynamics" in loc and "temperature" in loc:
         sentence += RAMP
     return place, sentence
 

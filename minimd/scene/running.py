@@ -284,9 +284,9 @@ def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: 
         return
     with kept(scene):
         minimum = simulation.minimize(**plan.model_dump(), progress=progress)
-    if dynamics.temperature is not None:
+    if dynamics.first_temperature is not None:
         # drawn again, because rigid bonds have turned
-        simulation.set_temperature(dynamics.temperature, dynamics.seed)
+        simulation.set_temperature(dynamics.first_temperature, dynamics.seed)
     tell(str(minimum))
 
 
@@ -299,7 +299,7 @@ def equilibrate(
 ) -> None:
     """Run the equilibration of the scene, if it has one."""
     plan = scene.sections.equilibration
-    target = (plan and plan.temperature) or scene.sections.dynamics.temperature
+    target = (plan and plan.temperature) or scene.sections.dynamics.first_temperature
     # SceneSections has checked that there is a target
     if plan is None or target is None or plan.steps == 0:
         return

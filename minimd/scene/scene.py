@@ -36,8 +36,8 @@ class Scene(Document):
         for name in self.sections.output.extra_observables:
             with blamed_on(f"{self.path}: output.{name}"):
                 simulation.extra_observables = (*simulation.extra_observables, name)
-        if system is None and dynamics.temperature is not None:
-            simulation.set_temperature(dynamics.temperature, dynamics.seed)
+        if system is None and dynamics.first_temperature is not None:
+            simulation.set_temperature(dynamics.first_temperature, dynamics.seed)
         return simulation
 
 

@@ -51,12 +51,13 @@ KEY_UNITS["LJ"] = {name: {"": 1.0} for name in KEY_UNITS["ASE"]} | {"angle": {"_
 # key: its field, and the factor by which its numbers are multiplied, None if it is not a quantity
 Keys = dict[str, tuple[str, float | None]]
 # types of values that several sections use
+Two = Field(min_length=2, max_length=2)
 Three = Field(min_length=3, max_length=3)
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 Vector = Annotated[list[FiniteFloat], Three]
 Atoms = list[NonNegativeInt]
-PairOfAtoms = Annotated[list[int], Field(min_length=2, max_length=2)]
+PairOfAtoms = Annotated[list[int], Two]
 SIGNS = str.maketrans("A23", "Å²³")  # of units, for letters in keys
 UNKNOWN = "?"  # put before a key that its section does not know
 

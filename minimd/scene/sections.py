@@ -18,6 +18,7 @@ from minimd.core.console.quiet import quiet
 from minimd.core.console.words import printable
 from minimd.core.forces.options import Precision
 from minimd.core.integrators.barostats import COUPLINGS, StochasticCellRescaling
+from minimd.core.integrators.ramp import Ramp
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.table import SPLITTINGS, THERMOSTATS
 from minimd.core.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
@@ -46,6 +47,7 @@ from minimd.scene.section import (
     Positive,
     Section,
     Three,
+    Two,
     Vector,
     one_of,
 )
@@ -61,7 +63,7 @@ from minimd.scene.water import (
 # types of values
 Column = Annotated[list[FiniteFloat], Field(min_length=FEWEST)]
 Length = Annotated[Positive | None, Dimension("length")]
-PairOfSpecies = Annotated[list[str], Field(min_length=2, max_length=2)]
+PairOfSpecies = Annotated[list[str], Two]
 
 
 class Numbers(NamedTuple):
@@ -462,12 +464,16 @@ class TabulatedSection(WithFiles):
 
 
 class DynamicsSection(Section):
-    """[dynamics]: method and length of the run. Without a temperature, velocities are those of the structure."""
+    """[dynamics]: method and length of the run. Without a temperature, velocities are those of the structure.
+    temperature : of a thermostat also two numbers, from which and to which it goes during the run.
+    """
 
     method: Annotated[str, one_of(METHODS)] = "velocity-verlet"
     timestep: Annotated[Positive, Dimension("time")]
     steps: NonNegativeInt
-    temperature: Annotated[NotNegative | None, Dimension("temperature")] = None
+    temperature: Annotated[
+        NotNegative | Annotated[list[NotNegative], Two] | None, Dimension("temperature")
+    ] = None
     relaxation_time: Annotated[Positive | None, Dimension("time")] = None
     seed: NonNegativeInt = 1
     threads: PositiveInt | None = None
@@ -490,20 +496,39 @@ class DynamicsSection(Section):
                 f"cannot have {relaxation_time} with method {self.method!r}, which has no relaxation time; "
                 f"{', '.join(THERMOSTATS)} have one"
             )
+        if self.method not in THERMOSTATS and isinstance(self.temperature, list):
+            yield (
+                f"must have one {self.key('temperature', units)} with method {self.method!r}, at which the run begins; "
+                f"{', '.join(THERMOSTATS)} can change it during the run"
+            )
+
+    @property
+    def first_temperature(self) -> float | None:
+        """The temperature at which the run begins."""
+        return self.temperature[0] if isinstance(self.temperature, list) else self.temperature
+
+    def level(self, value: Any) -> Any:
+        """A number, or the ramp between two numbers over all steps of the run."""
+        if not isinstance(value, list):
+            return value
+        start, stop = value
+        return Ramp(start, stop, max(1, self.steps))
 
     def integrator(self) -> Splitting:
         """The method with its time step; a thermostat with its bath."""
         if self.method not in THERMOSTATS:
             return SPLITTINGS[self.method](self.timestep)
         return THERMOSTATS[self.method].with_relaxation_time(
-            self.timestep, self.temperature, self.relaxation_time, self.seed
+            self.timestep, self.level(self.temperature), self.relaxation_time, self.seed
         )
 
 
 class BarostatSection(Section):
-    """[barostat]: constant pressure by stochastic cell rescaling, at the temperature of the dynamics."""
+    """[barostat]: constant pressure by stochastic cell rescaling, at the temperature of the dynamics.
+    pressure : also two numbers, from which and to which it goes during the run.
+    """
 
-    pressure: Annotated[FiniteFloat, Dimension("pressure")]
+    pressure: Annotated[FiniteFloat | Annotated[list[FiniteFloat], Two], Dimension("pressure")]
     compressibility: Annotated[Positive, Dimension("compressibility")]
     relaxation_time: Annotated[Positive, Dimension("time")]
     coupling: Annotated[str, one_of(COUPLINGS)] = "isotropic"
@@ -512,8 +537,9 @@ class BarostatSection(Section):
 
     def barostat(self, dynamics: DynamicsSection) -> StochasticCellRescaling:
         """The barostat that the section describes; it follows a thermostat, and else has a temperature of its own."""
-        own = None if dynamics.method in THERMOSTATS else dynamics.temperature
-        return StochasticCellRescaling(**self.model_dump(), temperature=own)
+        own = None if dynamics.method in THERMOSTATS else dynamics.first_temperature
+        arguments = self.model_dump() | {"pressure": dynamics.level(self.pressure)}
+        return StochasticCellRescaling(**arguments, temperature=own)
 
 
 class MinimizationSection(Section):
@@ -562,7 +588,7 @@ ARGUMENTS: dict[Any, Any] = {  # of observers, by what they must be
     arguments.names: str | list[str], arguments.orders: str | list[str], checked_flag: bool,
     arguments.axis_name: Annotated[str, one_of(arguments.AXES)],
     arguments.particles: Annotated[str, one_of(arguments.PARTICLES)],
-    arguments.interval: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)],
+    arguments.interval: Annotated[list[FiniteFloat], Two],
 }  # fmt: skip
 
 

@@ -290,7 +290,7 @@ def test_the_report_tells_what_the_time_step_takes_from_the_temperature(is_rigid
     assert deficit == pytest.approx(0.0 if is_rigid else 2.0 * 0.8**2 / 4.0 / 6.0, rel=0.1, abs=1e-12)  # statistics
     assert abs(report.mean_temperature - (asked - deficit)) < 4.0 * report.temperature_error
     assert " 2 ε/k_B" in str(report)
-    assert ("positions do not" in str(report)) is not is_rigid
+    assert ("positions have what is asked" in str(report)) is not is_rigid
     method.temperature = 1.0
     sim.run(100, every=10, observers=[lambda sim: setattr(sim.method, "temperature", 1.0 + 0.01 * sim.step)])
     assert sim.report().bath[0] == method.temperature

@@ -56,7 +56,7 @@ def strains_of_an_ideal_gas(coupling, duration, n_strains, n=12, pressure=0.7, t
     """Volumes of its isothermal-isobaric ensemble before and after, in units of their mean, and ΔH/kT; (3, K)."""
     inverse = {"compressibility": 1.0 / pressure, "relaxation_time": 1.0}
     bath, rng, found = barostat(pressure=pressure, coupling=coupling, **inverse), np.random.default_rng(5), []
-    state = lambda p, v: ThermodynamicState(p.T @ p / v, v, 0.5 * np.square(p).sum(), thermal)  # noqa: E731
+    state = lambda p, v: ThermodynamicState(p.T @ p / v, v, 0.5 * np.square(p).sum(), thermal, pressure)  # noqa: E731
     for number in range(n_strains):
         volume, momenta = rng.gamma(n + 1) * thermal / pressure, rng.normal(scale=thermal**0.5, size=(n, 3))
         before = state(momenta, volume)

@@ -104,9 +104,9 @@ def random_walk(method, n_steps, forget):
 
 @pytest.mark.slow
 def test_the_compensated_sum_is_what_keeps_them_to_rounding():
-    """Without it each step adds a rounding; with it the error has no memory: it does not grow."""
+    """Without it each step adds a rounding; with it a dozen roundings, as above, last for 4000 steps."""
     kept, forgotten = (np.abs(random_walk(mi.GaussLegendre2, 4000, forget)).max() for forget in (False, True))
-    assert kept < 1e-15
+    assert kept < 3e-15
     assert forgotten > 3.0 * kept
 
 

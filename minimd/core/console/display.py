@@ -95,7 +95,7 @@ def as_text(value: Any, most: float = inf) -> str:
     most : numbers of an array, or entries of a mapping; of a longer one its length is written instead."""
     if isinstance(value, float):
         return f"{value:.10g}"
-    if isinstance(value, tuple):
+    if type(value) is tuple:
         entries = ", ".join(as_text(entry, most) for entry in value)
         return f"({entries}{',' if len(value) == 1 else ''})"
     if isinstance(value, Mapping) and len(value) <= most:

@@ -162,8 +162,8 @@ def _settings_of_barostat(evidence: Evidence) -> Verdicts:
             f"relaxation_time {shown(relaxation_time)}: the volume fluctuates too much",
             f"take a relaxation_time of at least {shown(interval / QUICK)}, or a smaller every",
         )
-    p = barostat.pressure
-    if units == ASE and abs(p) > CRUSHING:
+    _, p = evidence.engine.bath_settings
+    if units == ASE and p is not None and abs(p) > CRUSHING:
         yield Verdict(
             "pressure",
             f"pressure {p:g} {units.pressure} is {p / BAR:.2g} bar",

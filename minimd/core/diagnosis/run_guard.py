@@ -42,7 +42,7 @@ class RunGuard:
     seconds, n_steps : of the present run, without compilation.
     observing : seconds of its observers.
     failed_from : Snapshot from which the last failure can be replayed.
-    bath_settings : of the engine, different ones, which observers have set in the present run."""
+    bath_settings : of the engine, different ones in the present run, by ramps or by observers."""
 
     _snapshots: list[Snapshot]  # at least SNAPSHOTS_APART steps apart
     _first: Mapping[str, Any] | None  # observables at the first look of a run

@@ -18,6 +18,7 @@ from minimd.core.engine.cell_rescaling import EVAPORATED
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.record import Record
 from minimd.core.integrators.barostats import StochasticCellRescaling
+from minimd.core.integrators.ramp import level_at
 from minimd.core.integrators.thermostats import Thermostat
 from minimd.core.potentials.law import law_at
 from minimd.core.potentials.pair import Nonbonded
@@ -113,7 +114,7 @@ def bath_of(engine: Engine) -> tuple[float, float] | None:
     kicks = method.last_kick * method.timestep * engine.forces * inverse_masses
     constraint_set.project(kicks, engine.positions)
     deficit = constraint_set.temperature(kicks, engine.system, engine.conserves_momentum)
-    return method.temperature, deficit
+    return method.temperature_at(engine.step), deficit
 
 
 def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[Line]:
@@ -253,7 +254,7 @@ def pressure_lines(
     if leaves_out_center(record.n_atoms, is_free):
         missing = units.k_B * record.temperature / record.volume
     factor = units.to_shown_pressure
-    wanted = factor * barostat.pressure
+    wanted = factor * level_at(barostat.pressure, int(record.step[-1]))
     pressure = factor * (record.pressure + missing)
     mean, error = mean_and_error(pressure)
     is_there = abs(mean - wanted) <= FAR * error

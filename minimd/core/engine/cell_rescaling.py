@@ -15,6 +15,7 @@ from minimd.core.integrators.barostats import (
     exponential,
     turned_back,
 )
+from minimd.core.integrators.ramp import Level, Ramp, level_at
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.state import Bath
 from minimd.core.structure.arrays import Array
@@ -116,7 +117,7 @@ class CellRescaling:
         self._molecules = None if constraints.bonds is None else StrainedBodies(system, constraints)
         self._first_volume = float(system.volume or 0.0)
 
-    def temperature(self, method: Splitting) -> float:
+    def temperature(self, method: Splitting) -> Level:
         """T of the bath.
         Raises ValueError if neither barostat nor thermostat has it, they differ, or timestep < 0."""
         own = self.barostat.temperature
@@ -132,7 +133,7 @@ class CellRescaling:
             they = f"they have {own} and {theirs}: leave out the temperature of the barostat"
             raise ValueError(f"barostat and thermostat must have the same temperature; {they}")
         temperature: Any = theirs if own is None else own
-        return float(temperature)
+        return temperature if isinstance(temperature, Ramp) else float(temperature)
 
     def next_step(self, step: int) -> int:
         """The first step after this one at which the cell is strained."""
@@ -154,45 +155,48 @@ class CellRescaling:
 
         Raises RangeError for a strain too large, or a cell that nothing holds together; ValueError without a virial.
         """
-        duration = self.barostat.every * method.timestep
-        thermal = self._system.units.k_B * self.temperature(method)
-        before = self._thermodynamic_state(thermal, bath, sums)
-        strain = self.barostat.strain(before, duration, noise_number)
+        barostat = self.barostat
+        duration = barostat.every * method.timestep
+        thermal = self._system.units.k_B * level_at(self.temperature(method), noise_number)
+        wanted = thermal, level_at(barostat.pressure, noise_number)
+        before = self._thermodynamic_state(wanted, bath, sums)
+        strain = barostat.strain(before, duration, noise_number)
         largest = float(np.abs(strain).max())
         if not largest <= LARGEST_STRAIN:
             if not np.isfinite(sums.virial).all() and np.isfinite(sums.forces).all():
                 cure = "take one that does, such as a calculator with a stress"
                 raise ValueError(f"a barostat needs the virial, but a potential gives none: {cure}")
-            target = f"{self.barostat.pressure:.3g} {self._system.units.pressure}"
+            target = f"{before.target:.3g} {self._system.units.pressure}"
             why = f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {target}"
             cure = "equilibrate first, take a longer relaxation_time, or check the unit of the pressure"
             raise RangeError(
                 f"the barostat would strain the cell by {largest:.1e} at once ({why}): {cure}"
             )
-        if self.barostat.pressure <= 0.0 and before.volume > EVAPORATED * self._first_volume:
+        if before.target <= 0.0 and before.volume > EVAPORATED * self._first_volume:
             raise RangeError(self._growth(before))
         back = self._move(exponential(strain), bath)
-        after = self._thermodynamic_state(thermal, bath, forces_follow(), back)
+        after = self._thermodynamic_state(wanted, bath, forces_follow(), back)
         bath.energy += (
             after.energy
             - before.energy
-            - self.barostat.change_of_conserved(before, after, strain, duration)
+            - barostat.change_of_conserved(before, after, strain, duration)
         )
 
     def _growth(self, state: ThermodynamicState) -> str:
         volume = self._system.units.volume
         pressure = self._system.units.pressure
         grown = f"the cell has grown from {self._first_volume:.4g} to {state.volume:.4g} {volume}"
-        why = f"at pressure {self.barostat.pressure:.3g} {pressure} a gas expands without end"
+        why = f"at pressure {state.target:.3g} {pressure} a gas expands without end"
         cure = (
             "take a pressure above zero, at which the atoms stay together, or a lower temperature"
         )
         return f"{grown}: the atoms have evaporated, and {why}; {cure}"
 
     def _thermodynamic_state(
-        self, thermal: float, bath: Bath, sums: ForceResult, back: Array | None = None
+        self, wanted: tuple[float, float], bath: Bath, sums: ForceResult, back: Array | None = None
     ) -> ThermodynamicState:
         """The present state.
+        wanted : k_B T and P₀.
         back : (3, 3) rotation applied to its tensors.
 
         If the total momentum is constant, it is no thermal motion; its degrees of freedom add k_B T/V.
@@ -210,11 +214,11 @@ class CellRescaling:
         pressure = pressure_tensor(moving, masses, virial, volume)
         if bath.conserves_momentum:
             total = momentum(moving, masses)
-            pressure += (thermal * np.eye(3) - np.outer(total, total) / masses.sum()) / volume
+            pressure += (wanted[0] * np.eye(3) - np.outer(total, total) / masses.sum()) / volume
         if back is not None:
             pressure = back @ pressure @ back.T
         energy = kinetic_energy(system.velocities, system.masses) + sums.potential_energy
-        return ThermodynamicState(pressure, volume, energy, thermal)
+        return ThermodynamicState(pressure, volume, energy, *wanted)
 
     def _inner_virial(self, forces: Array) -> Array:
         """Σ (r − R) ⊗ F [energy], (3, 3): the virial of atoms minus that of molecules, without rigid bonds."""

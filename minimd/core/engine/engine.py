@@ -18,6 +18,7 @@ from minimd.core.engine.scene_in_words import scene_in_words
 from minimd.core.forces.forces import ForceResult, Forces, Potential
 from minimd.core.forces.options import FIXED_POINT, Options, described
 from minimd.core.integrators.barostats import StochasticCellRescaling
+from minimd.core.integrators.ramp import Level, Ramp, level_at
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.state import Bath, GridState, State, Surroundings
 from minimd.core.integrators.steps import ForceSource, Moment, Steps, first_unit
@@ -524,10 +525,19 @@ class Engine:
 
     @property
     def bath_settings(self) -> tuple[float | None, float | None]:
-        """Temperature and pressure that thermostat and barostat are set to; None without them, or if a temperature is
-        no number."""
+        """Temperature and pressure that thermostat and barostat are set to at this step; None without them, or if a
+        temperature is no number."""
+        temperature, pressure = self.bath_levels
+        return (
+            None if temperature is None else level_at(temperature, self.step),
+            None if pressure is None else level_at(pressure, self.step),
+        )
+
+    @property
+    def bath_levels(self) -> tuple[Level | None, Level | None]:
+        """The same, ramps as such."""
         temperature = self._method.parameters.get("temperature")
-        if not isinstance(temperature, float | int):
+        if not isinstance(temperature, float | int | Ramp):
             temperature = None
         if self.barostat is None:
             return temperature, None

@@ -32,12 +32,24 @@ def scene_in_words(
         if len(group):
             atoms += f"; {len(group)} {name}"
     pressure = units.shown_pressure
+
+    def levels(value: Any, factor: float, unit: str) -> str:
+        """A number in a unit, or those of a ramp with their steps."""
+        points = (
+            [f"{factor * level:.10g} at {n}" for n, level in value]
+            if isinstance(value, list | tuple)
+            else []
+        )
+        return (
+            f"{unit} by steps: {', '.join(points)}" if points else f"{factor * value:.10g} {unit}"
+        )
+
     shown = {
         "timestep": units.shown,
-        "temperature": lambda value: f"{value:.10g} {units.temperature}",
+        "temperature": lambda value: levels(value, 1.0, units.temperature),
         "friction": lambda value: f"{value / units.to_picosecond:.10g} / {units.shown_time}",
         "relaxation_time": units.shown,
-        "pressure": lambda value: f"{value * units.to_shown_pressure:.10g} {pressure}",
+        "pressure": lambda value: levels(value, units.to_shown_pressure, pressure),
         "compressibility": lambda value: f"{value / units.to_shown_pressure:.10g} per {pressure}",
     }
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from minimd.core.compiled.normal_numbers import normals
 from minimd.core.console.display import Displayed, Rows, as_text
+from minimd.core.integrators.ramp import Level, checked_level
 from minimd.core.integrators.thermostats import STEPS, key_of
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_choice, checked_count, checked_number
@@ -30,12 +31,13 @@ class ThermodynamicState(NamedTuple):
     pressure : P, (3, 3) [energy/length³], kinetic part included.
     volume : V [length³].
     energy : E = K + U [energy].
-        thermal : k_B T [energy]."""
+    thermal, target : k_B T [energy] and P₀ [energy/length³] of the baths."""
 
     pressure: Array
     volume: float
     energy: float
     thermal: float
+    target: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -69,12 +71,12 @@ class StochasticCellRescaling(Displayed):
 
     Parameters
     ----------
-    pressure : P₀ [energy/length³].
+    pressure : P₀ [energy/length³], or a Ramp.
     compressibility : β, isothermal [length³/energy]; a rough value is enough, since only β/τ matters;
         4.6e-5 bar⁻¹ for water.
     relaxation_time : τ of the volume, > 0 [time]; at least 10 nΔt. With one free axis it takes three times as long.
     seed : int ≥ 0 of the noise, below 2¹²⁸.
-    temperature : T ≥ 0; that of the thermostat if not given.
+    temperature : T ≥ 0, or a Ramp; that of the thermostat if not given.
     coupling : "isotropic", "triclinic", or axes that change each by itself, such as "z" or "xy".
     every : n, number of steps between two strains. Each costs as much as several steps: energy and virial twice.
 
@@ -86,24 +88,25 @@ class StochasticCellRescaling(Displayed):
     Sci. 12, 1139 (2022).
     """
 
-    pressure: float
+    pressure: Level
     compressibility: float
     relaxation_time: float
     seed: int
-    temperature: float | None = None
+    temperature: Level | None = None
     coupling: str = "isotropic"
     every: int = 50
     mask: Array = field(init=False, compare=False)  # of the strains that 𝒫 keeps
     _key: Array = field(init=False, compare=False)  # of the noise
 
     def __post_init__(self) -> None:
-        checked_number("pressure", self.pressure, "finite")
+        object.__setattr__(self, "pressure", checked_level("pressure", self.pressure, "finite"))
         checked_number("compressibility", self.compressibility, "positive and finite")
         checked_number("relaxation_time", self.relaxation_time, "positive and finite")
         checked_count("seed", self.seed, 0, SEEDS)
         checked_count("every", self.every)
         if self.temperature is not None:
-            checked_number("temperature", self.temperature, "finite and not negative")
+            level = checked_level("temperature", self.temperature)
+            object.__setattr__(self, "temperature", level)
         checked_choice("coupling", self.coupling, COUPLINGS)
         axes = np.array([axis in self.coupling for axis in AXES], dtype=np.float64)
         mask = np.ones((3, 3)) if self.coupling == "triclinic" else np.diag(axes)
@@ -150,7 +153,7 @@ class StochasticCellRescaling(Displayed):
 
         It is k_B T ln of the ratio of two probabilities: of the strain and of its reverse,
         each times that of the state it starts from."""
-        work = after.energy - before.energy + self.pressure * (after.volume - before.volume)
+        work = after.energy - before.energy + before.target * (after.volume - before.volume)
         entropy = before.thermal * log(after.volume / before.volume)
         rate = self.relaxation_time / (self.compressibility * duration)
         if self.coupling == "isotropic":
@@ -167,14 +170,14 @@ class StochasticCellRescaling(Displayed):
     def _drift_of_root(self, state: ThermodynamicState, duration: float) -> float:
         """b = −(βλh/2τ) (P₀ − P − k_B T/2V) [√volume]."""
         pressure = float(state.pressure.trace()) / 3.0
-        excess = pressure - self.pressure + 0.5 * state.thermal / state.volume
+        excess = pressure - state.target + 0.5 * state.thermal / state.volume
         root = sqrt(state.volume)
         return 0.5 * self.compressibility * root * duration / self.relaxation_time * excess
 
     def _drift_of_strain(self, state: ThermodynamicState, duration: float) -> Array:
         """m = −(βh/3τ) 𝒫[P₀ 1 − P], (3, 3)."""
         factor = self.compressibility * duration / (3.0 * self.relaxation_time)
-        return factor * self.mask * (state.pressure - self.pressure * np.eye(3))
+        return factor * self.mask * (state.pressure - state.target * np.eye(3))
 
 
 def exponential(strain: Array) -> Array:

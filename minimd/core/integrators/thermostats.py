@@ -30,6 +30,7 @@ from minimd.core.compiled.program import GO_ON, Operation, Program, n_chunks_of,
 from minimd.core.compiled.threads import thread_pool
 from minimd.core.integrators.flows import mixed, momentum_in_steps, velocity_of
 from minimd.core.integrators.method import Problem, Step
+from minimd.core.integrators.ramp import Level, checked_level, level_at, points_of, value_at
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.state import Bath, State, Surroundings
 from minimd.core.integrators.steps import FIRST, MADE, Moment, projected
@@ -70,30 +71,34 @@ def step_of(noise):
 class Thermostat(Splitting):
     """A splitting with a bath.
     timestep : Δt [time], positive.
-    temperature : of the bath, ≥ 0.
+    temperature : of the bath, ≥ 0, or a Ramp.
     seed : int ≥ 0, of the noise, below 2¹²⁸.
     Raises ValueError for a time step that is not positive, a temperature or a rate below zero, or a seed out of range.
     """
 
-    temperature: float
+    temperature: Level
     seed: int
     is_symmetric = is_symplectic = False
     is_thermostat = True
     order = 2
     last_kick = 0.0  # of Δt, after the bath and the drifts: see run_report.bath_of
 
-    def __init__(self, timestep: float, temperature: float, seed: int) -> None:
+    def __init__(self, timestep: float, temperature: Level, seed: int) -> None:
         super().__init__(timestep)
         if self.timestep < 0.0:
             raise ValueError(
                 f"time cannot run backwards with a thermostat; timestep = {timestep!r}"
             )
-        self.temperature = checked_number("temperature", temperature, "finite and not negative")
+        self.temperature = checked_level("temperature", temperature)
         self.seed = checked_count("seed", seed, 0, SEEDS)
+
+    def temperature_at(self, step: int) -> float:
+        """The temperature of the bath in the step with this number."""
+        return level_at(self.temperature, step)
 
     @classmethod
     def with_relaxation_time(
-        cls, timestep: float, temperature: float, relaxation_time: float, seed: int
+        cls, timestep: float, temperature: Level, relaxation_time: float, seed: int
     ) -> Self:
         """The thermostat with this relaxation time, τ > 0 [time]; scene files know no other parameter.
         Other arguments : see Thermostat."""
@@ -158,7 +163,7 @@ class LangevinBAOAB(Thermostat):
     Parameters
     ----------
     timestep : Δt > 0 [time].
-    temperature : T ≥ 0, of the bath.
+    temperature : T ≥ 0, of the bath, or a Ramp.
     friction : γ ≥ 0 [1/time].
     seed : int ≥ 0 of the noise, below 2¹²⁸.
 
@@ -172,13 +177,13 @@ class LangevinBAOAB(Thermostat):
     conserves_momentum = False
     last_kick = 0.5
 
-    def __init__(self, timestep: float, temperature: float, friction: float, seed: int) -> None:
+    def __init__(self, timestep: float, temperature: Level, friction: float, seed: int) -> None:
         super().__init__(timestep, temperature, seed)
         self.friction = checked_number("friction", friction, "finite and not negative")
 
     @classmethod
     def with_relaxation_time(
-        cls, timestep: float, temperature: float, relaxation_time: float, seed: int
+        cls, timestep: float, temperature: Level, relaxation_time: float, seed: int
     ) -> Self:
         """See Thermostat; γ = 1/τ."""
         tau = checked_number("relaxation_time", relaxation_time, "positive and finite", SHORTEST)
@@ -194,13 +199,13 @@ class LangevinBAOAB(Thermostat):
         n_chunks = n_chunks_of(len(state.velocities))
         is_held = around.constraints is not None
         kept = exp(-self.friction * duration)
-        spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
         touch = Touch(
             state.velocities,
             state.inverse_masses,
             state.masses,
             kept,
-            spread,
+            float(-np.expm1(-2.0 * self.friction * duration)),
+            points_of(self.temperature, bath.k_B),
             self.noise_at(moment),
             np.zeros(n_chunks),
             bath.heat,
@@ -219,13 +224,14 @@ class LangevinBAOAB(Thermostat):
 class Touch(
     ByAddress,
     namedtuple(
-        "Touch", "velocities inverse_masses masses kept spread noise parts heat is_held steps"
+        "Touch", "velocities inverse_masses masses kept lost thermal noise parts heat is_held steps"
     ),
 ):
     """The contact of atoms with a bath, see LangevinBAOAB.
     velocities : (N, 3).
     inverse_masses, masses : (N,), zero for atoms that are held fixed.
-    kept, spread : e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy].
+    kept, lost : e^(−γΔt), and 1 − e^(−2γΔt).
+    thermal : k_B T [energy], points of a ramp.
     noise : Noise.
     parts : (chunks,) output, heat of each chunk [energy].
     heat : (1,), to which it is added.
@@ -235,7 +241,7 @@ class Touch(
 
 @filling_kernel
 def touch_atoms(touch, chunk):
-    """v ← kept · v + spread √(1/m) ξ."""
+    """v ← kept · v + √(k_B T lost/m) ξ."""
     velocities = touch.velocities
     masses = touch.masses
     n_chunks = touch.parts.size
@@ -244,11 +250,12 @@ def touch_atoms(touch, chunk):
     noise = touch.noise
     heat = 0.0
     step = step_of(noise)
+    spread = sqrt(value_at(touch.thermal, step) * touch.lost)
     first, last = share_of(chunk, n_chunks, n)
     for i in range(first, last):
         if touch.inverse_masses[i] > 0.0:
             heat -= kinetic_energy_at(velocities, masses, i, touch.steps)
-            scale = touch.spread * sqrt(touch.inverse_masses[i])
+            scale = spread * sqrt(touch.inverse_masses[i])
             for c, xi in enumerate(three_normals(stream, i, noise.contact, step)):
                 v = mixed(velocities[i, c], xi, touch.kept, scale)
                 velocities[i, c] = settled(v, touch.inverse_masses[i], touch.steps)
@@ -320,7 +327,7 @@ class StochasticVelocityRescaling(Thermostat):
     Parameters
     ----------
     timestep : Δt > 0 [time].
-    temperature : T ≥ 0, of the bath.
+    temperature : T ≥ 0, of the bath, or a Ramp.
     relaxation_time : τ > 0 [time].
     seed : int ≥ 0 of the noise, below 2¹²⁸.
 
@@ -332,7 +339,7 @@ class StochasticVelocityRescaling(Thermostat):
     source = "G. Bussi, D. Donadio, M. Parrinello, J. Chem. Phys. 126, 014101 (2007)"
 
     def __init__(
-        self, timestep: float, temperature: float, relaxation_time: float, seed: int
+        self, timestep: float, temperature: Level, relaxation_time: float, seed: int
     ) -> None:
         super().__init__(timestep, temperature, seed)
         self.relaxation_time = checked_number(
@@ -341,7 +348,7 @@ class StochasticVelocityRescaling(Thermostat):
 
     @classmethod
     def with_relaxation_time(
-        cls, timestep: float, temperature: float, relaxation_time: float, seed: int
+        cls, timestep: float, temperature: Level, relaxation_time: float, seed: int
     ) -> Self:
         """See Thermostat."""
         return cls(timestep, temperature, relaxation_time, seed)
@@ -358,7 +365,7 @@ class StochasticVelocityRescaling(Thermostat):
             state.inverse_masses,
             state.masses,
             exp(-duration / self.relaxation_time),
-            bath.k_B * self.temperature,
+            points_of(self.temperature, bath.k_B),
             float(state.masses.sum()),
             bath.thermal,
             self.noise_at(moment),
@@ -377,7 +384,7 @@ class Rescaling(
     ByAddress,
     namedtuple(
         "Rescaling",
-        "velocities inverse_masses masses kept thermal_energy mass "
+        "velocities inverse_masses masses kept thermal_energies mass "
         "thermal noise parts motion heat steps",
     ),
 ):
@@ -385,7 +392,7 @@ class Rescaling(
     velocities : (N, 3).
     inverse_masses, masses : (N,), zero for atoms that are held fixed.
     kept : e^(−Δt/τ).
-    thermal_energy : k_B T [energy].
+    thermal_energies : k_B T [energy], points of a ramp.
     mass : of all atoms.
     thermal : of Bath.
     noise : Noise.
@@ -432,9 +439,11 @@ def draw_scale(rescaling, _chunk):
     if kinetic <= AT_REST * total:  # rounding
         return GO_ON
     stream = new_stream(rescaling.noise.key)
-    start_stream(stream, 0, rescaling.noise.contact, step_of(rescaling.noise))
+    step = step_of(rescaling.noise)
+    start_stream(stream, 0, rescaling.noise.contact, step)
     xi = normal(stream)
-    share = (1.0 - kept) * 0.5 * rescaling.thermal_energy / kinetic
+    thermal_energy = value_at(rescaling.thermal_energies, step)
+    share = (1.0 - kept) * 0.5 * thermal_energy / kinetic
     squares = sum_of_squares(stream, n_dof - 1) + xi * xi
     square = max(kept + share * squares + 2.0 * xi * sqrt(kept * share), 0.0)
     is_reversed = share > 0.0 and xi < -sqrt(kept / share)

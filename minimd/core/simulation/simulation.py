@@ -354,7 +354,6 @@ class Simulation(Closed, Displayed):
                     observer(self)
             finally:
                 is_unchanged = engine.enter()
-            self.guard.bath_settings.add(engine.bath_settings)
             if self.record is not None and ("conserved_energy" in self.record) != engine.has_bath:
                 later = f"{engine.method.name} can only take over in a new run"
                 raise ValueError(f"a thermostat cannot be switched on or off within a run; {later}")
@@ -364,6 +363,7 @@ class Simulation(Closed, Displayed):
                     attached.interrupt()
                 self.guard.forget()
                 engine.begin()
+        self.guard.bath_settings.add(engine.bath_settings)
 
     def make_steps(self, n_steps: int) -> None:
         """Make steps without observations.

@@ -19,7 +19,7 @@ NPT NPH Barostat ParrinelloRahman MTK BerendsenBarostat MonteCarloBarostat CResc
     md.StochasticCellRescaling, as barostat= of a simulation with a thermostat | pressure
 NVE Verlet VerletIntegrator LeapFrog Integrator MD Dynamics CustomIntegrator
     md.VelocityVerlet, or another of md.integrators.METHODS | timestep
-Ramp Anneal Annealing Quench Heating
+Anneal Annealing Quench Heating
     temperature=md.Ramp(start, stop, n_steps) of a bath, also pressure=; or stages with sim.method = ... | temperature
 Minimizer FIRE BFGS LBFGS ConjugateGradient SteepestDescent Relax Optimizer minimizeEnergy
     sim.minimize(), or md.minimize | blow-up

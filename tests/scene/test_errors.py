@@ -22,7 +22,8 @@ ROWS = [(text, *row) for name, text in TEXTS.items() for row in load("wrong_scen
 ROWS += [(SALT, SALT[SALT.index("potential = ") :], "", "potential is missing")]
 ROWS += [(REDUCED, "timestep = 0.004", f"timestep = 1{400 * '0'}", "dynamics.timestep")]
 ROWS += [(WATER, WATER, 'units = "LJ"\nwater = {}\ndynamics = { timestep = 1.0, steps = 1 }', 'units = "LJ"', '"ASE"')]
-ROWS += [(ARGON.read_text(), "temperature_K = 94.4", "temperature_K = [150, 90, 60]", "dynamics.temperature_K", "--scene")]
+THREE = "temperature_K = [150, 90, 60]"
+ROWS += [(ARGON.read_text(), "temperature_K = 94.4", THREE, "dynamics.temperature_K", "--scene")]
 NO_TABLES = [  # what stands in the file of a table, None for no file, and what the sentence must contain
     (None, "'lj.dat'", "does not exist"), ("".join(f"{k} nan\n" for k in range(6)), "u must be finite"),
     ("1 a\n", "'lj.dat'", "'a'"), ("1 2\n2 3\n", "r must be", "6"), ("1 2\n3\n", "'lj.dat'", "two"),

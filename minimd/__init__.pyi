@@ -30,6 +30,7 @@ from minimd.core.integrators.rows import (
     VelocityVerlet as VelocityVerlet,
 )
 from minimd.core.integrators.thermostats import (
+    BrownianDynamics as BrownianDynamics,
     LangevinBAOAB as LangevinBAOAB,
     StochasticVelocityRescaling as StochasticVelocityRescaling,
 )

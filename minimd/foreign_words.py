@@ -9,8 +9,8 @@ from collections.abc import Callable
 WORDS = """
 NVT NoseHoover NoseHooverChain NoseHooverChainNVT Bussi CSVR VRescale Thermostat tcoupl
     md.StochasticVelocityRescaling, or md.LangevinBAOAB; minimd.ase has NoseHooverChainNVT and Bussi | temperature
-Langevin Brownian LangevinIntegrator LangevinMiddleIntegrator BAOAB sd
-    md.LangevinBAOAB; overdamped motion is not here: take a large friction | temperature
+Langevin Brownian Overdamped LangevinIntegrator LangevinMiddleIntegrator BrownianIntegrator BAOAB sd bd
+    md.LangevinBAOAB, or md.BrownianDynamics for overdamped motion | temperature
 Berendsen NVTBerendsen VelocityRescaling
     md.StochasticVelocityRescaling, which samples the ensemble; sim.equilibrate only rescales | temperature
 Andersen AndersenThermostat DPD

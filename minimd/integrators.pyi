@@ -33,6 +33,7 @@ from minimd.core.integrators.state import Bath as Bath, State as State, Surround
 from minimd.core.integrators.substeps import Drift as Drift, Kick as Kick
 from minimd.core.integrators.table import SPLITTINGS as SPLITTINGS, THERMOSTATS as THERMOSTATS
 from minimd.core.integrators.thermostats import (
+    BrownianDynamics as BrownianDynamics,
     LangevinBAOAB as LangevinBAOAB,
     StochasticVelocityRescaling as StochasticVelocityRescaling,
 )

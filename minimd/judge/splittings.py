@@ -25,8 +25,14 @@ def as_function(method: Any, kind: str | None, options: dict[str, Any]) -> tuple
     """What a splitting, an instance or a class, is judged as: a step or dynamics, with its kind.
 
     options : of grade; those of an instance are added.
+    Raises TypeError for overdamped motion, which has no velocities to be judged.
     """
     own: Any = method if isclass(method) else type(method)
+    if own.is_overdamped:
+        raise TypeError(
+            f"md.grade judges motion with inertia, and {own.__name__} has none: "
+            "compare averages of positions with exact ones"
+        )
     has_bath = any(isinstance(part, Thermalize) for part in own.substeps)
     if kind == "step" or (kind is None and not has_bath):
         return step_of(own), "step"

@@ -86,7 +86,7 @@ def examine(engine: Engine, failure: Failure) -> CrashReport:
         pushed=pushed,
         largest_force=force,
         fastest=fastest,
-        displacement=speed * evidence.timestep,
-        timestep=engine.method.timestep,
+        displacement=speed * evidence.stride,
+        timestep=engine.method.stride,
         units=engine.system.units.name,
     )

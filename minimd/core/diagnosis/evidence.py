@@ -77,6 +77,7 @@ class Evidence:
         self.inverse_masses = engine.constraint_set.inverse_masses
         self.failure: Any = failure  # None if nothing has failed
         self.timestep = abs(engine.method.timestep)
+        self.stride = abs(engine.method.stride)  # the time between two states of an oscillator
         self.step = self.units.shown(self.timestep)  # as text
 
     @cached_property
@@ -170,7 +171,7 @@ class Evidence:
     @property
     def phase_of_bonds(self) -> float:
         """Δt·ω of all harmonic bonds and angles together; 0 without any that can move."""
-        return self.network.frequency * self.timestep if self.network else 0.0
+        return self.network.frequency * self.stride if self.network else 0.0
 
     @property
     def stability_of_bonds(self) -> str:
@@ -188,7 +189,7 @@ class Evidence:
         """A time step with 20 steps in a period of the harmonic bonds and angles together, and of collisions of
         Lennard-Jones atoms, see Stiffness.collisions; ∞ without both [time]."""
         fastest = self.stiffness.collisions(at_rest)
-        collision = USUAL / fastest if fastest else inf
+        collision = self.engine.method.timestep_of(USUAL / fastest) if fastest else inf
         return min(collision, self.network.harmonic) if self.network else collision
 
     @property
@@ -210,7 +211,7 @@ class Evidence:
     def overlap(self, contact: Contact) -> bool:
         """Whether two atoms overlap, or a law without a length of its own throws them apart within one step."""
         inverse_mass = float(self.inverse_masses[[contact.first, contact.second]].sum())
-        way = contact.force * inverse_mass * self.timestep**2
+        way = contact.force * inverse_mass * self.stride**2
         is_thrown = contact.ratio is None and way > THROWN * contact.distance
         return is_overlap(contact) or is_thrown
 
@@ -220,7 +221,7 @@ class Evidence:
 
     def phase(self, contact: Contact) -> float:
         """Δt·ω of a contact; 0 if it does not oscillate."""
-        return (contact.frequency or 0.0) * self.timestep
+        return (contact.frequency or 0.0) * self.stride
 
 
 def strongest(pairs: list[Contact]) -> Contact | None:

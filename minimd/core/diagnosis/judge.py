@@ -53,7 +53,7 @@ def runaway(
     kinetic = engine.kinetic_energy
     potential = engine.potential_energy
     with np.errstate(over="ignore"):  # infinite for time steps that nobody needs
-        pace = np.spacing(largest_component(system.positions)) / engine.method.timestep
+        pace = np.spacing(largest_component(system.positions)) / engine.method.stride
         rounding = system.masses.sum() * np.square(pace)
     energy = kinetic + potential - engine.work
     if engine.has_bath:

@@ -83,7 +83,7 @@ def long_steps(evidence: Evidence) -> Verdicts:
     """An ε in another unit; a time step that is too long for the harmonic bonds and angles, or for collisions of
     Lennard-Jones atoms in a liquid. Other forces may allow still less."""
     stiffness = evidence.stiffness
-    dt = evidence.timestep
+    dt = evidence.stride
     method = evidence.engine.method
     shown = evidence.units.shown
     depth = evidence.strange_depth
@@ -98,11 +98,13 @@ def long_steps(evidence: Evidence) -> Verdicts:
             "check the unit of the time step",
         )
     fastest = stiffness.collisions(at_rest=True)
-    if not fastest * dt > TOO_LONG * OSCILLATION**0.5:
+    if method.is_overdamped or not fastest * dt > TOO_LONG * OSCILLATION**0.5:
         return  # spares usual steps the search for what the method can do
     step = accurate_step(method.sequence(), OSCILLATION)  # 0 of a method without kicks
     if step != 0.0 and dt > TOO_LONG * step / fastest:
-        recommended = shown(step / stiffness.collisions())  # for the heat of these atoms
+        recommended = shown(
+            method.timestep_of(step / stiffness.collisions())
+        )  # for the heat of these atoms
         yield Verdict(
             "long step",
             f"timestep {evidence.step} is long for Lennard-Jones atoms of these masses: "
@@ -115,7 +117,7 @@ def _short_step(evidence: Evidence) -> Verdicts:
     """A time step far shorter than the harmonic bonds and the collisions of Lennard-Jones atoms need."""
     fastest = max(evidence.stiffness.collisions(), sqrt(evidence.stiffness.bound))
     usual = USUAL / fastest if fastest else np.inf
-    is_short = MEANT * usual < evidence.timestep < TOO_SHORT * usual
+    is_short = MEANT * usual < evidence.stride < TOO_SHORT * usual
     # other laws may be stiffer
     laws = evidence.potentials
     is_known = all(isinstance(law, Nonbonded | HarmonicBond) for law in laws)
@@ -191,7 +193,7 @@ def _moving_center(evidence: Evidence) -> Verdicts:
 def _flat_motion(evidence: Evidence) -> Verdicts:
     """Atoms that lie and move in one plane, or on one line: fewer degrees of freedom move than are counted."""
     engine = evidence.engine
-    dt = evidence.timestep
+    dt = evidence.stride
     inverse_masses = evidence.inverse_masses
     accelerations = engine.forces * inverse_masses[:, None]
     moves = np.array([engine.positions, dt * engine.velocities, dt * dt * accelerations])
@@ -253,7 +255,7 @@ def at_start(evidence: Evidence) -> Verdicts:
     # |F|/m, without a warning of an overflow
     accelerations = np.einsum("i,i->i", evidence.inverse_masses, sizes)
     atom = int(np.argmax(accelerations))
-    distance = float(accelerations[atom]) * evidence.timestep**2
+    distance = float(accelerations[atom]) * evidence.stride**2
     way = f"{distance:.3g} {evidence.units.length}"
     if not np.isfinite([distance, engine.potential_energy]).all():
         yield Verdict("start", "forces or energies are not finite")
@@ -281,7 +283,7 @@ def during(evidence: Evidence) -> Verdicts:
     and has passed its neighbors unseen."""
     yield from not_finite(evidence)
     atom, length = longest(evidence.system.velocities)
-    distance = length * evidence.timestep  # of the fastest atom
+    distance = length * evidence.stride  # of the fastest atom
     cutoff = evidence.engine.interactions.largest_cutoff
     if distance > cutoff:
         way = f"{distance:.3g} {evidence.units.length}"
@@ -305,7 +307,7 @@ def after(evidence: Evidence) -> Verdicts:
     pair = evidence.strongest
     if pair:  # what is left: the pair with the largest force
         kind = "bond" if pair.is_bond else "pair"
-        where = f"{evidence.apart(pair)}{pair.stiffness(evidence.timestep)}"
+        where = f"{evidence.apart(pair)}{pair.stiffness(evidence.stride)}"
         yield Verdict(
             "pair",
             f"timestep {evidence.step} too large for the {kind} of {pair.atoms}, {where}",
@@ -445,7 +447,7 @@ def _too_hot(evidence: Evidence) -> Verdicts:
     """Atoms, all or one of them, that were too fast before anything had gone wrong."""
     engine = evidence.engine
     constraint_set = engine.constraint_set
-    dt = evidence.timestep
+    dt = evidence.stride
     velocities = evidence.failure.start.velocities
     pairs = [pair for pair in evidence.contacts if pair.ratio and not pair.is_bond]
     if not pairs:
@@ -487,7 +489,7 @@ def _collision_in_a_step(evidence: Evidence) -> Verdicts:
     atoms = list(closest[:2]) if closest else []
     pair = strongest(evidence.contacts_in(failed, atoms))
     if pair and evidence.phase(pair) > evidence.limit:
-        where = f"{evidence.apart(pair)}{pair.stiffness(evidence.timestep)}"
+        where = f"{evidence.apart(pair)}{pair.stiffness(evidence.stride)}"
         step = evidence.failure.step
         yield Verdict(
             "pair",

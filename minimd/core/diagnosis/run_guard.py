@@ -118,7 +118,7 @@ class RunGuard:
         if not self._checked_timestep:
             engine.interactions.check_forces(engine.time)
         if not engine.begin():
-            engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(timestep))
+            engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(engine.method.stride))
         engine.evaluate()
         engine.prepare()
         if is_same_run:

@@ -111,7 +111,7 @@ def bath_of(engine: Engine) -> tuple[float, float] | None:
     if method.last_kick:
         engine.evaluate()
     inverse_masses = constraint_set.inverse_masses[:, None]
-    kicks = method.last_kick * method.timestep * engine.forces * inverse_masses
+    kicks = method.last_kick * method.stride * engine.forces * inverse_masses
     constraint_set.project(kicks, engine.positions)
     deficit = constraint_set.temperature(kicks, engine.system, engine.conserves_momentum)
     return method.temperature_at(engine.step), deficit
@@ -121,7 +121,7 @@ def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[L
     """All lines that apply to an engine as it stands."""
     interactions = engine.interactions
     lines = [*cutoff_lines(engine.system, interactions.potentials, engine.has_bath)]
-    stride = longest(engine.velocities)[1] * abs(engine.method.timestep)
+    stride = longest(engine.velocities)[1] * abs(engine.method.stride)
     unit = engine.system.units.length
     for skin, widest in zip(interactions.skins, interactions.widest_skins, strict=True):
         steps = 0.5 * skin / stride if stride > 0.0 else np.inf

@@ -215,8 +215,9 @@ def _advice(
     collides = len(system) > 1 and (frequency > 0.0 or system.velocities.any())
     colliding = stiffness.collisions() if collides else 0.0
     step = accurate_step(row, OSCILLATION)
-    harmonic = step / frequency if frequency else inf
-    collision = step / colliding if colliding else inf
+    timestep_of = method.timestep_of if isinstance(method, Splitting) else float
+    harmonic = timestep_of(step / frequency) if frequency else inf
+    collision = timestep_of(step / colliding) if colliding else inf
     # the bond whose stretching by itself makes up more than half of the mode
     bonds = [law.groups_in(system) for law in forces.potentials if isinstance(law, Bond)]
     pairs = np.concatenate([system.bonds, *bonds])
@@ -226,7 +227,7 @@ def _advice(
     return StepAdvice(
         frequency=frequency,
         period=2.0 * pi / frequency if frequency else inf,
-        limit=stability_limit(row) / frequency if frequency else inf,
+        limit=timestep_of(stability_limit(row) / frequency) if frequency else inf,
         harmonic=harmonic,
         collision=collision,
         recommended=min(harmonic, collision),

@@ -155,7 +155,7 @@ class Engine:
         if options.precision != FIXED_POINT:
             return State(*parts)
         interactions.lay_grid(
-            options.grid or Grid.of_scene(self.system, self.method.timestep, interactions.depth())
+            options.grid or Grid.of_scene(self.system, self.method.stride, interactions.depth())
         )
         bonds = self.constraint_set.bonds
         bodies = (
@@ -170,7 +170,7 @@ class Engine:
         if interactions.grid is None or not isinstance(state, GridState):
             return
         if interactions.options.grid is None and not interactions.grid.has_room_for(self.system):
-            scene = self.system, self.method.timestep, interactions.depth()
+            scene = self.system, self.method.stride, interactions.depth()
             interactions.grid = interactions.grid.widened(Grid.of_scene(*scene))
         self._lay(interactions.grid)
         state.grid.take(self.system, state.inverse_masses)

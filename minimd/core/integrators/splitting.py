@@ -50,6 +50,7 @@ class Splitting(Method):
     name, substeps, source : key in METHODS; kicks and drifts of one step; literature.
     conserves_momentum : true unless a bath acts on each atom separately.
     is_thermostat : whether a bath acts at all.
+    is_overdamped : whether motion has no inertia.
     memory : (M,) float64, what a bath of yours remembers, such as ξ of Nosé and Hoover, changed in place; or None.
 
     Attributes computed from them
@@ -65,10 +66,20 @@ class Splitting(Method):
     is_explicit: ClassVar[bool] = True
     conserves_momentum: ClassVar[bool] = True
     is_thermostat: ClassVar[bool] = False
+    is_overdamped: ClassVar[bool] = False
     memory: Array | None = None
     order = ClassProperty(lambda method: nystrom_order(method.sequence()))
     is_symmetric = ClassProperty(lambda method: is_palindrome(method.sequence()))
     stages = ClassProperty(stages)
+
+    @property
+    def stride(self) -> float:
+        """The time over which the substeps of a step act [time]: the time step, except in overdamped dynamics."""
+        return self.timestep
+
+    def timestep_of(self, stride: float) -> float:
+        """The time step with a stride [time]."""
+        return stride
 
     @classmethod
     def sequence(cls) -> Substeps:

@@ -75,9 +75,12 @@ class Moment(NamedTuple):
 
 
 class Row(Protocol):
-    """A method: its time step and its substeps; see Splitting."""
+    """A method: its substeps, and the time over which they act; see Splitting."""
 
-    timestep: float
+    @property
+    def stride(self) -> float:
+        """[time]."""
+
     substeps: ClassVar[Any]
 
     def contact(
@@ -156,7 +159,7 @@ def first_unit(method: Row) -> float:
     Errors : see merged_row."""
     row = merged_row(method)
     kicks = [substep for substep in row if isinstance(substep, Kick)]
-    return unit_of(row, kicks[0] if kicks else Kick(1.0)) * method.timestep
+    return unit_of(row, kicks[0] if kicks else Kick(1.0)) * method.stride
 
 
 def merged_row(method: Row) -> Substeps:
@@ -228,7 +231,7 @@ class Steps:
         with self._forces.running(program):
             program.run()
         if isinstance(last, Force):
-            self._forces.taken(with_energy, last.unit * self._method.timestep)
+            self._forces.taken(with_energy, last.unit * self._method.stride)
             state.forces_are_current = True
         return int(self.counts[MADE])
 
@@ -316,29 +319,29 @@ class Steps:
         """The operations of events, from a moment on; kicks and drifts in a row are one of them."""
         around = self._around
         forces = self._forces
-        timestep = self._method.timestep
+        stride = self._method.stride
         flows: list[tuple[float, float, float]] = []
         for event in events:
             if isinstance(event, Kick) or (isinstance(event, Drift) and around.constraints is None):
                 kind = KICK if isinstance(event, Kick) else DRIFT
-                unit = unit_of(self._row, event) * timestep
-                flows.append((kind, event.coefficient * timestep, unit))
+                unit = unit_of(self._row, event) * stride
+                flows.append((kind, event.coefficient * stride, unit))
             elif flows and not isinstance(event, Beginning):
                 yield self._passed(flows)
                 flows = []
             match event:
                 case Force(unit, with_energy):
-                    yield from forces.operations(with_energy, unit * timestep, moment)
+                    yield from forces.operations(with_energy, unit * stride, moment)
                     if forces.power is not None:
                         yield in_python(self._note_power)
                 case Kick(coefficient) if forces.power is not None:
-                    yield in_python(partial(self._work, coefficient * timestep))
+                    yield in_python(partial(self._work, coefficient * stride))
                 case Drift(coefficient) if around.constraints is not None:
-                    yield from self._constrained(coefficient * timestep)
+                    yield from self._constrained(coefficient * stride)
                 case Projection():
                     yield from projected(self._state, around)
                 case Thermalize(coefficient):
-                    yield from self._contact(coefficient * timestep, moment)
+                    yield from self._contact(coefficient * stride, moment)
             moment = moment.after(event)
         if flows:
             yield self._passed(flows)

@@ -11,7 +11,7 @@ from collections import namedtuple
 from collections.abc import Iterator
 from functools import partial
 from math import exp, sqrt
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +34,11 @@ from minimd.core.integrators.ramp import Level, checked_level, level_at, points_
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.state import Bath, State, Surroundings
 from minimd.core.integrators.steps import FIRST, MADE, Moment, projected
-from minimd.core.integrators.substeps import Drift, Kick, Thermalize
+from minimd.core.integrators.substeps import Drift, Kick, Substeps, Thermalize
 from minimd.core.structure.checks import SHORTEST, checked_count, checked_number
 from minimd.core.structure.observables import AT_REST, SEEDS, kinetic_energy_of
 
-__all__ = ["LangevinBAOAB", "StochasticVelocityRescaling"]
+__all__ = ["BrownianDynamics", "LangevinBAOAB", "StochasticVelocityRescaling"]
 
 # numbers of steps are taken modulo this; those of an equilibration, before step 0, are negative
 STEPS = 2**64
@@ -189,6 +189,10 @@ class LangevinBAOAB(Thermostat):
         tau = checked_number("relaxation_time", relaxation_time, "positive and finite", SHORTEST)
         return cls(timestep, temperature, 1.0 / tau, seed)
 
+    def kept_and_lost(self, duration: float) -> tuple[float, float]:
+        """The part of a velocity that is left after a duration, e^(−γΔt), and that of its variance that is new."""
+        return exp(-self.friction * duration), float(-np.expm1(-2.0 * self.friction * duration))
+
     def touch(
         self, state: State, duration: float, around: Surroundings, moment: Moment
     ) -> Iterator[Operation]:
@@ -198,13 +202,11 @@ class LangevinBAOAB(Thermostat):
         bath = bath_of(around)
         n_chunks = n_chunks_of(len(state.velocities))
         is_held = around.constraints is not None
-        kept = exp(-self.friction * duration)
         touch = Touch(
             state.velocities,
             state.inverse_masses,
             state.masses,
-            kept,
-            float(-np.expm1(-2.0 * self.friction * duration)),
+            *self.kept_and_lost(duration),
             points_of(self.temperature, bath.k_B),
             self.noise_at(moment),
             np.zeros(n_chunks),
@@ -219,6 +221,60 @@ class LangevinBAOAB(Thermostat):
         if is_held:
             yield operation(calls, add_kinetic, touch, n_chunks)
         yield operation(calls, count_heat, touch)
+
+
+class BrownianDynamics(LangevinBAOAB):
+    """Brownian dynamics: overdamped motion, which has no inertia, by the method of Leimkuhler and Matthews.
+
+        dr = F/(mγ) dt + √(2 k_B T/(mγ)) dW
+        r(t+Δt) = r(t) + Δt/(mγ) F(t) + √(2 k_B T Δt/(mγ)) (ξ(t) + ξ(t+Δt))/2;  ξ normal
+
+    Each number ξ is used twice: averages of positions have errors of order 2, those of harmonic forces none at any
+    stable Δt, where the method of Euler and Maruyama has order 1. A free particle has D = k_B T/(mγ), exactly. There
+    are no hydrodynamic interactions.
+
+    This is the limit of LangevinBAOAB where the bath forgets all of a velocity, with substeps over √(2Δt/γ), the
+    stride: it is stable while ω² Δt/γ < 2. A step begins with a whole kick, so that velocities between two steps are
+    √(k_B T/m) ξ alone, and do not correlate in time. Pressure and reservoir energy are as there.
+
+    Parameters
+    ----------
+    timestep : Δt > 0 [time], of the overdamped motion.
+    temperature : T ≥ 0, of the bath, or a Ramp.
+    friction : γ > 0 [1/time].
+    seed : int ≥ 0 of the noise, below 2¹²⁸.
+
+    B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013), eq. 1.7; B. Leimkuhler, C. Matthews, M. V.
+    Tretyakov, Proc. R. Soc. A 470, 20140120 (2014).
+    """
+
+    name = "brownian-dynamics"
+    substeps: ClassVar[Substeps] = (Kick(1.0), Drift(0.5), Thermalize(1.0), Drift(0.5))  # type: ignore[assignment]
+    source = "B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013)"
+    is_overdamped = True
+    last_kick = 0.0
+
+    def __init__(self, timestep: float, temperature: Level, friction: float, seed: int) -> None:
+        super().__init__(timestep, temperature, friction, seed)
+        checked_number("friction", friction, "positive and finite", SHORTEST)
+
+    @property
+    def stride(self) -> float:
+        """√(2Δt/γ), see Splitting."""
+        return sqrt(2.0 * self.timestep / self.friction)
+
+    def timestep_of(self, stride: float) -> float:
+        """See Splitting."""
+        return 0.5 * self.friction * stride * stride
+
+    @classmethod
+    def sequence(cls) -> Substeps:
+        """Of these steps, begun in the middle of a kick."""
+        return LangevinBAOAB.sequence()
+
+    def kept_and_lost(self, duration: float) -> tuple[float, float]:
+        """Nothing is kept."""
+        return 0.0, 1.0
 
 
 class Touch(

@@ -38,7 +38,7 @@ from minimd.core.potentials.laws import (
     RestraintLaw,
 )
 from minimd.core.potentials.pair_loop import row_of
-from minimd.core.potentials.term import FORCES, PER_ATOM, TOTALS, OwnTerm, Target, Term
+from minimd.core.potentials.term import FORCES, PER_ATOM, ROUGH, TOTALS, OwnTerm, Target, Term
 from minimd.core.potentials.truncation import Shifted
 from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.cell import nearest_translation
@@ -397,14 +397,16 @@ class _Trial(NamedTuple):
         compared = []
 
         for k, step in enumerate(STEP * np.eye(len(SLOPES))):
-            slope = (self.at(time, step)[0] - self.at(time, -step)[0]) / (2.0 * STEP)
-            if k < 3:
-                slope = -slope
+            sign = -1.0 if k < 3 else 1.0
+            slope, coarse = (
+                sign * (self.at(time, n * step)[0] - self.at(time, -n * step)[0]) / (2.0 * n * STEP)
+                for n in (1.0, 2.0)
+            )
             number = returned[k] if k < len(returned) else 0.0
             are_zero = agree(number, 0.0, u) and agree(slope, 0.0, u)
             if are_zero or not (isfinite(number) and isfinite(slope)):
                 continue
-            if agree(number, slope, u):
+            if agree(number, slope, u, ROUGH * abs(slope - coarse)):
                 fault = ""
             elif k < len(returned):
                 fault = (

@@ -36,6 +36,7 @@ from minimd.core.integrators.thermostats import (
 )
 from minimd.core.minimization.minimization import Minimization as Minimization, minimize as minimize
 from minimd.core.neighbors.queries import neighbor_list as neighbor_list
+from minimd.core.potentials.active import ActiveForce as ActiveForce
 from minimd.core.potentials.bonded import (
     BondPotential as BondPotential,
     DihedralMap as DihedralMap,

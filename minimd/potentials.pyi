@@ -1,5 +1,6 @@
 """Public names: potentials, and what a term of your own needs."""
 
+from minimd.core.potentials.active import ActiveForce as ActiveForce
 from minimd.core.potentials.bonded import (
     BondPotential as BondPotential,
     DihedralMap as DihedralMap,

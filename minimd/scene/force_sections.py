@@ -44,6 +44,7 @@ KINDS: dict[Any, Any] = dict.fromkeys(
         list[FiniteFloat], Field(min_length=1, max_length=law.MOST_COEFFICIENTS)
     ],
     law.atoms: Atoms,
+    law.seed: NonNegativeInt,
     law.pairs: list[PairOfAtoms],
     law.quadruples: GROUPS[4],
     law.maps: list[list[FiniteFloat]],

@@ -34,6 +34,14 @@ WIDTHS = numpys.wi_double
 HEIGHTS = numpys.fi_double
 TAIL = numpys.ziggurat_nor_r  # where the lowest layer ends and the tail of the curve begins
 UNIT = 2.0**-53
+# numbers of steps are taken modulo this; those of an equilibration, before step 0, are negative
+STEPS = 2**64
+
+
+def philox(seed: int, contact: int, step: int, stream: int = 0) -> np.random.Generator:
+    """The generator of random numbers for a contact with a bath in a step, or for another stream of numbers."""
+    counter = np.array([0, stream, contact, step % STEPS], dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(key=seed, counter=counter))
 
 
 class NoiseStream(namedtuple("NoiseStream", "key counter words place")):

@@ -353,7 +353,7 @@ class Engine:
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""
         system = self._system
-        memory = self._method.memory
+        memories = self.memories
         return Snapshot(
             self._step,
             self.time,
@@ -363,7 +363,7 @@ class Engine:
             self._clock,
             self.work,
             cell=None if self.barostat is None else system.cell,
-            memory=None if memory is None else memory.copy(),
+            memory=np.concatenate(memories) if memories else None,
         )
 
     def restore(self, snapshot: Snapshot, is_whole: bool = False) -> None:
@@ -387,17 +387,25 @@ class Engine:
         if self.time != snapshot.time:  # counted with the time step of another method
             self.time = snapshot.time
 
-    def _remember(self, memory: Array | None) -> None:
-        """Give the method its memory back; one without a memory, which has taken over, needs none."""
+    @property
+    def memories(self) -> list[Array]:
+        """What method and terms remember from step to step."""
         own = self._method.memory
-        if memory is None or own is None:
+        return [*([] if own is None else [own]), *self.interactions.memories]
+
+    def _remember(self, memory: Array | None) -> None:
+        """Give method and terms their memory back; those without a memory, which have taken over, need none."""
+        own = self.memories
+        if memory is None or not own:
             return
-        if own.shape != memory.shape:
+        ends = np.cumsum([*map(len, own)])
+        if ends[-1:] != memory.shape:
             raise ValueError(
-                f"the memory of {self._method.name} must have the shape of the one that was stored, "
-                f"{memory.shape}; its shape is {own.shape}: pass the method of that run"
+                f"the memory of {self._method.name} and of the potentials must have the shape of the one that was "
+                f"stored, {memory.shape}; its shape is {(int(ends[-1]),)}: pass method and potentials of that run"
             )
-        own[:] = memory
+        for part, values in zip(own, np.split(memory, ends[:-1]), strict=True):
+            part[:] = values
 
     def checkpoint(self) -> Checkpoint:
         """A copy of all that determines the bits of the steps to come, for go_on_from."""
@@ -525,13 +533,9 @@ class Engine:
 
     @property
     def bath_settings(self) -> tuple[float | None, float | None]:
-        """Temperature and pressure that thermostat and barostat are set to at this step; None without them, or if a
-        temperature is no number."""
+        """Temperature and pressure of thermostat and barostat at this step; None without them, or if no number."""
         temperature, pressure = self.bath_levels
-        return (
-            None if temperature is None else level_at(temperature, self.step),
-            None if pressure is None else level_at(pressure, self.step),
-        )
+        return level_at(temperature, self.step), level_at(pressure, self.step)
 
     @property
     def bath_levels(self) -> tuple[Level | None, Level | None]:
@@ -539,11 +543,10 @@ class Engine:
         temperature = self._method.parameters.get("temperature")
         if not isinstance(temperature, float | int | Ramp):
             temperature = None
-        if self.barostat is None:
+        barostat = self.barostat
+        if barostat is None:
             return temperature, None
-        if temperature is None:
-            temperature = self.barostat.temperature
-        return temperature, self.barostat.pressure
+        return barostat.temperature if temperature is None else temperature, barostat.pressure
 
     @property
     def conserves_momentum(self) -> bool:

@@ -247,6 +247,7 @@ class Forces:
             )
         self.pool = pool_for(self.options, len(system))
         self.potentials = as_potentials(potentials)
+        self._bound: list[Term] = []
         self.unchecked: list[str] = []  # see check_forces
         self.terms: list[Term] = []
         self._lists: list[VerletList] = []
@@ -309,7 +310,15 @@ class Forces:
 
     def _bind(self) -> None:
         """Bind the potentials to the system, as it is in its present cell, and plan the terms."""
+        kept = [memory.copy() for memory in self.memories]
         self._plan([bound(potential, self.system) for potential in self.potentials])
+        for memory, values in zip(self.memories, kept, strict=False):
+            memory[:] = values
+
+    @property
+    def memories(self) -> list[Array]:
+        """What terms remember from step to step."""
+        return [term.memory for term in self._bound if term.memory is not None]
 
     def _plan(self, terms_bound: list[Term], skins: Sequence[float] = ()) -> None:
         """Choose lists, and skins unless they are given; both depend on the cell and on how fast the atoms move."""

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from minimd.core.compiled.normal_numbers import normals
+from minimd.core.compiled.normal_numbers import STEPS, normals
 from minimd.core.console.display import Displayed, Rows, as_text
 from minimd.core.integrators.ramp import Level, checked_level
-from minimd.core.integrators.thermostats import STEPS, key_of
+from minimd.core.integrators.thermostats import key_of
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_choice, checked_count, checked_number
 from minimd.core.structure.observables import SEEDS

@@ -108,8 +108,8 @@ def checked_level(name: str, value: Any, demand: str = "finite and not negative"
     return ramp
 
 
-def level_at(level: Level, step: int) -> float:
-    """The value of a number or a ramp at a step."""
+def level_at(level: Any, step: int) -> Any:
+    """The value of a number or a ramp at a step; None of None."""
     return level.at(step) if isinstance(level, Ramp) else level
 
 

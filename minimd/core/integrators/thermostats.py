@@ -22,6 +22,7 @@ from minimd.core.compiled.kernels import DirectCalls, by_type, called_kernel, fi
 from minimd.core.compiled.normal_numbers import (
     new_stream,
     normal,
+    philox,
     start_stream,
     sum_of_squares,
     three_normals,
@@ -40,15 +41,7 @@ from minimd.core.structure.observables import AT_REST, SEEDS, kinetic_energy_of
 
 __all__ = ["BrownianDynamics", "LangevinBAOAB", "StochasticVelocityRescaling"]
 
-# numbers of steps are taken modulo this; those of an equilibration, before step 0, are negative
-STEPS = 2**64
 CALLS = {False: DirectCalls(), True: DirectCalls()}  # by whether there is a grid
-
-
-def philox(seed: int, contact: int, step: int, stream: int = 0) -> np.random.Generator:
-    """The generator of random numbers for a contact with a bath in a step."""
-    counter = np.array([0, stream, contact, step % STEPS], dtype=np.uint64)
-    return np.random.Generator(np.random.Philox(key=seed, counter=counter))
 
 
 def key_of(seed: int) -> NDArray[np.uint64]:

@@ -30,12 +30,14 @@ from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.bond_graph import checked_groups, checked_pairs
 from minimd.core.structure.checks import (
     checked_choice,
+    checked_count,
     checked_flag,
     checked_indices,
     checked_kind,
     checked_number,
     checked_numbers,
 )
+from minimd.core.structure.observables import SEEDS
 
 FINITE = "finite"
 NOT_NEGATIVE = "finite and not negative"
@@ -289,6 +291,9 @@ own_parameters = Kind("a tuple, each entry one number for all or one for each", 
 number = Kind("one number", _number)
 pairs = Kind(
     "pairs of atoms", lambda name, value, _: None if value is None else checked_pairs(name, value)
+)
+seed = Kind(
+    "int ≥ 0 of the noise, below 2¹²⁸", lambda name, value, _: checked_count(name, value, 0, SEEDS)
 )
 flag = Kind("True or False", lambda name, value, _: checked_flag(name, value))
 given = Kind(  # its class checks it

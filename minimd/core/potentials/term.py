@@ -159,6 +159,8 @@ class Term:
     fits_grid : whether it can add impulses, for precision="fixed-point".
     has_heat_flux : whether its energies and virials of atoms are halves of pairs, or it is a LinkedTerm, as
         Forces.heat_flux needs it.
+    memory : (M,) float64, what it remembers from step to step, changed in place; undone with a step that is undone, and
+        stored with each restart. None without.
     assigns : whether its operations set all forces and do not add to them: of one term only, which comes first.
     """
 
@@ -180,6 +182,7 @@ class Term:
     fits_grid: bool = False
     has_heat_flux: bool = False
     assigns: bool = False
+    memory: Array | None = None
 
     def add(
         self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray

@@ -363,7 +363,8 @@ class Simulation(Closed, Displayed):
                     attached.interrupt()
                 self.guard.forget()
                 engine.begin()
-        self.guard.bath_settings.add(engine.bath_settings)
+        if engine.has_bath:
+            self.guard.bath_settings.add(engine.bath_settings)
 
     def make_steps(self, n_steps: int) -> None:
         """Make steps without observations.

@@ -437,6 +437,7 @@ def _observe(observer: Any, frames: RunUniverse, most: int) -> None:
     spacings = np.diff(frames.times[chosen]) / frames.system.units.to_picosecond
     usual = float(np.quantile(spacings, 0.5, method="lower")) if len(spacings) else 1.0
     engine = _Recorded(frames, usual)
+    engine.time = float(frames.times[frames.n_earlier]) / frames.system.units.to_picosecond
     for k, ts in enumerate(frames.trajectory[chosen]):
         engine.show(ts)
         if k and abs(spacings[k - 1] - usual) > UNEVEN * usual:

@@ -98,8 +98,11 @@ class PressureProfile(Layers):
 
         values, errors = self.sums.estimate(law)
         n = self.n_bins
-        profiles = (values[:n], errors[:n], values[n:-1], errors[n:-1], values[-1], errors[-1])
-        return PressureProfileResult(scene, self.axis, self._middles(), *profiles, self.n_looks)
+        profiles = (values[:n], errors[:n], values[n:-1], errors[n:-1])
+        integral = float(values[-1]), float(errors[-1])
+        return PressureProfileResult(
+            scene, self.axis, self._middles(), *profiles, *integral, self.n_looks
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -137,7 +140,7 @@ class PressureProfileResult(Result):
     def display_rows(self) -> Rows:
         """See Displayed."""
         units = self.units
-        layers = f"along {self.axis}, {len(self.z)} layers, {self.n_frames} frames"
+        layers = f"along {self.axis}, {len(self.z)} layers, {self.scene.frames(self.n_frames)}"
         normal = f"P_N from {self.normal.min():.4g} to {self.normal.max():.4g} {units.pressure}"
         integral = with_error(self.integral, self.integral_error)
         tension = f"∫ (P_N − P_T) dz = {integral} {units.energy}/{units.length}²"

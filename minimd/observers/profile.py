@@ -224,7 +224,7 @@ class ProfileResult(Result):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        layers = f"along {self.axis}, {len(self.z)} layers, {self.n_frames} frames"
+        layers = f"along {self.axis}, {len(self.z)} layers, {self.scene.frames(self.n_frames)}"
         between = f"from {self.density.min():.4g} to {self.density.max():.4g} /{self.units.length}³"
         rows = [("profile", f"{layers}; density {between}")]
         heat = self.temperature[self.is_known]

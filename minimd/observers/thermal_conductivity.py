@@ -143,7 +143,7 @@ class ThermalConductivityResult(IntegralResult):
     """
 
     n_kinds: int
-    title = "heat flux"
+    title = "thermal conductivity"
     symbol = "λ"
     in_si = (1.0 / W_PER_M_K, "W/(m K)")
     coefficients = ("thermal_conductivity", "thermal_conductivity_error")

@@ -29,7 +29,6 @@ from minimd.mdanalysis.universes import (
     radial_distribution,
     universe_of,
 )
-from minimd.observers.accumulator import first_peak
 from minimd.observers.diffusion import SHORT
 
 # 2⁻²⁴, relative rounding of a velocity to float32, and therefore the largest error of a momentum relative to Σ|mv|
@@ -38,6 +37,7 @@ SINGLE = 6e-8
 KINETIC = 1e-6
 LENGTHS = 2.1e-7  # √12 times that rounding: a length depends on six rounded coordinates
 EXACT = 0.0
+MOST_PEAKS = 6  # of pairs of species that are told
 OBSERVED = (*SERIES, "constraint_violation")
 
 
@@ -263,8 +263,8 @@ def _compared(
 
 
 def liquid(run: str | Path | RunUniverse) -> list[str]:
-    """Lines about a liquid that is periodic in all directions: the first peak of g(r), and the pair of species whose
-    peak is nearest to it; D of atoms, or why it is not known, if there are enough frames.
+    """Lines about a liquid that is periodic in all directions: the first peaks of g(r) of pairs of species, of some if
+    there are many; D of atoms, or why it is not known, if there are enough frames.
 
     run : a file, or its universe.
     Raises as universe.
@@ -274,14 +274,14 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
         if not system.cell.pbc.all() or len(system) < 2:
             return []
         found = radial_distribution(universe)
-        peak, _ = first_peak(found.r[1:], found.g[1:])
         between = " between molecules" * found.is_between
-        pairs = {abs(r - peak): pair for pair, (r, _, _) in found.peaks().items()}
-        of_pair = f", of {pairs[min(pairs)]}" if len(pairs) > 1 else ""
         frames = f"{found.n_frames} of {universe.n_recent} frames"
-        lines = [
-            f"g(r)           first peak{between} at {peak:.3g} {system.units.length}{of_pair}, from {frames}"
-        ]
+        lines = [f"g(r)           of pairs of atoms{between}, from {frames}"]
+        peaks = [text for _, text in found.display_rows()[1:]]
+        lines += [f"               {text}" for text in peaks[:MOST_PEAKS]]
+        if len(peaks) > MOST_PEAKS:
+            others = f"{len(peaks) - MOST_PEAKS} more pairs: minimd.mdanalysis.radial_distribution has all"
+            lines.append(f"               and {others}")
         if universe.n_recent > 1:
             diffusion = diffusion_coefficient(universe)
             if diffusion.result.diffusivity.state != SHORT:

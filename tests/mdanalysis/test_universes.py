@@ -214,10 +214,11 @@ def test_where_the_spacing_of_frames_changes_a_new_series_begins(path):
 @pytest.mark.slow
 def test_diffusing_liquid_is_told_with_its_peak_and_coefficient(path, tmp_path):
     noise = np.random.default_rng(4).normal(0.0, 0.1, (100, 125, 3))
-    first, second = liquid(written(path, md.System(SITES, cell=5.0), SITES + np.cumsum(noise, axis=0)))
-    assert first.startswith("g(r)           first peak at ")
+    first, peak, second = liquid(written(path, md.System(SITES, cell=5.0), SITES + np.cumsum(noise, axis=0)))
+    assert first.startswith("g(r)           of pairs of atoms, from ")
+    assert peak.startswith("               X-X: first peak at ")
     assert second.startswith("diffusion      D = 0.0")  # D = 0.1² / (2 · 0.5)
-    line, still = liquid(written(tmp_path / "still.h5md", md.System(SITES, cell=5.0), SITES + 0.1 * noise))
+    _, line, still = liquid(written(tmp_path / "still.h5md", md.System(SITES, cell=5.0), SITES + 0.1 * noise))
     assert "D = " not in still
     peak = line.partition("first peak at ")[2].split()[0]
     assert float(peak) == pytest.approx(1.0, abs=0.03)  # σ, next neighbors of the crystal

@@ -223,14 +223,16 @@ def test_displacement_diffusion_and_distances_have_one_carrier_each(tmp_path, mo
     monkeypatch.setattr("minimd.observers.motion.diffusivity", lambda *_: seven)
     assert motion.result().diffusion == velocities.result().diffusion == diffusion_coefficient(file).coefficient == 7.0
     assert motion.result().of_species == (seven,)
-    assert "D = 7.00 ± 0.50" in check_of_liquid(file)[1]
+    assert "D = 7.00 ± 0.50" in check_of_liquid(file)[-1]
     monkeypatch.setattr("minimd.observers.motion.CellMotion.taken_off", lambda self, engine: 0.0 * engine.positions)
     assert mean_square_displacement(file)[1].max() == 0.0
     counts = "minimd.observers.radial_distribution.RadialDistribution._counts"
     monkeypatch.setattr(counts, lambda self, *_: np.eye(1, self.n_bins, self.n_bins // 2))
     peak = radial_distribution(file)
     assert (peak.g > 0.0).tolist() == (np.arange(200) == 100).tolist()
-    assert f"first peak at {peak.r[100]:.3g} σ, from 26 of 51 frames" in check_of_liquid(file)[0]
+    told = check_of_liquid(file)
+    assert told[0] == "g(r)           of pairs of atoms, from 26 of 51 frames"
+    assert f": first peak at {peak.r[100]:.4g} σ, " in told[1]
     callers = {name: set() for name in CALLERS}
     package = Path(md.__file__).parent
     for path in package.rglob("*.py"):

@@ -238,7 +238,8 @@ class Simulation(Closed, Displayed):
 
         Parameters
         ----------
-        every : steps between observations, for record, trajectory and observers alike.
+        every : steps between observations, for record, trajectory, and observers that are functions; those of
+            md.observers have an every of their own.
         trajectory : one file or several, None for none; the suffix gives the format, see minimd.core.files.trajectory.
         store_forces : write forces into formats that can hold them.
         overwrite : replace files that exist.

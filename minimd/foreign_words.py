@@ -64,7 +64,7 @@ VirtualSite MasslessSite LonePair TwoParticleAverageSite ThreeParticleAverageSit
 Ions NaCl Salt Solvate AddIons
     md.water("SPC/E", 512, ions={"Na": 5, "Cl": 5}); other solutes by md.from_openmm | water
 Chain Polymer Chains RandomWalk Rouse
-    numpy, and sim.minimize() for walks that overlap | recipes
+    md.lattice.chains, and sim.minimize() for walks that overlap | recipes
 InternalDistances MSID EquilibratedMelt
     numpy, since positions are never wrapped: ten lines | recipes
 RadiusOfGyration Gyration EndToEnd Asphericity

@@ -35,14 +35,10 @@ def scene_in_words(
 
     def levels(value: Any, factor: float, unit: str) -> str:
         """A number in a unit, or those of a ramp with their steps."""
-        points = (
-            [f"{factor * level:.10g} at {n}" for n, level in value]
-            if isinstance(value, list | tuple)
-            else []
-        )
-        return (
-            f"{unit} by steps: {', '.join(points)}" if points else f"{factor * value:.10g} {unit}"
-        )
+        if isinstance(value, float | int):
+            return f"{factor * value:.10g} {unit}"
+        points = (f"{factor * level:.10g} at {n}" for n, level in value)
+        return f"{unit} by steps: {', '.join(points)}"
 
     shown = {
         "timestep": units.shown,

@@ -237,7 +237,7 @@ class BrownianDynamics(LangevinBAOAB):
     friction : γ > 0 [1/time].
     seed : int ≥ 0 of the noise, below 2¹²⁸.
 
-    B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013), eq. 1.7; B. Leimkuhler, C. Matthews, M. V.
+    B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013); B. Leimkuhler, C. Matthews, M. V.
     Tretyakov, Proc. R. Soc. A 470, 20140120 (2014).
     """
 

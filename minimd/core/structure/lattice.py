@@ -1,4 +1,4 @@
-"""Perfect crystals of one kind of atom with cubic unit cells, from which many simulations start."""
+"""Starts of simulations: perfect crystals of one kind of atom with cubic unit cells, and melts of chains."""
 
 from collections.abc import Sequence
 from math import cbrt, prod
@@ -6,10 +6,17 @@ from math import cbrt, prod
 import numpy as np
 
 from minimd.core.console.words import shown
-from minimd.core.structure.arrays import Array
-from minimd.core.structure.checks import MOST_ATOMS, checked_choice, checked_indices, checked_number
+from minimd.core.structure.arrays import Array, Indices
+from minimd.core.structure.checks import (
+    MOST_ATOMS,
+    checked_choice,
+    checked_count,
+    checked_indices,
+    checked_number,
+)
+from minimd.core.structure.observables import SEEDS
 
-__all__ = ["BASES", "constant_from_density", "crystal"]
+__all__ = ["BASES", "chains", "constant_from_density", "crystal"]
 _FCC = ((0.0, 0.0, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5), (0.5, 0.5, 0.0))
 # atoms of the cubic unit cell, in units of its edge
 BASES = {"sc": _FCC[:1], "bcc": (*_FCC[:1], (0.5, 0.5, 0.5)), "fcc": _FCC}
@@ -53,3 +60,51 @@ def constant_from_density(lattice: str, density: float, mass: float = 1.0) -> fl
     mass = checked_number("mass", mass, "positive and finite")
     density = checked_number("density", density, "positive and finite")
     return cbrt(n_atoms * mass / density)
+
+
+def chains(
+    n: int, beads: int, density: float, bond_length: float = 0.97, seed: int = 1
+) -> tuple[Array, Array, Indices]:
+    """Positions (n · beads, 3) and the three edges of a cubic cell (3,) of a melt of linear chains, both [length], and
+    their bonds (B, 2): the beads of a chain follow each other.
+
+    Each chain is a random walk that never turns back: a bead is at least bond_length away from the one before the last,
+    as the cosine between two bonds is drawn evenly from −½ to 1. So
+
+        ⟨R²⟩ = b² N [(1 + c)/(1 − c) − 2c (1 − c^N)/(N (1 − c)²)],  c = 1/4, of N bonds of length b.
+
+    Chains overlap: call sim.minimize() first, and equilibrate. Positions are not wrapped into the cell.
+
+    n, beads : number of chains, and of beads in each, at least 1.
+    density : of beads [1/length³].
+    bond_length : b [length].
+    seed : int ≥ 0 of the walks, below 2¹²⁸.
+
+    Raises ValueError for numbers out of range, and too many atoms."""
+    n = checked_count("n", n)
+    beads = checked_count("beads", beads)
+    density = checked_number("density", density, "positive and finite")
+    bond_length = checked_number("bond_length", bond_length, "positive and finite")
+    rng = np.random.default_rng(checked_count("seed", seed, 0, SEEDS))
+    if n * beads > MOST_ATOMS:
+        raise ValueError(f"n and beads must make at most {MOST_ATOMS} atoms; they make {n * beads}")
+
+    edge = cbrt(n * beads / density)
+    steps = np.empty((n, beads, 3))
+    steps[:, 0] = rng.uniform(0.0, edge, (n, 3))
+    direction = _directions(rng, n)
+    for k in range(1, beads):
+        steps[:, k] = bond_length * direction
+        cosine = rng.uniform(-0.5, 1.0, (n, 1))
+        across = np.cross(direction, _directions(rng, n))
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        direction = cosine * direction + np.sqrt(1.0 - cosine**2) * across
+    first = np.arange(n * beads).reshape(n, beads)[:, :-1].ravel()
+    bonds = np.column_stack([first, first + 1])
+    return steps.cumsum(axis=1).reshape(-1, 3), np.full(3, edge), bonds
+
+
+def _directions(rng: np.random.Generator, n: int) -> Array:
+    """(n, 3) unit vectors, evenly distributed."""
+    vectors = rng.standard_normal((n, 3))
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

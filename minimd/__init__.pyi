@@ -32,6 +32,7 @@ from minimd.core.integrators.rows import (
 from minimd.core.integrators.thermostats import (
     BrownianDynamics as BrownianDynamics,
     LangevinBAOAB as LangevinBAOAB,
+    LangevinGJF as LangevinGJF,
     StochasticVelocityRescaling as StochasticVelocityRescaling,
 )
 from minimd.core.minimization.minimization import Minimization as Minimization, minimize as minimize

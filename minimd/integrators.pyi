@@ -35,6 +35,7 @@ from minimd.core.integrators.table import SPLITTINGS as SPLITTINGS, THERMOSTATS 
 from minimd.core.integrators.thermostats import (
     BrownianDynamics as BrownianDynamics,
     LangevinBAOAB as LangevinBAOAB,
+    LangevinGJF as LangevinGJF,
     StochasticVelocityRescaling as StochasticVelocityRescaling,
 )
 from minimd.textbook.dae.hessenberg import (

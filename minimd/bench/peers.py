@@ -235,17 +235,17 @@ def _content(rows: Sequence[EngineSpeed], row: EngineSpeed) -> dict[str, Any]:
 
 
 def run_peers(options: PeersOptions) -> Peers:
-    """Measure one scene and one size after the other; progress is printed to standard error.
+    """Measure one scene and one size after the other; progress and speeds are printed to standard error.
     Raises ValueError for options that do not fit, or if a peer does not start.  HandOverError as check_agreement."""
     texts = _checked_scenes(options)
     threads = thread_numbers(options.threads)
     peers = _checked_peers(options)
     packages = tuple(dict.fromkeys(PEERS[name].package for name in peers))
-    sizes = [
-        _beside(scene, n, options, threads, peers)
-        for scene in options.scenes
-        for n in options.cells
-    ]
+    sizes = []
+    for scene in options.scenes:
+        for n in options.cells:
+            sizes.append(_beside(scene, n, options, threads, peers))
+            tell("\n".join([f"{scene}:", *_table(sizes[-1])]))  # a later scene may fail
     return Peers(texts, options.repeats, packages, sizes)
 
 

@@ -1,4 +1,4 @@
-"""Brownian dynamics: exact diffusion, exact harmonic averages, order 2 of others; restarts, advice, refusals."""
+"""Brownian dynamics and Langevin dynamics with long steps: diffusion, harmonic averages, order; restarts, advice."""
 
 import numpy as np
 import pytest
@@ -51,6 +51,28 @@ def test_beyond_the_limit_it_blows_up_and_says_at_which_step_it_does_not():
     with pytest.raises(md.NonFiniteError, match=r"stable up to 4 τ"):
         sim.run(2000)
     assert md.advise_timestep(sim.system, sim.potentials, method=sim.method).limit == pytest.approx(4.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("phase", [0.3, 1.0])  # γΔt
+@pytest.mark.parametrize("method", [md.LangevinGJF, md.LangevinBAOAB])
+def test_diffusion_and_harmonic_averages_of_langevin_methods(method, phase):
+    """N. Grønbech-Jensen, O. Farago (2013): their method has Einstein's D at any step, and both have the exact ⟨x²⟩.
+    From rest in x, with thermal velocities: ⟨Δx²⟩ = 2 D (t − (1 − cⁿ) …) is compared between t and 2t only."""
+    n, k, timestep = 5000, 4.0, phase / GAMMA
+    free = md.Simulation(md.System(np.zeros((n, 3)), masses=MASS), md.Restraint(0.0, np.zeros(3)), method(timestep, T, GAMMA, 1))
+    free.set_temperature(T, seed=2)
+    squares = []
+    free.run(120, every=40, observers=[lambda sim: squares.append(np.square(sim.positions).mean())])
+    measured = (squares[3] - squares[1]) / (2.0 * 80 * timestep) * MASS * GAMMA / T
+    half = 0.5 * phase
+    expected = 1.0 if method is md.LangevinGJF else half / np.tanh(half)
+    assert measured == pytest.approx(expected, abs=4.0 * 1.5 * np.sqrt(2.0 / (3 * n)))  # ends of paths correlate
+    well = md.Simulation(md.System(np.zeros((n, 3)), masses=MASS), md.Restraint(k, np.zeros(3)), method(1.0, T, GAMMA, 1))
+    well.set_temperature(T, seed=2)
+    well.run(40)
+    inside = []
+    well.run(200, every=20, observers=[lambda sim: inside.append(np.square(sim.positions).mean())])
+    assert np.mean(inside) * k / T == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / (3 * n) / 4))
 
 
 def quartic_average(timestep, n, n_steps):

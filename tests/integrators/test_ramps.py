@@ -134,7 +134,7 @@ def test_results_do_not_mix_the_states_of_a_ramp():
     with pytest.raises(ValueError, match=r"Ramp\(0\.5, 2\.0, 400\) of the bath goes on until step 400"):
         sim.run(10, observers=[g])
     sim.run(400, every=50)
-    assert "0.5" in str(sim.report()) or sim.report().changed
+    assert "the temperature of the bath changed during the run" in str(sim.report())
     sim.run(50, observers=[g])
     assert g.n_looks == 5 + 1
 

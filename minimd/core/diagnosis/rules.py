@@ -102,9 +102,8 @@ def long_steps(evidence: Evidence) -> Verdicts:
         return  # spares usual steps the search for what the method can do
     step = accurate_step(method.sequence(), OSCILLATION)  # 0 of a method without kicks
     if step != 0.0 and dt > TOO_LONG * step / fastest:
-        recommended = shown(
-            method.timestep_of(step / stiffness.collisions())
-        )  # for the heat of these atoms
+        longest_stride = step / stiffness.collisions()  # for the heat of these atoms
+        recommended = shown(method.timestep_of(longest_stride))
         yield Verdict(
             "long step",
             f"timestep {evidence.step} is long for Lennard-Jones atoms of these masses: "

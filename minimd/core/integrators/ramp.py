@@ -19,7 +19,7 @@ LAST_STEP = 2**53  # steps are float64 in kernels
 
 class Ramp(tuple[tuple[int, float], ...]):
     """A temperature or a pressure that changes with the number of the step: linear from each of its points to the next,
-    constant before the first and after the last. Points are pairs of a step and a value, as of any tuple.
+    constant before the first and after the last. It is the tuple of these points, each a step and a value.
 
         md.LangevinBAOAB(0.005, md.Ramp(0.2, 1.2, 100_000), friction=1.0, seed=1)     0.2 at step 0, 1.2 at step 100 000
         md.Ramp.through({0: 300.0, 10_000: 300.0, 60_000: 20.0})                      constant, then cooled

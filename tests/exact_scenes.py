@@ -112,10 +112,14 @@ class Run:
 
     @property
     def hash(self):
-        """Of positions and velocities, in the order of the scene, and of energies and pressures."""
-        numbers = [(self.simulation.positions[self.order] - self.moves), self.simulation.velocities[self.order]]
-        numbers += [getattr(self.record, name, np.zeros(0)) for name in SERIES]  # no pressure in an open cell
-        return hashlib.sha256(b"".join(array.tobytes() for array in numbers)).hexdigest()[:16]
+        """Two digests: of positions and velocities, in the order of the scene; of energies and pressures."""
+        motion = (self.simulation.positions[self.order] - self.moves, self.simulation.velocities[self.order])
+        series = [getattr(self.record, name, np.zeros(0)) for name in SERIES]  # no pressure in an open cell
+        return f"{digest_of(motion)} {digest_of(series)}"
+
+
+def digest_of(arrays):
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()[:16]
 
 
 def renumbered(system, order):

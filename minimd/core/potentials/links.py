@@ -66,23 +66,29 @@ class Links(
     ByAddress,
     namedtuple(
         "Links",
-        "positions images first second sites translations shape law columns slots steps detail totals each lanes",
+        "positions images first second sites translations slots steps detail totals each lanes",
     ),
 ):
-    """What the loop over T terms of L links, in B blocks of n lanes, works on.
+    """T terms of L links, in B blocks of n lanes, and what the loop over them adds to, whatever their law.
 
     positions : (N, 3) [length].
     images : Images.
     first, second : (L, B n) int32, atoms.
     sites : (T, L + 1) int.
     translations : (3 L B n,) [length], kept.
-    shape : how the links make a force, see link_shape.
-    law : law type.
-    columns : (B n,) numbers for each parameter.
     slots : (3 L B n,) output, f_l; int64 impulses in fixed-point arithmetic, where steps : Steps, else ().
     detail : see term.
     totals : (chunks, 1 + 6) output of TOTALS, energies and virials of each chunk.
     each : energies (N,) and virials (N, 6), to which PER_ATOM adds equal shares of the atoms of a term; in one chunk.
+    """
+
+
+class LinksOfLaw(ByAddress, namedtuple("LinksOfLaw", "links shape law columns")):
+    """Links with their law: apart, so that what does not depend on it is compiled once.
+
+    shape : how the links make a force, see link_shape.
+    law : law type.
+    columns : (B n,) numbers for each parameter.
     """
 
 
@@ -253,8 +259,11 @@ def push(links, l, b, force):
 
 
 @called_kernel
-def add_links(links, chunk):
-    """Forces to slots; energies and virials.  OUT_OF_RANGE if a force is beyond the range of a grid."""
+def add_links(terms, chunk):
+    """Forces to slots; energies and virials.  OUT_OF_RANGE if a force is beyond the range of a grid.
+
+    terms : LinksOfLaw."""
+    links = terms.links
     n_lanes = count(links.lanes)
     n_blocks = links.first.shape[1] // n_lanes
     n_chunks = links.totals.shape[0]
@@ -263,8 +272,8 @@ def add_links(links, chunk):
         links.totals[chunk, c] = 0.0
     first, last = share_of(chunk, n_chunks, n_blocks)
     for b in range(first, last):
-        numbers = loaded_columns(links.columns, b * n_lanes, links.lanes)
-        u, is_beyond = _push_ends(links.shape, links, b, links.law, numbers)
+        numbers = loaded_columns(terms.columns, b * n_lanes, links.lanes)
+        u, is_beyond = _push_ends(terms.shape, links, b, terms.law, numbers)
         is_out |= is_beyond
         if links.detail != FORCES:
             _count(links, b, links.totals[chunk], u)
@@ -368,8 +377,8 @@ class LinkedTerm(OwnTerm):
         n_blocks = -(-self.n_terms // self.lanes.size)
         filled = np.minimum(np.arange(n_blocks * self.lanes.size), self.n_terms - 1)
         first, second = np.transpose(shape.ends)
-        self.first = sites.T[first][:, filled].astype(np.int32)
-        self.second = sites.T[second][:, filled].astype(np.int32)
+        self.first = np.ascontiguousarray(sites.T[first][:, filled], dtype=np.int32)
+        self.second = np.ascontiguousarray(sites.T[second][:, filled], dtype=np.int32)
         self.first_slot = 0
         self._sites = np.array(sites)
         self._shape = shape
@@ -396,9 +405,6 @@ class LinkedTerm(OwnTerm):
             self.second,
             self._sites,
             self._translations,
-            self._shape,
-            self._law,
-            self._columns,
             target.slots[start : start + self._translations.size],
             target.steps,
             target.detail,
@@ -406,7 +412,8 @@ class LinkedTerm(OwnTerm):
             (target.energies, target.virials),
             self.lanes,
         )
-        yield operation(self._calls, self._loop, links, len(totals))
+        terms = LinksOfLaw(links, self._shape, self._law, self._columns)
+        yield operation(self._calls, self._loop, terms, len(totals))
 
     def collect(self, target: Target) -> None:
         """See Term."""

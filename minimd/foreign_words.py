@@ -130,7 +130,7 @@ PressureProfile IrvingKirkwood
 ScatteringFunction IntermediateScattering FsQT Overlap Chi4
     md.observers.SelfScattering; overlaps are not here | observers
 TwoDimensional Dimension Enforce2D Disks
-    three dimensions only: hold atoms in a plane by md.Restraint | recipes
+    md.System(..., planar=True) | bonds
 Trajectory Dump LAMMPSDump Lammpstrj DCD XTC H5MD XYZ Reporter StateDataReporter DCDReporter Logger
     sim.run(n, every=..., trajectory="run.h5md") | formats
 Restart Checkpoint Load Resume read_restart CheckpointReporter loadCheckpoint

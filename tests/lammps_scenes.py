@@ -30,6 +30,14 @@ def fluid(matrix=None, **changes):
     return md.System(**given | changes)
 
 
+def in_a_plane():
+    positions, edges = md.lattice.crystal("triangular", (10, 6), 1.15)
+    positions += 0.02 * np.random.default_rng(3).normal(size=positions.shape)
+    simulation = scene(md.System(positions, cell=edges, planar=True))
+    simulation.set_temperature(0.7, seed=2)
+    return simulation
+
+
 def far_away():
     start = fluid()
     images = np.random.default_rng(4).integers(-2000, 2000, (108, 3)).astype(float)
@@ -171,6 +179,7 @@ SCENES = {
     "small cell": lambda: scene(liquid(2), scaled(1.0, 1.0, 1.0)),
     "without cutoff": lambda: scene(scenes.droplet().system, scenes.OPEN),
     "fixed atoms": lambda: scene(fluid(masses=HEAVIER), scenes.LJ, md.FixedAtoms(np.arange(0, 108, 4))),
+    "plane": in_a_plane,
     "sheet": lambda: scene(md.System(PLANE, cell=np.diag([10.0, 10.0, 0.0]))),
     "water": water, "chains": chains, "torsions": torsions, "two laws": two_laws, "stars": stars,
 }  # fmt: skip

@@ -106,13 +106,12 @@ def write_atoms(path: Path, model: Model, box: Box, velocities: Array) -> None:
 
 def forces_script(model: Model) -> str:
     """The commands with which both runs begin: units, box, atoms, styles, lists."""
-    # p: periodic; m: an open boundary that follows the atoms but keeps a smallest extent
-    boundary = " ".join("m" if is_open else "p" for is_open in model.box.open)
     lines = [
         "units lj",
+        f"dimension {2 if model.box.is_plane else 3}",
         "suffix opt",
         "atom_style full",
-        f"boundary {boundary}",
+        f"boundary {model.box.boundary}",
         "box tilt large",
         f"special_bonds lj/coul {words(*model.special_bonds())}",
         f"comm_modify cutoff {model.reach:.17g}",
@@ -139,7 +138,8 @@ def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
         f"timestep {engine.method.timestep:.17g}",
         f"fix motion {moving} nve",
     ]
-    fixes = "\n".join([*lines, *bath, *held(model)])
+    plane = ["fix plane all enforce2d"] if model.box.is_plane else []
+    fixes = "\n".join([*lines, *bath, *held(model), *plane])
     return f"""variable atoms index {ATOMS}
 include {FORCES}
 {fixes}
@@ -188,7 +188,9 @@ def _bath(engine: Engine, moving: str, n_steps: int) -> list[str]:
     heat = words(*(k_B * method.temperature_at(step) for step in ends))
     if isinstance(method, LangevinBAOAB):
         return [f"fix bath {moving} langevin {heat} {1.0 / method.friction:.17g} {seed} tally yes"]
-    style, extra = ("temp/com", 3) if engine.conserves_momentum else ("temp", 0)
+    style, extra = ("temp", 0)
+    if engine.conserves_momentum:
+        style, extra = ("temp/com", engine.system.dimensions)
     return [
         f"compute heat {moving} {style}",
         f"compute_modify heat extra/dof {extra}",

@@ -14,7 +14,6 @@ from minimd.core.neighbors.queries import closest_pair, neighbor_list
 from minimd.core.potentials.pair import Nonbonded
 from minimd.core.potentials.term import PER_ATOM
 from minimd.core.structure.arrays import Array
-from minimd.core.structure.cell import Cell
 from minimd.core.structure.errors import HandOverError, NonFiniteError
 from minimd.core.structure.observables import longest
 from minimd.core.structure.system import System
@@ -153,7 +152,7 @@ def in_both(
         reason = why_not_finite(system, engine.interactions.potentials)
         raise NonFiniteError(f"forces or energies are not finite: {reason}")
     shaken = np.random.default_rng(0).uniform(-SHAKEN * skin, SHAKEN * skin, system.positions.shape)
-    positions = system.cell.wrapped(system.positions) + shaken
+    positions = system.cell.wrapped(system.positions) + system.cell.projected(shaken)
     size = 1.0
     least = 0.0
     fewest = np.inf
@@ -163,7 +162,7 @@ def in_both(
         size *= SMALLER
         copy = system.copy()
         copy.positions[:] = size * positions
-        copy.cell = Cell.of(size * system.cell.vectors, system.cell.pbc)
+        copy.cell = system.cell.with_vectors(size * system.cell.vectors)
         smaller = evaluated(engine, copy)
         n_idle = max(before.n_idle, smaller.n_idle)
         if n_idle < fewest and np.isfinite(smaller.energies).all():

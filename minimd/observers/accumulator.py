@@ -148,6 +148,7 @@ class ObservedRun:
     times : of the first and of the last look so far [time]; of a run that began with an older version of minimd, fewer.
     has_molecules : whether bonds or rigid lengths join atoms; of such a run, true.
     n_fixed : number of fixed atoms; of such a run, 0.
+    dimensions : 3, or 2 of a plane.
     """
 
     units: str
@@ -160,6 +161,7 @@ class ObservedRun:
     times: list[float] = field(default_factory=list, compare=False)
     has_molecules: bool = field(default=True, compare=False)
     n_fixed: int = field(default=0, compare=False)
+    dimensions: int = 3
 
     @classmethod
     def of(cls, engine: Engine, every: int) -> ObservedRun:
@@ -177,12 +179,14 @@ class ObservedRun:
             bath_pressure=pressure,
             has_molecules=bool(len(system.bonds) or engine.constraint_set.bonds),
             n_fixed=engine.constraint_set.n_fixed,
+            dimensions=system.dimensions,
         )
 
     @property
     def unit_system(self) -> UnitSystem:
         """The units of all numbers."""
-        return SYSTEMS[self.units]
+        units = SYSTEMS[self.units]
+        return units if self.dimensions == 3 else units.in_plane
 
     @property
     def n_atoms(self) -> int:
@@ -349,6 +353,7 @@ class Accumulator(StoredObserver, Displayed):
     """
 
     convention: ClassVar[int] = 1  # of its sums; those of another cannot go on
+    fits_plane: ClassVar[bool] = False  # whether it is defined in two dimensions
     declared: ClassVar[dict[str, Argument]]  # all arguments
     settled: ClassVar[tuple[str, ...]]  # attributes that the first run sets
     every: int
@@ -403,8 +408,10 @@ class Accumulator(StoredObserver, Displayed):
 
     def prepare(self, engine: Engine) -> None:
         """Prepare for a run, or a look.
-        Raises ValueError if the engine cannot be observed, or is another scene than the one observed before, or if the
-        setting of a bath is going to change."""
+        Raises ValueError if the engine cannot be observed, as in a plane, or is another scene than the one observed
+        before, or if the setting of a bath is going to change."""
+        if engine.system.dimensions == 2 and not self.fits_plane:
+            raise ValueError(f"{self.kind} is measured in three dimensions; this run is in a plane")
         for level in engine.bath_levels:
             if isinstance(level, Ramp) and level.changes_after(engine.step):
                 raise ValueError(

@@ -50,6 +50,7 @@ class BondOrder(Means):
     """
 
     kind = "bond-order"
+    fits_plane = True
     answer = BondOrderResult
     order: str | list[str] = argument(orders, 'orders, such as "q6", "psi6" or ["q4", "q6"]', "q6")
     cutoff: float | None = argument(positive, REACH, None, "length")
@@ -77,7 +78,7 @@ class BondOrder(Means):
         if self.species is not None:
             chosen = np.isin(system.species.astype(str), self.species)
             system = System(system.positions[chosen], cell=system.cell)
-        cutoff = self.cutoff or CUTOFF * (float(system.volume or 0.0) / len(system)) ** (1.0 / 3.0)
+        cutoff = self.cutoff or CUTOFF * system.cell.spacing(len(system))
         values: list[float] = []
         for order in self.order:
             harmonics = bond_harmonics(system, order, cutoff)

@@ -121,14 +121,22 @@ class _Octaves:
     lags : (n + 1,), each twice the one before, or nearly.
     """
 
-    def __init__(self, times: Array, mean: Array, without: Array, start: float, end: float) -> None:
+    def __init__(
+        self,
+        times: Array,
+        mean: Array,
+        without: Array,
+        dimensions: int,
+        start: float,
+        end: float,
+    ) -> None:
         inside = np.flatnonzero((times > 0.0) & (times >= start) & (times <= end))
         places = inside[-1:].tolist()
         while places and 0.5 * times[places[0]] >= WITHIN * times[inside[0]]:
             places.insert(0, int(np.abs(times - 0.5 * times[places[0]]).argmin()))
         self.lags = times[places].tolist()
         squares = np.vstack([mean, without])[:, places]
-        self._slopes = np.diff(squares) / (6.0 * np.diff(self.lags))
+        self._slopes = np.diff(squares) / (2.0 * dimensions * np.diff(self.lags))
         self.n = self._slopes.shape[1]
 
     def level(self, first: int, last: int) -> tuple[float, float]:
@@ -159,6 +167,7 @@ def diffusivity(
     without: Array,
     longest: float,
     window: tuple[float, float] | None = None,
+    dimensions: int = 3,
 ) -> Diffusivity:
     """D by the rule of this module, or why there is none.
 
@@ -172,7 +181,7 @@ def diffusivity(
     """
     if np.isnan(mean).all():
         return Diffusivity(FIXED)
-    octaves = _Octaves(times, mean, without, *(window or (0.0, longest)))
+    octaves = _Octaves(times, mean, without, dimensions, *(window or (0.0, longest)))
     lags = octaves.lags
     n = octaves.n
     if window is not None:
@@ -214,7 +223,7 @@ def diffusivity(
     limit = abs(last) + 2.0 * its_error
     state = UNKNOWN
     used = (lags[late], lags[end])
-    if 6.0 * limit * lags[n] < LEFT * np.interp(lags[n], times, mean):
+    if 2.0 * dimensions * limit * lags[n] < LEFT * np.interp(lags[n], times, mean):
         state = AT_PLACES
         used = (lags[n - SPAN], lags[n])
     elif begin == end and abs(trend) >= SEEN * trend_error:

@@ -57,6 +57,7 @@ class Fluctuations(Accumulator):
     """
 
     kind = "fluctuations"
+    fits_plane = True
     needs_energy = True
     convention = 2  # thermal energy, not kinetic energy
     every: int = steps(20)
@@ -107,7 +108,7 @@ class Fluctuations(Accumulator):
             Quantity("temperature", "T", units.temperature),
             Quantity("heat_capacity_v", "C_V", heat),
             Quantity("heat_capacity_p", "C_P", heat),
-            Quantity("compressibility", "κ_T", f"{units.length}³/{units.energy}"),
+            Quantity("compressibility", "κ_T", f"{units.volume}/{units.energy}"),
             Quantity("expansion", "α_P", f"1/{units.temperature}"),
         ]
         running = self._history(law, self.sums.until())

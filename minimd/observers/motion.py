@@ -180,10 +180,12 @@ class CellMotion:
     From one look to the next each atom is moved with the cell; of a molecule with lengths held fixed the center is, and
     the molecule turns as the cell does.
     n_atoms : N.
+    dimensions : of the cell.
     """
 
-    def __init__(self, n_atoms: int) -> None:
+    def __init__(self, n_atoms: int, dimensions: int = 3) -> None:
         self._n_atoms = n_atoms
+        self._dimensions = dimensions
         self._carried: Array | None = None  # the displacements, (N, 3)
         self._before: tuple[Cell, Array] | None = None  # cell and positions at the last look
         self._molecules: StrainedBodies | None = None
@@ -239,7 +241,8 @@ class CellMotion:
     def restore(self, state: State) -> None:
         """See Kept."""
         if "positions" in state:
-            cell = Cell(np.array(state["cell"]), np.array(state["pbc"], dtype=bool))
+            pbc = np.array(state["pbc"], dtype=bool)
+            cell = Cell(np.array(state["cell"]), pbc, self._dimensions)
             self._before = cell, self._of_atoms(state["positions"])
         self._carried = self._of_atoms(state["carried"]) if "carried" in state else None
 
@@ -260,11 +263,12 @@ class MeanSquareDisplacement(_OfAtoms):
     """
 
     kind = "mean-square-displacement"
+    fits_plane = True
     law = SquaredDifference()
 
     def _laid_out(self, scene: ObservedRun) -> None:
         super()._laid_out(scene)
-        self._of_cell = CellMotion(scene.n_atoms)
+        self._of_cell = CellMotion(scene.n_atoms, scene.dimensions)
 
     def _vectors(self, look: Look) -> Array:
         return self._of_cell.taken_off(look.engine)
@@ -296,7 +300,8 @@ class MeanSquareDisplacement(_OfAtoms):
         squares = self.widening * means
         without = self.widening * self.sums.replicas(law)
         rows = range(1 + len(scene.species))
-        each = [diffusivity(times, squares[k], without[:, k], longest, window) for k in rows]
+        d = scene.dimensions
+        each = [diffusivity(times, squares[k], without[:, k], longest, window, d) for k in rows]
         _, temperature, volume = (self.sums.total[:HEAD] / self.sums.total[COUNT]).tolist()
         result = DisplacementResult(
             scene=scene,
@@ -315,13 +320,16 @@ class MeanSquareDisplacement(_OfAtoms):
 
 
 class VelocityAutocorrelation(_OfAtoms):
-    """⟨v(t₀) · v(t₀ + t)⟩, and the coefficient of self-diffusion as its integral, D = ⅓ ∫ ⟨v(0) · v(t)⟩ dt.
+    """⟨v(t₀) · v(t₀ + t)⟩, and the coefficient of self-diffusion as its integral, D = ∫ ⟨v(0) · v(t)⟩ dt / d.
+
+    d is 3, or 2 in a plane.
 
     It is computed by a multiple-tau correlator, with the parameters of MeanSquareDisplacement. The time between looks
     must be short compared with the time in which velocities change: about 20 fs, or 0.02 τ.
     """
 
     kind = "velocity-autocorrelation"
+    fits_plane = True
     law = Product()
 
     def _vectors(self, look: Look) -> Array:
@@ -336,13 +344,15 @@ class VelocityAutocorrelation(_OfAtoms):
         values, errors = self._estimate(times, longest, law)
 
         def integral(sums: Array) -> Array:
-            return running_integral(times, law(sums)[0] / 3.0)
+            return running_integral(times, law(sums)[0] / scene.dimensions)
 
         along, its_error = self._estimate(times, longest, integral)
-        factor = 6.0 * self.widening  # the integral of this one is a mean square displacement
+        factor = (
+            2.0 * scene.dimensions * self.widening
+        )  # the integral of this one is a mean square displacement
         squares = factor * running_integral(times, along)
         without = factor * running_integral(times, self.sums.replicas(integral))
-        of_all = diffusivity(times, squares, without, longest)
+        of_all = diffusivity(times, squares, without, longest, dimensions=scene.dimensions)
         return VelocityResult(
             scene=scene,
             times=times,
@@ -528,7 +538,7 @@ class DisplacementResult(MotionResult):
         if np.isfinite(self.diffusion):
             start, end = self.window
             inside = (self.times >= start) & (self.times <= end)
-            label = f"slope 6 D, {self.known}"
+            label = f"slope {2 * self.scene.dimensions} D, {self.known}"
             line = {"color": "0.4", "lw": 3.0, "alpha": 0.5, "label": label}
             panel.loglog(times[inside], self.msd[inside], **line)
             panel.legend(frameon=False, fontsize=8)

@@ -35,7 +35,7 @@ class Stack(NamedTuple):
     """Where the layers of one state are.
 
     normal : (3,) across them, of length area.
-    area : of a layer [length²].
+    area : of a layer [length²], in a plane its length.
     height : of all layers together [length].
     lower : where they begin, along the normal [length].
     """
@@ -67,10 +67,11 @@ class Layers(Accumulator):
     def _begin(self, engine: Engine) -> None:
         pbc = engine.system.cell.pbc
         k = AXES.index(self.axis)
-        if not np.delete(pbc, k).all():
+        n = engine.system.dimensions
+        if k >= n or not np.delete(pbc[:n], k).all():
             raise ValueError(
-                f"layers across axis {self.axis} need a cell that is periodic along the other two axes; "
-                f"its pbc = {pbc.tolist()}"
+                f"layers across axis {self.axis} need a cell that is periodic along the other axes, of a plane a and "
+                f"b; its pbc = {pbc.tolist()}"
             )
         if pbc[k] and self.extent is not None:
             raise ValueError(f"axis {self.axis} of this cell is periodic: leave extent out")
@@ -81,7 +82,10 @@ class Layers(Accumulator):
 
     def _stack(self, system: System) -> Stack:
         k = AXES.index(self.axis)
-        vectors = system.cell.vectors
+        cell = system.cell
+        vectors = cell.vectors.copy()
+        if cell.dimensions == 2:
+            vectors[2] = [0.0, 0.0, 1.0]  # areas are lengths
         normal = np.cross(vectors[k - 2], vectors[k - 1])
         area = float(np.linalg.norm(normal))
         if self.extent is not None:
@@ -125,6 +129,7 @@ class Profile(Layers):
     """
 
     kind = "profile"
+    fits_plane = True
     convention = 3  # degrees of freedom, mass and momentum of each layer
 
     def _laid_out(self, scene: ObservedRun) -> None:
@@ -217,7 +222,7 @@ class ProfileResult(Result):
         ]
         densities = zip(self.scene.species, self.densities, self.density_errors, strict=True)
         for species, *density in densities:
-            series.append(Series(f"density_{species}", f"1/{units.length}³", *density))
+            series.append(Series(f"density_{species}", f"1/{units.volume}", *density))
         for axis, *flow in zip("xyz", self.flow, self.flow_errors, strict=True):
             series.append(Series(f"flow_{axis}", f"{units.length}/{units.time}", *flow))
         return series
@@ -225,7 +230,7 @@ class ProfileResult(Result):
     def display_rows(self) -> Rows:
         """See Displayed."""
         layers = f"along {self.axis}, {len(self.z)} layers, {self.scene.frames(self.n_frames)}"
-        between = f"from {self.density.min():.4g} to {self.density.max():.4g} /{self.units.length}³"
+        between = f"from {self.density.min():.4g} to {self.density.max():.4g} /{self.units.volume}"
         rows = [("profile", f"{layers}; density {between}")]
         heat = self.temperature[self.is_known]
         if heat.size:
@@ -242,7 +247,7 @@ class ProfileResult(Result):
                 self.scene.species, self.densities, self.density_errors, strict=True
             )
         ]
-        self.draw_curves(panel, curves, f"along {self.axis}", f"density  [1/{units.length}³]")
+        self.draw_curves(panel, curves, f"along {self.axis}", f"density  [1/{units.volume}]")
         title = f"density and temperature, mean of {self.scene.frames(self.n_frames)}"
         panel.set(ylim=limits(self.densities), title=title)
 

@@ -128,6 +128,7 @@ class RadialDistribution(Accumulator):
 
     kind = "radial-distribution"
     convention = 2  # without pairs of one molecule
+    fits_plane = True
     r_max: float | None = argument(positive, R_MAX, None, "length")
     n_bins: int = argument(checked_count, "number of bins", 200)
     every: int = steps(100)
@@ -155,9 +156,9 @@ class RadialDistribution(Accumulator):
                 f"g(r) needs at least two {self.of}, and a cell that is periodic in all directions; "
                 f"this run has {system!r}"
             )
-        spacing = (system.volume / len(labels)) ** (1.0 / 3.0)
-        lowest = float(system.cell.heights.min())
-        self.reach = self.r_max or min(SPACINGS * spacing, lowest / 2.0)
+        cell = system.cell
+        lowest = float(cell.heights[cell.pbc].min())
+        self.reach = self.r_max or min(SPACINGS * cell.spacing(len(labels)), lowest / 2.0)
 
         species, molecules = labels.T
         self.is_between = not self.intramolecular and 1 < int(molecules.max()) + 1 < len(system)
@@ -235,12 +236,12 @@ class RadialDistribution(Accumulator):
             positions = of_molecules(whole, system.masses, molecules.label)[first]
 
         cell = system.cell
-        n = np.ceil(self.reach / cell.heights).astype(np.int64)
+        n = np.where(cell.pbc, np.ceil(self.reach / cell.heights), 1).astype(np.int64)
         if n.max() > 1:
             steps = np.stack(np.meshgrid(*map(np.arange, n)), axis=-1).reshape(-1, 1, 3)
             positions = (steps @ cell.lattice + positions).reshape(-1, 3)
             labels = np.tile(labels, (n.prod(), 1))
-            cell = Cell.of(n[:, None] * cell.lattice)
+            cell = Cell(n[:, None] * cell.lattice, cell.pbc, cell.dimensions)
 
         if self._list is None or self._list[0] != len(positions):
             clusters = ClusterList(len(positions), self.reach, 0.0, NO_PAIRS, False, pool)
@@ -266,7 +267,9 @@ class RadialDistribution(Accumulator):
         Raises ValueError before the first look."""
         scene = self.answered()
         edges = np.linspace(0.0, self.reach, self.n_bins + 1)
-        shells = 4.0 / 3.0 * np.pi * np.diff(edges**3)
+        shells = np.pi * np.diff(edges**2)
+        if scene.dimensions == 3:
+            shells = 4.0 / 3.0 * np.pi * np.diff(edges**3)
         numbers = np.array(self.numbers)
 
         def law(sums: Array) -> Array:

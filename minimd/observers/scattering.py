@@ -36,7 +36,7 @@ from minimd.observers.motion import MOST_ATOMS, MeanSquareDisplacement
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PEAK = 1.15 * 2.0 * pi  # q (V/N)^(1/3) of the main peak of a simple liquid
+PEAK = 1.15 * 2.0 * pi  # q (V/N)^(1/d) of the main peak of a simple liquid
 FAR = 3.0  # in q of the peak, the largest q if not given
 GOLDEN = pi * (3.0 - 5.0**0.5)  # angle between two directions that follow each other
 MOST_PERIODS = 10_000  # in the cell
@@ -57,18 +57,20 @@ def peak_of(system: System, what: str) -> float:
         raise ValueError(
             f"{what} needs a cell that is periodic in all directions; this run has {system!r}"
         )
-    return float(PEAK * (len(system) / system.volume) ** (1.0 / 3.0))
+    return PEAK / system.cell.spacing(len(system))
 
 
 def waves_near(lengths: Array, cell: Cell, n_directions: int) -> Indices:
     """(M, 3) whole numbers k of the wave vectors of the cell that are nearest to those of given lengths [1/length] in
-    directions spread evenly over a hemisphere; not 0, and only one of k and −k.
+    directions spread evenly over a hemisphere, in a plane over half a circle; not 0, and only one of k and −k.
     Raises ValueError for large ones."""
     n_lengths = len(lengths)
     z = np.broadcast_to((np.arange(n_directions) + 0.5) / n_directions, (n_lengths, n_directions))
     flat = np.sqrt(1.0 - z * z)
     turn = GOLDEN * np.arange(z.size).reshape(z.shape)
     directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=2)
+    if cell.dimensions == 2:
+        directions = np.stack([np.cos(pi * z), np.sin(pi * z), 0.0 * z], axis=2)
     exact = lengths[:, None, None] * directions @ cell.vectors.T / (2.0 * pi)
     if np.abs(exact).max() > MOST_PERIODS:
         raise ValueError(
@@ -140,6 +142,7 @@ class StructureFactor(Accumulator):
     """
 
     kind = "structure-factor"
+    fits_plane = True
     q_max: float | None = argument(positive, Q_MAX, None, "inverse length")
     n_bins: int = argument(checked_count, "number of bins", 80)
     n_waves: int = argument(checked_count, PER_SHELL, 6)

@@ -199,6 +199,7 @@ class Document:
         edge = structure.lattice_constant or constant_from_density(lattice, density, mass)
         positions, edges = crystal(lattice, structure.repeat or [], edge)
         bonds: Any = structure.bonds
+        planar = positions.shape[1] == 2
         return System(
             positions,
             masses=mass,
@@ -207,6 +208,7 @@ class Document:
             species=[element] * len(positions) if element else None,
             bonds=bonds,
             units=self.units,
+            planar=planar,
         )
 
     def _from_file(self) -> System:
@@ -217,7 +219,8 @@ class Document:
         options: dict[str, Any] = structure.model_dump(include=set(OF_FILES))
         options["units"] = self.units
         options["bonds"] = [] if self.sections.water else structure.bonds  # water has its own
-        return system_from_file(file, structure.cell, structure.pbc, **options)
+        system = system_from_file(file, structure.cell, structure.pbc, **options)
+        return system.in_plane() if structure.planar else system
 
 
 SOURCES: Mapping[str, Callable[[Document, str], Any]] = {

@@ -34,7 +34,7 @@ from minimd.core.structure.constraints import (
     FixedAtoms,
     SolverName,
 )
-from minimd.core.structure.lattice import BASES
+from minimd.core.structure.lattice import BASES, EDGES
 from minimd.core.structure.system import MOST_ATOMS, System, changed
 from minimd.core.structure.units import GRAM_PER_CM3
 from minimd.observers import KINDS, Accumulator, arguments
@@ -162,12 +162,14 @@ class StructureSection(Section):
     format : name of the format, for a file whose suffix does not show it.
     bonds : pairs of atoms; "file" for the bonds, angles and dihedrals in the file; or the name of another file that
         holds them.
-    masses, elements, atom_style, lammps_units : what the file does not state, see system_from_file."""
+    masses, elements, atom_style, lammps_units : what the file does not state, see system_from_file.
+    planar : whether the atoms of the file move in a plane; those of a "square" or "triangular" lattice do."""
 
     file: str | None = None
     lattice: Annotated[str, one_of(BASES)] | None = None
     element: str | None = None
-    repeat: Annotated[list[PositiveInt], Three] | None = None
+    planar: bool = False
+    repeat: list[PositiveInt] | None = None
     density: Annotated[Positive | None, Dimension("density")] = None
     lattice_constant: Length = None
     cell: Annotated[Annotated[list[NotNegative], Three] | None, Dimension("length")] = None
@@ -191,7 +193,7 @@ class StructureSection(Section):
                     yield f"cannot have {name} together with file"
             return
 
-        for name in ("cell", *OF_FILES):
+        for name in ("cell", "planar", *OF_FILES):
             if name in self.model_fields_set:
                 yield f"cannot have {name} together with lattice"
         if isinstance(self.bonds, str):
@@ -199,6 +201,8 @@ class StructureSection(Section):
         for name in ("repeat", "element") if units == "ASE" else ("repeat",):
             if name not in self.model_fields_set:
                 yield f"must have {name} together with lattice"
+        if units == "ASE" and self.lattice in EDGES and self.density is not None:
+            yield "cannot have density with a lattice of a plane: give lattice_constant"
         if (self.density is None) == (self.lattice_constant is None):
             density = self.key("density", units)
             edge = self.key("lattice_constant", units)

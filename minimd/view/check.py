@@ -263,7 +263,7 @@ def _compared(
 
 
 def liquid(run: str | Path | RunUniverse) -> list[str]:
-    """Lines about a liquid that is periodic in all directions: the first peaks of g(r) of pairs of species, of some if
+    """Lines about a liquid in a cell with a volume: the first peaks of g(r) of pairs of species, of some if
     there are many; D of atoms, or why it is not known, if there are enough frames.
 
     run : a file, or its universe.
@@ -271,7 +271,7 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
     """
     with universe_of(run) as universe:
         system = universe.system
-        if not system.cell.pbc.all() or len(system) < 2:
+        if system.volume is None or len(system) < 2:
             return []
         found = radial_distribution(universe)
         between = " between molecules" * found.is_between

@@ -97,7 +97,7 @@ def _draw_drift(panel: Axes, run: RunUniverse) -> None:
 
 
 def _is_bulk(run: RunUniverse) -> bool:
-    return bool(run.system.cell.pbc.all()) and len(run.system) > 1
+    return run.system.volume is not None and len(run.system) > 1
 
 
 def _draw_structure(panel: Axes, run: RunUniverse) -> None:

@@ -35,7 +35,7 @@ STEPS = 24  # the end is no frame
 AT_STEP_0 = 1e-12  # rounding, relative to the largest
 MOVED = 1e-10  # rounding that 20 steps have multiplied
 CHARGED = 3e-5  # three times the accuracy of charges, for errors of both; what they move in 20 fs is smaller
-QUICK = ("argon", "chains", "water", "skewed slab", "ions", *SUMMED)
+QUICK = ("argon", "chains", "water", "skewed slab", "plane", "ions", *SUMMED)
 ALL = [pytest.param(name, n, 0, marks=pytest.mark.slow) for name in SCENES for n in (1, 2)]
 HandOverError = md.lammps.HandOverError
 OTHER_BONDS = [md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0, 1, 1)), md.HarmonicBond(10.0, 1.1, [[0, 1], [4, 5]])]

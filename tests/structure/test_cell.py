@@ -11,7 +11,14 @@ import minimd as md
 from minimd.core.structure.bond_graph import pairs_by_bonds_apart
 from minimd.core.structure.cell import Cell, minimum_image_translations
 
-NEIGHBORS = {"sc": (6, 1), "bcc": (8, 0.75**0.5), "fcc": (12, 0.5**0.5), "diamond": (4, 3**0.5 / 4)}
+NEIGHBORS = {
+    "sc": (6, 1),
+    "bcc": (8, 0.75**0.5),
+    "fcc": (12, 0.5**0.5),
+    "diamond": (4, 3**0.5 / 4),
+    "square": (4, 1),
+    "triangular": (6, 1),
+}
 SIDE = [[20.0, 0.0, 0.0], [0.0, 20.0, 0.0], [20.0, 20.0, 0.0]]
 SLAB = "pbc=(True, True, False)"
 test_messages_about_cells_name_pbc_where_it_is_the_cure = answered(
@@ -78,13 +85,17 @@ def test_volume_is_that_of_the_user_s_vectors_and_numbers_have_their_units():
 @pytest.mark.parametrize("lattice", md.lattice.BASES)
 def test_every_lattice_has_its_nearest_neighbors_and_the_density_it_was_asked_for(lattice):
     neighbors, distance = NEIGHBORS[lattice]
-    positions, edges = md.lattice.crystal(lattice, (3, 4, 5), 2.0)
-    assert (len(positions), edges.tolist()) == (60 * len(md.lattice.BASES[lattice]), [6.0, 8.0, 10.0])
-    first, d = md.neighbor_list("id", md.System(positions, cell=edges), 2.0 * distance * 1.01)
+    planar = lattice in ("square", "triangular")
+    repeat = (3, 4) if planar else (3, 4, 5)
+    positions, edges = md.lattice.crystal(lattice, repeat, 2.0)
+    assert len(positions) == np.prod(repeat) * len(md.lattice.BASES[lattice])
+    expected = [6.0, 8.0 * 3**0.5] if lattice == "triangular" else [6.0, 8.0, 10.0][: len(repeat)]
+    assert edges == pytest.approx(expected)
+    first, d = md.neighbor_list("id", md.System(positions, cell=edges, planar=planar), 2.0 * distance * 1.01)
     assert np.all(np.bincount(first) == neighbors)
     assert d == pytest.approx(2.0 * distance)
     constant = md.lattice.constant_from_density(lattice, density=1.7, mass=3.0)
-    positions, edges = md.lattice.crystal(lattice, (2, 2, 2), constant)
+    positions, edges = md.lattice.crystal(lattice, [2] * len(repeat), constant)
     assert len(positions) * 3.0 / edges.prod() == pytest.approx(1.7)
 
 

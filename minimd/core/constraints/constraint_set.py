@@ -47,6 +47,7 @@ class ConstraintSet:
         all_kinds = list(constraints) if isinstance(constraints, list | tuple) else [constraints]
         is_site = system.masses == 0.0
         self._n_sites = int(is_site.sum())
+        self._dimensions = system.dimensions
         self.inverse_masses = _inverse(system.masses)
 
         distances = []
@@ -102,12 +103,12 @@ class ConstraintSet:
         """Degrees of freedom of the atoms that move, see observables. Raises ValueError if none is left."""
         n_atoms = len(self.inverse_masses) - self.n_fixed - self._n_sites
         is_free = conserves_momentum and not self.n_fixed
-        return degrees_of_freedom(n_atoms, self.n_constraints, is_free)
+        return degrees_of_freedom(n_atoms, self.n_constraints, is_free, self._dimensions)
 
     def shares(self, positions: Array, conserves_momentum: bool) -> Array:
         """Degrees of freedom of each atom, (N,); their sum is degrees_of_freedom.
 
-            g_i = tr P_ii − 3 m_i/M,   P = 1 − M⁻¹ Gᵀ (G M⁻¹ Gᵀ)⁻¹ G
+            g_i = tr P_ii − d m_i/M,   P = 1 − M⁻¹ Gᵀ (G M⁻¹ Gᵀ)⁻¹ G
 
         P is the projection onto the constraints, G their gradients; the last term counts if leaves_out_center. Then
         ⟨m_i v_i²⟩ = g_i k_B T. Atoms of different bodies are projected together.
@@ -124,7 +125,7 @@ class ConstraintSet:
             _, first = np.unique(body[left], return_index=True)
             atoms = left[first]
 
-            for axis in range(3):
+            for axis in range(self._dimensions):
                 velocities = np.zeros((n_atoms, 3))
                 velocities[atoms, axis] = 1.0
                 self.project(velocities, positions)
@@ -135,7 +136,7 @@ class ConstraintSet:
         shares[shares < NO_SHARE] = 0.0
         if leaves_out_center(n_atoms, conserves_momentum and not self.n_fixed):
             masses = _inverse(self.inverse_masses)
-            shares -= 3.0 * masses / masses.sum()
+            shares -= self._dimensions * masses / masses.sum()
         return shares
 
     def temperature(self, velocities: Array, system: System, conserves_momentum: bool) -> float:

@@ -43,12 +43,12 @@ def runaway(
 ) -> str | None:
     """That energies have grown without bound, as they do beyond the stability limit of a method; None if they have not.
 
-        K + |U| > growth (K₀ + |U₀| + R)   and   |E − E₀| > (K + |U|) / 2,   R = Σ m (ulp(r)/Δt)²
+        K + |U| > growth (K₀ + |U₀| + Q + R)   and   |E − E₀| > (K + |U|) / 2,   R = Σ m (ulp(r)/Δt)²
 
     first : observables of an earlier frame.
     since : when that was, for the sentence.
-    E is the total energy minus the reservoir energy and work, R the energy [energy] that the rounding of positions can
-    make in a step."""
+    E is the total energy minus the reservoir energy and work, Q what a bath gives to atoms at rest, n_dof k_B T, R the
+    energy [energy] that the rounding of positions can make in a step."""
     system = engine.system
     kinetic = engine.kinetic_energy
     potential = engine.potential_energy
@@ -63,10 +63,11 @@ def runaway(
     else:
         name = "total energy"
         start = first["total_energy"] - first.get("work", 0.0)
-    earlier = first["kinetic_energy"] + abs(first["potential_energy"])
+    earlier = first["kinetic_energy"] + abs(first["potential_energy"]) + rounding
     now = kinetic + abs(potential)
-    has_grown = now > growth * (earlier + rounding)
-    if has_grown and abs(energy - start) > HALF * now:
+    if now > growth * earlier and engine.has_bath:
+        earlier += engine.n_dof * system.units.k_B * (engine.bath_settings[0] or 0.0)
+    if now > growth * earlier and abs(energy - start) > HALF * now:
         change = f"from {start:.3g} to {energy:.3g} {system.units.energy}"
         return f"the {name} has gone {change} since {since}"
     return None

@@ -121,7 +121,7 @@ def _short_step(evidence: Evidence) -> Verdicts:
     laws = evidence.potentials
     is_known = all(isinstance(law, Nonbonded | HarmonicBond) for law in laws)
     if is_short and is_known and not any(isinstance(law, EmbeddedAtom) for law in laws):
-        example = ", such as 5 * md.units.fs" if evidence.units == ASE else ""
+        example = ", such as 5 * md.units.fs" if evidence.units.name == ASE.name else ""
         yield Verdict(
             "short step",
             f"timestep {evidence.step} is far shorter than the 20 steps in a period that atoms need",
@@ -198,7 +198,8 @@ def _flat_motion(evidence: Evidence) -> Verdicts:
     moves = np.array([engine.positions, dt * engine.velocities, dt * dt * accelerations])
     moves = moves[:, inverse_masses > 0.0]
     n_atoms = moves.shape[1]
-    if n_atoms < 3 or not moves[1].any() or not np.isfinite(moves).all():
+    is_plane = evidence.system.dimensions == 2
+    if is_plane or n_atoms < 3 or not moves[1].any() or not np.isfinite(moves).all():
         return
     moves[0] -= moves[0, 0].copy()
     moves /= largest_component(moves)  # squares of forces of any size are finite
@@ -210,8 +211,8 @@ def _flat_motion(evidence: Evidence) -> Verdicts:
         yield Verdict(
             "plane",
             f"all atoms lie and move {where}: {n_moving} of the {n_dof} degrees of freedom that are counted move",
-            f"their temperature is {n_dof / n_moving:.4g} times the one shown; "
-            "velocities in all directions have all of them",
+            f"their temperature is {n_dof / n_moving:.4g} times the one shown; make a System with planar=True, or "
+            "give velocities in all directions",
         )
 
 

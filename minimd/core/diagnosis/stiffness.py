@@ -157,7 +157,7 @@ class Stiffness:
     @cached_property
     def strange_depth(self) -> tuple[str, str] | None:
         """A cause and an advice if an ε in eV is larger than that of any atom, as a number in K or kJ/mol would be."""
-        if self.system.units != ASE:
+        if self.system.units.name != ASE.name:
             return None
         for epsilon, sigma in self._wells():
             is_strange = (epsilon > DEEPEST) | ((epsilon > DEEP) & (sigma > WIDE))
@@ -281,7 +281,7 @@ class Curvature:
 
     def _forces_at(self, steps: Array, length: float) -> Array:
         try:
-            self._system.positions[:] = self._start + length * steps
+            self._system.positions[:] = self._start + length * self._system.cell.projected(steps)
             return self._forces.compute().forces.copy()
         finally:
             self._system.positions[:] = self._start

@@ -113,6 +113,10 @@ class CellRescaling:
         self._system = system
         self._constraints = constraints
         check(system, interactions, constraints)
+        if system.dimensions == 2 and "z" in barostat.coupling:
+            raise ValueError(
+                f"a plane has no height to change: take a coupling without z; it is {barostat.coupling!r}"
+            )
         self.temperature(method)
         self._molecules = None if constraints.bonds is None else StrainedBodies(system, constraints)
         self._first_volume = float(system.volume or 0.0)
@@ -167,7 +171,7 @@ class CellRescaling:
                 cure = "take one that does, such as a calculator with a stress"
                 raise ValueError(f"a barostat needs the virial, but a potential gives none: {cure}")
             target = f"{before.target:.3g} {self._system.units.pressure}"
-            why = f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {target}"
+            why = f"pressure {before.mean_pressure:.3g}, target {target}"
             cure = "equilibrate first, take a longer relaxation_time, or check the unit of the pressure"
             raise RangeError(
                 f"the barostat would strain the cell by {largest:.1e} at once ({why}): {cure}"
@@ -212,13 +216,12 @@ class CellRescaling:
             moving = self._molecules.centers(moving)
             masses = self._molecules.masses
         pressure = pressure_tensor(moving, masses, virial, volume)
+        energy = kinetic_energy(system.velocities, system.masses) + sums.potential_energy
+        state = ThermodynamicState(pressure, volume, energy, *wanted, system.dimensions)
         if bath.conserves_momentum:
             total = momentum(moving, masses)
-            pressure += (wanted[0] * np.eye(3) - np.outer(total, total) / masses.sum()) / volume
-        if back is not None:
-            pressure = back @ pressure @ back.T
-        energy = kinetic_energy(system.velocities, system.masses) + sums.potential_energy
-        return ThermodynamicState(pressure, volume, energy, *wanted)
+            pressure += (wanted[0] * state.unit - np.outer(total, total) / masses.sum()) / volume
+        return state if back is None else state._replace(pressure=back @ pressure @ back.T)
 
     def _inner_virial(self, forces: Array) -> Array:
         """Σ (r − R) ⊗ F [energy], (3, 3): the virial of atoms minus that of molecules, without rigid bonds."""
@@ -314,7 +317,7 @@ def check(system: System, interactions: Forces, constraints: ConstraintSet) -> N
 def check_cell(system: System) -> None:
     """Raise ValueError for a cell without a volume."""
     if system.volume is None:
-        what = "periodic in all three directions (for a slab, with empty space)"
+        what = "periodic in all directions, a plane in two (for a slab, with empty space)"
         raise ValueError(
             f"a barostat needs a cell that is {what}; pbc = {system.cell.pbc.tolist()}"
         )

@@ -129,7 +129,7 @@ class Engine:
         _check_center(self.holds_center, self._is_still_under(method), method)
         self._state = self._laid_out()
         self._fit_grid()
-        self._bath = Bath(k_B=self.system.units.k_B)
+        self._bath = Bath(k_B=self.system.units.k_B, dimensions=self.system.dimensions)
         self.surroundings = Surroundings(self.constraint_set.bonds, self._bath)
         # of the state to which forces and images belong, and whether steps can go on from there
         self._entered: list[int] | None = None
@@ -271,6 +271,8 @@ class Engine:
         self.interactions.place_sites()
         state = self._digest()
         if state != self._entered:
+            if self._bath.dimensions == 2:
+                self._system.check_plane()
             self._entered = state
             self._goes_on = False
             self._state.forces_are_current = False
@@ -620,7 +622,6 @@ class Engine:
     def display_rows(self) -> Rows:
         """What makes up a simulation, and where it stands. Nothing is computed."""
         options = self.interactions.options
-        units = self.system.units
         grid = self.interactions.grid
         chosen = [described(options.precision)]
         if options.threads is not None:
@@ -632,9 +633,8 @@ class Engine:
             rows.append(("observed too", ", ".join(self.extra_observables)))
         rows.append(("options", ", ".join(chosen)))
         if grid:
-            rounded = f"{grid!r}: positions, lattice vectors and momenta are rounded to it"
-            rows.append(("grid", rounded))
-        rows.append(("at", f"step {self.step}, {units.shown(self.time)}"))
+            rows.append(("grid", f"positions, lattice vectors and momenta are rounded to {grid!r}"))
+        rows.append(("at", f"step {self.step}, {self.system.units.shown(self.time)}"))
         return rows
 
 

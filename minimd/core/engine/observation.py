@@ -192,7 +192,9 @@ for _observable in (
     Observable(
         "pressure",
         "pressure",
-        lambda look: observables.pressure(look.thermal_energy, look.virial, look.volume),
+        lambda look: observables.pressure(
+            look.thermal_energy, look.virial, look.volume, look.system.cell.dimensions
+        ),
         lambda engine: engine.system.volume is not None,
     ),
     Observable("stress", "pressure", lambda look: look.stress, demand=check_has_volume),

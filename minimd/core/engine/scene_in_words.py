@@ -63,7 +63,7 @@ def scene_in_words(
         rows.append(("barostat", settings("stochastic cell rescaling", barostat.stated)))
     mass = "m"
     picosecond = ""
-    if units is ASE:
+    if units.name == ASE.name:
         mass = "u"
         picosecond = f", of which {units.to_picosecond**-1:.5g} make a ps"
     numbers = (

@@ -154,7 +154,8 @@ def _stored_cell(arrays: Arrays, name: str) -> Cell | None:
     if name not in arrays:
         return None
     cell = Cell.of_reduction(arrays[name], arrays[f"{name}_reduction"])
-    if round(abs(np.linalg.det(cell.reduction))) != 1:
+    n = cell.dimensions
+    if round(abs(np.linalg.det(cell.reduction[:n, :n]))) != 1:
         raise ValueError(f"{name}_reduction gives another lattice than {name}")
     return cell.strained(cell.vectors)  # reduced, whatever the file says
 

@@ -518,7 +518,7 @@ def frames_of(
                 float(h5["minimd/time"][k]),
                 **frame,
                 observables=values,
-                cell=Cell(values["cell"], np.ones(3, bool)) if "cell" in values else None,
+                cell=_cell_of(h5["minimd"], values["cell"]) if "cell" in values else None,
             )
 
 
@@ -550,6 +550,12 @@ def _damage(path: str | Path) -> tuple[str, str]:
         return frames, digest.damaged_restart(h5)
 
 
+def _cell_of(group: h5py.Group, vectors: np.ndarray) -> Cell:
+    """The cell with these vectors, (3, 3), of a file."""
+    attributes = group.attrs
+    return Cell(vectors, attributes["pbc"].astype(bool), int(attributes.get("dimensions", 3)))
+
+
 def _stored_system(group: h5py.Group, restart: Checkpoint) -> System:
     names = group["species_names"]
     labels = names.asstr()[:] if h5py.check_string_dtype(names.dtype) else names[:]
@@ -557,7 +563,7 @@ def _stored_system(group: h5py.Group, restart: Checkpoint) -> System:
     return System(
         restart.state.positions,
         velocities=restart.state.velocities,
-        cell=restart.state.cell or Cell(group["cell"][:], group.attrs["pbc"].astype(bool)),
+        cell=restart.state.cell or _cell_of(group, group["cell"][:]),
         species=np.array(labels.tolist())[group["species_index"][:]],
         **{name: group[name][:] for name in ("masses", "charges", *GROUPS) if name in group},
         units=SYSTEMS[group.attrs["units"]],

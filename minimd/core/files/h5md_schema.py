@@ -15,8 +15,8 @@
 Numbers in reduced units are written unchanged with the same labels, because MDAnalysis refuses a file without units;
 the attribute units of the group minimd is then "LJ". For MDAnalysis a box with edges is periodic in all directions, and
 one without edges in none. Edges are written if any direction is periodic and the cell has three independent vectors;
-the attribute pbc says which are periodic. P. de Buyl, P. H. Colberg, F. Höfling, Comput. Phys. Commun. 185,
-1546 (2014); H5MD 1.1.
+the attribute pbc says which are periodic, the attribute dimensions, 2, that the scene is a plane. P. de Buyl, P. H.
+Colberg, F. Höfling, Comput. Phys. Commun. 185, 1546 (2014); H5MD 1.1.
 """
 
 import json
@@ -162,13 +162,15 @@ def description(engine: Engine) -> dict[str, Item]:
     else:
         stored_names = np.array(names, np.int64)
 
-    attributes = {
+    attributes: dict[str, Any] = {
         "version": __version__,
         "units": system.units.name,
         "pbc": system.cell.pbc,
         "title": engine.notes["title"] or f"{len(system)} atoms of {', '.join(labels)}",
         "scene": engine.notes["scene"],
     }
+    if system.dimensions == 2:
+        attributes["dimensions"] = 2
     items = {
         "h5md": Item({"version": [1, 1]}),
         "h5md/author": Item({"name": "N/A"}),

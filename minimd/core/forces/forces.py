@@ -63,7 +63,7 @@ from minimd.core.structure.cell import Images
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.errors import RangeError, why_not_compiled
 from minimd.core.structure.grid import TOO_LARGE, Grid, steps_of
-from minimd.core.structure.system import System, check_resolution
+from minimd.core.structure.system import System, check_in_plane, check_resolution
 
 
 def plan(
@@ -245,6 +245,7 @@ class Forces:
                 "precision='fixed-point' is for atoms with masses; this system has massless sites, whose forces are "
                 "not handed over to the last bit: take precision='double'"
             )
+        self._is_plane = system.dimensions == 2
         self.pool = pool_for(self.options, len(system))
         self.potentials = as_potentials(potentials)
         self._bound: list[Term] = []
@@ -557,6 +558,8 @@ class Forces:
             term.collect(target)
         if self.grid is not None:
             np.divide(self.impulses, target.steps.per_force[0], out=self.forces)
+        if self._is_plane:
+            check_in_plane("forces", self.forces)
         if target.detail == FORCES:
             return ForceResult(self.forces)
         tail_energy, trace = self._tails

@@ -31,13 +31,25 @@ class ThermodynamicState(NamedTuple):
     pressure : P, (3, 3) [energy/length³], kinetic part included.
     volume : V [length³].
     energy : E = K + U [energy].
-    thermal, target : k_B T [energy] and P₀ [energy/length³] of the baths."""
+    thermal, target : k_B T [energy] and P₀ [energy/length³] of the baths.
+    dimensions : d, in which the cell is strained."""
 
     pressure: Array
     volume: float
     energy: float
     thermal: float
     target: float
+    dimensions: int = 3
+
+    @property
+    def unit(self) -> Array:
+        """1, (3, 3), with zeros along directions that are not strained."""
+        return np.diag((np.arange(3) < self.dimensions).astype(np.float64))
+
+    @property
+    def mean_pressure(self) -> float:
+        """P, the trace/d."""
+        return float(self.pressure.trace()) / self.dimensions
 
 
 @dataclass(frozen=True, repr=False)
@@ -46,22 +58,22 @@ class StochasticCellRescaling(Displayed):
     isothermal-isobaric ensemble.
 
         dλ = −(βλ/2τ) (P₀ − P − k_B T/2V) dt + √(k_B T β/2τ) dW,  λ = √V   isotropic: Bernetti and Bussi, eq. 7
-        dε = −(β/3τ) 𝒫[P₀ 1 − P] dt + √(2 k_B T β/3Vτ) 𝒫[dW]                          anisotropic: Del Tatto et al.
-        r ← r e^ε,  v ← v e^(−ε),  cell ← cell e^ε;  isotropic e^ε = (V′/V)^(1/3)
+        dε = −(β/dτ) 𝒫[P₀ 1 − P] dt + √(2 k_B T β/dVτ) 𝒫[dW]                          anisotropic: Del Tatto et al.
+        r ← r e^ε,  v ← v e^(−ε),  cell ← cell e^ε;  isotropic e^ε = (V′/V)^(1/d)
 
-    P is the pressure, isotropic its trace/3; ε is the strain and W a symmetric matrix of white noise. 𝒫 keeps the
-    strains that the coupling allows: along some axes, each by itself, or all of them ("triclinic"), followed by the
-    rotation that keeps the direction of the first lattice vector and the plane of the first two. ε is symmetric, and
-    its trace is d ln V, as in eq. 4 of the first paper. Atoms joined by fixed lengths form molecules:
-    their centers of mass move as above, and P is the molecular pressure.
+    d is 3, or 2 in a plane. P is the pressure, isotropic its trace/d; ε is the strain and W a symmetric matrix of
+    white noise. 𝒫 keeps the strains that the coupling allows: along some axes, each by itself, or all of them
+    ("triclinic"), followed by the rotation that keeps the direction of the first lattice vector and the plane of
+    the first two. ε is symmetric, and its trace is d ln V, as in eq. 4 of the first paper. Atoms joined by fixed
+    lengths form molecules: their centers of mass move as above, and P is the molecular pressure.
 
-    The bath acts at every n-th step, over h = nΔt, by one Euler step with the drift b = −(βλh/2τ)(…) or m = −(βh/3τ)
+    The bath acts at every n-th step, over h = nΔt, by one Euler step with the drift b = −(βλh/2τ)(…) or m = −(βh/dτ)
     𝒫[…]. It changes
 
         H = E − reservoir energy
 
-    by ΔE + P₀ΔV − ½ k_B T ln(V′/V) + (τ/βh) [(λ′ − λ + b′)² − (λ′ − λ − b)²], or, with d free strains,
-    by ΔE + P₀ΔV − (1 + d/2) k_B T ln(V′/V) + (3τ/4βh) [V′|ε + m′|² − V|ε − m|²], where ′ means afterwards. This is zero
+    by ΔE + P₀ΔV − ½ k_B T ln(V′/V) + (τ/βh) [(λ′ − λ + b′)² − (λ′ − λ − b)²], or, with n free strains,
+    by ΔE + P₀ΔV − (1 + n/2) k_B T ln(V′/V) + (dτ/4βh) [V′|ε + m′|² − V|ε − m|²], where ′ means afterwards. This is zero
     up to errors of the finite h, as for thermostats. All other energy it gives to the system, heat and work, is counted
     in the reservoir energy. Fluctuations of V are too large by a fraction of the order h/τ.
 
@@ -141,10 +153,12 @@ class StochasticCellRescaling(Displayed):
             variance = 0.5 * state.thermal * self.compressibility * duration / self.relaxation_time
             change = self._drift_of_root(state, duration) + sqrt(variance) * white[0, 0]
             larger = 1.0 + change / sqrt(state.volume)  # λ′/λ
-            return np.diag(3 * [2.0 / 3.0 * log(larger) if larger > 0.0 else -inf])
-        slowness = 3.0 * state.volume * self.relaxation_time
+            along = 2.0 / state.dimensions * log(larger) if larger > 0.0 else -inf
+            return np.where(state.unit == 1.0, along, 0.0)
+        slowness = state.dimensions * state.volume * self.relaxation_time
         spread = sqrt(2.0 * state.thermal * self.compressibility * duration / slowness)
-        return self._drift_of_strain(state, duration) + spread * self.mask * 0.5 * (white + white.T)
+        noise = spread * self._kept(state) * 0.5 * (white + white.T)
+        return self._drift_of_strain(state, duration) + noise
 
     def change_of_conserved(
         self, before: ThermodynamicState, after: ThermodynamicState, strain: Array, duration: float
@@ -163,21 +177,26 @@ class StochasticCellRescaling(Displayed):
             return work - 0.5 * entropy + rate * (back**2 - there**2)
         returned = strain + self._drift_of_strain(after, duration)
         gone = strain - self._drift_of_strain(before, duration)
-        n_free = 6 if self.coupling == "triclinic" else len(self.coupling)
+        n_free = np.tril(self._kept(after)).sum()
         gaussian = after.volume * np.square(returned).sum() - before.volume * np.square(gone).sum()
-        return float(work - (1.0 + 0.5 * n_free) * entropy + 0.75 * rate * gaussian)
+        of_noise = 0.25 * after.dimensions * rate * gaussian
+        return float(work - (1.0 + 0.5 * n_free) * entropy + of_noise)
+
+    def _kept(self, state: ThermodynamicState) -> Array:
+        """The strains that 𝒫 keeps, (3, 3), 1 or 0."""
+        axes = state.unit.diagonal()
+        return np.asarray(self.mask * np.outer(axes, axes))
 
     def _drift_of_root(self, state: ThermodynamicState, duration: float) -> float:
         """b = −(βλh/2τ) (P₀ − P − k_B T/2V) [√volume]."""
-        pressure = float(state.pressure.trace()) / 3.0
-        excess = pressure - state.target + 0.5 * state.thermal / state.volume
+        excess = state.mean_pressure - state.target + 0.5 * state.thermal / state.volume
         root = sqrt(state.volume)
         return 0.5 * self.compressibility * root * duration / self.relaxation_time * excess
 
     def _drift_of_strain(self, state: ThermodynamicState, duration: float) -> Array:
-        """m = −(βh/3τ) 𝒫[P₀ 1 − P], (3, 3)."""
-        factor = self.compressibility * duration / (3.0 * self.relaxation_time)
-        return factor * self.mask * (state.pressure - state.target * np.eye(3))
+        """m = −(βh/dτ) 𝒫[P₀ 1 − P], (3, 3)."""
+        factor = self.compressibility * duration / (state.dimensions * self.relaxation_time)
+        return factor * self._kept(state) * (state.pressure - state.target * np.eye(3))
 
 
 def exponential(strain: Array) -> Array:

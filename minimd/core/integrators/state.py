@@ -145,6 +145,7 @@ class Bath:
     """What a thermostat needs to know about its system, and the energy it has given to the system.
 
     k_B : [energy/temperature].
+    dimensions : in which atoms move.
     n_dof : degrees of freedom that share the kinetic energy.
     conserves_momentum : of all atoms; then the motion of the center of mass is not a thermal degree of freedom.
     step, contact : the number of the step, negative in an equilibration, and of the contact within it; both select
@@ -157,9 +158,15 @@ class Bath:
     energy = Place("heat", 0, float)
 
     def __init__(
-        self, k_B: float = 1.0, n_dof: int = 0, conserves_momentum: bool = False, step: int = 0
+        self,
+        k_B: float = 1.0,
+        n_dof: int = 0,
+        conserves_momentum: bool = False,
+        step: int = 0,
+        dimensions: int = 3,
     ) -> None:
         self.k_B = k_B
+        self.dimensions = dimensions
         self.step = step
         self.contact = 0
         self.heat = np.zeros(1)

@@ -205,6 +205,7 @@ class LangevinBAOAB(Thermostat):
             np.zeros(n_chunks),
             bath.heat,
             int(is_held),
+            bath.dimensions,
             state.steps,
         )
         calls = CALLS[bool(state.steps)]
@@ -299,7 +300,8 @@ class BrownianDynamics(LangevinBAOAB):
 class Touch(
     ByAddress,
     namedtuple(
-        "Touch", "velocities inverse_masses masses kept lost thermal noise parts heat is_held steps"
+        "Touch",
+        "velocities inverse_masses masses kept lost thermal noise parts heat is_held dimensions steps",
     ),
 ):
     """The contact of atoms with a bath, see LangevinBAOAB.
@@ -311,6 +313,7 @@ class Touch(
     parts : (chunks,) output, heat of each chunk [energy].
     heat : (1,), to which it is added.
     is_held : whether constraints follow, before the kinetic energy afterwards is known.
+    dimensions : 3, or 2 of a plane, whose z stays.
     steps : of a grid, or ()."""
 
 
@@ -332,8 +335,9 @@ def touch_atoms(touch, chunk):
             heat -= kinetic_energy_at(velocities, masses, i, touch.steps)
             scale = spread * sqrt(touch.inverse_masses[i])
             for c, xi in enumerate(three_normals(stream, i, noise.contact, step)):
-                v = mixed(velocities[i, c], xi, touch.kept, scale)
-                velocities[i, c] = settled(v, touch.inverse_masses[i], touch.steps)
+                if c < touch.dimensions:
+                    v = mixed(velocities[i, c], xi, touch.kept, scale)
+                    velocities[i, c] = settled(v, touch.inverse_masses[i], touch.steps)
             if not touch.is_held:
                 heat += kinetic_energy_at(velocities, masses, i, touch.steps)
     touch.parts[chunk] = heat

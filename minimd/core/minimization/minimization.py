@@ -258,7 +258,7 @@ class Descent:
         self._positions = forces.system.positions
         self._forces = np.zeros_like(self._positions)
         self._velocities = np.zeros_like(self._positions)
-        self._probe = np.random.default_rng(SEED).standard_normal(self._positions.shape)
+        self._probe = self._drawn_probe()
         # minimd's own laws have no finite force where they have no energy
         are_own = all(
             isinstance(potential, OwnPotential) and not is_user_law(getattr(potential, "law", ()))
@@ -365,6 +365,10 @@ class Descent:
                     f"the minimization found no step that keeps the constraints, down to one of {step}"
                 )
 
+    def _drawn_probe(self) -> Array:
+        drawn = np.random.default_rng(SEED).standard_normal(self._positions.shape)
+        return self._system.cell.projected(drawn)
+
     def _try_curvature(self) -> None:
         """Estimate κ by power iterations, which continue the last series; a lower bound keeps the first step within
         the longest."""
@@ -375,7 +379,7 @@ class Descent:
         for _ in range(PROBES):
             self._constraint_set.project(self._probe, before)
             if not self._probe.any():  # no curvature at all
-                self._probe = np.random.default_rng(SEED).standard_normal(before.shape)
+                self._probe = self._drawn_probe()
                 break
             steps = self._probe * (PROBE * self._longest / longest(self._probe)[1])
             self._positions[:] = before + steps

@@ -182,6 +182,10 @@ class Coulomb(Declared):
         pbc = system.cell.pbc
         slab: str = self.slab
         is_sum = self.method in SUMS
+        if is_sum and pbc.any() and system.dimensions == 2:
+            raise ValueError(
+                "Coulomb sums no charges over the images of a plane: take method='shifted-force' or 'reaction-field'"
+            )
         if slab == "none" and is_sum and pbc.sum() == 2:
             slab = "xyz"[pbc.argmin()]
         if slab == "none":

@@ -429,10 +429,11 @@ class LinkedTerm(OwnTerm):
         """
         n_links = len(self.first)
         start = DIMENSIONS * self.first_slot
+        pairs: Indices
         blocks = slots[start : start + self._translations.size]
         blocks = blocks.reshape(n_links, -1, DIMENSIONS, self.lanes.size).swapaxes(2, 3)
         pulls = blocks.reshape(n_links, -1, DIMENSIONS)[:, : self.n_terms]
-        pairs = np.stack([self.first, self.second], axis=2)[:, : self.n_terms]
+        pairs = np.stack([self.first, self.second], axis=2)[:, : self.n_terms].astype(np.int64)
         arms = nearest_vectors(system.positions, system.cell, pairs.reshape(-1, 2))
         return system.positions[pairs[..., 0]], arms.reshape(pulls.shape), pulls
 

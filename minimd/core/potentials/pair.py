@@ -171,9 +171,9 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                         f"pairs of {type(self).__name__} must be of known species, {listed(known)}; "
                         f"they name {name!r}{near(name, known)}"
                     )
-        if self.tail_correction and system.volume is None:
+        if self.tail_correction and (system.volume is None or system.dimensions == 2):
             raise ValueError(
-                "tail_correction needs a density: a cell that is periodic in all three directions"
+                "tail_correction needs a density: a cell that is periodic in all three directions, not a plane"
             )
         return PairTerm(self, system)
 

@@ -506,7 +506,9 @@ class Simulation(Closed, Displayed):
         Raises ValueError if the temperature is negative or not finite."""
         system = self.system
         constraint_set = self.engine.constraint_set
-        system.velocities[:] = maxwell_boltzmann(system.masses, temperature, system.units.k_B, seed)
+        system.velocities[:] = maxwell_boltzmann(
+            system.masses, temperature, system.units.k_B, seed, system.dimensions
+        )
         self.engine.enter()
         constraint_set.project(system.velocities, system.positions)
         if temperature > 0.0:

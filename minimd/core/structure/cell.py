@@ -4,7 +4,7 @@ from collections import namedtuple
 from dataclasses import dataclass, field
 from itertools import compress
 from math import sqrt
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +29,8 @@ OPEN = (
 # combinations of vectors that could be shorter
 COMBINED = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
 ALL = np.ones(3, dtype=bool)  # directions
+IN_PLANE = np.array([True, True, False])
+NAMES_OF_VOLUME = {2: "area", 3: "volume"}  # by dimensions
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
 
 
@@ -46,14 +48,16 @@ class Cell(Displayed):
         perpendicular to the periodic ones, whatever vectors says there.
     reduction : (3, 3) int; lattice = reduction @ vectors on periodic rows, zero on open ones.
     inverse : (3, 3) array [1/length]; positions @ inverse are fractional coordinates in lattice.
+    dimensions : 3, or 2 of a plane, z = 0, in which all atoms lie and move: its third direction is open.
     heights : (3,) array [length]; distance of the two faces across each direction of lattice.
-    volume : of the cell [length³]; None unless all three directions are periodic.
+    volume : of the cell [length³], of a plane its area [length²]; None unless all its directions are periodic.
     safe_distance2 : squared length below which a vector is certainly its own minimum image:
         (smallest periodic height/2)² [length²]; infinite if there is none.
     """
 
     vectors: Array
     pbc: NDArray[np.bool_]
+    dimensions: int = 3
     lattice: Array = field(init=False)
     reduction: Indices = field(init=False)
     inverse: Array = field(init=False)
@@ -64,6 +68,8 @@ class Cell(Displayed):
     def __post_init__(self) -> None:
         self.__dict__.update(vectors=_as_matrix(self.vectors), pbc=_as_flags(self.pbc))
         _check_independent(self.vectors, self.pbc)
+        if self.dimensions == 2:
+            _check_plane(self.vectors, self.pbc)
         self._complete(*_reduced(self.vectors, self.pbc))
 
     def _complete(self, lattice: Array, reduction: Indices) -> None:
@@ -74,7 +80,8 @@ class Cell(Displayed):
             reduction=reduction,
             inverse=inverse,
             heights=heights,
-            volume=abs(determinant) if len(periodic) == 3 else None,
+            # the open direction of a plane holds a unit vector
+            volume=abs(determinant) if len(periodic) == self.dimensions else None,
             safe_distance2=(0.5 * min(periodic, default=np.inf)) ** 2,
         )
         self.__setstate__(self.__dict__)
@@ -87,28 +94,40 @@ class Cell(Displayed):
                 value.setflags(write=False)
 
     @classmethod
-    def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> "Cell":
+    def of(
+        cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None, planar: bool = False
+    ) -> "Cell":
         """A cell from one length, three lengths or a (3, 3) array of rows; by default pbc is True where one is given.
+        Of a plane two lengths, a (2, 2) array and two bools do, too.
         Raises ValueError if the shape is wrong, a number is masked, complex or not finite, pbc is neither one bool nor
         three, a periodic direction has no vector, or the periodic vectors are linearly dependent."""
+        if planar:
+            return cls(*_plane_of(vectors, pbc), dimensions=2)
         matrix = _as_matrix(vectors)
         return cls(matrix, np.any(matrix != 0.0, axis=1) if pbc is None else _as_flags(pbc))
 
     @classmethod
     def of_reduction(cls, vectors: Array, reduction: Indices) -> "Cell":
-        """A cell periodic in all directions whose reduced lattice is known: reduction @ vectors."""
+        """A cell whose reduced lattice is known, reduction @ vectors; periodic in all directions, those of a plane if
+        the last row of the reduction is zero."""
         cell = object.__new__(cls)
-        cell.__dict__.update(vectors=np.array(vectors), pbc=ALL)
+        pbc = ALL if reduction[2].any() else IN_PLANE
+        cell.__dict__.update(vectors=np.array(vectors), pbc=pbc, dimensions=int(pbc.sum()))
         cell._complete(lattice_of(cell.vectors, reduction), reduction)
         return cell
 
+    def with_vectors(self, vectors: Array) -> "Cell":
+        """A cell with other vectors, (3, 3), and the same periodicity."""
+        return Cell(vectors, self.pbc, self.dimensions)
+
     def strained(self, vectors: Array) -> "Cell":
-        """The cell after a small change of its vectors, all periodic; the reduction stays the same while it is one."""
+        """The cell, which has a volume, after a small change of its vectors; the reduction stays while it is one."""
         cell = Cell.of_reduction(vectors, self.reduction)
-        return cell if is_reduced(cell.lattice) else Cell(vectors, self.pbc)
+        return cell if is_reduced(cell.lattice) else self.with_vectors(vectors)
 
     def __repr__(self) -> str:
-        return f"Cell({self.vectors.tolist()}, pbc={self.pbc.tolist()})"
+        plane = "" if self.dimensions == 3 else ", dimensions=2"
+        return f"Cell({self.vectors.tolist()}, pbc={self.pbc.tolist()}{plane})"
 
     def display_rows(self) -> Rows:
         """See Displayed."""
@@ -118,14 +137,24 @@ class Cell(Displayed):
         for k, name in enumerate(("cell a", "b", "c")):
             is_open = "" if self.pbc[k] else ", open"
             rows.append((name, f"{as_text(tuple(self.vectors[k].tolist()))}{is_open}"))
+        if self.dimensions == 2:
+            rows[2] = ("plane", "z = 0")
         if self.volume is not None:
-            rows.append(("volume", f"{self.volume:.10g}"))
+            rows.append((NAMES_OF_VOLUME[self.dimensions], f"{self.volume:.10g}"))
         return rows
+
+    def spacing(self, n: int) -> float:
+        """(V/n)^(1/d), the distance of n particles spread evenly over a cell with a volume [length]."""
+        return float((self.volume or 0.0) / n) ** (1.0 / self.dimensions)
 
     @property
     def is_periodic(self) -> bool:
         """True if any direction repeats."""
         return bool(self.pbc.any())
+
+    def projected(self, vectors: Array) -> Array:
+        """Vectors, (N, 3), in a plane without their z."""
+        return vectors * (np.arange(3) < self.dimensions)
 
     def wrapped(self, positions: Array) -> Array:
         """Positions moved by lattice vectors into the cell spanned by vectors, where it is periodic; a new array."""
@@ -140,7 +169,9 @@ class Cell(Displayed):
     def same_as(self, other: "Cell") -> bool:
         """True if vectors and periodicity are equal to the last bit."""
         return self is other or (
-            np.array_equal(self.vectors, other.vectors) and np.array_equal(self.pbc, other.pbc)
+            np.array_equal(self.vectors, other.vectors)
+            and np.array_equal(self.pbc, other.pbc)
+            and self.dimensions == other.dimensions
         )
 
 
@@ -163,12 +194,14 @@ class Images(ByAddress, namedtuple("Images", "lattice inverse pbc safe_distance2
 
 @kernel
 def lattice_of(vectors, reduction):
-    """reduction @ vectors, (3, 3) both."""
+    """reduction @ vectors, (3, 3) both; of a plane with the normal behind."""
     lattice = np.zeros((3, 3))
     for i in range(3):
         for j in range(3):
             for c in range(3):
                 lattice[i, c] += reduction[i, j] * vectors[j, c]
+    if not reduction[2].any():
+        lattice[2, 2] = 1.0
     return lattice
 
 
@@ -318,6 +351,34 @@ def _as_matrix(vectors: ArrayLike | None) -> Array:
     if not np.isfinite(array).all():
         raise ValueError(f"cell must be finite; cell = {array.tolist()}: {OPEN}")
     return array
+
+
+def _plane_of(vectors: Any, pbc: Any) -> tuple[Array, NDArray[np.bool_]]:
+    """(3, 3) lattice vectors of a plane and (3,) flags. Its third vector, of files, is as long as its longest."""
+    numbers = None if vectors is None else np.asarray(vectors)
+    matrix = np.zeros((3, 3))
+    if numbers is not None and numbers.shape in [(), (2,), (2, 2)]:
+        rows = checked_numbers("cell", vectors, "one length, two lengths or a (2, 2) array of rows")
+        matrix[:2, :2] = rows if rows.ndim == 2 else np.diag(np.broadcast_to(rows, 2))
+        matrix = _as_matrix(matrix)
+    else:
+        matrix = _as_matrix(vectors)
+    if not matrix[2].any():
+        matrix[2, 2] = np.linalg.norm(matrix, axis=1).max()
+    if pbc is None:
+        return matrix, np.any(matrix != 0.0, axis=1) & IN_PLANE
+    flags = np.atleast_1d(checked_array("pbc", pbc, "one bool, two or three", "bi"))
+    if flags.shape in ((1,), (2,)):
+        flags = np.append(np.broadcast_to(flags, 2), False)
+    return matrix, _as_flags(flags)
+
+
+def _check_plane(vectors: Array, pbc: NDArray[np.bool_]) -> None:
+    if pbc[2] or vectors[:2, 2].any() or vectors[2, :2].any():
+        raise ValueError(
+            "a plane is z = 0: its first two lattice vectors must lie in it, and its third direction must be open, "
+            f"pbc=(True, True, False); cell = {vectors.tolist()}, pbc = {pbc.tolist()}"
+        )
 
 
 def _as_flags(pbc: ArrayLike) -> NDArray[np.bool_]:

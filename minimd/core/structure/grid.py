@@ -10,7 +10,6 @@ from minimd.core.compiled.fixed_point import FARTHEST, MOST, GridSteps
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.words import shown
 from minimd.core.structure.arrays import Array
-from minimd.core.structure.cell import Cell
 from minimd.core.structure.errors import RangeError
 from minimd.core.structure.observables import largest_component
 from minimd.core.structure.system import System
@@ -102,7 +101,7 @@ class Grid(Displayed):
         Raises RangeError if one of them is beyond its range."""
         vectors = np.rint(system.cell.vectors / self.length) * self.length
         if not np.array_equal(vectors, system.cell.vectors):
-            system.cell = Cell(vectors, system.cell.pbc)
+            system.cell = system.cell.with_vectors(vectors)
         self.take_positions(system.positions)
         self.take_velocities(system.velocities, inverse_masses)
         self.check_positions(system.positions)

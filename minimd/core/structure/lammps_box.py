@@ -33,6 +33,7 @@ class Box:
         left-handed, all are negated, which gives the same lattice: a reflection would turn dihedral angles around.
     low, high : (3,) bounds along the diagonal [length].
     open : (3,) bool.
+    is_plane : whether atoms lie in z = 0, in the middle of a box of height 1.
     positions : (N, 3) [length], turned and wrapped.
     images : (N, 3) int, in cells, from which they were wrapped.
     most_images : LAMMPS counts images with ten bits.
@@ -48,16 +49,27 @@ class Box:
         hand = handedness(lattice)
         self.turn, self.edges = upright(hand * lattice)
         self.open = ~cell.pbc
+        self.is_plane = cell.dimensions == 2
         cells = np.floor(hand * (positions @ np.linalg.inv(lattice)))
         self.images = np.where(self.open, 0.0, cells).astype(np.int64)
         self._shifts = self.images @ (hand * lattice)
         self.positions = self.turned(positions - self._shifts)
         self.low = np.zeros(3)
         self.high = np.diag(self.edges).copy()
+        if self.is_plane:
+            self.low[2] = -0.5
+            self.high[2] = 0.5
+
+    @property
+    def boundary(self) -> str:
+        """The letters of LAMMPS' command: p for periodic, as the third direction of a plane must be there; m for an
+        open boundary that follows the atoms but keeps a smallest extent."""
+        letters = ["m" if is_open else "p" for is_open in self.open]
+        return " ".join([*letters[:2], "p"] if self.is_plane else letters)
 
     def make_room(self, length: float) -> None:
         """Set open bounds, which LAMMPS moves, at a distance from the atoms [length]: a box is thicker than cutoffs."""
-        for k in np.flatnonzero(self.open):
+        for k in np.flatnonzero(self.open[:2] if self.is_plane else self.open):
             column = self.positions[:, k]
             self.low[k] = column.min() - length
             self.high[k] = column.max() + length

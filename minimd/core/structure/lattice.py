@@ -1,7 +1,8 @@
-"""Starts of simulations: perfect crystals of one kind of atom with cubic unit cells, and melts of chains."""
+"""Starts of simulations: perfect crystals of one kind of atom, with cubic unit cells or in a plane, and melts of
+chains."""
 
 from collections.abc import Sequence
-from math import cbrt, prod
+from math import cbrt, prod, sqrt
 
 import numpy as np
 
@@ -18,26 +19,36 @@ from minimd.core.structure.observables import SEEDS
 
 __all__ = ["BASES", "chains", "constant_from_density", "crystal"]
 _FCC = ((0.0, 0.0, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5), (0.5, 0.5, 0.0))
-# atoms of the cubic unit cell, in units of its edge
-BASES = {"sc": _FCC[:1], "bcc": (*_FCC[:1], (0.5, 0.5, 0.5)), "fcc": _FCC}
+# atoms of the unit cell, in units of its edges
+BASES: dict[str, tuple[tuple[float, ...], ...]] = {
+    "sc": _FCC[:1],
+    "bcc": (*_FCC[:1], (0.5, 0.5, 0.5)),
+    "fcc": _FCC,
+}
 BASES["diamond"] = _FCC + tuple((x + 0.25, y + 0.25, z + 0.25) for x, y, z in _FCC)
+
+BASES |= {"square": ((0.0, 0.0),), "triangular": ((0.0, 0.0), (0.5, 0.5))}
+# edges of unit cells that are not cubes, in units of the first
+EDGES = {"square": (1.0, 1.0), "triangular": (1.0, sqrt(3.0))}
+CUBE = (1.0, 1.0, 1.0)
 
 
 def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tuple[Array, Array]:
-    """Positions (N, 3) and the three edges of the cell (3,) of a block of cubic unit cells, both [length].
+    """Positions (N, 3) and the three edges of the cell (3,) of a block of cubic unit cells, both [length]; (N, 2) and
+    (2,) of the lattices of a plane, "square" and "triangular", whose unit cell is a rectangle of two atoms.
 
     lattice : name in BASES.
-    repeat : three numbers of unit cells, each at least 1.
-    lattice_constant : edge of the unit cell [length].
+    repeat : numbers of unit cells along each edge, each at least 1.
+    lattice_constant : edge of the unit cell, of a triangular lattice the distance of neighbors [length].
 
-    Raises ValueError for an unknown lattice, a repeat that is not three positive whole numbers, too many atoms,
-    or an edge that is not positive."""
+    Raises ValueError for an unknown lattice, a repeat of other than positive whole numbers, too many atoms, or an edge
+    that is not positive."""
     basis = BASES[checked_choice("lattice", lattice, BASES)]
-    counts = checked_indices("repeat", repeat, "three numbers of unit cells")
-    if counts.shape != (3,) or counts.min() < 1:
-        raise ValueError(
-            f"repeat must be three numbers of unit cells, each at least 1; repeat = {shown(repeat)}"
-        )
+    shape = np.array(EDGES.get(lattice, CUBE))
+    expected = f"{'three' if len(shape) == 3 else 'two'} numbers of unit cells"
+    counts = checked_indices("repeat", repeat, expected)
+    if counts.shape != shape.shape or counts.min() < 1:
+        raise ValueError(f"repeat must be {expected}, each at least 1; repeat = {shown(repeat)}")
 
     n_atoms = len(basis) * prod(counts.tolist())
     lattice_constant = checked_number("lattice_constant", lattice_constant, "positive and finite")
@@ -47,19 +58,24 @@ def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tup
         )
 
     corners = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1)
-    positions = (corners.reshape(-1, 1, 3) + np.array(basis)).reshape(-1, 3) * lattice_constant
-    return positions, counts.astype(np.float64) * lattice_constant
+    n = len(shape)
+    edges = shape * lattice_constant
+    positions = (corners.reshape(-1, 1, n) + np.array(basis)).reshape(-1, n) * edges
+    return positions, counts * edges
 
 
 def constant_from_density(lattice: str, density: float, mass: float = 1.0) -> float:
-    """Edge a = (n m/ρ)^(1/3) of a unit cell of n atoms [length].
-    density : ρ [mass/length³].
+    """Edge a = (n m/ρ)^(1/3) of a cubic unit cell of n atoms, or (n m/ρb)^(1/2) of one of a plane, with edges a and ba
+    [length].
+    density : ρ [mass/length³], of a plane [mass/length²].
     mass : m of one atom.
     Raises ValueError for an unknown lattice, a density or a mass that is not positive."""
     n_atoms = len(BASES[checked_choice("lattice", lattice, BASES)])
     mass = checked_number("mass", mass, "positive and finite")
     density = checked_number("density", density, "positive and finite")
-    return cbrt(n_atoms * mass / density)
+    shape = EDGES.get(lattice, CUBE)
+    volume = n_atoms * mass / density / prod(shape)
+    return cbrt(volume) if len(shape) == 3 else sqrt(volume)
 
 
 def chains(

@@ -47,14 +47,13 @@ def leaves_out_center(n_atoms: int, conserves_momentum: bool) -> bool:
 
 
 def degrees_of_freedom(
-    n_atoms: int, n_constraints: int = 0, conserves_momentum: bool = True
+    n_atoms: int, n_constraints: int = 0, conserves_momentum: bool = True, dimensions: int = 3
 ) -> int:
-    """3N − 3 − n_constraints if leaves_out_center, else 3N − n_constraints.
+    """dN − d − n_constraints if leaves_out_center, else dN − n_constraints, in d dimensions.
     n_atoms : without those held fixed.
     Raises ValueError if none is left."""
-    n_dof = (
-        3 * n_atoms - (3 if leaves_out_center(n_atoms, conserves_momentum) else 0) - n_constraints
-    )
+    n_moving = n_atoms - leaves_out_center(n_atoms, conserves_momentum)
+    n_dof = dimensions * n_moving - n_constraints
     if n_dof <= 0:
         raise ValueError(
             f"no degree of freedom is left for {n_atoms} atoms with {n_constraints} constraints"
@@ -83,10 +82,10 @@ def temperature(kinetic: Numbers, n_dof: Numbers, k_B: float = 1.0) -> Numbers:
     return 2.0 * kinetic / (n_dof * k_B)
 
 
-def pressure(kinetic: float, virial: Array, volume: float) -> float:
-    """P = (2K + tr W) / 3V [energy/length³], with W = Σ f r_ij ⊗ r_ij, (3, 3).
+def pressure(kinetic: float, virial: Array, volume: float, dimensions: int = 3) -> float:
+    """P = (2K + tr W) / dV [energy/length^d] in d dimensions, with W = Σ f r_ij ⊗ r_ij, (3, 3).
     M. P. Allen, D. J. Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), eq. 2.60-2.61."""
-    return (2.0 * kinetic + float(np.trace(virial))) / (3.0 * volume)
+    return (2.0 * kinetic + float(np.trace(virial))) / (dimensions * volume)
 
 
 def stress(velocities: Array, masses: Array, virial: Array, volume: float) -> Array:
@@ -191,7 +190,7 @@ SEEDS = 2**128
 
 
 def maxwell_boltzmann(
-    masses: Array, target: float, k_B: float = 1.0, seed: int | None = None
+    masses: Array, target: float, k_B: float = 1.0, seed: int | None = None, dimensions: int = 3
 ) -> Array:
     """Normally distributed velocities, (N, 3), with total momentum zero and kinetic temperature exactly the target.
 
@@ -206,9 +205,11 @@ def maxwell_boltzmann(
     )
     has_mass = masses > 0.0
     squares = np.divide(k_B * target, masses, out=np.zeros(len(masses)), where=has_mass)
-    velocities = generator.standard_normal((len(masses), 3)) * np.sqrt(squares)[:, None]
+    velocities = np.zeros((len(masses), 3))
+    drawn = generator.standard_normal((len(masses), dimensions))
+    velocities[:, :dimensions] = drawn * np.sqrt(squares)[:, None]
     velocities -= center(velocities, masses) * has_mass[:, None]
-    n_dof = degrees_of_freedom(int(has_mass.sum()))
+    n_dof = degrees_of_freedom(int(has_mass.sum()), dimensions=dimensions)
     return (
         rescaled(velocities, masses, target, k_B, n_dof, np.zeros(3))
         if target > 0.0

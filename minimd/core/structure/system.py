@@ -16,7 +16,7 @@ from minimd.core.console.words import listed, shown
 from minimd.core.structure import units as unit_systems
 from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.bond_graph import GROUPS, checked_groups, checked_pairs
-from minimd.core.structure.cell import Cell
+from minimd.core.structure.cell import IN_PLANE, NAMES_OF_VOLUME, Cell
 from minimd.core.structure.checks import (
     LARGEST,
     MOST_ATOMS,
@@ -49,6 +49,8 @@ class System(Displayed):
     Parameters
     ----------
     positions : (N, 3) [length]. Never wrapped into the cell, here or later.
+    planar : True for atoms that lie and move in the plane z = 0; positions and velocities may then be (N, 2). Two of
+        three directions are degrees of freedom, and for a volume stands an area, see Cell.
     masses : (N,) or one number [mass]; 1 in reduced units if not given.
     charges : (N,) [e], or one for each species by its label; zero if not given. Coulomb makes forces of them.
     velocities : (N, 3) [length/time]; zero if not given.
@@ -101,6 +103,7 @@ class System(Displayed):
         charges: ArrayLike | Mapping[Any, float] | None = None,
         topology: ArrayLike | None = None,
         sites: Sites | None = None,
+        planar: bool = False,
     ) -> None:
         checked_kind("units", units, UnitSystem, "minimd.units.LJ or minimd.units.ASE")
         is_list = isinstance(constraints, list | tuple)
@@ -110,27 +113,27 @@ class System(Displayed):
                 f"{shown(constraints)}"
             )
 
-        if masses is None and units is not unit_systems.LJ:
+        if masses is None and units.name != unit_systems.LJ.name:
             raise ValueError(
                 f"masses are missing: give one number or one per atom; {units.name} units have no default"
             )
 
-        if isinstance(cell, Cell) and pbc is not None:
+        if isinstance(cell, Cell) and (pbc is not None or planar):
             raise ValueError(
-                "pbc is part of the Cell given: Cell.of(vectors, pbc); give pbc to System only together with lattice "
-                "vectors"
+                "pbc and planar are part of the Cell given: Cell.of(vectors, pbc, planar); give them to System only "
+                "together with lattice vectors"
             )
 
-        self.units = units
         self.constraints = tuple(constraints)
-        self.positions = _checked_vectors("positions", positions)
+        self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc, planar)
+        self.units = units if self.dimensions == 3 else units.in_plane
+        self.positions = self._checked("positions", positions)
         n_atoms = len(self.positions)
         self.sites = checked_kind("sites", sites, Sites | None, "Sites")
         self.masses = _checked_masses(1.0 if masses is None else masses, n_atoms, sites)
         self.velocities = np.zeros((n_atoms, 3))
         if velocities is not None:
-            self.velocities[:] = _checked_vectors("velocities", velocities, n_atoms)
-        self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
+            self.velocities[:] = self._checked("velocities", velocities)
         place_in(self.positions, self.cell, sites)
         self.species_names, self.species_index = _checked_species(species, n_atoms)
         self.charges = _checked_charges(charges, self.species_names, self.species_index)
@@ -152,13 +155,22 @@ class System(Displayed):
         """New positions and velocities are copied into the existing arrays, which a running simulation uses.
         Raises AttributeError for a read-only attribute.  TypeError for a cell that is no Cell."""
         if name in ("positions", "velocities") and name in self.__dict__:
-            self.__dict__[name][:] = _checked_vectors(name, value, len(self))
+            self.__dict__[name][:] = self._checked(name, value)
         elif name in READ_ONLY and name in self.__dict__:
             raise AttributeError(f"{name} of a System cannot be changed; make a new System")
         else:
             if name == "cell":
                 checked_kind("cell", value, Cell, "a Cell, such as Cell.of(10.0)")
+                if value.dimensions != self.__dict__.get("cell", value).dimensions:
+                    raise ValueError(
+                        f"a system of {self.dimensions} dimensions needs a cell of as many; got {value!r}"
+                    )
             super().__setattr__(name, value)
+
+    def _checked(self, name: str, values: ArrayLike) -> Array:
+        """Positions or velocities."""
+        n_atoms = len(self) if "positions" in self.__dict__ else None
+        return _checked_vectors(name, values, n_atoms, self.dimensions)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -193,12 +205,12 @@ class System(Displayed):
         for name, text in self.cell.display_rows():
             table[name] = text.replace(")", f") {length}")
         if self.volume is not None:
-            table["volume"] += f" {units.volume}"
+            table[NAMES_OF_VOLUME[self.dimensions]] += f" {units.volume}"
             density = self.masses.sum() / self.volume
-            of_mass = f"{density:.6g} mass/{length}³"
+            of_mass = f"{density:.6g} mass/{units.volume}"
             if units is unit_systems.ASE:
                 of_mass = f"{density / unit_systems.GRAM_PER_CM3:.6g} g/cm³"
-            table["density"] = f"{len(self) / self.volume:.6g} atoms/{length}³, {of_mass}"
+            table["density"] = f"{len(self) / self.volume:.6g} atoms/{units.volume}, {of_mass}"
 
         if self.charges.any():
             largest = np.abs(self.charges).max()
@@ -222,8 +234,13 @@ class System(Displayed):
         return np.array(self.species_names)[self.species_index]
 
     @property
+    def dimensions(self) -> int:
+        """3, or 2 of a plane."""
+        return self.cell.dimensions
+
+    @property
     def volume(self) -> float | None:
-        """Volume of the cell [length³]; None unless all three directions are periodic."""
+        """Volume of the cell [length³], of a plane its area [length²]; None unless all its directions are periodic."""
         return self.cell.volume
 
     @property
@@ -232,9 +249,22 @@ class System(Displayed):
         net = float(self.charges.sum())
         return net if abs(net) > NEUTRAL * float(np.abs(self.charges).sum()) else 0.0
 
+    def check_plane(self) -> None:
+        """Raise ValueError for atoms of a plane that have left it."""
+        if self.dimensions == 2:
+            for name in ("positions", "velocities"):
+                check_in_plane(name, getattr(self, name))
+
     def copy(self) -> System:
         """An independent copy."""
         return changed(self)
+
+    def in_plane(self) -> System:
+        """A copy in two dimensions, as with planar=True.
+        Raises ValueError for atoms that do not lie and move in z = 0, and lattice vectors that point out of it."""
+        cell = self.cell
+        flat = Cell.of(cell.vectors, cell.pbc & IN_PLANE, planar=True)
+        return changed(self, cell=flat)
 
     @classmethod
     def from_ase(
@@ -324,9 +354,15 @@ def arguments_of(system: System) -> dict[str, Any]:
     return {name: getattr(system, name) for name in names}
 
 
-def _checked_vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> Array:
+def _checked_vectors(
+    name: str, values: ArrayLike, n_atoms: int | None = None, dimensions: int = 3
+) -> Array:
     """A fresh contiguous (N, 3) float64 array, or a sentence about what is wrong with it."""
     array = checked_numbers(name, values, "an (N, 3) array of numbers")
+    if dimensions == 2 and array.ndim == 2 and array.shape[1] == 2:
+        array = np.pad(array, ((0, 0), (0, 1)))
+    if dimensions == 2 and array.ndim == 2 and array.shape[1] == 3:
+        check_in_plane(name, array)
     if array.ndim != 2 or array.shape[1] != 3 or not 0 < array.shape[0] <= MOST_ATOMS:
         raise ValueError(
             f"{name} must be an (N, 3) array with N > 0, at most {MOST_ATOMS}; its shape is {array.shape}"
@@ -342,6 +378,16 @@ def _checked_vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -
             f"{name} must be below {LARGEST:g}; the largest is {largest:g}: take other units"
         )
     return array
+
+
+def check_in_plane(name: str, vectors: Array) -> None:
+    """Raise ValueError for a vector of atoms of a plane, (N, 3), that points out of it."""
+    z = vectors[:, 2]
+    if z.any():
+        atom = int(np.argmax(np.abs(z)))
+        raise ValueError(
+            f"atoms of a plane lie and move in z = 0; z of {name} of atom {atom} is {z[atom]:.3g}"
+        )
 
 
 def _checked_masses(masses: ArrayLike, n_atoms: int, sites: Sites | None) -> Array:

@@ -5,7 +5,7 @@ a number given to ASE and taken back is the same number; a test compares the two
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 BOLTZMANN_EV_PER_K = 8.617330337217213e-05
@@ -60,9 +60,19 @@ class UnitSystem:
     angular_momentum: str = "σ √(m ε)"
     volume: str = "σ³"
 
+    @property
+    def in_plane(self) -> "UnitSystem":
+        """These units in two dimensions, with an area for a volume and a force per length for a pressure."""
+        area = f"{self.length}²"
+        pressure = f"{self.energy}/{area}"
+        return replace(
+            self, volume=area, pressure=pressure, shown_pressure=pressure, to_shown_pressure=1.0
+        )
+
     def __repr__(self) -> str:
-        if SYSTEMS.get(self.name) == self:
-            return f"minimd.units.{self.name}"
+        known = SYSTEMS.get(self.name)
+        if known is not None and self in (known, known.in_plane):
+            return f"minimd.units.{self.name}{'' if self == known else '.in_plane'}"
         return f"UnitSystem({', '.join(f'{name}={value!r}' for name, value in vars(self).items())})"
 
     def __reduce__(self) -> tuple[Any, ...]:

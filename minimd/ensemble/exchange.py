@@ -179,6 +179,7 @@ class Replica:
         self._first = 0
         self._writer: Any = None
         self._kept: tuple[Any, Any] | None = None
+        self._methods: dict[float, Any] = {}
         with threads_by_default(1):
             self.simulation = build(member)
         check_canonical(self.simulation, member)
@@ -187,8 +188,7 @@ class Replica:
             member.file.unlink(missing_ok=True)
             member.file.parent.mkdir(parents=True, exist_ok=True)
             return
-        method = at_temperature(self.simulation.method, contents.parameters["temperature"])
-        self._kept = (method, contents.restart)
+        self._kept = (self._method_at(contents.parameters["temperature"]), contents.restart)
         self.go_back()
         self._open(append=True)
         self._first = int(contents.record.step[0])
@@ -221,13 +221,21 @@ class Replica:
         )
         (self._writer,) = self._files.enter_context(context)
 
+    def _method_at(self, temperature: float) -> Any:
+        """The method at a temperature, the same object each time: an engine remembers the steps of several methods."""
+        if temperature not in self._methods:
+            method: Any = copy(self.simulation.method)
+            method.temperature = temperature
+            self._methods[temperature] = method
+        return self._methods[temperature]
+
     def steps_to(self, number: int) -> int:
         """Steps to the end of a round; round 0 is the start, which has none."""
         return self._first + number * self._every - self.simulation.step if number else 0
 
     def take_temperature(self, temperature: float) -> None:
-        """Go to a temperature: v ← v √(T_new/T_old), relative to the drift. The change of the kinetic energy is a gift of
-        the bath."""
+        """Go to a temperature: v ← v √(T_new/T_old), relative to the drift. The change of the kinetic energy counts as
+        given by the bath."""
         simulation = self.simulation
         before: Any = simulation.method
         if temperature == before.temperature:
@@ -237,7 +245,7 @@ class Replica:
         kinetic_energy = simulation.engine.kinetic_energy
         velocities[:] = drift + sqrt(temperature / before.temperature) * (velocities - drift)
         simulation.reservoir_energy += simulation.engine.kinetic_energy - kinetic_energy
-        simulation.method = at_temperature(before, temperature)
+        simulation.method = self._method_at(temperature)
 
     def store(self, checkpoint: Any, frame: Frame) -> None:
         """Store the end of a round, which may have been made in another process."""
@@ -356,7 +364,9 @@ def moved(
             if prepare is not None:
                 prepare(simulation, member)
             place = crash_file_place(True, member.file)
-            simulation.run(n_steps, every=max(1, n_steps), progress=False, crash_report=place or False)
+            simulation.run(
+                n_steps, every=max(1, n_steps), progress=False, crash_report=place or False
+            )
             return simulation.engine.checkpoint(), simulation.frame()
     except (NonFiniteError, ConstraintError) as error:
         error.add_note(f"This is the replica of {member}.")
@@ -367,14 +377,11 @@ def is_at(engine: Engine, checkpoint: Any) -> bool:
     """Whether an engine is in the state of a checkpoint."""
     state = checkpoint.state
     is_there = np.array_equal(engine.positions, state.positions)
-    return is_there and engine.step == state.step and np.array_equal(engine.velocities, state.velocities)
-
-
-def at_temperature(method: Any, temperature: float) -> Any:
-    """A copy of a method, at another temperature."""
-    method = copy(method)
-    method.temperature = temperature
-    return method
+    return (
+        is_there
+        and engine.step == state.step
+        and np.array_equal(engine.velocities, state.velocities)
+    )
 
 
 def checked_ladder(temperatures: Any) -> Array:

@@ -52,7 +52,8 @@ JOURNAL = re.compile(r"members(?:\.(\d{1,9})-(\d{1,9}))?\.jsonl")
 EVERYTHING = range(10**9)  # the members of a journal without numbers
 CODE = ", code "  # between the name of a function and the hash of its code
 FUNCTIONS = ("build", "prepare", "run")
-EXCHANGE = "md.exchange between"  # and the number of temperatures: in place of a function run, in the folder of a ladder
+# and the number of temperatures: what the folder of a ladder has in place of a function run
+EXCHANGE = "md.exchange between"
 SECONDS_BETWEEN_TRIES = 0.01  # of a lock that others hold for a moment
 BYTES_AT_ONCE = 2**20  # of the journal, read in one piece
 ENTROPIES = 2**128  # seeds are below it

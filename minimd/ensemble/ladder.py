@@ -36,8 +36,8 @@ class Ladder(Result):
     accepted : (A, K − 1) bool, whether the replicas at k and k + 1 then exchanged their temperatures.
     first : number of the first of these attempts, from 1.
 
-    Energies at one temperature, energies()[:, k], are those of the canonical ensemble; with the temperatures they are what
-    reweighting by WHAM or MBAR needs.
+    What is at one temperature, at_temperatures()[:, k], is of the canonical ensemble. Reweighting by WHAM or MBAR needs
+    these energies and the temperatures.
     """
 
     temperatures: Array
@@ -47,7 +47,11 @@ class Ladder(Result):
     accepted: NDArray[np.bool_]
     first: int = 1
     title: ClassVar[str] = "replica exchange"
-    coefficients: ClassVar[tuple[str, ...]] = ("lowest_acceptance", "mean_acceptance", "n_round_trips")
+    coefficients: ClassVar[tuple[str, ...]] = (
+        "lowest_acceptance",
+        "mean_acceptance",
+        "n_round_trips",
+    )
 
     def __len__(self) -> int:
         return len(self.places)
@@ -85,7 +89,9 @@ class Ladder(Result):
                     f"name must be that of a series of numbers in the records; name = {name!r}{near(name, known)}"
                 )
             last = self.first + len(self)
-            series = np.array([record.columns()[name][self.first : last] for record in self.records]).T
+            series = np.array(
+                [record.columns()[name][self.first : last] for record in self.records]
+            ).T
         return np.take_along_axis(series, self.replicas, axis=1)
 
     def frames(self, k: int) -> Iterator[Frame]:
@@ -137,7 +143,7 @@ class Ladder(Result):
         return int(self.round_trips.sum())
 
     def series(self) -> list[Series]:
-        """See Result: energies and acceptance against the temperature; acceptance with the next one, NaN of the last."""
+        """See Result: energies at each temperature, and acceptance with the next one, NaN for the last."""
         means, errors = self.means()
         return [
             Series("temperature", self.units.temperature, self.temperatures),
@@ -150,7 +156,9 @@ class Ladder(Result):
         attempts = self.first + np.arange(len(self))
         for path in self.places.T:
             panel.step(attempts, self.temperatures[path], where="mid", lw=0.8)
-        panel.set(xlabel="attempt", ylabel=f"temperature of each replica  [{self.units.temperature}]")
+        panel.set(
+            xlabel="attempt", ylabel=f"temperature of each replica  [{self.units.temperature}]"
+        )
         panel.set_title(f"{self.title}, {self.n_round_trips} round trips")
 
     def display_rows(self) -> Rows:
@@ -164,7 +172,10 @@ class Ladder(Result):
         ]
         if not len(self):
             return rows
-        columns: list[list[Any]] = [[f"temperature [{unit}]"], [f"potential energy [{self.units.energy}]"]]
+        columns: list[list[Any]] = [
+            [f"temperature [{unit}]"],
+            [f"potential energy [{self.units.energy}]"],
+        ]
         columns.append(["acceptance with the next"])
         columns[0] += map(value_text, self.temperatures.tolist())
         columns[1] += map(with_error, *self.means())

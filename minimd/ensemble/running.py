@@ -316,7 +316,9 @@ def _rows_of(batch: list[Job], future: Future) -> list[Row]:
 
 
 @contextmanager
-def opened_executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Executor, int, float]]:
+def opened_executor(
+    executor: Executor | None, n_workers: int
+) -> Iterator[tuple[Executor, int, float]]:
     """The executor, how many batches it may have at a time, and how long one should take [s].
 
     An executor made here is shut down at the end, at once after an error.

@@ -408,8 +408,8 @@ def check_canonical(simulation: Any, member: Member) -> None:
         "whose temperature is no constant above zero": not is_constant or temperature <= 0.0,
         "whose friction is zero": method.parameters.get("friction") == 0.0,
         f"and {simulation.barostat!r}, which changes the volume": simulation.barostat is not None,
-        "and forces that depend on time": engine.interactions.depend_on_time,
         "and a memory, as of an active force, which no exchange of temperatures transforms": remembers,
+        "and forces that depend on time": engine.interactions.depend_on_time,
     }
     for fault, is_there in faults.items():
         if is_there:

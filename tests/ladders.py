@@ -36,7 +36,7 @@ def in_the_left_well(member):
     """One particle."""
     bath = md.LangevinBAOAB(0.05, member["temperature"], friction=0.5, seed=member.seed)
     particle = md.System(ORIGIN - [1.0, 0.0, 0.0])
-    simulation = md.Simulation(particle, md.Field(two_wells, (BARRIER, TILT, SIDES)), bath)
+    simulation = md.Simulation(particle, md.Field(two_wells, (BARRIER, TILT, SIDES)), bath, skin=0.5)
     simulation.set_temperature(member["temperature"], member.seed)
     return simulation
 
@@ -45,7 +45,7 @@ def oscillators(member, n=4, friction=1.0):
     """n particles in harmonic wells: 3n degrees of freedom."""
     bath = md.LangevinBAOAB(0.2, member["temperature"], friction, seed=member.seed)
     positions = np.random.default_rng(member.seed).normal(scale=member["temperature"] ** 0.5, size=(n, 3))
-    simulation = md.Simulation(md.System(positions), md.Restraint(1.0, ORIGIN[0]), bath)
+    simulation = md.Simulation(md.System(positions), md.Restraint(1.0, ORIGIN[0]), bath, skin=0.5)
     simulation.set_temperature(member["temperature"], member.seed)
     return simulation
 

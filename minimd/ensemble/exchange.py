@@ -133,7 +133,7 @@ def exchange(
     with EnsembleFolder(place, writes=True) as opened, ExitStack() as files:
         opened.begin(Asked(seed, steps, every, rows, name_of(build), name_of(prepare), run), resume)
         members = [Member(k, row, seed, steps, opened.file(k)) for k, row in enumerate(rows)]
-        replicas = [Replica(build, member, every, files) for member in members]
+        replicas = [Replica(build, member, levels.tolist(), every, files) for member in members]
         check_replicas(replicas)
         scene = ObservedRun.of(replicas[0].simulation.engine, every)
         walk = Walk(levels, scene.unit_system.k_B, seed)
@@ -170,7 +170,12 @@ class Replica:
     """
 
     def __init__(
-        self, build: Callable[[Member], Simulation], member: Member, every: int, files: ExitStack
+        self,
+        build: Callable[[Member], Simulation],
+        member: Member,
+        levels: list[float],
+        every: int,
+        files: ExitStack,
     ) -> None:
         self.member = member
         self.energies: list[float] = []
@@ -183,20 +188,20 @@ class Replica:
         with threads_by_default(1):
             self.simulation = build(member)
         check_canonical(self.simulation, member)
-        contents = self._contents()
+        contents = self._contents(levels)
         if contents is None:
             member.file.unlink(missing_ok=True)
             member.file.parent.mkdir(parents=True, exist_ok=True)
             return
         self._kept = (self._method_at(contents.parameters["temperature"]), contents.restart)
-        self.go_back()
-        self._open(append=True)
+        self.simulation.method = self._kept[0]
+        self.simulation.engine.go_on_from(contents.restart)
         self._first = int(contents.record.step[0])
         self.energies = contents.record.potential_energy.tolist()
 
-    def _contents(self) -> Any:
-        """The contents of the file; None if there is no file of such a replica, or it is damaged: the replica then
-        begins anew, to the same bits."""
+    def _contents(self, levels: list[float]) -> Any:
+        """The contents of the file; None if there is none of a replica at one of these temperatures, or it is damaged: the
+        replica then begins anew, to the same bits."""
         from minimd.core.files.h5md_reader import read_file, verify_frames
 
         with suppress(OSError, ValueError):
@@ -206,7 +211,7 @@ class Replica:
             rounds = steps[:1] + self._every * np.arange(len(steps))
             is_whole = np.array_equal(steps, rounds) and contents.step in steps[-1:]
             is_same = len(contents.system) == len(self.simulation.system)
-            if is_whole and is_same and "temperature" in contents.parameters:
+            if is_whole and is_same and contents.parameters.get("temperature") in levels:
                 return contents
         return None
 
@@ -233,11 +238,13 @@ class Replica:
         """Steps to the end of a round; round 0 is the start, which has none."""
         return self._first + number * self._every - self.simulation.step if number else 0
 
-    def take_temperature(self, temperature: float) -> None:
-        """Go to a temperature: v ← v √(T_new/T_old), relative to the drift. The change of the kinetic energy counts as
-        given by the bath."""
+    def begin_round(self, temperature: float) -> None:
+        """Go to the temperature of the next round: v ← v √(T_new/T_old), relative to the drift. What the kinetic energy
+        gains is given by the bath."""
         simulation = self.simulation
         before: Any = simulation.method
+        if self._writer is None and self.energies:
+            self._open(append=True)
         if temperature == before.temperature:
             return
         drift = simulation.drift
@@ -337,7 +344,7 @@ def make_round(
     futures: list[Any] = []
     try:
         for replica in behind:
-            replica.take_temperature(float(walk.levels[walk.now[replica.member.index]]))
+            replica.begin_round(float(walk.levels[walk.now[replica.member.index]]))
             first = prepare if number == 0 else None
             job = replica.simulation, replica.member, replica.steps_to(number), first
             futures.append(executor.submit(moved, *job))

@@ -33,7 +33,7 @@ from minimd.core.structure.grid import Grid
 from minimd.core.structure.observables import center, kinetic_energy, leaves_out_center
 from minimd.core.structure.system import AnySystem, System
 
-MOST_STEPS = 4  # of methods: replica exchange goes to and fro between neighboring temperatures
+MOST_STEPS = 16  # of methods: replica exchange goes to and fro between temperatures
 
 
 class Snapshot(NamedTuple):

@@ -1,4 +1,6 @@
-"""Small ladders of md.exchange, as functions that worker processes can import."""
+"""Small ladders of md.exchange, as functions that worker processes can import.
+
+A skin is given where there are no lists: else it would be chosen again after each exchange, which takes time."""
 
 from pathlib import Path
 

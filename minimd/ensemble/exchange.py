@@ -200,8 +200,8 @@ class Replica:
         self.energies = contents.record.potential_energy.tolist()
 
     def _contents(self, levels: list[float]) -> Any:
-        """The contents of the file; None if there is none of a replica at one of these temperatures, or it is damaged: the
-        replica then begins anew, to the same bits."""
+        """The contents of the file; None if it is not there, is damaged, or is not of a replica at one of these
+        temperatures: the replica then begins anew, to the same bits."""
         from minimd.core.files.h5md_reader import read_file, verify_frames
 
         with suppress(OSError, ValueError):

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from minimd.core.compiled.machine import available_cores, threads_by_default
 from minimd.core.console.progress import progress_of
+from minimd.core.console.quiet import quiet
 from minimd.core.console.signals import Terminated, endings_are_told, raising_on_signals
 from minimd.core.console.words import shown
 from minimd.core.engine.engine import Engine
@@ -365,9 +366,10 @@ def make_round(
 def moved(
     simulation: Simulation, member: Member, n_steps: int, prepare: Prepare | None
 ) -> tuple[Any, Frame]:
-    """Make the steps of a round, in any process; returns the checkpoint and the frame at its end."""
+    """Make the steps of a round, in any process; returns the checkpoint and the frame at its end.
+    Only round 0 warns."""
     try:
-        with threads_by_default(1):
+        with threads_by_default(1), quiet() if n_steps else nullcontext():
             if prepare is not None:
                 prepare(simulation, member)
             place = crash_file_place(True, member.file)

@@ -203,7 +203,7 @@ def test_the_ladder_of_the_page_on_ensembles_crosses_the_barrier(here, capsys):
     names = run(text, "ensembles.md")
     assert 0.2 < names["right"].mean() < 0.8
     assert names["ladder"].round_trips.sum() > 5
-    assert "200, 1 to 200" in capsys.readouterr().out
+    assert "600, 1 to 600" in capsys.readouterr().out
 
 
 @pytest.mark.slow

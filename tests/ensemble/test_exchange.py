@@ -95,7 +95,7 @@ def test_a_double_well_is_filled_as_boltzmann_says_although_no_cold_particle_cro
     ladder = md.exchange(ladders.in_the_left_well, levels, steps, every=40, **alone_in(tmp_path)).after(200)
     for k, level in enumerate(levels):
         weights = [
-            quad(lambda x, kT: np.exp(-(BARRIER * (x * x - 1.0) ** 2 + TILT * x) / kT), *side, args=(level,))[0]
+            quad(lambda x, level: np.exp(-(BARRIER * (x * x - 1.0) ** 2 + TILT * x) / level), *side, args=(level,))[0]
             for side in ((-4.0, 0.0), (0.0, 4.0))
         ]
         is_right = np.array([frame.positions[0, 0] > 0.0 for frame in ladder.frames(k)])

@@ -11,7 +11,7 @@ from numba import njit
 
 import minimd as md
 
-TEMPERATURES, STEPS, EVERY = (0.5, 0.6, 0.75), 80, 10
+TEMPERATURES, STEPS, EVERY = (0.5, 0.53, 0.56), 80, 10
 BARRIER, TILT, SIDES = 1.0, 0.05, 4.0
 ORIGIN = np.zeros((1, 3))
 

@@ -59,7 +59,7 @@ MOST_IN_A_BATCH = 100
 RECENT = 64
 TOLD = 3  # failures that a warning names
 BELOW = "put the call below: if __name__ == '__main__':"
-OUTSIDE = f"If the script calls md.ensemble outside of functions, {BELOW}"
+OUTSIDE = f"If the script makes this call outside of functions, {BELOW}"
 ANOTHER = "Make the same call again to go on, with a new executor: the old one may have given up because a process died"
 # seconds between requests to stop, repeated because a member that is between two runs does not notice one
 BETWEEN_REQUESTS = 0.02
@@ -376,7 +376,7 @@ def n_processes(
             is_module = frame.f_code.co_name == "<module>"
             if is_module and frame.f_globals.get("__name__") == "__mp_main__":
                 raise RuntimeError(
-                    f"a worker process imports the script, which calls md.ensemble again; {BELOW}"
+                    f"a worker process imports the script, which makes this call again; {BELOW}"
                 )
 
             frame = frame.f_back

@@ -86,6 +86,8 @@ from minimd.core.structure.grid import Grid as Grid
 from minimd.core.structure.sites import Sites as Sites
 from minimd.core.structure.statistics import mean_and_error as mean_and_error
 from minimd.core.structure.system import System as System
+from minimd.ensemble.exchange import exchange as exchange
+from minimd.ensemble.ladder import Ladder as Ladder
 from minimd.ensemble.member import Member as Member
 from minimd.ensemble.running import ensemble as ensemble
 from minimd.ensemble.table import EnsembleTable as EnsembleTable

@@ -153,8 +153,10 @@ Join Concatenate Merge
     files by MDAnalysis.Universe(first, [first, second]); runs by md.ensemble | recipes
 Compare CompareAverages Significance TTest zscore
     z = (a − b)/√(σ_a² + σ_b²) of two means with errors | recipes
-Replica ReplicaExchange ParallelTempering REMD Scan Sweep temper
-    md.ensemble makes many runs; exchanges are not here | ensembles
+Scan Sweep Replica
+    md.ensemble makes many runs | ensembles
+ReplicaExchange ParallelTempering REMD Tempering temper
+    md.exchange: replicas at several temperatures, which neighbors exchange | ensembles
 MonteCarlo MC GCMC Alchemical FreeEnergy
     not here; md.SteeredSpring and md.HarmonicBond give free energies of distances | limits
 GPU CUDA OpenCL Kokkos MPI Platform mpirun

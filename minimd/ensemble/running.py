@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import sys
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import (
     BrokenExecutor,
     CancelledError,
@@ -59,7 +59,7 @@ MOST_IN_A_BATCH = 100
 RECENT = 64
 TOLD = 3  # failures that a warning names
 BELOW = "put the call below: if __name__ == '__main__':"
-OUTSIDE = f"If the script calls md.ensemble outside of functions, {BELOW}"
+OUTSIDE = f"If the script makes this call outside of functions, {BELOW}"
 ANOTHER = "Make the same call again to go on, with a new executor: the old one may have given up because a process died"
 # seconds between requests to stop, repeated because a member that is between two runs does not notice one
 BETWEEN_REQUESTS = 0.02
@@ -137,13 +137,14 @@ def ensemble(
     seed = None if seed is None else checked_count("seed", seed, 0, ENTROPIES)
     plan = Plan(build, prepare, run, every, uuid4().hex)
     retries = checked_count("retries", retries, 0)
-    n_workers = _check_executor(executor, workers, plan)
+    functions = {"build": build, "prepare": prepare, "run": run}
+    check_functions(functions)
+    n_workers = n_processes(executor, workers, functions)
     chosen_members = checked_members(members, len(rows), resume)
 
     with EnsembleFolder(place, writes=True, members=members and chosen_members) as opened:
         entropy = randbits(128) if seed is None else seed
-        functions = (name_of(build), name_of(prepare), name_of(run))
-        asked = Asked(entropy, steps, every, rows, *functions)
+        asked = Asked(entropy, steps, every, rows, *map(name_of, functions.values()))
         asked = opened.begin(asked, resume, any_seed=seed is None)
         todo = [index for index in chosen_members if not asked.is_done(opened.rows.get(index))]
         n_done = len(chosen_members) - len(todo)
@@ -151,7 +152,7 @@ def ensemble(
             with (
                 endings_are_told(),
                 raising_on_signals(),
-                _executor(executor, n_workers) as (chosen, most_waiting, seconds),
+                opened_executor(executor, n_workers) as (chosen, most_waiting, seconds),
                 progress_of(len(chosen_members), "ensemble", progress, "member") as tell,
             ):
                 tell(n_done)
@@ -165,13 +166,7 @@ def ensemble(
             table = written_table(opened, asked, len(rows))
             n_kept = int(table.done.sum())
             state = f"{n_kept} of {len(table)} members are done and kept in {place}; make the same call again to go on"
-            if isinstance(stopped, Terminated):
-                stopped.words = f"{stopped.words}; {state}"
-                stopped.kept = ()
-                tell_ending(stopped)
-                raise
-
-            raise Interrupted(f"interrupted: {state}", table) from None
+            raise ending_of(stopped, state, table) from None
         except EnsembleError:
             written_table(opened, asked, len(rows))
             raise
@@ -180,6 +175,18 @@ def ensemble(
 
     _tell_failures(table, opened.rows, chosen_members)
     return table
+
+
+def ending_of(
+    stopped: KeyboardInterrupt | Terminated, state: str, result: Any
+) -> Interrupted | Terminated:
+    """What a call raises that was stopped by a signal, with its state in words and its result so far."""
+    if not isinstance(stopped, Terminated):
+        return Interrupted(f"interrupted: {state}", result)
+    stopped.words = f"{stopped.words}; {state}"
+    stopped.kept = ()
+    tell_ending(stopped)
+    return stopped
 
 
 def _jobs_of(folder: EnsembleFolder, asked: Asked, indices: list[int]) -> Iterator[Job]:
@@ -266,12 +273,17 @@ def _rows(executor: Executor, plan: Plan, jobs: _Jobs, most_waiting: int) -> Ite
                 return
             yield from next_rows()
     finally:
-        for future in waiting:
-            future.cancel()
-        if isinstance(executor, ThreadPoolExecutor):
-            while not all(future.done() for future in waiting):
-                stop_runs_of_threads()
-                sleep(BETWEEN_REQUESTS)
+        end_all(executor, waiting)
+
+
+def end_all(executor: Executor, waiting: Collection[Future]) -> None:
+    """End what an executor has not done yet; runs in threads end after a whole step."""
+    for future in waiting:
+        future.cancel()
+    if isinstance(executor, ThreadPoolExecutor):
+        while not all(future.done() for future in waiting):
+            stop_runs_of_threads()
+            sleep(BETWEEN_REQUESTS)
 
 
 def _rows_of(batch: list[Job], future: Future) -> list[Row]:
@@ -304,7 +316,9 @@ def _rows_of(batch: list[Job], future: Future) -> list[Row]:
 
 
 @contextmanager
-def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Executor, int, float]]:
+def opened_executor(
+    executor: Executor | None, n_workers: int
+) -> Iterator[tuple[Executor, int, float]]:
     """The executor, how many batches it may have at a time, and how long one should take [s].
 
     An executor made here is shut down at the end, at once after an error.
@@ -327,13 +341,19 @@ def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Execu
             own.shutdown(cancel_futures=True)
 
 
-def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) -> int:
-    """The number of processes to spawn.
-    Raises TypeError, ValueError, RuntimeError if functions, executor and workers are wrong, or cannot work together."""
-    functions = {"build": plan.build, "prepare": plan.prepare, "run": plan.run}
+def check_functions(functions: Mapping[str, Callable | None]) -> None:
+    """Raise TypeError unless these are functions, or None but for build."""
     for name, function in functions.items():
         kind = Callable if name == "build" else Callable | None
         checked_kind(name, function, kind, "a function of a member")
+
+
+def n_processes(
+    executor: Executor | None, workers: int | None, sent: Mapping[str, Callable | None]
+) -> int:
+    """The number of processes to spawn.
+    sent : functions that processes call.
+    Raises TypeError, ValueError, RuntimeError if functions, executor and workers are wrong, or cannot work together."""
     if executor is not None:
         if workers is not None:
             raise ValueError(
@@ -348,7 +368,7 @@ def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) 
 
     n_workers = available_cores() if workers is None else checked_count("workers", workers, 0)
     if isinstance(executor, ProcessPoolExecutor) or (executor is None and n_workers):
-        for name, function in functions.items():
+        for name, function in sent.items():
             _check_can_be_sent(name, function)
         frame = sys._getframe()
 
@@ -356,7 +376,7 @@ def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) 
             is_module = frame.f_code.co_name == "<module>"
             if is_module and frame.f_globals.get("__name__") == "__mp_main__":
                 raise RuntimeError(
-                    f"a worker process imports the script, which calls md.ensemble again; {BELOW}"
+                    f"a worker process imports the script, which makes this call again; {BELOW}"
                 )
 
             frame = frame.f_back

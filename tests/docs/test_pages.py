@@ -198,6 +198,15 @@ def test_the_script_of_the_page_on_ensembles_runs(here):
 
 
 @pytest.mark.slow
+def test_the_ladder_of_the_page_on_ensembles_crosses_the_barrier(here, capsys):
+    (text,) = [one for one in blocks(DOCS / "ensembles.md") if "md.exchange(" in one]
+    names = run(text, "ensembles.md")
+    assert 0.2 < names["right"].mean() < 0.8
+    assert names["ladder"].round_trips.sum() > 5
+    assert "600, 1 to 600" in capsys.readouterr().out
+
+
+@pytest.mark.slow
 def test_the_job_of_the_page_on_files_submits_itself_until_the_run_is_done(here):
     job, bash = blocks(DOCS / "files.md", "bash")[0], Path(shutil.which("bash"))
     for name, line in {"minimd": f'exec {sys.executable} -m minimd "$@"', "sbatch": 'echo "$1" > submitted'}.items():

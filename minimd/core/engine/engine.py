@@ -33,6 +33,8 @@ from minimd.core.structure.grid import Grid
 from minimd.core.structure.observables import center, kinetic_energy, leaves_out_center
 from minimd.core.structure.system import AnySystem, System
 
+MOST_STEPS = 16  # of methods: replica exchange goes to and fro between temperatures
+
 
 class Snapshot(NamedTuple):
     """A stored state, see Engine.restore.
@@ -136,8 +138,7 @@ class Engine:
         self._goes_on = False
         self.beginnings = 0
         self.sums = ForceResult(self.interactions.forces)
-        self._steps: Steps | None = None
-        self._steps_of: tuple[Any, ...] = ()
+        self._known_steps: list[tuple[tuple[Any, ...], Steps]] = []
         self._describe_bath()
         parts = self.system, self.interactions, self.constraint_set, method, self.holds_center
         self.barostat, self._rescaling = barostat, rescaling_of(barostat, *parts)
@@ -186,21 +187,20 @@ class Engine:
 
     @property
     def _own_steps(self) -> Steps:
-        """The steps of the method, made anew if anything else than the state is another one."""
+        """The steps of the method, made anew if anything else than the state is another one; some are remembered."""
         constraints = self.surroundings.constraints
         grid = self.interactions.grid
         made_of = self._method, constraints, grid, *vars(self._method).values()
-        is_same = len(made_of) == len(self._steps_of) and all(
-            map(operator.is_, made_of, self._steps_of)
-        )
-        if self._steps is None or not is_same:
-            forces = self.interactions
-            power = (lambda: forces.power) if forces.depend_on_time else None
-            work = forces.version, lambda: forces.pool
-            source = ForceSource(self._forces_at, *work, forces.running, power, self._taken)
-            self._steps = Steps(self._method, self._state, self.surroundings, source)
-            self._steps_of = made_of
-        return self._steps
+        for parts, steps in self._known_steps:
+            if len(parts) == len(made_of) and all(map(operator.is_, made_of, parts)):
+                return steps
+        forces = self.interactions
+        power = (lambda: forces.power) if forces.depend_on_time else None
+        work = forces.version, lambda: forces.pool
+        source = ForceSource(self._forces_at, *work, forces.running, power, self._taken)
+        steps = Steps(self._method, self._state, self.surroundings, source)
+        self._known_steps = [(made_of, steps), *self._known_steps[: MOST_STEPS - 1]]
+        return steps
 
     def _forces_at(self, with_energy: bool, unit: float, moment: Moment) -> Iterator[Operation]:
         """The operations of forces at a moment of a step."""

@@ -106,11 +106,12 @@ def test_full_disk_is_told_with_what_is_kept(folder, capsys, monkeypatch):
     assert read_file("good.h5md").record.step.tolist() == [0, 5]
 
 
-def test_a_command_that_cannot_be_loaded_does_not_stop_the_others(install, told, capsys):
+def test_a_command_that_cannot_be_loaded_does_not_stop_the_others(install, capsys):
     def load():
         raise ModuleNotFoundError("No module named 'far'")
 
     install("far", load)
-    told("doctor")
+    assert cli.main(["check", "none.h5md"]) == 2
+    assert "'none.h5md' does not exist" in capsys.readouterr().err
     assert cli.main([]) == 0
     assert "warning: the command far of far:COMMAND cannot be loaded" in capsys.readouterr().err

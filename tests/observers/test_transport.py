@@ -52,7 +52,10 @@ def check_honesty(integrals, replicas_of, times, truth, least=0.9):
     return found
 
 
-@pytest.mark.parametrize("kind", [pytest.param(kind, marks=[pytest.mark.slow] * (len(kind) == 3)) for kind in KINDS])
+FAST = ("negative at last", "cosine")
+
+
+@pytest.mark.parametrize("kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind not in FAST)) for kind in KINDS])
 def test_plateaus_have_honest_error_bars(kind):
     """In any unit and run, of 150 samples."""
     times = np.unique(np.arange(16) * 2.0 ** np.arange(9)[:, None] / 8.0)

@@ -211,8 +211,8 @@ def _flat_motion(evidence: Evidence) -> Verdicts:
         yield Verdict(
             "plane",
             f"all atoms lie and move {where}: {n_moving} of the {n_dof} degrees of freedom that are counted move",
-            f"their temperature is {n_dof / n_moving:.4g} times the one shown; make a System with planar=True, or "
-            "give velocities in all directions",
+            f"their temperature is {n_dof / n_moving:.4g} times the one shown; "
+            f"{'make a System with planar=True, or ' * (n_flat == 1)}give velocities in all directions",
         )
 
 

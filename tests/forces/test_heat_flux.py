@@ -83,3 +83,67 @@ test_what_has_no_heat_flux_is_refused = answered(
     (lambda: looked_at([LAWS["pairs"], md.Gravity(1.0)]), ValueError, "heat flux", "fields"),
     (lambda: looked_at(LAWS["pairs"], md.LangevinBAOAB(1e-3, 1.0, 1.0, seed=1)), ValueError, "heat flux", "baths"),
 )
+
+
+def group_velocities2(sites, edges, stiffness, primitive, n):
+    """Σ |v_νν′|² over all waves of a crystal of bonds between nearest neighbors and all pairs of equal frequencies, of
+    v = ∂D/∂k /(ω + ω′) between polarizations; D: dynamical matrix of unit masses."""
+    reach = 1.01 * np.linalg.norm(primitive[0])
+    first, arms = md.neighbor_list("iD", md.System(sites, cell=edges), reach)
+    arms = arms[first == 0]
+    ways = arms / np.linalg.norm(arms, axis=1, keepdims=True)
+    steps = np.stack(np.meshgrid(*[np.arange(2 * n)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    waves = 2.0 * np.pi * steps / edges
+    _, different = np.unique(np.round((waves @ primitive.T / (2.0 * np.pi)) % 1.0, 6) % 1.0, axis=0, return_index=True)
+    assert len(different) == len(sites)
+    total = 0.0
+    for k in waves[different]:
+        pairs = np.einsum("da,db->dab", ways, ways) * stiffness
+        squares, polarizations = np.linalg.eigh(np.einsum("d,dab->ab", 1.0 - np.cos(arms @ k), pairs))
+        frequencies = np.sqrt(np.maximum(squares, 0.0))
+        if not frequencies.max() > 1e-6:
+            continue
+        is_same = np.abs(frequencies[:, None] - frequencies) < 1e-7
+        for axis in range(3):
+            slope = np.einsum("d,dab->ab", np.sin(arms @ k) * arms[:, axis], pairs)
+            between = polarizations.T @ slope @ polarizations / (frequencies[:, None] + frequencies)
+            total += (between[is_same] ** 2).sum()
+    return total
+
+
+@pytest.mark.slow
+def test_the_integral_of_a_harmonic_crystal_grows_as_the_waves_run():
+    """∫⟨J(0)·J(t)⟩ dt → (k_B T)² Σ v² t: heat runs with the group velocities, and nothing scatters it."""
+    stiffness, constant, heat, n, n_starts = 50.0, 1.5, 1e-6, 3, 120
+    sites, edges = md.lattice.crystal("fcc", [n] * 3, constant)
+    primitive = 0.5 * constant * (1.0 - np.eye(3))
+    length = np.linalg.norm(primitive[0])
+    pairs = np.column_stack(md.neighbor_list("ij", md.System(sites, cell=edges), 1.01 * length))
+    law = md.HarmonicBond(stiffness, length)
+    system = md.System(sites, cell=edges, bonds=pairs[pairs[:, 0] < pairs[:, 1]])
+    arms = md.neighbor_list("D", system, 1.01 * length)
+    ways = arms / np.linalg.norm(arms, axis=1, keepdims=True)
+    hessian = np.zeros((len(sites), 3, len(sites), 3))
+    for (i, j), way in zip(pairs, ways, strict=True):
+        block = stiffness * np.outer(way, way)
+        hessian[i, :, i] += block
+        hessian[i, :, j] -= block
+    squares, modes = np.linalg.eigh(hessian.reshape(system.positions.size, -1))
+    modes, frequencies = modes[:, squares > 1e-6], np.sqrt(squares[squares > 1e-6])
+
+    rng = np.random.default_rng(1)
+    simulation = md.Simulation(system, law, md.VelocityVerlet(0.01), threads=1)
+    fluxes = []
+    for _ in range(n_starts):
+        drawn = np.sqrt(heat) * rng.normal(size=(2, len(frequencies)))
+        simulation.positions = sites + (modes @ (drawn[0] / frequencies)).reshape(-1, 3)
+        simulation.velocities = (modes @ drawn[1]).reshape(-1, 3)
+        seen = []
+        for _ in range(40):
+            simulation.run(37, progress=False)
+            seen.append(Look(simulation.engine).heat_flux)
+        fluxes.append(np.mean(seen, axis=0))
+
+    squares = (np.array(fluxes) ** 2).sum(axis=1)
+    expected = heat**2 * group_velocities2(sites, edges, stiffness, primitive, n)
+    assert squares.mean() == pytest.approx(expected, abs=4.0 * squares.std() / n_starts**0.5)  # statistics

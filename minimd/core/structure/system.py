@@ -364,8 +364,9 @@ def _checked_vectors(
     if dimensions == 2 and array.ndim == 2 and array.shape[1] == 3:
         check_in_plane(name, array)
     if array.ndim != 2 or array.shape[1] != 3 or not 0 < array.shape[0] <= MOST_ATOMS:
+        plane = ": two columns need planar=True" if array.ndim == 2 and array.shape[1] == 2 else ""
         raise ValueError(
-            f"{name} must be an (N, 3) array with N > 0, at most {MOST_ATOMS}; its shape is {array.shape}"
+            f"{name} must be an (N, 3) array with N > 0, at most {MOST_ATOMS}; its shape is {array.shape}{plane}"
         )
     if n_atoms is not None and len(array) != n_atoms:
         raise ValueError(

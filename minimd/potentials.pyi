@@ -12,6 +12,7 @@ from minimd.core.potentials.bonded import (
     MorseBond as MorseBond,
     OPLSDihedral as OPLSDihedral,
     PeriodicDihedral as PeriodicDihedral,
+    QuarticBond as QuarticBond,
     RyckaertBellemans as RyckaertBellemans,
 )
 from minimd.core.potentials.coulomb import Coulomb as Coulomb
@@ -26,11 +27,13 @@ from minimd.core.potentials.fields import (
     SteeredSpring as SteeredSpring,
     Wall as Wall,
 )
+from minimd.core.potentials.mie import Mie as Mie
 from minimd.core.potentials.pair import (
     LennardJones as LennardJones,
     PairPotential as PairPotential,
-    Tabulated as Tabulated,
 )
+from minimd.core.potentials.soft_repulsion import SoftRepulsion as SoftRepulsion
+from minimd.core.potentials.tabulated import Tabulated as Tabulated
 from minimd.core.potentials.term import (
     FORCES as FORCES,
     PER_ATOM as PER_ATOM,

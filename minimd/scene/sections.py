@@ -24,7 +24,8 @@ from minimd.core.integrators.table import SPLITTINGS, THERMOSTATS
 from minimd.core.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
 from minimd.core.potentials.embedded import FORMS, EmbeddedAtom
 from minimd.core.potentials.embedded_files import tables_from
-from minimd.core.potentials.pair import FEWEST, MIXING, LennardJones, Tabulated
+from minimd.core.potentials.pair import MIXING, LennardJones
+from minimd.core.potentials.tabulated import FEWEST, Tabulated
 from minimd.core.potentials.term import OwnPotential
 from minimd.core.potentials.truncation import TRUNCATIONS
 from minimd.core.structure.checks import checked_count, checked_flag

@@ -1,28 +1,25 @@
-"""Pair potentials: a law or a table, its parameters for each pair of species, given or mixed, cutoff and truncation."""
+"""Pair potentials: a law, its parameters for each pair of species, given or mixed, cutoff and truncation."""
 
 from __future__ import annotations
 
 from abc import ABCMeta, abstractmethod
-from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import KW_ONLY
 from functools import cached_property, partial
 from itertools import combinations
-from math import factorial, inf, isclose, isfinite, nan, pi, sqrt
+from math import inf, isclose, isfinite, pi, sqrt
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from minimd.core.compiled.kernels import scalar
 from minimd.core.console.display import Rows, as_text
 from minimd.core.console.words import listed, near, shown
 from minimd.core.potentials import declared as kind
-from minimd.core.potentials.declared import Declared, declared
-from minimd.core.potentials.law import check_user_law, evaluate_law, is_user_law, law_at, law_type
+from minimd.core.potentials.declared import Declared, LammpsStyle, declared
+from minimd.core.potentials.law import check_user_law, evaluate_law, is_user_law, law_at
 from minimd.core.potentials.laws import LennardJonesLaw
-from minimd.core.potentials.splines import Identical
 from minimd.core.potentials.term import Embedding, OwnTerm, PairLaw, no_bonds
 from minimd.core.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
 from minimd.core.structure.arrays import Array, Indices
@@ -44,9 +41,6 @@ UNSCALED = (1.0, 1.0, 1.0)
 # relative difference between mixed parameters of a pair and of the reverse pair that rounding can explain
 MIXED = 1e-9
 MOST_SHOWN = 6  # species whose mixed parameters are displayed
-# of the pieces of a table: four continuous derivatives of u, so that methods up to order 4 keep their order
-DEGREE = 5
-FEWEST = DEGREE + 1  # points that one piece goes through
 
 Label = str | int
 Parameters = tuple[float, ...]
@@ -72,7 +66,6 @@ MIXING = {"lorentz-berthelot": lorentz_berthelot, "geometric": geometric}
 # what arguments are, and what they do
 FOR_PAIRS = "one number, or a mapping from pairs of species"
 R_C = "r_c; none only in scenes without periodicity"
-FOR_EACH = "one number for each r, or a mapping from pairs of species to them"
 WELLS = "one number, or a mapping from species to (ε, σ) and no sigma"
 A_RULE = "'lorentz-berthelot', 'geometric', or a function of two tuples of parameters"
 OF_PAIRS = (
@@ -115,7 +108,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         given: Any = self
         self.truncation: TruncationName = given.truncation
         self._given_cutoff = given.cutoff
-        self._cutoffs = _checked_cutoffs(self._given_cutoff)
+        self._cutoffs = checked_cutoffs(self._given_cutoff)
         self.law: Any = self._truncated_law()
         self.cutoff: Any = max(self._cutoffs.values())
         if not callable(self.mixing) and self.mixing is not None:
@@ -286,9 +279,8 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                 f"{type(self).__name__} has no parameters for the pair {a!r}, {b!r}; "
                 "give pairs={...}, or a mixing rule"
             )
-        rule = MIXING[self.mixing] if isinstance(self.mixing, str) else self.mixing
-        mixed = self._checked_numbers(rule(own[a], own[b]), (a, b))
-        reverse = self._checked_numbers(rule(own[b], own[a]), (b, a))
+        mixed = self._checked_numbers(self.mixed(own[a], own[b]), (a, b))
+        reverse = self._checked_numbers(self.mixed(own[b], own[a]), (b, a))
         is_complete = len(mixed) == len(reverse) == len(own[a])
         if not (is_complete and all(map(partial(isclose, rel_tol=MIXED), mixed, reverse))):
             raise ValueError(
@@ -296,6 +288,11 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                 f"it gives {mixed} for the first and {reverse} for the second"
             )
         return mixed
+
+    def mixed(self, first: Parameters, second: Parameters) -> Parameters:
+        """The parameters of an unlike pair, by the mixing rule."""
+        rule: Any = MIXING[self.mixing] if isinstance(self.mixing, str) else self.mixing
+        return rule(first, second)
 
     def _checked_parameters(
         self, parameters: Any, pairs: Any
@@ -440,7 +437,7 @@ class PairTerm(OwnTerm):
         return energy / system.volume, virial / system.volume
 
 
-def _checked_cutoffs(cutoff: Any) -> dict[Any, float]:
+def checked_cutoffs(cutoff: Any) -> dict[Any, float]:
     """The cutoffs of pairs of species, in both orders; or of all pairs, infinite if none is given, under None."""
     if cutoff is None:
         return {None: inf}
@@ -484,6 +481,7 @@ def curvature_at_minimum(epsilon: Any, sigma: Any) -> Any:
 class LennardJones(Nonbonded):
     """Lennard-Jones 12-6 potential u(r) = 4ε [(σ/r)¹² − (σ/r)⁶]."""
 
+    lammps = LammpsStyle("lj/cut")
     epsilon: float | Mapping[Label, tuple[float, float]] = declared(
         kind.given, "depth of the well", "energy", of=WELLS
     )
@@ -527,174 +525,5 @@ class LennardJones(Nonbonded):
         return epsilon, sigma
 
 
-class Table(Identical, namedtuple("Table", "knots coefficients density")):
-    """Splines on one set of knots.
-
-    knots : (M + 1,) increasing [length], the distances of the table.
-    coefficients : (K, M, 6) of K splines with M pieces; u = Σ cₖ (r − knot)^(5 − k) [energy].
-    density : pieces per length, if all were equally long; it gives the piece where a search begins.
-    """
-
-    __slots__ = ()
-
-
-@scalar
-def tabulated(r2, table, parameters):
-    """One of the splines of a table.
-
-        u(r)     = S(r), a polynomial of degree 5 between two knots
-        −u′(r)/r = −S′(r)/r
-
-    r2 : squared distance [length²].
-    parameters : (k,) number of the spline.
-    Returns u [energy], −u′/r [energy/length²]; NaN closer than the first knot, where nothing is known;
-    the last piece continues beyond the last knot.
-    """
-    r = sqrt(r2)
-    n = table.knots.size - 1
-    if r < table.knots[0]:
-        return nan, nan
-    low = int(min((r - table.knots[0]) * table.density, n - 1.0))
-    high = n
-    if not table.knots[low] <= r < table.knots[low + 1]:
-        low = 0
-        while high - low > 1:
-            middle = (low + high) // 2
-            if r < table.knots[middle]:
-                high = middle
-            else:
-                low = middle
-
-    k = int(parameters[0])
-    x = r - table.knots[low]
-    u = slope = 0.0
-    for power in range(DEGREE + 1):
-        slope = slope * x + u
-        u = u * x + table.coefficients[k, low, power]
-    return u, -slope / r
-
-
-TabulatedLaw = law_type("TabulatedLaw", tabulated)
-TabulatedLaw.is_scalar = True
-
-
-class Tabulated(Nonbonded):
-    """A pair potential from a table: the quintic spline through the points (rᵢ, uᵢ), and its exact derivative.
-
-    The spline has four continuous derivatives and an error of order Δr⁶ in the energy, Δr⁵ in the force (not-a-knot
-    ends: C. de Boor, A Practical Guide to Splines (2001), chapters IV and XIII). Noise of the table appears in the
-    force, divided by Δr: smooth a measured table. Closer than the first point nothing is known: u is NaN there, and a
-    run ends with NonFiniteError. So begin the table well inside the repulsive wall. Tables use the pair list,
-    one pair at a time; a law with a formula is several times faster.
-    """
-
-    r: ArrayLike = declared(
-        kind.given, "equally spaced or not", "length", of=f"{FEWEST} or more increasing distances"
-    )
-    u: ArrayLike | Mapping[tuple[Label, Label], ArrayLike] = declared(
-        kind.given, "u(r)", "energy", of=FOR_EACH
-    )
-    cutoff: Cutoff | None = declared(
-        kind.given, "r_c; the end of the table if not given", "length", of=FOR_PAIRS, default=None
-    )
-    truncation: TruncationName = TRUNCATION
-    mixing: None = declared(kind.given, init=False, default=None)
-    pairs: None = declared(kind.given, init=False, default=None)
-    tail_correction: bool = declared(kind.flag, init=False, default=False)
-
-    def as_law(self) -> tuple[Any, Any, Any]:
-        """See Nonbonded."""
-        r = _checked_distances(self.r)
-        is_by_pair = isinstance(self.u, Mapping)
-        by_pair: Any = self.u if is_by_pair else {None: self.u}
-        energies: Any = {pair: _checked_energies(u, r, pair) for pair, u in by_pair.items()}
-        if not energies:
-            raise ValueError(
-                "u must be energies, or a mapping with an entry for each pair of species; it is empty"
-            )
-
-        self.r = r
-        self.u = energies if is_by_pair else energies[None]
-        if self.cutoff is None:
-            self.cutoff = float(r[-1])
-        cutoffs = _checked_cutoffs(self.cutoff).values()
-        shortest = min(cutoffs)
-        longest = max(cutoffs)
-        if not r[0] < shortest <= longest <= r[-1]:
-            wrong = longest if longest > r[-1] else shortest
-            raise ValueError(
-                f"cutoff must lie within the table, which goes from r = {r[0]:g} to {r[-1]:g}; "
-                f"cutoff = {wrong:g}: give another cutoff, or a longer table"
-            )
-
-        law = TabulatedLaw(_table(r, [*energies.values()]))
-        if not is_by_pair:
-            return law, (0.0,), {}
-        return law, {}, {pair: (float(k),) for k, pair in enumerate(energies)}
-
-    def _parameters_of(self, a: Any, b: Any) -> Parameters:
-        if isinstance(self.u, Mapping) and (a, b) not in self._by_pair:
-            raise ValueError(
-                f"Tabulated has no table for the pair {a!r}, {b!r}; it has {listed(self.u)}"
-            )
-        return super()._parameters_of(a, b)
-
-
-def _checked_distances(r: Any) -> Array:
-    distances = checked_numbers("r", r, "increasing distances")
-    if distances.ndim != 1 or len(distances) < FEWEST:
-        raise ValueError(
-            f"r must be at least {FEWEST} distances, for a spline of degree {DEGREE}; "
-            f"its shape is {distances.shape}"
-        )
-
-    wrong = np.flatnonzero(~(np.isfinite(distances) & (distances >= 0.0)))
-    if wrong.size:
-        raise ValueError(
-            f"r must be finite and not negative; r[{wrong[0]}] = {distances[wrong[0]]:g}"
-        )
-
-    steps = np.diff(distances)
-    if not steps.min() > 0.0:
-        k = np.argmin(steps > 0.0)
-        raise ValueError(
-            f"r must increase; r[{k + 1}] = {distances[k + 1]:g} follows r[{k}] = {distances[k]:g}: "
-            "sort the table, each r once"
-        )
-
-    return distances
-
-
-def _checked_energies(u: Any, r: Array, pair: Any) -> Array:
-    """The energies of a table.
-    pair : of species; None for all."""
-    name = "u" if pair is None else f"u of {pair!r}"
-    energies = checked_numbers(name, u, "one energy for each r")
-    if energies.shape != r.shape:
-        raise ValueError(
-            f"{name} must be {len(r)} energies, one for each r; its shape is {energies.shape}"
-        )
-    wrong = np.flatnonzero(~np.isfinite(energies))
-    if wrong.size:
-        k = wrong[0]
-        raise ValueError(
-            f"{name} must be finite; it is {shown(energies[k].item())} at r[{k}] = {r[k]:g}: leave such points out"
-        )
-    return energies
-
-
-def _table(r: Array, energies: Sequence[Array]) -> Table:
-    """The splines through energies, each (n,)."""
-    # here, so that importing minimd need not load it
-    from scipy.interpolate import make_interp_spline
-
-    splines = [make_interp_spline(r, u, DEGREE) for u in energies]
-    powers = range(DEGREE, -1, -1)
-    pieces = [[spline.derivative(k)(r[:-1]) / factorial(k) for k in powers] for spline in splines]
-    coefficients = np.ascontiguousarray(np.moveaxis(np.array(pieces), 1, -1))
-    return Table(r, coefficients, (len(r) - 1) / float(r[-1] - r[0]))
-
-
 # for isinstance: constructors differ, so that none can inherit another
 PairPotential.register(LennardJones)
-PairPotential.register(Tabulated)

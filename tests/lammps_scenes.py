@@ -82,9 +82,7 @@ def two_laws():
     return scene(chain_system(), [scaled(0.0, 1.0, 1.0), second, third, md.BondPotential(morse, (10.0, 3.0, 1.1))])
 
 
-MIE = md.Mie(
-    {"A": (1.0, 1.0, 14, 7), "B": (0.5, 0.88, 12, 6)}, cutoff=CUTOFF, pairs={("A", "B"): (0.8, 0.95, 13, 6)}
-)
+MIE = md.Mie({"A": (1.0, 1.0, 14, 7), "B": (0.5, 0.88, 12, 6)}, cutoff=CUTOFF, pairs={("A", "B"): (0.8, 0.95, 13, 6)})
 
 
 def soft_and_quartic():
@@ -177,7 +175,8 @@ SCENES = {
     "Kob-Andersen mixture": lambda: scene(fluid(species=TWO_KINDS), KOB_ANDERSEN),
     "own law": lambda: scene(fluid(), md.PairPotential(buckingham, (3e5, 0.08, 2.0), CUTOFF, "force-shifted")),
     "Mie": lambda: scene(fluid(species=TWO_KINDS), MIE),
-    "soft and quartic": soft_and_quartic, "turned": in_cell(SKEWED @ ROTATION), "left-handed": in_cell(LEFT_HANDED), "tail": with_a_tail,
+    "soft and quartic": soft_and_quartic,
+    "turned": in_cell(SKEWED @ ROTATION), "left-handed": in_cell(LEFT_HANDED), "tail": with_a_tail,
     "skewed slab": in_cell(SKEWED @ ROTATION, pbc=[True, False, True]),
     "wire": in_cell(SKEWED, pbc=[False, True, False]), "far away": lambda: scene(far_away()), **AT_REST,
     "small cell": lambda: scene(liquid(2), scaled(1.0, 1.0, 1.0)),

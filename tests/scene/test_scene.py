@@ -289,9 +289,12 @@ def test_mie_soft_and_quartic_laws_of_scenes_have_their_numbers_and_units(folder
         (mie + wells + "n = 12.0, m = 6.0 } }\n" + unlike, well(150.0, 3.5) * K_B / EV),
         (soft + "height_eV = 0.3\n", 0.3 * (1.0 - 0.5)),
         (soft + heights, 0.3 * (1.0 - 0.5)),
-        (quartic + "pairs = [[0, 1]]\n", 3.0 * x**2 - 2.0 * x**3 + 1.5 * x**4),
+        (quartic, 3.0 * x**2 - 2.0 * x**3 + 1.5 * x**4),
     ):
-        assert energy_of(scene_of(head + text)) == pytest.approx(energy, **CODATA), text
+        scene = scene_of(head + text)
+        is_bond = text == quartic
+        found = energy_of(scene) if is_bond else scene.potentials()[0].pair_energy(4.0, "Ar", "Kr")
+        assert found == pytest.approx(energy, **CODATA), text
     for text, word in ((mie + "epsilon_K = 150.0\nsigma_A = 3.5\nn = 14.0\n", "n and m"), (soft, "height_K")):
         assert_answered(lambda text=text: scene_of(head + text), ValueError, "potential[0]", word)
 

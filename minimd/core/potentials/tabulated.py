@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
 from math import factorial, nan, sqrt
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.core.compiled.kernels import scalar
+from minimd.core.console.quiet import warn
 from minimd.core.console.words import listed, shown
 from minimd.core.potentials import declared as kind
 from minimd.core.potentials.declared import declared
@@ -18,6 +20,7 @@ from minimd.core.potentials.law import law_type
 from minimd.core.potentials.pair import (
     FOR_PAIRS,
     TRUNCATION,
+    UNSCALED,
     Cutoff,
     Label,
     Nonbonded,
@@ -26,6 +29,7 @@ from minimd.core.potentials.pair import (
     checked_cutoffs,
 )
 from minimd.core.potentials.splines import Identical
+from minimd.core.potentials.table_file import PairTable, read_sections, section_named
 from minimd.core.potentials.truncation import TruncationName
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_numbers
@@ -33,6 +37,9 @@ from minimd.core.structure.checks import checked_numbers
 # of the pieces of a table: four continuous derivatives of u, so that methods up to order 4 keep their order
 DEGREE = 5
 FEWEST = DEGREE + 1  # points that one piece goes through
+# a force of a file is -du/dr to this part of it, and to this difference of u, in points, over their distance
+SAME_FORCE = 0.01
+ROUGH = 4
 FOR_EACH = "one number for each r, or a mapping from pairs of species to them"
 
 
@@ -110,6 +117,37 @@ class Tabulated(Nonbonded):
     mixing: None = declared(kind.given, init=False, default=None)
     pairs: None = declared(kind.given, init=False, default=None)
     tail_correction: bool = declared(kind.flag, init=False, default=False)
+
+    @classmethod
+    def from_file(
+        cls,
+        file: str | os.PathLike[str],
+        keyword: str | Mapping[tuple[Label, Label], str] | None = None,
+        cutoff: Cutoff | None = None,
+        truncation: TruncationName = "shifted",
+        bonded_scale: Sequence[float] = UNSCALED,
+    ) -> Tabulated:
+        """The potential in a file for LAMMPS' pair_style table, in Å and eV, or in σ and ε; kcal/mol if it says so.
+
+        keyword : of the section, or a mapping from pairs of species to keywords; none needed in a file of one section.
+        A force in the file that is not −du/dr is told by a warning: the force is the derivative of the spline.
+        Raises OSError for a file that cannot be read; ValueError for one that holds something else.
+        """
+        sections = read_sections(file)
+        is_by_pair = isinstance(keyword, Mapping) and len(keyword) > 0
+        by_pair: Any = keyword if is_by_pair else {None: keyword}
+        tables = {pair: section_named(sections, word) for pair, word in by_pair.items()}
+        first, *others = tables.values()
+        if not all(np.array_equal(first.r, other.r) for other in others):
+            raise ValueError(
+                "the tables of one potential must have the same r; those of this file differ"
+            )
+        energies: Any = {pair: table.u for pair, table in tables.items()}
+        u = energies if is_by_pair else first.u
+        potential = cls(first.r, u, cutoff, truncation, bonded_scale=bonded_scale)
+        for pair, table in tables.items():
+            _tell_of_force(table, "" if pair is None else f" of {pair!r}")
+        return potential
 
     def as_law(self) -> tuple[Any, Any, Any]:
         """See Nonbonded."""
@@ -190,6 +228,25 @@ def _checked_energies(u: Any, r: Array, pair: Any) -> Array:
             f"{name} must be finite; it is {shown(energies[k].item())} at r[{k}] = {r[k]:g}: leave such points out"
         )
     return energies
+
+
+def _tell_of_force(table: PairTable, whose: str) -> None:
+    """Warn of a force that is not −S′(r) of the spline, beyond what a rounded or coarse table may differ.
+    whose : for the message."""
+    from scipy.interpolate import make_interp_spline
+
+    r, u, force = table
+    slopes = -make_interp_spline(r, u, DEGREE).derivative()(r)
+    bends = np.pad(np.abs(np.diff(u, ROUGH)), ROUGH // 2, mode="edge") / np.gradient(r)
+    allowed = SAME_FORCE * np.abs(slopes) + np.convolve(bends, np.ones(ROUGH + 1), "same")
+    inside = slice(DEGREE, -DEGREE)
+    wrong = DEGREE + np.flatnonzero(np.abs(force - slopes)[inside] > allowed[inside])
+    if wrong.size:
+        k = wrong[0]
+        warn(
+            f"the force{whose} in the table is not -du/dr at {wrong.size} of {len(r)} distances, first at r = "
+            f"{r[k]:g}: it is {force[k]:g} in the file and {slopes[k]:g} from the energies, which minimd takes"
+        )
 
 
 def _table(r: Array, energies: Sequence[Array]) -> Table:

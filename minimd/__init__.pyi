@@ -1,6 +1,7 @@
 """The public names of minimd, and where each is: read by type checkers, and at run time."""
 
 from minimd import (
+    free_energy as free_energy,
     integrators as integrators,
     lammps as lammps,
     observers as observers,

@@ -110,8 +110,7 @@ MEANINGS = {
     },
     "potential, soft-repulsion": {
         "type": "type of the potential",
-        "height": "A, half of u at r = 0, the same for all species",
-        "pairs": "A for each pair of species, see below; instead of `height`",
+        "height": "A, half of u at r = 0",
         "cutoff": "r_c, where energy and force vanish",
         "bonded_scale": "factors for pairs one, two and three bonds apart",
     },
@@ -126,7 +125,6 @@ MEANINGS = {
         "sigma": "distance where u = 0",
         "n": "exponent of repulsion",
         "m": "exponent of attraction",
-        "height": "A, half of u at r = 0",
         "species": "the two species",
         "file": "table of this pair, as `file` above",
         "parameters": "numbers of the law, in its order",
@@ -274,7 +272,6 @@ NOTES = {
     "potential, mie": (
         "Give either `epsilon`, `sigma`, `n` and `m`, or `species`. Species with different exponents need `pairs`."
     ),
-    "potential, soft-repulsion": "Give either `height` or `pairs`.",
     "potential, fene-bond": (
         "To exclude bonded pairs from a pair potential, set its `bonded_scale = [0.0, 1.0, 1.0]`."
     ),

@@ -65,12 +65,12 @@ from minimd.core.potentials.fields import (
     SteeredSpring as SteeredSpring,
     Wall as Wall,
 )
-from minimd.core.potentials.mie import Mie as Mie
 from minimd.core.potentials.pair import (
     LennardJones as LennardJones,
+    Mie as Mie,
     PairPotential as PairPotential,
+    SoftRepulsion as SoftRepulsion,
 )
-from minimd.core.potentials.soft_repulsion import SoftRepulsion as SoftRepulsion
 from minimd.core.potentials.tabulated import Tabulated as Tabulated
 from minimd.core.potentials.term import Potential as Potential, Term as Term
 from minimd.core.simulation.simulation import Simulation as Simulation

@@ -12,17 +12,38 @@ from numpy.typing import ArrayLike
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_number, checked_numbers
-from minimd.core.structure.statistics import FEW, FEWEST, mean_and_error, with_error
+from minimd.core.structure.statistics import FEWEST, mean_and_error, with_error
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+EVIDENCE = 4  # works or samples: from fewer there is no error bar
 CONTRADICTS = 5.0  # standard errors
+WRONG = "THE WORKS CONTRADICT EACH OTHER"
 BOUND = "THE ERROR BAR IS A LOWER BOUND"
 
 
+class FreeEnergy(Displayed):
+    """Base class of results: a picture, and the first words of their text."""
+
+    def draw(self, panel: Axes) -> None:
+        """Draw the result into axes of matplotlib."""
+
+    def plot(self) -> Figure:
+        """A figure, which a notebook shows; .savefig(path) writes it to a file."""
+        from minimd.core.engine.record_picture import Picture  # matplotlib is slow to load
+
+        figure = Picture(figsize=(6.0, 4.0), dpi=150, layout="constrained")
+        self.draw(figure.subplots())
+        return figure
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.display_rows()[0][1]})"
+
+
 @dataclass(frozen=True, repr=False)
-class FreeEnergyDifference(Displayed):
+class FreeEnergyDifference(FreeEnergy):
     """ΔF of two states [energy].
 
     method : "Jarzynski" or "BAR".
@@ -44,51 +65,37 @@ class FreeEnergyDifference(Displayed):
 
     def numbers(self) -> dict[str, float]:
         """Its single numbers by name."""
-        names = "free_energy", "free_energy_error", "n_effective", "crooks"
-        numbers = {name: getattr(self, name) for name in names}
-        return {"kT": self.kT, "mean_work": float(self.forward.mean()), **numbers}
+        names = "kT", "free_energy", "free_energy_error", "n_effective", "crooks"
+        return {name: getattr(self, name) for name in names}
 
     def display_rows(self) -> Rows:
         """See Displayed."""
         works = f"{len(self.forward)} works"
         if len(self.backward):
             works = f"{works} forward, {len(self.backward)} backward"
+        value = with_error(self.free_energy, self.free_energy_error)
         dissipated = self.forward.mean() - self.free_energy
         rows = [
-            (
-                self.method,
-                f"ΔF = {with_error(self.free_energy, self.free_energy_error)}, kT = {self.kT:g}",
-            ),
+            (self.method, f"ΔF = {value}, kT = {self.kT:g}"),
             ("works", f"{works}; {dissipated:.3g} are dissipated on average"),
         ]
         if self.n_effective < FEWEST:
-            rows.append(("rests on", f"about {self.n_effective:.0f} of the works: {BOUND}"))
+            rows.append(("", f"it rests on about {self.n_effective:.0f} of the works: {BOUND}"))
         if abs(self.crooks) > CONTRADICTS:
-            text = "check kT, the signs, and that each way begins in equilibrium"
+            advice = "check kT, the signs, and that each way begins in equilibrium"
             rows.append(
-                (
-                    "Crooks",
-                    f"THE WORKS CONTRADICT EACH OTHER by {self.crooks:.0f} standard errors: {text}",
-                )
+                ("", f"the works are off Crooks' theorem by {self.crooks:.0f} σ: {WRONG}; {advice}")
             )
         return rows
 
-    def plot(self) -> Figure:
-        """A figure with histograms of the works, W forward and −W backward, which cross at ΔF."""
-        from minimd.core.engine.record_picture import Picture  # matplotlib is slow to load
-
-        figure = Picture(figsize=(6.0, 4.0), dpi=150, layout="constrained")
-        panel = figure.subplots()
+    def draw(self, panel: Axes) -> None:
+        """Draw histograms of the works, W forward and −W backward, which cross at ΔF."""
         panel.hist(self.forward, "auto", density=True, alpha=0.5, label="W forward")
         if len(self.backward):
             panel.hist(-self.backward, "auto", density=True, alpha=0.5, label="−W backward")
         panel.axvline(self.free_energy, color="k", ls="--", label="ΔF")
         panel.set(xlabel="work  [energy]", ylabel="probability density", title=self.method)
         panel.legend(frameon=False)
-        return figure
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.display_rows()[0][1]})"
 
 
 def jarzynski(works: ArrayLike, kT: float) -> FreeEnergyDifference:
@@ -105,13 +112,13 @@ def jarzynski(works: ArrayLike, kT: float) -> FreeEnergyDifference:
 
     C. Jarzynski, Phys. Rev. Lett. 78, 2690 (1997).
     """
-    forward = _checked_works("works", works)
+    forward = checked_series("works", works)
     kT = checked_number("kT", kT, "positive and finite")
     weights = np.exp((forward.min() - forward) / kT)
     n_effective = _effective(weights)
-    if n_effective < FEW:
+    if n_effective < EVIDENCE:
         raise ValueError(
-            f"works must be such that the average of exp(-W/kT) rests on {FEW} of them or more; it rests on "
+            f"works must be such that the average of exp(-W/kT) rests on {EVIDENCE} of them or more; it rests on "
             f"{n_effective:.1f} of {len(forward)}, from {forward.min():.4g} to {forward.max():.4g} with kT = {kT:g}: "
             "take more processes, slower ones, or works of both ways and bar"
         )
@@ -147,13 +154,13 @@ def bar(works_forward: ArrayLike, works_backward: ArrayLike, kT: float) -> FreeE
     from scipy.optimize import brentq
     from scipy.special import expit
 
-    forward = _checked_works("works_forward", works_forward)
-    backward = _checked_works("works_backward", works_backward)
+    forward = checked_series("works_forward", works_forward)
+    backward = checked_series("works_backward", works_backward)
     kT = checked_number("kT", kT, "positive and finite")
     low, high = overlap(-backward, forward)
     wanted = (
-        f"works must overlap: {FEW} of -works_backward or more must be above {low:.4g}, the {FEW}th smallest of "
-        f"works_forward; the {FEW}th largest is {high:.4g}"
+        f"works must overlap: the {EVIDENCE}th largest of -works_backward, {high:.4g}, must be above the {EVIDENCE}th "
+        f"smallest of works_forward, {low:.4g}"
     )
     advice = "take slower processes or states between; both works are done on the system, with their signs"
     if high < low:
@@ -176,7 +183,7 @@ def bar(works_forward: ArrayLike, works_backward: ArrayLike, kT: float) -> FreeE
     x, y = exponents(free_energy)
     ways = [(x, expit(-x)), (y, expit(-y))]
     n_effective = min(_effective(share) for _, share in ways)
-    if n_effective < FEW:
+    if n_effective < EVIDENCE:
         raise ValueError(f"{wanted}; ΔF would rest on {n_effective:.1f} of them: {advice}")
 
     slope = sum((share * (1.0 - share)).sum() for _, share in ways) / kT
@@ -193,7 +200,9 @@ def bar(works_forward: ArrayLike, works_backward: ArrayLike, kT: float) -> FreeE
 def overlap(lower: Array, upper: Array) -> tuple[float, float]:
     """The 4th smallest number of those that should be larger, and the 4th largest of the others; overlapping ones have
     the first below the second."""
-    return float(np.partition(upper, FEW - 1)[FEW - 1]), float(np.partition(lower, -FEW)[-FEW])
+    return float(np.partition(upper, EVIDENCE - 1)[EVIDENCE - 1]), float(
+        np.partition(lower, -EVIDENCE)[-EVIDENCE]
+    )
 
 
 def _error_of_sums(series: list[Array]) -> float:
@@ -206,10 +215,12 @@ def _effective(weights: Array) -> float:
     return float(weights.sum() ** 2 / (weights**2).sum())
 
 
-def _checked_works(name: str, works: ArrayLike) -> Array:
-    values = checked_numbers(name, works, "works, one for each process")
-    if values.ndim != 1 or len(values) < FEW or not np.isfinite(values).all():
+def checked_series(name: str, series: ArrayLike) -> Array:
+    """A series of numbers, enough for an error bar.
+    Raises ValueError for anything else."""
+    values = checked_numbers(name, series, "a list of numbers")
+    if values.ndim != 1 or len(values) < EVIDENCE or not np.isfinite(values).all():
         raise ValueError(
-            f"{name} must be {FEW} or more finite works, one for each process; their shape is {values.shape}"
+            f"{name} must be {EVIDENCE} or more finite numbers; its shape is {values.shape}"
         )
     return values

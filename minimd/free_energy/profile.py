@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from minimd.core.console.display import Displayed, Rows
+from minimd.core.console.display import Rows
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_number, checked_numbers, checked_sizes
 from minimd.core.structure.statistics import (
-    FEW,
     MOST_BLOCKS,
     correlation_times,
     mean_and_error,
@@ -21,25 +20,24 @@ from minimd.core.structure.statistics import (
     standard_error,
     with_error,
 )
-from minimd.free_energy.difference import overlap
+from minimd.free_energy.difference import EVIDENCE, FreeEnergy, checked_series, overlap
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
 CONVERGED = 1e-9  # of the number of samples
 MOST_STEPS = 100  # of Newton; ten are usual
 
 
 @dataclass(frozen=True, repr=False)
-class FreeEnergyProfile(Displayed):
+class FreeEnergyProfile(FreeEnergy):
     """F(ξ) = −kT ln p(ξ) of the run without bias, zero at its minimum [energy]; bins with fewer than 4 samples are left
     out.
 
     coordinate : (B,) centers of bins [unit of ξ].
     free_energy, free_energy_error : (B,), and the standard errors of the differences from the minimum, where it is 0.
     kT : [energy].
-    centers, window_free_energies : (K,), and the free energies of the windows with their biases; the first is 0.
-    n_samples : in all windows.
+    window_free_energies : (K,) of the windows with their biases; the first is 0.
     correlation_times : the length of the run that has the fewest.
     shortest : the number of its window.
     """
@@ -48,16 +46,9 @@ class FreeEnergyProfile(Displayed):
     free_energy: Array
     free_energy_error: Array
     kT: float
-    centers: Array
     window_free_energies: Array
-    n_samples: int
     correlation_times: float
     shortest: int
-
-    def columns(self) -> dict[str, Array]:
-        """The profile by name."""
-        names = "coordinate", "free_energy", "free_energy_error"
-        return {name: getattr(self, name) for name in names}
 
     def numbers(self) -> dict[str, float]:
         """Its single numbers by name; the barrier is the largest free energy."""
@@ -77,27 +68,21 @@ class FreeEnergyProfile(Displayed):
         highest = with_error(numbers["highest"], numbers["highest_error"])
         ends = f"{self.coordinate[0]:.4g} to {self.coordinate[-1]:.4g}"
         rows = [
-            ("profile", f"{len(self.coordinate)} bins, {ends}, kT = {self.kT:g}"),
+            (
+                "profile",
+                f"{len(self.coordinate)} bins, {ends}, of {len(self.window_free_energies)} windows",
+            ),
             ("minimum", f"at {numbers['minimum']:.4g}; highest F = {highest}, at {top:.4g}"),
-            ("windows", f"{len(self.centers)}, {self.n_samples} samples"),
         ]
         words = short_run(self.correlation_times, f"coordinate in window {self.shortest}")
         return [*rows, ("", words)] if words else rows
 
-    def plot(self) -> Figure:
-        """A figure of F(ξ), with a band of one standard error."""
-        from minimd.core.engine.record_picture import Picture  # matplotlib is slow to load
-
-        figure = Picture(figsize=(6.0, 4.0), dpi=150, layout="constrained")
-        panel = figure.subplots()
+    def draw(self, panel: Axes) -> None:
+        """Draw F(ξ), with a band of one standard error."""
         f, error = self.free_energy, self.free_energy_error
         panel.plot(self.coordinate, f, lw=1.1)
         panel.fill_between(self.coordinate, f - error, f + error, alpha=0.25, lw=0)
         panel.set(xlabel="ξ", ylabel="F  [energy]", title="free energy")
-        return figure
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.display_rows()[0][1]})"
 
 
 def umbrella(
@@ -129,21 +114,13 @@ def umbrella(
     M. R. Shirts, J. D. Chodera, J. Chem. Phys. 129, 124105 (2008), eq. 9, 11; S. Kumar et al., J. Comput. Chem. 13,
     1011 (1992), for WHAM.
     """
-    series = [
-        checked_numbers(f"coordinates[{k}]", values, "a series")
-        for k, values in enumerate(coordinates)
-    ]
+    series = [checked_series(f"coordinates[{k}]", values) for k, values in enumerate(coordinates)]
     places = checked_numbers("centers", centers, "one for each window")
     kT = checked_number("kT", kT, "positive and finite")
     if not series or places.shape != (len(series),):
         raise ValueError(
             f"centers must be one for each of the {len(series)} windows; their shape is {places.shape}"
         )
-    for k, values in enumerate(series):
-        if values.ndim != 1 or len(values) < FEW or not np.isfinite(values).all():
-            raise ValueError(
-                f"coordinates[{k}] must be {FEW} or more finite numbers; its shape is {values.shape}"
-            )
     springs = checked_sizes("stiffnesses", stiffnesses, len(series), "window")
     _check_overlap(series, places)
 
@@ -152,48 +129,52 @@ def umbrella(
     counts = np.array([len(values) for values in series], float)
     f, logs, shares = _solved(biases, counts)
 
-    edges = _edges(bins, x)
+    edges = np.histogram_bin_edges(x, bins)
     weights = np.exp(-logs + logs.min())
     bin_of = np.searchsorted(edges, x, side="right") - 1
     bin_of[x == edges[-1]] = len(edges) - 2
-    occupied = np.flatnonzero([(bin_of == b).sum() >= FEW for b in range(len(edges) - 1)])
+    occupied = np.flatnonzero([(bin_of == b).sum() >= EVIDENCE for b in range(len(edges) - 1)])
     if not occupied.size:
         raise ValueError(
-            f"bins must have {FEW} samples or more; none has, from {edges[0]:g} to {edges[-1]:g}"
+            f"bins must have {EVIDENCE} samples or more; none has, from {edges[0]:g} to {edges[-1]:g}"
         )
     members = bin_of == occupied[:, None]
     sums = members @ weights
     widths = np.diff(edges)[occupied]
     profile = -kT * np.log(sums / widths)
     lowest = int(profile.argmin())
-    responses = members * weights / sums[:, None]
-    responses += (
-        (responses @ shares.T) @ np.linalg.pinv(np.diag(counts) - shares @ shares.T) @ shares
-    )
-    responses -= responses[lowest]
-
-    variance = np.zeros(len(occupied))
-    for own in np.split(responses, np.cumsum(counts[:-1]).astype(int), axis=1):
-        parts = np.array_split(own, min(own.shape[1], MOST_BLOCKS), axis=1)
-        blocks = np.array([part.mean(axis=1) for part in parts])
-        variance += (own.shape[1] * standard_error(blocks)) ** 2
+    errors = kT * _errors(members * weights / sums[:, None], shares, counts, lowest)
     lengths = [
         float(correlation_times(values.var(), mean_and_error(values)[1])) for values in series
     ]
     shortest = int(np.argmin(lengths))
     middles = 0.5 * (edges[1:] + edges[:-1])[occupied]
-    errors = kT * np.sqrt(variance)
     return FreeEnergyProfile(
         middles,
         profile - profile[lowest],
         errors,
         kT,
-        places,
         kT * (f - f[0]),
-        len(x),
         lengths[shortest],
         shortest,
     )
+
+
+def _errors(responses: Array, shares: Array, counts: Array, lowest: int) -> Array:
+    """The standard errors of ln p of bins relative to that of the lowest, (B,).
+
+    responses : (B, N) of ln p to the weight of each sample, at fixed f; f responds by −H⁺ times the shares, with the
+        curvature H of the likelihood.
+    """
+    curvature = np.diag(counts) - shares @ shares.T
+    total = responses + responses @ shares.T @ np.linalg.pinv(curvature, hermitian=True) @ shares
+    total -= total[lowest]
+    variance = np.zeros(len(total))
+    for own in np.split(total, np.cumsum(counts[:-1]).astype(int), axis=1):
+        parts = np.array_split(own, min(own.shape[1], MOST_BLOCKS), axis=1)
+        blocks = np.array([part.mean(axis=1) for part in parts])
+        variance += (own.shape[1] * standard_error(blocks)) ** 2
+    return np.sqrt(variance)
 
 
 def _solved(biases: Array, counts: Array) -> tuple[Array, Array, Array]:
@@ -240,13 +221,3 @@ def _check_overlap(series: Sequence[Array], centers: Array) -> None:
                 f"windows must overlap; windows {order[k - 1]} and {order[k]}, with centers {centers[order[k - 1]]:g} "
                 f"and {centers[order[k]]:g}, leave a gap from {high:.4g} to {low:.4g}: add a window, or soften springs"
             )
-
-
-def _edges(bins: Any, x: Array) -> Array:
-    if isinstance(bins, int | np.integer) and not isinstance(bins, bool):
-        n = int(checked_number("bins", bins, "positive and finite"))
-        return np.linspace(x.min(), x.max(), n + 1)
-    edges = checked_numbers("bins", bins, "a number, or edges")
-    if edges.ndim != 1 or len(edges) < 2 or not (np.diff(edges) > 0.0).all():
-        raise ValueError("bins must be a number of bins, or increasing edges")
-    return edges

@@ -5,9 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from minimd.core.potentials.mie import Mie
-from minimd.core.potentials.pair import MIXING, LennardJones, Nonbonded
-from minimd.core.potentials.soft_repulsion import SoftRepulsion
+from minimd.core.potentials.pair import MIXING, LennardJones, Mie, Nonbonded, SoftRepulsion
 from minimd.core.potentials.truncation import TRUNCATIONS
 from minimd.scene.section import Dimension, NotNegative, Positive, Section, Two, Vector, one_of
 
@@ -31,8 +29,7 @@ class PairSection(SpeciesSection):
 class LennardJonesSection(Section):
     """[[potential]] of type "lennard-jones"."""
 
-    law: ClassVar[type[Nonbonded]] = LennardJones
-    numbers: ClassVar[tuple[str, ...]] = ("epsilon", "sigma")
+    law: ClassVar[Any] = LennardJones
     type: Literal["lennard-jones"]
     epsilon: Annotated[NotNegative | None, Dimension("energy")] = None
     sigma: Length = None
@@ -47,10 +44,10 @@ class LennardJonesSection(Section):
 
     def faults(self, units: str) -> Iterator[str]:
         """See Section."""
-        missing = [getattr(self, name) for name in self.numbers].count(None)
-        if missing != (0 if self.species is None else len(self.numbers)):
-            names = ", ".join(self.numbers[:-1])
-            yield f"must have either {names} and {self.numbers[-1]}, or a table of species with all of them"
+        numbers = self._numbers_of(self)
+        if numbers.count(None) != (0 if self.species is None else len(numbers)):
+            *names, last = self.law.numbers_of_well
+            yield f"must have either {', '.join(names)} and {last}, or a table of species with all of them"
 
     def potential(self) -> Nonbonded:
         """The potential that the section describes."""
@@ -58,12 +55,12 @@ class LennardJonesSection(Section):
         if self.species is not None:
             first = {name: self._numbers_of(well) for name, well in self.species.items()}
         pairs: Any = {tuple(pair.species): self._numbers_of(pair) for pair in self.pairs}
-        options = self.model_dump(exclude={"type", "species", "pairs", *self.numbers})
-        law: Any = self.law
-        return law(first, *others, pairs=pairs, **options)
+        options = self.model_dump(exclude={"type", "species", "pairs", *self.law.numbers_of_well})
+        potential: Nonbonded = self.law(first, *others, pairs=pairs, **options)
+        return potential
 
     def _numbers_of(self, section: Section) -> tuple[Any, ...]:
-        return tuple(getattr(section, name) for name in self.numbers)
+        return tuple(getattr(section, name) for name in self.law.numbers_of_well)
 
 
 class MieSpeciesSection(SpeciesSection):
@@ -82,8 +79,7 @@ class MiePairSection(MieSpeciesSection):
 class MieSection(LennardJonesSection):
     """[[potential]] of type "mie"."""
 
-    law: ClassVar[type[Nonbonded]] = Mie
-    numbers: ClassVar[tuple[str, ...]] = ("epsilon", "sigma", "n", "m")
+    law: ClassVar[Any] = Mie
     type: Literal["mie"]  # type: ignore[assignment]
     n: Positive | None = None
     m: Positive | None = None
@@ -91,29 +87,14 @@ class MieSection(LennardJonesSection):
     pairs: list[MiePairSection] = Field([])  # type: ignore[assignment]
 
 
-class SoftPairSection(Section):
-    """An entry of pairs: the height for two species."""
-
-    species: PairOfSpecies
-    height: Annotated[NotNegative, Dimension("energy")]
-
-
 class SoftRepulsionSection(Section):
     """[[potential]] of type "soft-repulsion"."""
 
     type: Literal["soft-repulsion"]
-    height: Annotated[NotNegative | None, Dimension("energy")] = None
-    pairs: Annotated[list[SoftPairSection] | None, Field(min_length=1)] = None
+    height: Annotated[NotNegative, Dimension("energy")]
     cutoff: Annotated[Positive, Dimension("length")]
     bonded_scale: Vector = Field([1.0, 1.0, 1.0])
 
-    def faults(self, units: str) -> Iterator[str]:
-        """See Section."""
-        if (self.height is None) == (self.pairs is None):
-            yield f"must have either {self.key('height', units)}, that of all pairs, or pairs, with that of each"
-
     def potential(self) -> SoftRepulsion:
         """The potential that the section describes."""
-        by_pair: Any = {tuple(pair.species): pair.height for pair in self.pairs or ()}
-        height = by_pair if self.height is None else self.height
-        return SoftRepulsion(height, self.cutoff, bonded_scale=self.bonded_scale)
+        return SoftRepulsion(**self.model_dump(exclude={"type"}))

@@ -51,7 +51,7 @@ PAIRS = {
         truncation="switched",
         pairs={("A", "B"): (0.8, 0.95, 13.0, 6.5)},
     ),
-    "soft repulsion": md.SoftRepulsion({("A", "A"): 3.0, ("A", "B"): 2.0, ("B", "B"): 1.0}, CUTOFFS),
+    "soft repulsion": md.SoftRepulsion({"A": (3.0,), "B": (1.0,)}, CUTOFFS, pairs={("A", "B"): (2.0,)}),
 }
 BONDED = {
     "scaled neighbors": md.LennardJones(TWO_KINDS, cutoff=CUTOFF, truncation="switched", bonded_scale=(0.0, 0.3, 0.7)),

@@ -121,16 +121,15 @@ def test_a_table_file_of_lammps_is_its_law(tmp_path, spacing):
     assert md.Tabulated.from_file(file_of(tmp_path, text), "OTHER", cutoff=6.0).cutoff == 6.0
 
 
-def test_sections_of_a_file_are_for_pairs_of_species_and_kilocalories_become_electronvolts(tmp_path):
-    text = "# UNITS: real\n" + lennard_jones_section("AA") + lennard_jones_section("AB").replace(" 0.8 ", " 0.8 ")
-    keywords = {("A", "A"): "AA", ("A", "B"): "AB"}
-    potential = md.Tabulated.from_file(file_of(tmp_path, text), keywords, truncation="truncated")
-    assert potential.pair_energy(1.1, "B", "A") == pytest.approx(lennard_jones(1.1) * 4.184 / 96.48533, rel=1e-6)
+def test_kilocalories_become_electronvolts_as_in_lammps(tmp_path):
+    file = file_of(tmp_path, "\ufeff# DATE: 2020-01-01 UNITS: real\n" + lennard_jones_section())
+    potential = md.Tabulated.from_file(file, truncation="truncated")
+    assert potential.pair_energy(1.1) == pytest.approx(lennard_jones(1.1) * 4.184 / 96.48533, rel=1e-6)
 
 
 @pytest.mark.parametrize("factor", [-1.0, 2.0, 1.05])
 def test_a_force_that_is_not_the_slope_is_told_and_the_slope_taken(tmp_path, factor):
-    with pytest.warns(UserWarning, match=r"force in the table is not -du/dr at \d+ of 200 distances"):
+    with pytest.warns(UserWarning, match=r"force in the table is not -du/dr at \d+ distances"):
         potential = md.Tabulated.from_file(file_of(tmp_path, lennard_jones_section(factor=factor)))
     assert force_over_distance(potential, [1.2]) == pytest.approx(24.0 * (2.0 * 1.2**-14 - 1.2**-8), rel=1e-6)
 
@@ -146,22 +145,24 @@ def test_rounded_and_coarse_tables_have_no_wrong_forces(tmp_path, n, digits):
 
 GOOD = lennard_jones_section()
 WRONG = {
-    "three columns": (GOOD.replace("\n7 ", "\n", 1), "line 10", "4 finite numbers"),
-    "too few lines": ("\n".join(GOOD.splitlines()[:-2]), "N = 200", "there are 198"),
-    "fewer than N before a section": (GOOD.replace("N 200", "N 201") + GOOD.replace("LJ", "B"), "N = 201", "'B'"),
-    "more lines than N": (GOOD.replace("N 200 R 0.8 2.5", "N 199"), "line 203", "more lines than its N"),
-    "no N": (GOOD.replace("N 200 ", ""), "line 2", "N"),
-    "half an N": (GOOD.replace("N 200", "N 200.5"), "line 2", "200.5"),
-    "bitmap": (GOOD.replace("R 0.8", "BITMAP 0.8"), "line 2", "'BITMAP'"),
-    "another spacing": (GOOD.replace("R 0.8", "RSQ 0.8"), "line 5", "RSQ 0.8 2.5"),
-    "ends in reverse": (GOOD.replace("0.8 2.5", "2.5 0.8"), "line 2", "2.5 and 0.8"),
-    "not a number": (GOOD.replace("\n7 ", "\nseven ", 1), "line 10", "seven"),
-    "nan": (GOOD + section("B", "N 6", np.arange(1.0, 7.0), np.full(6, np.nan), np.zeros(6)), "section 'B'", "nan"),
-    "the same twice": (GOOD + GOOD, "line 204", "twice"),
+    "a row of three": (GOOD.replace("\n7 ", "\n", 1), "N = 200", "from 4 to 3 at row 7"),
+    "three columns": ("LJ\nN 6\n" + "1 2.0 3.0\n" * 6, "N = 6", "6 of 3"),
+    "too few rows": ("\n".join(GOOD.splitlines()[:-2]), "N = 200", "198 of 4"),
+    "too few before a section": (GOOD.replace("N 200", "N 201") + GOOD.replace("LJ", "B"), "N = 201", "row 201"),
+    "more rows than N": (GOOD.replace("N 200 R 0.8 2.5", "N 199"), "line 203", "N of the section before"),
+    "no rows": ("LJ\nN 6\n", "N = 6", "0 of"),
+    "no N": (GOOD.replace("N 200 ", ""), "line 1", "must have N"),
+    "half an N": (GOOD.replace("N 200", "N 200.5"), "line 1", "200.5"),
+    "bitmap": (GOOD.replace("R 0.8", "BITMAP 0.8"), "line 1", "BITMAP"),
+    "another spacing": (GOOD.replace("R 0.8", "RSQ 0.8"), "line 1", "row 2"),
+    "ends in reverse": (GOOD.replace("0.8 2.5", "2.5 0.8"), "line 1", "row 1 must be 2.5"),
+    "not a number": (GOOD.replace("\n7 ", "\nseven ", 1), "N = 200", "'seven'"),
+    "nan": (GOOD + section("B", "N 6", np.arange(1.0, 7.0), np.full(6, np.nan), np.zeros(6)), "'B'", "finite"),
+    "the same twice": (GOOD + GOOD, "line 204", "'LJ'", "new keyword"),
     "another unit": ("# UNITS: electron\n" + GOOD, "UNITS", "electron"),
     "no keyword": (GOOD.partition("\n")[2].partition("\n")[2], "line 2", "keyword"),
-    "nothing": ("# nothing\n", "empty", "N"),
-    "no line with N": ("LJ\n", "line 1", "N is missing"),
+    "nothing": ("# nothing\n", "keyword must", "'LJ'"),
+    "no line with N": ("LJ\n", "line 1", "must have N"),
     "another keyword": (GOOD.replace("LJ", "MORSE"), "'MORSE'", "keyword = 'LJ'"),
 }
 
@@ -174,6 +175,6 @@ def test_files_that_are_not_understood_are_refused_with_their_line(tmp_path, nam
 
 def test_keywords_are_of_sections(tmp_path):
     file = file_of(tmp_path, GOOD + GOOD.replace("LJ", "B"))
-    for keyword, shown in ((None, "None"), ("L", "'L'"), (3, "3"), ({}, "{}"), ({("A", "A"): "C"}, "'C'")):
+    for keyword, shown in ((None, "None"), ("L", "'L'"), (3, "3"), ({}, "{}")):
         assert_answered(lambda keyword=keyword: md.Tabulated.from_file(file, keyword), ValueError, "'LJ', 'B'", shown)
     assert_answered(lambda: md.Tabulated.from_file(file.parent), ValueError, "regular file")

@@ -27,7 +27,6 @@ U_MASS, EV, K_B, ANGSTROM = 1.66053906660e-27, 1.602176634e-19, 1.380649e-23, 1e
 TIME_UNIT = ANGSTROM * np.sqrt(U_MASS / EV)  # s
 CODATA = {"rel": 1e-6, "abs": 0.0}  # what two editions differ by; approx would take every number of SI size for zero
 MOLECULE, PAIR = scene_text("molecule"), scene_text("pair")
-HEIGHTS = [("Ar", "Ar", 0.1), ("Kr", "Ar", 0.3), ("Kr", "Kr", 0.2)]
 ENDINGS = {  # of keys: SI / that of minimd, for each dimension
     "length":       (ANGSTROM, {"_A": ANGSTROM}),                    "time": (TIME_UNIT, {"_fs": 1e-15}),
     "temperature":  (1.0, {"_K": 1.0}),                              "energy": (EV, {"_eV": EV, "_K": K_B}),
@@ -280,22 +279,22 @@ def test_mie_soft_and_quartic_laws_of_scenes_have_their_numbers_and_units(folder
     quartic = (
         'type = "quartic-bond"\nk2_eV_A2 = 3.0\nk3_eV_A3 = -2.0\nk4_eV_A4 = 1.5\nlength_A = 3.7\npairs = [[0, 1]]\n'
     )
-    heights = [f'{{ species = ["{a}", "{b}"], height_eV = {height} }}' for a, b, height in HEIGHTS]
-    heights = f"pairs = [{', '.join(heights)}]\n"
     well = lambda epsilon, sigma: 4.0 * epsilon * ((sigma / 4.0) ** 14 - (sigma / 4.0) ** 7)  # noqa: E731
     for text, energy in (
         (mie + "epsilon_K = 150.0\nsigma_A = 3.5\nn = 14.0\nm = 7.0\n", well(150.0, 3.5) * K_B / EV),
         (mie + wells + "n = 14.0, m = 7.0 } }\n", well(np.sqrt(120.0 * 164.0), 3.5) * K_B / EV),
         (mie + wells + "n = 12.0, m = 6.0 } }\n" + unlike, well(150.0, 3.5) * K_B / EV),
         (soft + "height_eV = 0.3\n", 0.3 * (1.0 - 0.5)),
-        (soft + heights, 0.3 * (1.0 - 0.5)),
         (quartic, 3.0 * x**2 - 2.0 * x**3 + 1.5 * x**4),
     ):
         scene = scene_of(head + text)
         is_bond = text == quartic
         found = energy_of(scene) if is_bond else scene.potentials()[0].pair_energy(4.0, "Ar", "Kr")
         assert found == pytest.approx(energy, **CODATA), text
-    for text, word in ((mie + "epsilon_K = 150.0\nsigma_A = 3.5\nn = 14.0\n", "n and m"), (soft, "height_K")):
+    for text, word in (
+        (mie + "epsilon_K = 150.0\nsigma_A = 3.5\nn = 14.0\n", "n and m"),
+        (soft, "height_K is missing"),
+    ):
         assert_answered(lambda text=text: scene_of(head + text), ValueError, "potential[0]", word)
 
 

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 from minimd.core.console.display import Rows, as_text
 from minimd.core.console.words import listed, near, shown
 from minimd.core.potentials import declared as kind
-from minimd.core.potentials.declared import Declared, LammpsStyle, declared
+from minimd.core.potentials.declared import NOT_NEGATIVE, POSITIVE, Declared, LammpsStyle, declared
 from minimd.core.potentials.law import check_user_law, evaluate_law, is_user_law, law_at
-from minimd.core.potentials.laws import LennardJonesLaw
+from minimd.core.potentials.laws import LennardJonesLaw, MieLaw, SoftRepulsionLaw
 from minimd.core.potentials.term import Embedding, OwnTerm, PairLaw, no_bonds
 from minimd.core.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
 from minimd.core.structure.arrays import Array, Indices
@@ -66,6 +66,8 @@ MIXING = {"lorentz-berthelot": lorentz_berthelot, "geometric": geometric}
 # what arguments are, and what they do
 FOR_PAIRS = "one number, or a mapping from pairs of species"
 R_C = "r_c; none only in scenes without periodicity"
+HEIGHTS = "one number, or a mapping from species to (A,)"
+MIE_WELLS = "one number, or a mapping from species to (ε, σ, n, m) and no others"
 WELLS = "one number, or a mapping from species to (ε, σ) and no sigma"
 A_RULE = "'lorentz-berthelot', 'geometric', or a function of two tuples of parameters"
 OF_PAIRS = (
@@ -78,6 +80,7 @@ FACTORS = "factors for pairs one, two and three bonds apart; 0 excludes, 1 chang
 TAIL = "add energy and virial of what truncation leaves out, at uniform density (g = 1); for truncated and the switches"
 LEFT_OUT = "on which the law does not act, whatever bonded_scale says; their nearest images, too"
 # arguments of several classes
+SIGMA = declared(kind.given, "where u = 0", "length", of="one number", default=None)
 CUTOFF = declared(kind.given, R_C, "length", of=FOR_PAIRS, default=None)
 TRUNCATION = declared(kind.choice, SEE, of=TRUNCATIONS, default="shifted")
 
@@ -266,6 +269,10 @@ class Nonbonded(Declared, metaclass=ABCMeta):
             return own
         if (a, b) in self._by_pair:
             return self._by_pair[a, b]
+        if not own:
+            raise ValueError(
+                f"{type(self).__name__} has nothing for the pair {a!r}, {b!r}; it has {listed(self._by_pair)}"
+            )
 
         for name in (a, b):
             if name not in own:
@@ -478,31 +485,26 @@ def curvature_at_minimum(epsilon: Any, sigma: Any) -> Any:
     return 72.0 * epsilon / (2.0 ** (1.0 / 3.0) * sigma * sigma)
 
 
-class LennardJones(Nonbonded):
-    """Lennard-Jones 12-6 potential u(r) = 4ε [(σ/r)¹² − (σ/r)⁶]."""
+class Well(Nonbonded):
+    """Base class of wells with numbers of their own: for all atoms, or a mapping from species in place of the first.
 
-    lammps = LammpsStyle("lj/cut")
-    epsilon: float | Mapping[Label, tuple[float, float]] = declared(
-        kind.given, "depth of the well", "energy", of=WELLS
-    )
-    sigma: float | None = declared(
-        kind.given, "where u = 0", "length", of="one number", default=None
-    )
-    cutoff: Cutoff | None = CUTOFF
-    truncation: TruncationName = TRUNCATION
-    mixing: MixingName | Rule | None = declared(
-        kind.given, OTHERS, of=A_RULE, default="lorentz-berthelot", kw_only=True
-    )
+    well : law type.
+    numbers_of_well : what each must be, by name, σ second.
+    """
+
+    well: ClassVar[Any]
+    numbers_of_well: ClassVar[Mapping[str, str]] = {"epsilon": NOT_NEGATIVE, "sigma": POSITIVE}
 
     def as_law(self) -> tuple[Any, Any, Any]:
         """See Nonbonded."""
-        is_by_species = isinstance(self.epsilon, Mapping)
-        if is_by_species == (self.sigma is not None):
+        first, *others = (getattr(self, name) for name in self.numbers_of_well)
+        is_by_species = isinstance(first, Mapping)
+        if others.count(None) != (len(others) if is_by_species else 0):
+            names = ", ".join(self.numbers_of_well)
             raise ValueError(
-                "give LennardJones either epsilon and sigma, or one mapping from species to (epsilon, sigma)"
+                f"give {type(self).__name__} either all of {names}, or one mapping from species to ({names})"
             )
-        parameters = self.epsilon if is_by_species else (self.epsilon, self.sigma)
-        return LennardJonesLaw(), parameters, self.pairs
+        return self.well, first if is_by_species else (first, *others), self.pairs
 
     @property
     def shortest_length(self) -> float:
@@ -512,18 +514,105 @@ class LennardJones(Nonbonded):
             return shortest
         own = self.parameters
         parameters = [*own.values()] if isinstance(own, dict) else [own]
-        return min((sigma for _, sigma in (*parameters, *self._by_pair.values())), default=inf)
+        return min((sigma for _, sigma, *_ in (*parameters, *self._by_pair.values())), default=inf)
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
-        if not isinstance(numbers, Sequence | np.ndarray) or len(numbers) != 2:
+        demands = self.numbers_of_well
+        if not isinstance(numbers, Sequence | np.ndarray) or len(numbers) != len(demands):
             raise ValueError(
-                f"Lennard-Jones parameters are (epsilon, sigma); those of {of!r} are {shown(numbers)}"
+                f"{type(self).__name__} parameters are ({', '.join(demands)}); those of {of!r} are {shown(numbers)}"
             )
         whose = "" if of is None else f" of {of!r}"
-        epsilon = checked_number(f"epsilon{whose}", numbers[0], "finite and not negative")
-        sigma = checked_number(f"sigma{whose}", numbers[1], "positive and finite")
-        return epsilon, sigma
+        named = zip(demands.items(), numbers, strict=True)
+        return tuple(
+            checked_number(f"{name}{whose}", value, demand) for (name, demand), value in named
+        )
+
+
+class LennardJones(Well):
+    """Lennard-Jones 12-6 potential u(r) = 4ε [(σ/r)¹² − (σ/r)⁶]."""
+
+    well = LennardJonesLaw()
+    lammps = LammpsStyle("lj/cut")
+    epsilon: float | Mapping[Label, tuple[float, float]] = declared(
+        kind.given, "depth of the well", "energy", of=WELLS
+    )
+    sigma: float | None = SIGMA
+    cutoff: Cutoff | None = CUTOFF
+    truncation: TruncationName = TRUNCATION
+    mixing: MixingName | Rule | None = declared(
+        kind.given, OTHERS, of=A_RULE, default="lorentz-berthelot", kw_only=True
+    )
+
+
+class Mie(Well):
+    """Mie potential u(r) = C ε [(σ/r)ⁿ − (σ/r)ᵐ], C = n/(n − m) (n/m)^(m/(n − m)), whose well is ε deep.
+
+    n = 12, m = 6 is Lennard-Jones. The named mixing rules are for species with the same exponents; for others, mixing
+    is a function of two tuples (ε, σ, n, m), or pairs has their numbers. LAMMPS' `pair_style mie/cut`.
+    """
+
+    well = MieLaw()
+    numbers_of_well: ClassVar[Mapping[str, str]] = {
+        **Well.numbers_of_well,
+        "n": POSITIVE,
+        "m": POSITIVE,
+    }
+    lammps = LammpsStyle("mie/cut")
+    epsilon: float | Mapping[Label, tuple[float, float, float, float]] = declared(
+        kind.given, "depth of the well", "energy", of=MIE_WELLS
+    )
+    sigma: float | None = SIGMA
+    n: float | None = declared(kind.given, "exponent of repulsion", of="one number", default=None)
+    m: float | None = declared(
+        kind.given, "exponent of attraction, below n", of="one number", default=None
+    )
+    cutoff: Cutoff | None = CUTOFF
+    truncation: TruncationName = TRUNCATION
+    mixing: MixingName | Rule | None = declared(
+        kind.given, OTHERS, of=A_RULE, default="lorentz-berthelot", kw_only=True
+    )
+
+    def mixed(self, first: Parameters, second: Parameters) -> Parameters:
+        """See Nonbonded."""
+        if not isinstance(self.mixing, str):
+            return super().mixed(first, second)
+        if first[2:] != second[2:]:
+            raise ValueError(
+                f"mixing {self.mixing!r} is for Mie potentials with the same n and m; these are {first[2:]} and "
+                f"{second[2:]}: give pairs={{...}}, or a function"
+            )
+        return (*super().mixed(first, second), *first[2:])
+
+    def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
+        checked = super()._checked_numbers(numbers, of)
+        if not checked[2] > checked[3]:
+            raise ValueError(f"n must be larger than m; those of {of!r} are {checked[2:]}")
+        return checked
+
+
+class SoftRepulsion(Well):
+    """Soft repulsion u(r) = A [1 + cos(πr/r_c)], which lets atoms pass through each other and pushes them apart.
+
+    It is 2A high at r = 0, where it has no force, and goes to zero at r_c with its force. LAMMPS' `pair_style soft`.
+    """
+
+    well = SoftRepulsionLaw()
+    numbers_of_well: ClassVar[Mapping[str, str]] = {"height": NOT_NEGATIVE}
+    lammps = LammpsStyle("soft", lambda height, _reach: (height,))
+    height: float | Mapping[Label, tuple[float]] = declared(
+        kind.given, "A, half of u at r = 0", "energy", of=HEIGHTS
+    )
+    cutoff: Cutoff = declared(kind.given, "r_c, where u and force vanish", "length", of=FOR_PAIRS)
+    truncation: TruncationName = declared(
+        kind.choice, of=TRUNCATIONS, init=False, default="truncated"
+    )
+
+    def _numbers_of_laws(self, parameters: Parameters, cutoff: float) -> Parameters:
+        return (*parameters, checked_number("cutoff", cutoff, "positive and finite"))
 
 
 # for isinstance: constructors differ, so that none can inherit another
 PairPotential.register(LennardJones)
+PairPotential.register(Mie)
+PairPotential.register(SoftRepulsion)

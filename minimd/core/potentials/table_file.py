@@ -1,195 +1,105 @@
-"""The tables of pairs in a file for LAMMPS' pair_style table: sections of lines "number r u force".
+"""The tables of pairs in a file for LAMMPS' pair_style table.
 
     # comments, and empty lines, anywhere
     KEYWORD
-    N 500 R 0.8 2.5             or RSQ, of equally spaced r²; without both, r is that of each line
-    1 0.8 34.1 643.2
+    N 500 R 0.8 2.5             or RSQ, of equally spaced r²; without both, r is that of each row
+    1 0.8 34.1 643.2            number, r, u, force; N such rows
 
-A tag UNITS in the first comment tells real from metal: energies in kcal/mol are returned in eV, as LAMMPS does.
+A tag UNITS in the first comment tells real from metal: energies in kcal/mol become eV, as in LAMMPS. FP and FPRIME, the
+slopes of the force at both ends, are passed over: splines of minimd do not need them.
 """
 
 import os
 import re
-from math import isfinite
-from typing import NamedTuple
 
 import numpy as np
 
-from minimd.core.console.words import listed, near, shown
+from minimd.core.console.words import listed, shown
+from minimd.core.potentials.embedded_files import read_as
 from minimd.core.structure.arrays import Array
-from minimd.core.structure.checks import checked_path
 from minimd.core.structure.units import KJ_PER_MOL_PER_EV
 
 UNITS = re.compile(r"#.*\bUNITS:\s*(\S+)")
-# by the tag UNITS: the energy of minimd's units, eV or ε
+# by this tag: the energy of minimd's units, eV or ε
 ENERGIES = {"metal": 1.0, "lj": 1.0, "real": 4.184 / KJ_PER_MOL_PER_EV}
-SPACINGS = "R", "RSQ"
-OF_ENDS = "FPRIME", "FP"  # slopes of the force at both ends, which splines of minimd do not need
+NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+HEADER = re.compile(
+    rf"(?=(?:.*\s)?N\s)(?:\s*(?:N\s+(\d+)|(RSQ|R)\s+({NUMBER})\s+({NUMBER})|FP(?:RIME)?\s+{NUMBER}\s+{NUMBER})(?=\s|$))+\s*"
+)
+POWERS = {"R": 1, "RSQ": 2}
 COLUMNS = 4
-# of the distance of two points: by how much r of a line may differ from that of the spacing, which is the one taken
+# of the distance of two points: by how much r of a row may differ from that of the spacing, which is the one taken
 ROUNDED = 0.1
 
 
-class PairTable(NamedTuple):
-    """A section of a file.
-    r, u, force : (N,) [length], [energy], [energy/length]."""
-
-    r: Array
-    u: Array
-    force: Array
-
-
-class Line(NamedTuple):
-    """A line that is neither empty nor a comment.
-    number : in the file, from 1 on."""
-
-    number: int
-    words: list[str]
-
-
-class Header(NamedTuple):
-    """What the second line of a section says.
-    spacing : a name of SPACINGS, or empty.  ends : the first and the last distance [length]."""
-
-    n: int
-    spacing: str
-    ends: tuple[float, float]
-
-
-def read_sections(file: str | os.PathLike[str]) -> dict[str, PairTable]:
-    """The tables in a file, by keyword.
+def read_table(file: str | os.PathLike[str], keyword: str | None) -> Array:
+    """r [length], u [energy] and the force [energy/length] of a keyword, (3, N); of the only one for None.
     Raises OSError for a file that cannot be read; ValueError for one that holds something else."""
-    path = checked_path("file", file)
-    if path.exists() and not path.is_file():
-        raise ValueError(f"file {str(path)!r} is not a regular file")
-    try:
-        return sections_of(path.read_text(encoding="utf-8-sig", errors="replace"))
-    except ValueError as error:
-        raise ValueError(f"file {str(path)!r}: {error}") from None
+    tables = read_as(file, _tables)
+    if keyword is None and len(tables) == 1:
+        (keyword,) = tables
+    if keyword not in [*tables]:
+        raise ValueError(
+            f"keyword must be that of a section, {listed(tables)}; keyword = {shown(keyword)}"
+        )
+    return tables[keyword]
 
 
-def sections_of(text: str) -> dict[str, PairTable]:
-    """The tables in the text of such a file, by keyword.
-    Raises ValueError for one that holds something else."""
-    tag = UNITS.match(text.partition("\n")[0])
+def _tables(_name: str, text: str) -> dict[str, Array]:
+    """The tables in the text of a file, by keyword.
+    Raises ValueError for a text that has something else."""
+    tag = UNITS.match(text)
     units = tag[1] if tag else "metal"
     if units not in ENERGIES:
         raise ValueError(f"UNITS must be one of {listed(ENERGIES)}; it is {shown(units)}")
-    split = [line.partition("#")[0].split() for line in text.splitlines()]
-    lines = [Line(number, words) for number, words in enumerate(split, start=1) if words]
+    split = [line.partition("#")[0].strip() for line in text.splitlines()]
+    lines = [(k, line) for k, line in enumerate(split, 1) if line]
+    tables: dict[str, Array] = {}
 
-    sections: dict[str, PairTable] = {}
-    start = 0
-    while start < len(lines):
-        keyword = lines[start].words[0]
-        where = f"section {shown(keyword)}, line {lines[start].number}"
-        if len(lines[start].words) > 1 and all(map(_is_number, lines[start].words)):
-            before = (
-                f"section {shown([*sections][-1])} has more lines than its N"
-                if sections
-                else "there is none"
-            )
+    while lines:
+        number, line = lines[0]
+        keyword = line.split()[0]
+        where = f"section {shown(keyword)}, line {number}"
+        if keyword in tables or re.fullmatch(NUMBER, keyword):
             raise ValueError(
-                f"line {lines[start].number} must be the keyword of a section; {before}"
+                f"{where}: a new keyword must stand there; is N of the section before too small?"
             )
-        if keyword in sections:
-            raise ValueError(f"{where}: its keyword stands in the file twice")
-        if start + 1 == len(lines):
-            raise ValueError(f"{where}: the line with N is missing")
-        header = _header(lines[start + 1])
-        rows = lines[start + 2 : start + 2 + header.n]
-        sections[keyword] = _table(where, header, rows, ENERGIES[units])
-        start += 2 + header.n
+        second = lines[1][1] if lines[1:] else ""
+        header = HEADER.fullmatch(second)
+        if header is None:
+            raise ValueError(
+                f"{where}: the line behind it must have N, perhaps R or RSQ with the ends of r, and FP or FPRIME, as "
+                f"'N 500 R 0.8 2.5'; it is {shown(second)}"
+            )
+        n = int(header[1])
+        columns = _columns(where, n, [row for _, row in lines[2 : 2 + n]])
+        if header[2]:
+            power = POWERS[header[2]]
+            first, last = (float(end) ** power for end in header.group(3, 4))
+            r = np.linspace(first, last, n) ** (1.0 / power)
+            wrong = np.flatnonzero(~(np.abs(columns[0] - r) <= ROUNDED * np.gradient(r)))
+            if wrong.size:
+                k = wrong[0]
+                raise ValueError(
+                    f"{where}: r of row {k + 1} must be {r[k]:.6g}, by the line with N; it is {columns[0, k]:.6g}"
+                )
+            columns[0] = r
+        columns[1:] *= ENERGIES[units]
+        tables[keyword] = columns
+        lines = lines[2 + n :]
 
-    if not sections:
-        raise ValueError(
-            "it must have a section with a keyword, a line with N, and N lines; it is empty"
-        )
-    return sections
-
-
-def section_named(sections: dict[str, PairTable], keyword: str | None) -> PairTable:
-    """The table of a keyword; the only one for None.
-    Raises ValueError if there is none."""
-    if keyword is None and len(sections) == 1:
-        return next(iter(sections.values()))
-    if not isinstance(keyword, str) or keyword not in sections:
-        hint = near(keyword, sections) if isinstance(keyword, str) else ""
-        raise ValueError(
-            f"keyword must be that of a section, {listed(sections)}; keyword = {shown(keyword)}{hint}"
-        )
-    return sections[keyword]
+    return tables
 
 
-def _is_number(word: str) -> bool:
+def _columns(where: str, n: int, rows: list[str]) -> Array:
+    """The numbers of n rows without the first of each, (3, n)."""
     try:
-        return isfinite(float(word))
-    except ValueError:
-        return False
-
-
-def _header(line: Line) -> Header:
-    """What the line with N says.
-    Raises ValueError for words that are not understood."""
-    where = f"line {line.number}"
-    words = iter(line.words)
-    n = 0
-    spacing = ""
-    ends = (0.0, 0.0)
-    for word in words:
-        takes = 1 if word == "N" else 2
-        numbers = [next(words, "") for _ in range(takes)]
-        if word not in ("N", *SPACINGS, *OF_ENDS):
-            known = listed(("N", *SPACINGS, *OF_ENDS))
-            raise ValueError(
-                f"{where} must have {known} with their numbers, as in 'N 500 R 0.8 2.5'; it has {shown(word)}"
-            )
-        if not all(map(_is_number, numbers)):
-            raise ValueError(
-                f"{where}: {word} needs {takes} finite numbers; they are {shown(numbers)}"
-            )
-        if word == "N":
-            n = int(numbers[0]) if numbers[0].isdecimal() else 0
-        elif word in SPACINGS:
-            spacing = word
-            ends = (float(numbers[0]), float(numbers[1]))
-    if n < 2:
-        raise ValueError(
-            f"{where} must have N, a whole number of 2 or more lines; it is {shown(' '.join(line.words))}"
-        )
-    if spacing and not 0.0 <= ends[0] < ends[1]:
-        raise ValueError(
-            f"{where}: {spacing} needs two increasing distances; they are {ends[0]:g} and {ends[1]:g}"
-        )
-    return Header(n, spacing, ends)
-
-
-def _table(where: str, header: Header, lines: list[Line], energy: float) -> PairTable:
-    """The table of a section.
-    energy : its unit.
-    Raises ValueError for missing lines, for lines of another kind, and for distances that contradict the spacing."""
-    rows = []
-    for line in lines:
-        if len(line.words) != COLUMNS or not all(map(_is_number, line.words)):
-            raise ValueError(
-                f"{where}: it needs N = {header.n} lines of {COLUMNS} finite numbers, number, r, u and force; line "
-                f"{line.number} is {shown(' '.join(line.words))}"
-            )
-        rows.append([float(word) for word in line.words])
-    if len(rows) < header.n:
-        raise ValueError(f"{where}: N = {header.n}, and there are {len(rows)} lines")
-
-    _, r, u, force = np.array(rows).T
-    if header.spacing:
-        power = SPACINGS.index(header.spacing) + 1
-        first, last = (end**power for end in header.ends)
-        spaced = np.linspace(first, last, header.n) ** (1.0 / power)
-        wrong = np.flatnonzero(np.abs(r - spaced) > ROUNDED * np.gradient(spaced))
-        if wrong.size:
-            k = wrong[0]
-            raise ValueError(
-                f"{where}: r must be that of {header.spacing} {header.ends[0]:g} {header.ends[1]:g}, "
-                f"{spaced[k]:.6g}; line {lines[k].number} has {r[k]:.6g}"
-            )
-        r = spaced
-    return PairTable(r, energy * u, energy * force)
+        columns = np.loadtxt(rows or ["0"], ndmin=2)
+        reason = f"there are {len(rows)} of {columns.shape[1]}"
+        if columns.shape == (n, COLUMNS) and np.isfinite(columns).all():
+            return columns.T[1:].copy()
+    except ValueError as error:
+        reason = str(error)
+    raise ValueError(
+        f"{where}: N = {n} needs as many rows of four finite numbers, number, r, u and force; {reason}"
+    )

@@ -9,27 +9,26 @@ from math import factorial, nan, sqrt
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
 from minimd.core.compiled.kernels import scalar
 from minimd.core.console.quiet import warn
-from minimd.core.console.words import listed, shown
+from minimd.core.console.words import shown
 from minimd.core.potentials import declared as kind
 from minimd.core.potentials.declared import declared
 from minimd.core.potentials.law import law_type
 from minimd.core.potentials.pair import (
     FOR_PAIRS,
     TRUNCATION,
-    UNSCALED,
     Cutoff,
     Label,
     Nonbonded,
     PairPotential,
-    Parameters,
     checked_cutoffs,
 )
 from minimd.core.potentials.splines import Identical
-from minimd.core.potentials.table_file import PairTable, read_sections, section_named
+from minimd.core.potentials.table_file import read_table
 from minimd.core.potentials.truncation import TruncationName
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_numbers
@@ -37,9 +36,9 @@ from minimd.core.structure.checks import checked_numbers
 # of the pieces of a table: four continuous derivatives of u, so that methods up to order 4 keep their order
 DEGREE = 5
 FEWEST = DEGREE + 1  # points that one piece goes through
-# a force of a file is -du/dr to this part of it, and to this difference of u, in points, over their distance
-SAME_FORCE = 0.01
-ROUGH = 4
+# a force of a file may differ from -du/dr by this part; points on each side whose slopes are compared
+SAME_FORCE = 0.02
+BESIDE = 2
 FOR_EACH = "one number for each r, or a mapping from pairs of species to them"
 
 
@@ -122,31 +121,19 @@ class Tabulated(Nonbonded):
     def from_file(
         cls,
         file: str | os.PathLike[str],
-        keyword: str | Mapping[tuple[Label, Label], str] | None = None,
-        cutoff: Cutoff | None = None,
+        keyword: str | None = None,
+        cutoff: float | None = None,
         truncation: TruncationName = "shifted",
-        bonded_scale: Sequence[float] = UNSCALED,
     ) -> Tabulated:
         """The potential in a file for LAMMPS' pair_style table, in Å and eV, or in σ and ε; kcal/mol if it says so.
 
-        keyword : of the section, or a mapping from pairs of species to keywords; none needed in a file of one section.
+        keyword : of the section; not needed in a file of one.
         A force in the file that is not −du/dr is told by a warning: the force is the derivative of the spline.
         Raises OSError for a file that cannot be read; ValueError for one that holds something else.
         """
-        sections = read_sections(file)
-        is_by_pair = isinstance(keyword, Mapping) and len(keyword) > 0
-        by_pair: Any = keyword if is_by_pair else {None: keyword}
-        tables = {pair: section_named(sections, word) for pair, word in by_pair.items()}
-        first, *others = tables.values()
-        if not all(np.array_equal(first.r, other.r) for other in others):
-            raise ValueError(
-                "the tables of one potential must have the same r; those of this file differ"
-            )
-        energies: Any = {pair: table.u for pair, table in tables.items()}
-        u = energies if is_by_pair else first.u
-        potential = cls(first.r, u, cutoff, truncation, bonded_scale=bonded_scale)
-        for pair, table in tables.items():
-            _tell_of_force(table, "" if pair is None else f" of {pair!r}")
+        r, u, force = read_table(file, keyword)
+        potential = cls(r, u, cutoff, truncation)
+        _tell_of_force(r, u, force)
         return potential
 
     def as_law(self) -> tuple[Any, Any, Any]:
@@ -178,13 +165,6 @@ class Tabulated(Nonbonded):
         if not is_by_pair:
             return law, (0.0,), {}
         return law, {}, {pair: (float(k),) for k, pair in enumerate(energies)}
-
-    def _parameters_of(self, a: Any, b: Any) -> Parameters:
-        if isinstance(self.u, Mapping) and (a, b) not in self._by_pair:
-            raise ValueError(
-                f"Tabulated has no table for the pair {a!r}, {b!r}; it has {listed(self.u)}"
-            )
-        return super()._parameters_of(a, b)
 
 
 def _checked_distances(r: Any) -> Array:
@@ -230,22 +210,17 @@ def _checked_energies(u: Any, r: Array, pair: Any) -> Array:
     return energies
 
 
-def _tell_of_force(table: PairTable, whose: str) -> None:
-    """Warn of a force that is not −S′(r) of the spline, beyond what a rounded or coarse table may differ.
-    whose : for the message."""
-    from scipy.interpolate import make_interp_spline
-
-    r, u, force = table
-    slopes = -make_interp_spline(r, u, DEGREE).derivative()(r)
-    bends = np.pad(np.abs(np.diff(u, ROUGH)), ROUGH // 2, mode="edge") / np.gradient(r)
-    allowed = SAME_FORCE * np.abs(slopes) + np.convolve(bends, np.ones(ROUGH + 1), "same")
-    inside = slice(DEGREE, -DEGREE)
-    wrong = DEGREE + np.flatnonzero(np.abs(force - slopes)[inside] > allowed[inside])
+def _tell_of_force(r: Array, u: Array, force: Array) -> None:
+    """Warn of a force that is not −du/dr, by more than slopes of u nearby differ: a table may be rounded or coarse."""
+    slopes = sliding_window_view(-np.diff(u) / np.diff(r), 2 * BESIDE)
+    middles = slopes.mean(axis=1)
+    allowed = SAME_FORCE * np.abs(middles) + 1.5 * np.ptp(slopes, axis=1)
+    wrong = BESIDE + np.flatnonzero(np.abs(force[BESIDE:-BESIDE] - middles) > allowed)
     if wrong.size:
         k = wrong[0]
         warn(
-            f"the force{whose} in the table is not -du/dr at {wrong.size} of {len(r)} distances, first at r = "
-            f"{r[k]:g}: it is {force[k]:g} in the file and {slopes[k]:g} from the energies, which minimd takes"
+            f"the force in the table is not -du/dr at {wrong.size} distances, first at r = {r[k]:g}: it is "
+            f"{force[k]:g} in the file and {middles[k - BESIDE]:g} from the energies, which minimd takes"
         )
 
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 EVIDENCE = 4  # works or samples: from fewer there is no error bar
 CONTRADICTS = 5.0  # standard errors
-WRONG = "THE WORKS CONTRADICT EACH OTHER"
-BOUND = "THE ERROR BAR IS A LOWER BOUND"
 
 
 class FreeEnergy(Displayed):
@@ -70,21 +68,29 @@ class FreeEnergyDifference(FreeEnergy):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        works = f"{len(self.forward)} works"
-        if len(self.backward):
-            works = f"{works} forward, {len(self.backward)} backward"
         value = with_error(self.free_energy, self.free_energy_error)
         dissipated = self.forward.mean() - self.free_energy
         rows = [
             (self.method, f"ΔF = {value}, kT = {self.kT:g}"),
-            ("works", f"{works}; {dissipated:.3g} are dissipated on average"),
+            (
+                "works",
+                f"{len(self.forward)} forward, {len(self.backward)} backward; {dissipated:.3g} is lost on average",
+            ),
         ]
         if self.n_effective < FEWEST:
-            rows.append(("", f"it rests on about {self.n_effective:.0f} of the works: {BOUND}"))
+            rows.append(
+                (
+                    "",
+                    f"it rests on about {self.n_effective:.0f} of the works: THE ERROR BAR IS A LOWER BOUND",
+                )
+            )
         if abs(self.crooks) > CONTRADICTS:
             advice = "check kT, the signs, and that each way begins in equilibrium"
             rows.append(
-                ("", f"the works are off Crooks' theorem by {self.crooks:.0f} σ: {WRONG}; {advice}")
+                (
+                    "",
+                    f"the works are off Crooks' theorem by {self.crooks:.0f} σ: THEY CONTRADICT EACH OTHER; {advice}",
+                )
             )
         return rows
 
@@ -181,17 +187,18 @@ def bar(works_forward: ArrayLike, works_backward: ArrayLike, kT: float) -> FreeE
         brentq(excess, works.min() - reach, works.max() + reach, xtol=1e-12 * reach)
     )
     x, y = exponents(free_energy)
-    ways = [(x, expit(-x)), (y, expit(-y))]
-    n_effective = min(_effective(share) for _, share in ways)
+    p = expit(-x)
+    q = expit(-y)
+    n_effective = min(_effective(p), _effective(q))
     if n_effective < EVIDENCE:
         raise ValueError(f"{wanted}; ΔF would rest on {n_effective:.1f} of them: {advice}")
 
-    slope = sum((share * (1.0 - share)).sum() for _, share in ways) / kT
-    error = _error_of_sums([share for _, share in ways]) / slope
+    slope = ((p * (1.0 - p)).sum() + (q * (1.0 - q)).sum()) / kT
+    error = _error_of_sums(p, q) / slope
     # zero by Crooks' theorem: the derivative of the likelihood of x by a factor of x
-    products = [share * exponent for exponent, share in ways]
-    scatter = _error_of_sums(products)
-    crooks = sum(product.sum() for product in products) / scatter if scatter > 0.0 else np.nan
+    contradiction = (x * p).sum() + (y * q).sum()
+    scatter = _error_of_sums(x * p, y * q)
+    crooks = contradiction / scatter if scatter > 0.0 else np.nan
     return FreeEnergyDifference(
         "BAR", kT, free_energy, error, forward, backward, n_effective, float(crooks)
     )
@@ -205,7 +212,7 @@ def overlap(lower: Array, upper: Array) -> tuple[float, float]:
     )
 
 
-def _error_of_sums(series: list[Array]) -> float:
+def _error_of_sums(*series: Array) -> float:
     """The standard error of the sum of all numbers of independent series."""
     return float(np.linalg.norm([len(values) * mean_and_error(values)[1] for values in series]))
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.core.console.display import Rows
+from minimd.core.console.words import shown
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_number, checked_numbers, checked_sizes
 from minimd.core.structure.statistics import (
@@ -54,7 +55,6 @@ class FreeEnergyProfile(FreeEnergy):
         """Its single numbers by name; the barrier is the largest free energy."""
         top = int(self.free_energy.argmax())
         return {
-            "kT": self.kT,
             "minimum": float(self.coordinate[self.free_energy.argmin()]),
             "highest": float(self.free_energy[top]),
             "highest_error": float(self.free_energy_error[top]),
@@ -80,7 +80,7 @@ class FreeEnergyProfile(FreeEnergy):
     def draw(self, panel: Axes) -> None:
         """Draw F(ξ), with a band of one standard error."""
         f, error = self.free_energy, self.free_energy_error
-        panel.plot(self.coordinate, f, lw=1.1)
+        panel.plot(self.coordinate, f)
         panel.fill_between(self.coordinate, f - error, f + error, alpha=0.25, lw=0)
         panel.set(xlabel="ξ", ylabel="F  [energy]", title="free energy")
 
@@ -117,9 +117,9 @@ def umbrella(
     series = [checked_series(f"coordinates[{k}]", values) for k, values in enumerate(coordinates)]
     places = checked_numbers("centers", centers, "one for each window")
     kT = checked_number("kT", kT, "positive and finite")
-    if not series or places.shape != (len(series),):
+    if not series or places.shape != (len(series),) or not np.isfinite(places).all():
         raise ValueError(
-            f"centers must be one for each of the {len(series)} windows; their shape is {places.shape}"
+            f"centers must be one finite number for each of the {len(series)} windows; centers = {shown(centers)}"
         )
     springs = checked_sizes("stiffnesses", stiffnesses, len(series), "window")
     _check_overlap(series, places)
@@ -129,21 +129,20 @@ def umbrella(
     counts = np.array([len(values) for values in series], float)
     f, logs, shares = _solved(biases, counts)
 
-    edges = np.histogram_bin_edges(x, bins)
-    weights = np.exp(-logs + logs.min())
-    bin_of = np.searchsorted(edges, x, side="right") - 1
-    bin_of[x == edges[-1]] = len(edges) - 2
-    occupied = np.flatnonzero([(bin_of == b).sum() >= EVIDENCE for b in range(len(edges) - 1)])
-    if not occupied.size:
+    edges = checked_numbers("bins", bins, "how many there are, or their edges")
+    if not edges.ndim:
+        edges = np.linspace(x.min(), x.max(), max(int(edges), 0) + 1)
+    members = (edges[:-1, None] <= x) & (x < edges[1:, None])
+    occupied = members.sum(axis=1) >= EVIDENCE
+    if not occupied.any():
         raise ValueError(
-            f"bins must have {EVIDENCE} samples or more; none has, from {edges[0]:g} to {edges[-1]:g}"
+            f"bins must be a number, or increasing edges, with {EVIDENCE} samples in a bin; bins = {shown(bins)}"
         )
-    members = bin_of == occupied[:, None]
-    sums = members @ weights
-    widths = np.diff(edges)[occupied]
-    profile = -kT * np.log(sums / widths)
+    weights = np.exp(-logs + logs.min()) * members[occupied]
+    sums = weights.sum(axis=1)
+    profile = -kT * np.log(sums / np.diff(edges)[occupied])
     lowest = int(profile.argmin())
-    errors = kT * _errors(members * weights / sums[:, None], shares, counts, lowest)
+    errors = kT * _errors(weights / sums[:, None], shares, counts, lowest)
     lengths = [
         float(correlation_times(values.var(), mean_and_error(values)[1])) for values in series
     ]

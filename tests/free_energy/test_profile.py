@@ -109,14 +109,17 @@ def test_a_profile_prints_its_numbers_and_is_drawn(tmp_path):
 
 SERIES = windows(0, 50)
 WRONG = {
-    "another number of centers": ((SERIES, CENTERS[1:], K, KT), "centers", "(12,)"),
+    "another number of centers": ((SERIES, CENTERS[1:], K, KT), "centers", "13 windows"),
+    "a center of nan": (([SERIES[0]], [np.nan], K, KT), "centers", "nan"),
     "no window": (([], [], K, KT), "centers", "0 windows"),
     "three samples": (([[1.0, 2.0, 3.0]], [0.0], K, KT), "coordinates[0]", "(3,)"),
     "not finite": (([[1.0, 2.0, np.nan, 4.0]], [0.0], K, KT), "coordinates[0]", "finite"),
     "negative springs": ((SERIES, CENTERS, -1.0, KT), "stiffnesses", "-1"),
     "no temperature": ((SERIES, CENTERS, K, 0.0), "kT", "0"),
-    "bins elsewhere": ((SERIES, CENTERS, K, KT, [5.0, 6.0]), "bins", "5 to 6"),
-    "edges in reverse": ((SERIES, CENTERS, K, KT, [1.0, 0.0]), "bins", "increase"),
+    "bins elsewhere": ((SERIES, CENTERS, K, KT, [5.0, 6.0]), "bins", "[5.0, 6.0]"),
+    "no bins": ((SERIES, CENTERS, K, KT, -1), "bins", "-1"),
+    "words": ((SERIES, CENTERS, K, KT, "many"), "bins", "many"),
+    "edges in reverse": ((SERIES, CENTERS, K, KT, [1.0, 0.0]), "bins", "increasing"),
 }
 
 

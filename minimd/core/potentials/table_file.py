@@ -24,7 +24,8 @@ UNITS = re.compile(r"#.*\bUNITS:\s*(\S+)")
 ENERGIES = {"metal": 1.0, "lj": 1.0, "real": 4.184 / KJ_PER_MOL_PER_EV}
 NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 HEADER = re.compile(
-    rf"(?=(?:.*\s)?N\s)(?:\s*(?:N\s+(\d+)|(RSQ|R)\s+({NUMBER})\s+({NUMBER})|FP(?:RIME)?\s+{NUMBER}\s+{NUMBER})(?=\s|$))+\s*"
+    rf"(?=(?:.*\s)?N\s)(?:\s*(?:N\s+(\d+)|(RSQ|R)\s+({NUMBER})\s+({NUMBER})"
+    rf"|FP(?:RIME)?\s+{NUMBER}\s+{NUMBER})(?=\s|$))+\s*"
 )
 POWERS = {"R": 1, "RSQ": 2}
 COLUMNS = 4

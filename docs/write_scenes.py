@@ -27,12 +27,13 @@ from minimd.scene.sections import METHODS, PLOT_SUFFIXES, SceneSections
 PAGE = Path(__file__).parent / "scenes.md"
 UNITS = {
     "_A": "Å", "_fs": "fs", "_K": "K", "_eV": "eV", "_eV_A": "eV/Å", "_g_cm3": "g/cm³", "_eV_A2": "eV/Å²",
+    "_eV_A3": "eV/Å³", "_eV_A4": "eV/Å⁴",
     "_degree": "°", "_eV_rad2": "eV/rad²", "_per_A": "1/Å", "_A_ps": "Å/ps", "_A_ps2": "Å/ps²",
     "_bar": "bar", "_GPa": "GPa", "_per_bar": "1/bar", "_per_GPa": "1/GPa",
 }  # fmt: skip
 REDUCED = {
     "length": "σ", "time": "τ", "temperature": "ε/k_B", "energy": "ε", "force": "ε/σ", "density": "1/σ³",
-    "stiffness": "ε/σ²",
+    "stiffness": "ε/σ²", "cubic stiffness": "ε/σ³", "quartic stiffness": "ε/σ⁴",
     "angular stiffness": "ε/rad²", "angle": "°", "inverse length": "1/σ", "velocity": "σ/τ", "acceleration": "σ/τ²",
     "pressure": "ε/σ³", "compressibility": "σ³/ε",
 }  # fmt: skip
@@ -108,10 +109,23 @@ MEANINGS = {
         "bonded_scale": "factors for pairs one, two and three bonds apart",
         "tail_correction": "whether to add energy and pressure of the pairs beyond the cutoff",
     },
-    "potential.species.X": {"epsilon": "depth of the well", "sigma": "distance where u = 0"},
+    "potential, soft-repulsion": {
+        "type": "type of the potential",
+        "height": "A, half of u at r = 0",
+        "cutoff": "r_c, where energy and force vanish",
+        "bonded_scale": "factors for pairs one, two and three bonds apart",
+    },
+    "potential.species.X": {
+        "epsilon": "depth of the well",
+        "sigma": "distance where u = 0",
+        "n": "exponent of repulsion",
+        "m": "exponent of attraction",
+    },
     "potential.pairs": {
         "epsilon": "depth of the well",
         "sigma": "distance where u = 0",
+        "n": "exponent of repulsion",
+        "m": "exponent of attraction",
         "species": "the two species",
         "file": "table of this pair, as `file` above",
         "parameters": "numbers of the law, in its order",
@@ -192,6 +206,11 @@ MEANINGS = {
         + ", ".join(PLOT_SUFFIXES),
     },
 }
+MEANINGS["potential, mie"] = MEANINGS["potential, lennard-jones"] | {
+    "species": "table of parameters of each species, see below; instead of `epsilon`, `sigma`, `n` and `m`",
+    "n": "exponent of repulsion, larger than m; the same for all species",
+    "m": "exponent of attraction; the same for all species",
+}
 INTRODUCTION = """# What can stand in a scene file?
 
 A scene file describes a run: atoms, potentials, method, steps and output. Write one in [TOML](https://toml.io), \
@@ -250,6 +269,9 @@ NOTES = {
     "constraints": "Optional. Constraints that are not given here are those of the structure file.",
     "potential, lennard-jones": (
         "Double brackets: a scene can have several potentials. Give either `epsilon` and `sigma`, or `species`."
+    ),
+    "potential, mie": (
+        "Give either `epsilon`, `sigma`, `n` and `m`, or `species`. Species with different exponents need `pairs`."
     ),
     "potential, fene-bond": (
         "To exclude bonded pairs from a pair potential, set its `bonded_scale = [0.0, 1.0, 1.0]`."

@@ -1,6 +1,7 @@
 """The public names of minimd, and where each is: read by type checkers, and at run time."""
 
 from minimd import (
+    free_energy as free_energy,
     integrators as integrators,
     lammps as lammps,
     observers as observers,
@@ -49,6 +50,7 @@ from minimd.core.potentials.bonded import (
     MorseBond as MorseBond,
     OPLSDihedral as OPLSDihedral,
     PeriodicDihedral as PeriodicDihedral,
+    QuarticBond as QuarticBond,
     RyckaertBellemans as RyckaertBellemans,
 )
 from minimd.core.potentials.coulomb import Coulomb as Coulomb
@@ -65,9 +67,11 @@ from minimd.core.potentials.fields import (
 )
 from minimd.core.potentials.pair import (
     LennardJones as LennardJones,
+    Mie as Mie,
     PairPotential as PairPotential,
-    Tabulated as Tabulated,
+    SoftRepulsion as SoftRepulsion,
 )
+from minimd.core.potentials.tabulated import Tabulated as Tabulated
 from minimd.core.potentials.term import Potential as Potential, Term as Term
 from minimd.core.simulation.simulation import Simulation as Simulation
 from minimd.core.structure import lattice as lattice, units as units

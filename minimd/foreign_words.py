@@ -27,14 +27,20 @@ KobAndersen Kob BinaryMixture Mixture
     md.LennardJones of species, with mixing= or pairs= | bonds
 Neon Argon Krypton Xenon NobleGas NobleGases LJParameters
     md.LennardJones(epsilon, sigma, cutoff); the page has ε and σ of Ne, Ar, Kr and Xe | forces
-LJ LennardJonesCut WCA SoftSphere
+LJ LennardJonesCut WCA
     md.LennardJones; WCA has cutoff=2 ** (1 / 6) | forces
-Mie Buckingham Yukawa SoftCore Gaussian BornMayer Custom CustomNonbondedForce PairLaw
+SoftSphere SoftSpheres CosineRepulsion PushOff
+    md.SoftRepulsion(height, cutoff), the cosine of pair_style soft; powers of r by md.PairPotential | forces
+MiePotential MieCut NMPotential
+    md.Mie(epsilon, sigma, n, m, cutoff) | forces
+Buckingham Yukawa SoftCore Gaussian BornMayer Custom CustomNonbondedForce PairLaw
     md.PairPotential(law, parameters, cutoff) with a function of r² | own-laws
-Table TabulatedPotential PairTable
-    md.Tabulated(r, u); of a file: md.Tabulated(*np.loadtxt(file).T[:2]) | own-laws
-Morse QuarticBond QuarticBondPotential ClassTwoBond
-    md.MorseBond, or md.BondPotential(law, parameters) | own-laws
+Table TabulatedPotential PairTable TableFile
+    md.Tabulated(r, u); of a file for LAMMPS: md.Tabulated.from_file(file, keyword) | own-laws
+Morse
+    md.MorseBond | forces
+QuarticBondPotential ClassTwoBond Class2
+    md.QuarticBond(k2, k3, k4, length) | forces
 Ewald PME PPPM Electrostatics ReactionField Wolf Charges
     md.Coulomb(cutoff, accuracy) | water
 Madelung MadelungConstant LatticeEnergy
@@ -51,9 +57,13 @@ RESPA MTS MultipleTimestep RK4 RungeKutta4 run_style
     one time step for all forces; Runge-Kutta methods are in md.integrators, for small systems | small-systems
 Tersoff StillingerWeber MEAM SNAP MACE MLPotential sw
     not here: pass a calculator of ASE as the potential | limits
-Umbrella UmbrellaSampling Bias Colvar Plumed Metadynamics WHAM MBAR Histogram PMF PotentialOfMeanForce
-    md.Restraint, or md.HarmonicBond on a distance | recipes
-SMD Pull Pulling Jarzynski SteeredMD
+Umbrella UmbrellaSampling WHAM MBAR Histogram PMF PotentialOfMeanForce
+    md.Restraint, or md.HarmonicBond on a distance; then md.free_energy.umbrella(series, centers, k, kT) | free-energy
+Bias Colvar Plumed Metadynamics
+    md.Restraint, or md.HarmonicBond on a distance; no bias that grows during a run | free-energy
+Jarzynski BAR BennettAcceptanceRatio Crooks
+    md.free_energy.jarzynski(works, kT), md.free_energy.bar(forward, backward, kT) | free-energy
+SMD Pull Pulling SteeredMD
     md.SteeredSpring, and record.work | forces
 ElectricField ExternalField External Efield CustomExternalForce gravity
     md.ConstantForce(charges[:, None] * E), or md.Field(law, parameters) | forces
@@ -157,15 +167,15 @@ Scan Sweep Replica
     md.ensemble makes many runs | ensembles
 ReplicaExchange ParallelTempering REMD Tempering temper
     md.exchange: replicas at several temperatures, which neighbors exchange | ensembles
-MonteCarlo MC GCMC Alchemical FreeEnergy
-    not here; md.SteeredSpring and md.HarmonicBond give free energies of distances | limits
+MonteCarlo MC GCMC Alchemical
+    not here; md.free_energy has those of distances, and of energies that you compute | limits
 GPU CUDA OpenCL Kokkos MPI Platform mpirun
     not here: threads= of md.Simulation uses the cores of one machine | limits
 Tdamp Pdamp damp tau_t tau_p ref_t ref_p
     relaxation_time=, temperature=, pressure=, compressibility= of bath and barostat; friction= is 1/damp | pressure
 pcoupl NPTBerendsen MTKNPT FrechetCellFilter UnitCellFilter
     md.StochasticCellRescaling, or ASE's own classes with minimd.ase.Calculator | pressure
-soft buck CustomBondForce CustomTorsionForce
+buck CustomBondForce CustomTorsionForce
     md.PairPotential, md.BondPotential or md.DihedralPotential with functions | own-laws
 coulombtype rcoulomb fourierspacing kspace_style ewaldErrorTolerance NonbondedForce
     md.Coulomb(cutoff, accuracy): rcoulomb is its cutoff, the mesh follows from the accuracy | charges

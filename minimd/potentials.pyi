@@ -12,6 +12,7 @@ from minimd.core.potentials.bonded import (
     MorseBond as MorseBond,
     OPLSDihedral as OPLSDihedral,
     PeriodicDihedral as PeriodicDihedral,
+    QuarticBond as QuarticBond,
     RyckaertBellemans as RyckaertBellemans,
 )
 from minimd.core.potentials.coulomb import Coulomb as Coulomb
@@ -28,9 +29,11 @@ from minimd.core.potentials.fields import (
 )
 from minimd.core.potentials.pair import (
     LennardJones as LennardJones,
+    Mie as Mie,
     PairPotential as PairPotential,
-    Tabulated as Tabulated,
+    SoftRepulsion as SoftRepulsion,
 )
+from minimd.core.potentials.tabulated import Tabulated as Tabulated
 from minimd.core.potentials.term import (
     FORCES as FORCES,
     PER_ATOM as PER_ATOM,

@@ -90,6 +90,15 @@ def two_laws():
     return scene(chain_system(), [scaled(0.0, 1.0, 1.0), second, third, md.BondPotential(morse, (10.0, 3.0, 1.1))])
 
 
+MIE = md.Mie({"A": (1.0, 1.0, 14, 7), "B": (0.5, 0.88, 12, 6)}, cutoff=CUTOFF, pairs={("A", "B"): (0.8, 0.95, 13, 6)})
+
+
+def soft_and_quartic():
+    force_shifted = md.Mie(0.5, 0.9, 12.65, 6.0, 2.0, "force-shifted", bonded_scale=(0.0, 1.0, 1.0))
+    bonds = md.QuarticBond(np.linspace(50.0, 90.0, 81), -120.0, 100.0, 1.1)
+    return scene(chain_system(), [md.SoftRepulsion(3.0, 1.3, bonded_scale=(0.0, 1.0, 1.0)), force_shifted, bonds])
+
+
 def water():
     """That of scenes.py, its lengths equal to the last bit, as fix shake wants them."""
     system, laws, rigid, *_ = scenes.water()
@@ -173,6 +182,8 @@ SCENES = {
     **{one: lambda one=one: scene(fluid(), md.LennardJones(1.0, 1.0, CUTOFF, one)) for one in CUT},
     "Kob-Andersen mixture": lambda: scene(fluid(species=TWO_KINDS), KOB_ANDERSEN),
     "own law": lambda: scene(fluid(), md.PairPotential(buckingham, (3e5, 0.08, 2.0), CUTOFF, "force-shifted")),
+    "Mie": lambda: scene(fluid(species=TWO_KINDS), MIE),
+    "soft and quartic": soft_and_quartic,
     "turned": in_cell(SKEWED @ ROTATION), "left-handed": in_cell(LEFT_HANDED), "tail": with_a_tail,
     "skewed slab": in_cell(SKEWED @ ROTATION, pbc=[True, False, True]),
     "wire": in_cell(SKEWED, pbc=[False, True, False]), "far away": lambda: scene(far_away()), **AT_REST,

@@ -118,8 +118,8 @@ TABLE = 16
 NEAR = 16.0
 METALS = "metals.eam"  # the file of tables
 OF_FILES = ("eam/alloy", "eam/fs")
-# by truncation: the style of LAMMPS with the same
-LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smooth/linear"}
+LJ_FORCE_SHIFTED = "lj/smooth/linear"
+LEADING = {Shifted: 1, ForceShifted: 3}  # by truncation: numbers before those of the law
 
 
 class AtomTypes(NamedTuple):
@@ -297,22 +297,24 @@ class Model:
             raise _outside(potential, KINDS)
 
     def _pair_style(self, potential: Nonbonded, species_names: tuple) -> PairStyle:
-        """The style of a pair potential: Lennard-Jones of LAMMPS if there is one, else its law, written for Lepton."""
+        """The style of a pair potential: that of LAMMPS if there is one, else its law, written for Lepton."""
         law = potential.law
         table = potential.table(species_names)
         species = self.types.species
         cutoffs = table[:, :, 0]
         cutoffs[:] = np.where(cutoffs < np.inf, np.sqrt(cutoffs), self._farthest)
-        style = "lepton"
-        if isinstance(potential.plain_law, LennardJonesLaw):
-            style = LJ_STYLES.get(type(law), style)
-        is_own = style != "lepton"
+        own = potential.lammps
+        if own and isinstance(law, ForceShifted) and isinstance(law.law, LennardJonesLaw):
+            own = own._replace(name=LJ_FORCE_SHIFTED)
+        elif not isinstance(law, Shifted | type(potential.plain_law)):
+            own = None
+        first = 1 + LEADING.get(type(law), 0)
 
         @cache
-        def numbers(cutoff: float, *parameters: float) -> str:
-            if is_own:
-                return words(*parameters[-2:], cutoff)
-            return f'"{energy_expression(law, parameters)}" {words(cutoff)}'
+        def numbers(*row: float) -> str:
+            if own is not None:
+                return words(*own.numbers(*row[first:]), row[0])
+            return f'"{energy_expression(law, row[1:])}" {words(row[0])}'
 
         coefficients = []
         if len(table) == 1:
@@ -322,9 +324,10 @@ class Model:
                 row = table[species[i], species[j]]
                 coefficients.append((f"{i + 1} {j + 1}", numbers(*row.tolist())))
 
-        is_shifted = is_own and isinstance(law, Shifted)
+        name = own.name if own else "lepton"
+        is_shifted = own is not None and isinstance(law, Shifted)
         return PairStyle(
-            style, cutoffs.max(), is_shifted, tuple(potential.bonded_scale), coefficients
+            name, cutoffs.max(), is_shifted, tuple(potential.bonded_scale), coefficients
         )
 
     def _embedded(self, potential: EmbeddedAtom, species_names: tuple) -> PairStyle:

@@ -41,6 +41,8 @@ KEY_UNITS["ASE"] = {
     "pressure": {"_bar": BAR, "_GPa": GPA},
     "compressibility": {"_per_bar": 1.0 / BAR, "_per_GPa": 1.0 / GPA},
     "stiffness": {"_eV_A2": 1.0},
+    "cubic stiffness": {"_eV_A3": 1.0},
+    "quartic stiffness": {"_eV_A4": 1.0},
     "angle": {"_degree": DEGREE},
     "angular stiffness": {"_eV_rad2": 1.0},
     "inverse length": {"_per_A": 1.0},
@@ -58,7 +60,7 @@ NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 Vector = Annotated[list[FiniteFloat], Three]
 Atoms = list[NonNegativeInt]
 PairOfAtoms = Annotated[list[int], Two]
-SIGNS = str.maketrans("A23", "Å²³")  # of units, for letters in keys
+SIGNS = str.maketrans("A234", "Å²³⁴")  # of units, for letters in keys
 UNKNOWN = "?"  # put before a key that its section does not know
 
 

@@ -24,7 +24,7 @@ from minimd.core.integrators.table import SPLITTINGS, THERMOSTATS
 from minimd.core.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
 from minimd.core.potentials.embedded import FORMS, EmbeddedAtom
 from minimd.core.potentials.embedded_files import tables_from
-from minimd.core.potentials.pair import FEWEST, MIXING, LennardJones, Tabulated
+from minimd.core.potentials.tabulated import FEWEST, Tabulated
 from minimd.core.potentials.term import OwnPotential
 from minimd.core.potentials.truncation import TRUNCATIONS
 from minimd.core.structure.checks import checked_count, checked_flag
@@ -39,6 +39,13 @@ from minimd.core.structure.system import MOST_ATOMS, System, changed
 from minimd.core.structure.units import GRAM_PER_CM3
 from minimd.observers import KINDS, Accumulator, arguments
 from minimd.scene.force_sections import ForceSection
+from minimd.scene.pair_sections import (
+    Length,
+    LennardJonesSection,
+    MieSection,
+    PairOfSpecies,
+    SoftRepulsionSection,
+)
 from minimd.scene.section import (
     KEY_UNITS,
     Dimension,
@@ -62,8 +69,6 @@ from minimd.scene.water import (
 
 # types of values
 Column = Annotated[list[FiniteFloat], Field(min_length=FEWEST)]
-Length = Annotated[Positive | None, Dimension("length")]
-PairOfSpecies = Annotated[list[str], Two]
 
 
 class Numbers(NamedTuple):
@@ -306,52 +311,6 @@ class ConstraintsSection(Section):
         tolerance = self.tolerance or rigid.tolerance
         solver = self.solver or rigid.solver
         return (*fixed, DistanceConstraints(pairs, lengths, tolerance, solver))
-
-
-class SpeciesSection(Section):
-    """[potential.species.X]: Lennard-Jones parameters of one species."""
-
-    epsilon: Annotated[NotNegative, Dimension("energy")]
-    sigma: Annotated[Positive, Dimension("length")]
-
-
-class PairSection(SpeciesSection):
-    """An entry of pairs: Lennard-Jones parameters of two species, in place of those of the mixing rule."""
-
-    species: PairOfSpecies
-
-
-class LennardJonesSection(Section):
-    """[[potential]] of type "lennard-jones"."""
-
-    type: Literal["lennard-jones"]
-    epsilon: Annotated[NotNegative | None, Dimension("energy")] = None
-    sigma: Length = None
-    species: dict[str, SpeciesSection] | None = None
-    pairs: list[PairSection] = Field([])
-    mixing: Annotated[str, one_of(MIXING)] = "lorentz-berthelot"
-    cutoff: Length = None
-    truncation: Annotated[str, one_of(TRUNCATIONS)] = "shifted"
-    switch_start: Length = None
-    bonded_scale: Vector = Field([1.0, 1.0, 1.0])
-    tail_correction: bool = False
-
-    def faults(self, units: str) -> Iterator[str]:
-        """See Section."""
-        has_epsilon = self.epsilon is not None
-        has_sigma = self.sigma is not None
-        has_species = self.species is not None
-        if has_epsilon != has_sigma or has_epsilon == has_species:
-            yield "must have either epsilon and sigma, or a table of species with both"
-
-    def potential(self) -> LennardJones:
-        """The potential that the section describes."""
-        epsilon: Any = self.epsilon
-        if self.species is not None:
-            epsilon = {name: (well.epsilon, well.sigma) for name, well in self.species.items()}
-        pairs: Any = {tuple(pair.species): (pair.epsilon, pair.sigma) for pair in self.pairs}
-        options = self.model_dump(exclude={"type", "epsilon", "species", "pairs"})
-        return LennardJones(epsilon, pairs=pairs, **options)
 
 
 class WithFiles(Section):
@@ -642,7 +601,12 @@ class OutputSection(Section):
 
 
 PotentialSection = Annotated[
-    LennardJonesSection | TabulatedSection | EmbeddedAtomSection | ForceSection,  # type: ignore[valid-type]
+    LennardJonesSection
+    | MieSection
+    | SoftRepulsionSection
+    | TabulatedSection
+    | EmbeddedAtomSection
+    | ForceSection,  # type: ignore[valid-type]
     Field(discriminator="type"),
 ]
 

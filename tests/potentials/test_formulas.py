@@ -41,6 +41,61 @@ def test_lennard_jones_is_its_formula_with_its_minimum_and_zero_where_it_says():
     assert abs(md.evaluate(two(3.4), md.LennardJones(0.0104, 3.4)).potential_energy) < 1e-17
 
 
+def test_a_mie_well_is_as_deep_as_it_says_where_it_says_and_12_6_is_lennard_jones():
+    r = np.linspace(0.85, 2.4, 30)
+    lennard_jones = md.LennardJones(0.7, 1.1, 2.5).pair_energy(r)
+    assert md.Mie(0.7, 1.1, 12, 6, 2.5).pair_energy(r) == pytest.approx(lennard_jones, rel=1e-13)  # rounding
+    for n, m in ((14.0, 7.0), (50.0, 49.0), (9.0, 3.0), (12.65, 5.5)):
+        law = md.Mie(0.7, 1.1, n, m, truncation="truncated")
+        factor = n / (n - m) * (n / m) ** (m / (n - m))
+        formula = 0.7 * factor * ((1.1 / r) ** n - (1.1 / r) ** m)
+        assert law.pair_energy(r) == pytest.approx(formula, rel=1e-12, abs=1e-13)
+        at_minimum = md.evaluate(two((n / m) ** (1.0 / (n - m)) * 1.1), law)
+        assert at_minimum.potential_energy == pytest.approx(-0.7, rel=1e-13)
+        assert np.abs(at_minimum.forces).max() < 1e-12
+        assert abs(md.evaluate(two(1.1), law).potential_energy) < 1e-14
+
+
+def test_named_mixing_of_mie_keeps_equal_exponents_and_refuses_others():
+    wells = {"A": (1.0, 1.0, 14.0, 7.0), "B": (4.0, 2.0, 14.0, 7.0)}
+    for rule, sigma in (("lorentz-berthelot", 1.5), ("geometric", 2.0**0.5)):
+        mixed = md.Mie(wells, cutoff=5.0, mixing=rule)
+        expected = md.Mie(2.0, sigma, 14.0, 7.0, 5.0).pair_energy(1.8)
+        assert mixed.pair_energy(1.8, "A", "B") == pytest.approx(expected, rel=1e-14)
+    wells["B"] = (4.0, 2.0, 12.0, 6.0)
+    hudson = md.Mie(wells, cutoff=5.0, mixing=lambda a, b: [0.5 * (x + y) for x, y in zip(a, b, strict=True)])
+    assert hudson.pair_energy(1.8, "A", "B") == pytest.approx(md.Mie(2.5, 1.5, 13.0, 6.5, 5.0).pair_energy(1.8))
+    with pytest.raises(ValueError, match=r"\(14.0, 7.0\) and \(12.0, 6.0\)"):
+        md.Mie(wells, cutoff=5.0).pair_energy(1.8, "A", "B")
+
+
+def test_a_soft_repulsion_ends_with_its_force_and_has_none_where_atoms_meet():
+    law = md.SoftRepulsion(3.0, 1.2)
+    r = np.array([1e-9, 0.3, 0.6, 1.19, 1.2, 1.3])
+    expected = np.where(r < 1.2, 3.0 * (1.0 + np.cos(np.pi * r / 1.2)), 0.0)
+    assert law.pair_energy(r) == pytest.approx(expected, rel=1e-13)
+    for distance, force in ((0.0, 0.0), (1e-9, 3.0 * (np.pi / 1.2) ** 2 * 1e-9), (1.2 * (1.0 - 1e-9), 0.0)):
+        assert md.evaluate(two(distance), law).forces[1, 0] == pytest.approx(force, rel=1e-12, abs=3e-8)
+
+
+@pytest.mark.parametrize("precision", ["double", pytest.param("fixed-point", marks=pytest.mark.slow)])
+def test_mie_soft_and_quartic_laws_on_vectors_are_the_sum_over_pairs(precision):
+    """All at once on the cluster list; in fixed point to its grid."""
+    places = 1.1 * np.stack(np.meshgrid(*[np.arange(6)] * 3), axis=-1).reshape(-1, 3)
+    places += np.random.default_rng(2).uniform(-0.1, 0.1, places.shape)
+    system = md.System(places, cell=6.6, bonds=np.arange(216).reshape(-1, 2))
+    apart = places[:, None] - places
+    r = np.linalg.norm(apart - 6.6 * np.rint(apart / 6.6), axis=2)
+    stretch = r[::2, 1::2].diagonal() - 1.05
+    mie, soft = md.Mie(1.0, 0.9, 14.0, 7.0, 1.7), md.SoftRepulsion(3.0, 1.9)
+    quartic = md.QuarticBond(30.0, -20.0, 10.0, 1.05)
+    energy = (mie.pair_energy(r[np.triu_indices(216, 1)]) + soft.pair_energy(r[np.triu_indices(216, 1)])).sum()
+    energy += (stretch**2 * (30.0 + stretch * (10.0 * stretch - 20.0))).sum()
+    sim = md.Simulation(system, [mie, soft, quartic], md.VelocityVerlet(0.001), precision=precision, threads=1)
+    assert sim.potential_energy == pytest.approx(energy, rel=1e-11 if precision == "double" else 1e-8)
+    assert "cluster" in sim.engine.interactions.pair_search
+
+
 def test_a_spring_of_length_zero_pulls_with_k_times_the_distance_down_to_none():
     """u = ½ k r² is smooth where two atoms lie on one spot: no force there, a curvature that advises a time step."""
     apart, springs = np.array([0.3, 0.0, -0.4]), [md.HarmonicBond(3.0, 0.0), md.HarmonicBond([3.0], [0.0])]

@@ -45,6 +45,13 @@ PAIRS = {
     "kob-andersen": md.LennardJones(TWO_KINDS, cutoff=CUTOFFS, pairs={("A", "B"): (1.5, 0.8)}),
     "yukawa": md.PairPotential(yukawa, (2.0, 1.1), CUTOFF, "force-shifted"),
     "soft core": md.PairPotential(soft_core, (3.0,), CUTOFF),
+    "mie": md.Mie(
+        {"A": (1.0, 1.0, 14.0, 7.0), "B": (0.5, 0.9, 12.65, 6.0)},
+        cutoff=CUTOFF,
+        truncation="switched",
+        pairs={("A", "B"): (0.8, 0.95, 13.0, 6.5)},
+    ),
+    "soft repulsion": md.SoftRepulsion({"A": (3.0,), "B": (1.0,)}, CUTOFFS, pairs={("A", "B"): (2.0,)}),
 }
 BONDED = {
     "scaled neighbors": md.LennardJones(TWO_KINDS, cutoff=CUTOFF, truncation="switched", bonded_scale=(0.0, 0.3, 0.7)),
@@ -52,6 +59,7 @@ BONDED = {
     "harmonic bonds": md.HarmonicBond(np.linspace(50, 90, 9), 1.1),
     "harmonic angles": md.HarmonicAngle(20.0, 2.0, [[k, k + 1, k + 2] for k in range(8)]),
     "morse bonds": md.MorseBond(np.linspace(3.0, 5.0, 9), 2.0, 1.1),
+    "quartic bonds": md.QuarticBond(np.linspace(50, 90, 9), -120.0, 100.0, 1.05),
     "fene bonds": md.FENEBond(30.0, 1.9, 1.0, np.linspace(0.9, 1.2, 9)),
     "periodic dihedrals": md.PeriodicDihedral(np.linspace(0.5, 2.0, 7), [0, 1, 2, 3, 4, 5, 6], 0.4, CHAINS),
     "ryckaert-bellemans": md.RyckaertBellemans((1.3, 1.4, -1.6, -0.4, 3.1, -3.4), CHAINS),

@@ -5,6 +5,7 @@ import copy
 import numpy as np
 import pytest
 from references import liquid
+from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.core.diagnosis.run_report import cutoff_lines
@@ -84,3 +85,96 @@ def test_the_jump_at_the_cutoff_is_seen_of_a_table_that_begins_late():
     r = np.linspace(2.4, CUTOFF, 30)
     (line,) = cutoff_lines(md.System([[0.0, 0.0, 0.0]]), [md.Tabulated(r, lennard_jones(r), 2.47, "truncated")])
     assert line.verdict.startswith("THE ENERGY JUMPS")
+
+
+def file_of(tmp_path, text):
+    (tmp_path / "pairs.table").write_text(text)
+    return tmp_path / "pairs.table"
+
+
+def section(keyword, header, r, u, force, start=1):
+    rows = [f"{k} {x!r} {y!r} {z!r}" for k, (x, y, z) in enumerate(np.column_stack([r, u, force]).tolist(), start)]
+    return "\n".join([keyword, header, "", *rows, ""])
+
+
+def lennard_jones_section(keyword="LJ", header="N 200 R 0.8 2.5", spacing="R", factor=1.0):
+    r = np.linspace(0.8, CUTOFF, 200)
+    if spacing == "RSQ":
+        r = np.sqrt(np.linspace(0.64, CUTOFF**2, 200))
+    force = factor * 24.0 * (2.0 * r**-13 - r**-7)
+    return section(keyword, header, r.round(6), lennard_jones(r), force)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("spacing", ["R", "RSQ", ""])
+def test_a_table_file_of_lammps_is_its_law(tmp_path, spacing):
+    """Rounded distances are those of the spacing, if there is one; comments, empty lines and other sections pass by."""
+    ends = f"{spacing} 0.8 2.5 FPRIME -5e3 0.1" if spacing else "FP -5e3 0.1"
+    other = section("OTHER", "N 7", np.arange(1.0, 8.0), np.arange(7.0), -np.ones(7))
+    text = f"# by hand\n\n{other}\n  # more\n{lennard_jones_section('LJ', f'N 200 {ends}   # ends', spacing)}\n"
+    potential = md.Tabulated.from_file(file_of(tmp_path, text), "LJ")
+    r = np.linspace(1.0, 2.4, 50)
+    assert potential.pair_energy(r) == pytest.approx(
+        LJ.pair_energy(r), abs=1e-7 if spacing else 1e-3
+    )  # six digits of r
+    assert potential.cutoff == CUTOFF
+    assert md.Tabulated.from_file(file_of(tmp_path, text), "OTHER", cutoff=6.0).cutoff == 6.0
+
+
+def test_kilocalories_become_electronvolts_as_in_lammps(tmp_path):
+    file = file_of(tmp_path, "\ufeff# DATE: 2020-01-01 UNITS: real\n" + lennard_jones_section())
+    potential = md.Tabulated.from_file(file, truncation="truncated")
+    assert potential.pair_energy(1.1) == pytest.approx(lennard_jones(1.1) * 4.184 / 96.48533, rel=1e-6)
+
+
+@pytest.mark.parametrize("factor", [-1.0, 2.0, 1.05])
+def test_a_force_that_is_not_the_slope_is_told_and_the_slope_taken(tmp_path, factor):
+    with pytest.warns(UserWarning, match=r"force in the table is not -du/dr at \d+ distances"):
+        potential = md.Tabulated.from_file(file_of(tmp_path, lennard_jones_section(factor=factor)))
+    assert force_over_distance(potential, [1.2]) == pytest.approx(24.0 * (2.0 * 1.2**-14 - 1.2**-8), rel=1e-6)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("n", "digits"), [(500, 5), (2000, 6), (40, 8)])
+def test_rounded_and_coarse_tables_have_no_wrong_forces(tmp_path, n, digits):
+    r = np.linspace(0.9, CUTOFF, n)
+    u = [float(f"{x:.{digits}g}") for x in lennard_jones(r)]
+    force = [float(f"{x:.{digits}g}") for x in 24.0 * (2.0 * r**-13 - r**-7)]
+    md.Tabulated.from_file(file_of(tmp_path, section("LJ", f"N {n}", r, u, force)))
+
+
+GOOD = lennard_jones_section()
+WRONG = {
+    "a row of three": (GOOD.replace("\n7 ", "\n", 1), "N = 200", "from 4 to 3 at row 7"),
+    "three columns": ("LJ\nN 6\n" + "1 2.0 3.0\n" * 6, "N = 6", "6 of 3"),
+    "too few rows": ("\n".join(GOOD.splitlines()[:-2]), "N = 200", "198 of 4"),
+    "too few before a section": (GOOD.replace("N 200", "N 201") + GOOD.replace("LJ", "B"), "N = 201", "row 201"),
+    "more rows than N": (GOOD.replace("N 200 R 0.8 2.5", "N 199"), "line 203", "N of the section before"),
+    "no rows": ("LJ\nN 6\n", "N = 6", "0 of"),
+    "no N": (GOOD.replace("N 200 ", ""), "line 1", "must have N"),
+    "half an N": (GOOD.replace("N 200", "N 200.5"), "line 1", "200.5"),
+    "bitmap": (GOOD.replace("R 0.8", "BITMAP 0.8"), "line 1", "BITMAP"),
+    "another spacing": (GOOD.replace("R 0.8", "RSQ 0.8"), "line 1", "row 2"),
+    "ends in reverse": (GOOD.replace("0.8 2.5", "2.5 0.8"), "line 1", "row 1 must be 2.5"),
+    "not a number": (GOOD.replace("\n7 ", "\nseven ", 1), "N = 200", "'seven'"),
+    "nan": (GOOD + section("B", "N 6", np.arange(1.0, 7.0), np.full(6, np.nan), np.zeros(6)), "'B'", "finite"),
+    "the same twice": (GOOD + GOOD, "line 204", "'LJ'", "new keyword"),
+    "another unit": ("# UNITS: electron\n" + GOOD, "UNITS", "electron"),
+    "no keyword": (GOOD.partition("\n")[2].partition("\n")[2], "line 2", "keyword"),
+    "nothing": ("# nothing\n", "keyword must", "'LJ'"),
+    "no line with N": ("LJ\n", "line 1", "must have N"),
+    "another keyword": (GOOD.replace("LJ", "MORSE"), "'MORSE'", "keyword = 'LJ'"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_files_that_are_not_understood_are_refused_with_their_line(tmp_path, name):
+    text, *words = WRONG[name]
+    assert_answered(lambda: md.Tabulated.from_file(file_of(tmp_path, text), "LJ"), ValueError, *words)
+
+
+def test_keywords_are_of_sections(tmp_path):
+    file = file_of(tmp_path, GOOD + GOOD.replace("LJ", "B"))
+    for keyword, shown in ((None, "None"), ("L", "'L'"), (3, "3"), ({}, "{}")):
+        assert_answered(lambda keyword=keyword: md.Tabulated.from_file(file, keyword), ValueError, "'LJ', 'B'", shown)
+    assert_answered(lambda: md.Tabulated.from_file(file.parent), ValueError, "regular file")

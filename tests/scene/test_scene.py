@@ -32,6 +32,8 @@ ENDINGS = {  # of keys: SI / that of minimd, for each dimension
     "temperature":  (1.0, {"_K": 1.0}),                              "energy": (EV, {"_eV": EV, "_K": K_B}),
     "force":        (EV / ANGSTROM, {"_eV_A": EV / ANGSTROM}),       "angle": (1.0, {"_degree": np.pi / 180}),
     "stiffness":    (EV / ANGSTROM**2, {"_eV_A2": EV / ANGSTROM**2}), "angular stiffness": (EV, {"_eV_rad2": EV}),
+    "cubic stiffness": (EV / ANGSTROM**3, {"_eV_A3": EV / ANGSTROM**3}),
+    "quartic stiffness": (EV / ANGSTROM**4, {"_eV_A4": EV / ANGSTROM**4}),
     "density":      (U_MASS / ANGSTROM**3, {"_g_cm3": 1000.0}),      "inverse length": (1e10, {"_per_A": 1e10}),
     "velocity":     (ANGSTROM / TIME_UNIT, {"_A_ps": ANGSTROM / 1e-12}),
     "acceleration": (ANGSTROM / TIME_UNIT**2, {"_A_ps2": ANGSTROM / 1e-24}),
@@ -262,6 +264,38 @@ def test_unlike_pairs_follow_the_mixing_rule_unless_they_are_given(folder):
     ):
         found = energy_of(scene_of(PAIR.replace(".traj", ".xyz") + extra)) * EV / K_B
         assert found == pytest.approx(4.0 * epsilon * ((sigma / 4.0) ** 12 - (sigma / 4.0) ** 6), **CODATA)
+
+
+def test_mie_soft_and_quartic_laws_of_scenes_have_their_numbers_and_units(folder):
+    """Two atoms 4 Å apart."""
+    Path("pair.xyz").write_text("2\n\nAr 0 0 0\nKr 4.0 0 0\n")
+    head = "structure = { file = 'pair.xyz' }\ndynamics = { timestep_fs = 0.5, steps = 10 }\n[[potential]]\n"
+    mie = 'type = "mie"\ncutoff_A = 12.0\ntruncation = "truncated"\n'
+    wells = (
+        "species = { Ar = { epsilon_K = 120, sigma_A = 3.4, n = 14, m = 7 }, Kr = { epsilon_K = 164, sigma_A = 3.6, "
+    )
+    unlike = 'pairs = [{ species = ["Kr", "Ar"], epsilon_K = 150, sigma_A = 3.5, n = 14, m = 7 }]\n'
+    soft, x = 'type = "soft-repulsion"\ncutoff_A = 6.0\n', 0.3
+    quartic = (
+        'type = "quartic-bond"\nk2_eV_A2 = 3.0\nk3_eV_A3 = -2.0\nk4_eV_A4 = 1.5\nlength_A = 3.7\npairs = [[0, 1]]\n'
+    )
+    well = lambda epsilon, sigma: 4.0 * epsilon * ((sigma / 4.0) ** 14 - (sigma / 4.0) ** 7)  # noqa: E731
+    for text, energy in (
+        (mie + "epsilon_K = 150.0\nsigma_A = 3.5\nn = 14.0\nm = 7.0\n", well(150.0, 3.5) * K_B / EV),
+        (mie + wells + "n = 14.0, m = 7.0 } }\n", well(np.sqrt(120.0 * 164.0), 3.5) * K_B / EV),
+        (mie + wells + "n = 12.0, m = 6.0 } }\n" + unlike, well(150.0, 3.5) * K_B / EV),
+        (soft + "height_eV = 0.3\n", 0.3 * (1.0 - 0.5)),
+        (quartic, 3.0 * x**2 - 2.0 * x**3 + 1.5 * x**4),
+    ):
+        scene = scene_of(head + text)
+        is_bond = text == quartic
+        found = energy_of(scene) if is_bond else scene.potentials()[0].pair_energy(4.0, "Ar", "Kr")
+        assert found == pytest.approx(energy, **CODATA), text
+    for text, word in (
+        (mie + "epsilon_K = 150.0\nsigma_A = 3.5\nn = 14.0\n", "n and m"),
+        (soft, "height_K is missing"),
+    ):
+        assert_answered(lambda text=text: scene_of(head + text), ValueError, "potential[0]", word)
 
 
 def test_equilibration_reaches_its_temperature_and_does_not_count(tmp_path):

@@ -122,6 +122,21 @@ class MorseBond(Bond):
     pairs: ArrayLike | None = PAIRS
 
 
+class QuarticBond(Bond):
+    """Quartic bond u(r) = k₂ (r − r₀)² + k₃ (r − r₀)³ + k₄ (r − r₀)⁴, of CFF, PCFF and COMPASS, without a factor ½.
+
+    LAMMPS' `bond_style class2`. With k₃ < 0 and k₄ = 0 the energy of a long bond has no lower bound.
+    """
+
+    law = laws.QuarticLaw()
+    lammps = LammpsStyle("class2", lambda k2, k3, k4, length: (length, k2, k3, k4))
+    k2: ArrayLike = declared(kind.each, "u = k2 (r − length)² + …", "stiffness", NOT_NEGATIVE)
+    k3: ArrayLike = declared(kind.each, "… + k3 (r − length)³ + …", "cubic stiffness")
+    k4: ArrayLike = declared(kind.each, "… + k4 (r − length)⁴", "quartic stiffness", NOT_NEGATIVE)
+    length: ArrayLike = declared(kind.each, "rest length", "length", POSITIVE)
+    pairs: ArrayLike | None = PAIRS
+
+
 class FENEBond(Bond):
     """Finitely extensible bond of Kremer and Grest: −½ k R² ln(1 − (r/R)²), and a repulsion of its two beads,
     Lennard-Jones cut at its minimum.

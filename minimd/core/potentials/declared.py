@@ -59,6 +59,7 @@ UNITS = {  # by dimension
     "energy": "energy", "length": "length", "time": "time", "force": "energy/length", "angle": "rad",
     "stiffness": "energy/length²", "angular stiffness": "energy/rad²", "inverse length": "1/length",
     "velocity": "length/time", "acceleration": "length/time²",
+    "cubic stiffness": "energy/length³", "quartic stiffness": "energy/length⁴",
 }  # fmt: skip
 RAISES = "ValueError, TypeError : for numbers that are not finite or out of range, and for other shapes or kinds."
 MOST_COEFFICIENTS = 6  # of the polynomial of Ryckaert and Bellemans

@@ -11,9 +11,9 @@ Energies are in eV, lengths in Å. A file of one element is the same in the firs
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -106,11 +106,18 @@ class Header(NamedTuple):
 def read_tables(file: str | os.PathLike[str]) -> EmbeddedTables:
     """The tables in a file of one of the three formats.
     Raises OSError for a file that cannot be read; ValueError for one that holds something else."""
+    tables: EmbeddedTables = read_as(file, tables_from)
+    return tables
+
+
+def read_as(file: str | os.PathLike[str], reader: Callable[..., Any]) -> Any:
+    """What a reader makes of the name and the text of a file.
+    Raises OSError for a file that cannot be read; ValueError, with its path, as the reader."""
     path = checked_path("file", file)
     if path.exists() and not path.is_file():
         raise ValueError(f"file {str(path)!r} is not a regular file")
     try:
-        return tables_from(path.name, path.read_text(encoding="utf-8", errors="replace"))
+        return reader(path.name, path.read_text(encoding="utf-8-sig", errors="replace"))
     except ValueError as error:
         raise ValueError(f"file {str(path)!r}: {error}") from None
 

@@ -105,6 +105,58 @@ def lennard_jones_93(r2, epsilon, sigma):
 
 
 @scalar
+def mie(r2, epsilon, sigma, n, m):
+    """Mie n-m law.
+
+        u(r)     = C ε [(σ/r)ⁿ − (σ/r)ᵐ],   C = n/(n − m) (n/m)^(m/(n − m))
+        −u′(r)/r = C ε/r² [n (σ/r)ⁿ − m (σ/r)ᵐ]
+
+    epsilon : depth of the well, at r = (n/m)^(1/(n − m)) σ [energy].
+    sigma : distance where u = 0 [length].
+    n, m : exponents, n > m > 0, whole or not.
+    G. Mie, Ann. Phys. 316, 657 (1903); C of unit depth: C. Avendaño et al., J. Phys. Chem. B 115, 11154 (2011).
+    """
+    x = 0.5 * log(sigma * sigma / r2)
+    repulsion = exp(n * x)
+    attraction = exp(m * x)
+    scale = epsilon * n / (n - m) * exp(m / (n - m) * log(n / m))
+    return scale * (repulsion - attraction), scale * (n * repulsion - m * attraction) / r2
+
+
+@scalar
+def soft_repulsion(r2, height, reach):
+    """Soft repulsion, a cosine.
+
+        u(r)     = A [1 + cos(πr/r_c)]
+        −u′(r)/r = A π/(r_c r) sin(πr/r_c), and A (π/r_c)² at r = 0, where two atoms may be at the same place
+
+    height : A, half of u at r = 0 [energy].
+    reach : r_c, where energy and force vanish [length].
+    LAMMPS, pair_style soft; such ramps in melts: R. Auhl et al., J. Chem. Phys. 119, 12718 (2003).
+    """
+    r = sqrt(r2)
+    wave = pi / reach
+    slope = select(r2 > 0.0, sin(wave * r) / r, wave)
+    return height * (1.0 + cos(wave * r)), height * wave * slope
+
+
+@scalar
+def quartic(r2, k2, k3, k4, length):
+    """Quartic bond.
+
+        u(r)     = k₂ x² + k₃ x³ + k₄ x⁴,   x = r − r₀
+        −u′(r)/r = −x (2k₂ + 3k₃ x + 4k₄ x²)/r
+
+    k2, k3, k4 : [energy/length²], [energy/length³], [energy/length⁴].
+    length : r₀ [length].
+    M. J. Hwang, T. P. Stockfisch, A. T. Hagler, J. Am. Chem. Soc. 116, 2515 (1994), eq. 1.
+    """
+    r = sqrt(r2)
+    x = r - length
+    return x * x * (k2 + x * (k3 + x * k4)), -x * (2.0 * k2 + x * (3.0 * k3 + x * 4.0 * k4)) / r
+
+
+@scalar
 def scaled(r2, law, parameters):
     """A law times a constant factor, the first of its parameters [dimensionless]: for pairs a few bonds apart.
     parameters : (factor, *parameters of law)."""
@@ -260,6 +312,9 @@ HarmonicLaw = law_type("HarmonicLaw", harmonic)
 MorseLaw = law_type("MorseLaw", morse)
 FENELaw = law_type("FENELaw", fene)
 LennardJones93Law = law_type("LennardJones93Law", lennard_jones_93)
+MieLaw = law_type("MieLaw", mie)
+SoftRepulsionLaw = law_type("SoftRepulsionLaw", soft_repulsion)
+QuarticLaw = law_type("QuarticLaw", quartic)
 Scaled = law_type("Scaled", scaled)
 PeriodicLaw = law_type("PeriodicLaw", periodic)
 HarmonicTorsionLaw = law_type("HarmonicTorsionLaw", harmonic_torsion)

@@ -1,28 +1,25 @@
-"""Pair potentials: a law or a table, its parameters for each pair of species, given or mixed, cutoff and truncation."""
+"""Pair potentials: a law, its parameters for each pair of species, given or mixed, cutoff and truncation."""
 
 from __future__ import annotations
 
 from abc import ABCMeta, abstractmethod
-from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import KW_ONLY
 from functools import cached_property, partial
 from itertools import combinations
-from math import factorial, inf, isclose, isfinite, nan, pi, sqrt
+from math import inf, isclose, isfinite, pi, sqrt
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from minimd.core.compiled.kernels import scalar
 from minimd.core.console.display import Rows, as_text
 from minimd.core.console.words import listed, near, shown
 from minimd.core.potentials import declared as kind
-from minimd.core.potentials.declared import Declared, declared
-from minimd.core.potentials.law import check_user_law, evaluate_law, is_user_law, law_at, law_type
-from minimd.core.potentials.laws import LennardJonesLaw
-from minimd.core.potentials.splines import Identical
+from minimd.core.potentials.declared import NOT_NEGATIVE, POSITIVE, Declared, LammpsStyle, declared
+from minimd.core.potentials.law import check_user_law, evaluate_law, is_user_law, law_at
+from minimd.core.potentials.laws import LennardJonesLaw, MieLaw, SoftRepulsionLaw
 from minimd.core.potentials.term import Embedding, OwnTerm, PairLaw, no_bonds
 from minimd.core.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
 from minimd.core.structure.arrays import Array, Indices
@@ -44,9 +41,6 @@ UNSCALED = (1.0, 1.0, 1.0)
 # relative difference between mixed parameters of a pair and of the reverse pair that rounding can explain
 MIXED = 1e-9
 MOST_SHOWN = 6  # species whose mixed parameters are displayed
-# of the pieces of a table: four continuous derivatives of u, so that methods up to order 4 keep their order
-DEGREE = 5
-FEWEST = DEGREE + 1  # points that one piece goes through
 
 Label = str | int
 Parameters = tuple[float, ...]
@@ -72,7 +66,8 @@ MIXING = {"lorentz-berthelot": lorentz_berthelot, "geometric": geometric}
 # what arguments are, and what they do
 FOR_PAIRS = "one number, or a mapping from pairs of species"
 R_C = "r_c; none only in scenes without periodicity"
-FOR_EACH = "one number for each r, or a mapping from pairs of species to them"
+HEIGHTS = "one number, or a mapping from species to (A,)"
+MIE_WELLS = "one number, or a mapping from species to (ε, σ, n, m) and no others"
 WELLS = "one number, or a mapping from species to (ε, σ) and no sigma"
 A_RULE = "'lorentz-berthelot', 'geometric', or a function of two tuples of parameters"
 OF_PAIRS = (
@@ -85,6 +80,7 @@ FACTORS = "factors for pairs one, two and three bonds apart; 0 excludes, 1 chang
 TAIL = "add energy and virial of what truncation leaves out, at uniform density (g = 1); for truncated and the switches"
 LEFT_OUT = "on which the law does not act, whatever bonded_scale says; their nearest images, too"
 # arguments of several classes
+SIGMA = declared(kind.given, "where u = 0", "length", of="one number", default=None)
 CUTOFF = declared(kind.given, R_C, "length", of=FOR_PAIRS, default=None)
 TRUNCATION = declared(kind.choice, SEE, of=TRUNCATIONS, default="shifted")
 
@@ -115,7 +111,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         given: Any = self
         self.truncation: TruncationName = given.truncation
         self._given_cutoff = given.cutoff
-        self._cutoffs = _checked_cutoffs(self._given_cutoff)
+        self._cutoffs = checked_cutoffs(self._given_cutoff)
         self.law: Any = self._truncated_law()
         self.cutoff: Any = max(self._cutoffs.values())
         if not callable(self.mixing) and self.mixing is not None:
@@ -273,6 +269,10 @@ class Nonbonded(Declared, metaclass=ABCMeta):
             return own
         if (a, b) in self._by_pair:
             return self._by_pair[a, b]
+        if not own:
+            raise ValueError(
+                f"{type(self).__name__} has nothing for the pair {a!r}, {b!r}; it has {listed(self._by_pair)}"
+            )
 
         for name in (a, b):
             if name not in own:
@@ -286,9 +286,8 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                 f"{type(self).__name__} has no parameters for the pair {a!r}, {b!r}; "
                 "give pairs={...}, or a mixing rule"
             )
-        rule = MIXING[self.mixing] if isinstance(self.mixing, str) else self.mixing
-        mixed = self._checked_numbers(rule(own[a], own[b]), (a, b))
-        reverse = self._checked_numbers(rule(own[b], own[a]), (b, a))
+        mixed = self._checked_numbers(self.mixed(own[a], own[b]), (a, b))
+        reverse = self._checked_numbers(self.mixed(own[b], own[a]), (b, a))
         is_complete = len(mixed) == len(reverse) == len(own[a])
         if not (is_complete and all(map(partial(isclose, rel_tol=MIXED), mixed, reverse))):
             raise ValueError(
@@ -296,6 +295,11 @@ class Nonbonded(Declared, metaclass=ABCMeta):
                 f"it gives {mixed} for the first and {reverse} for the second"
             )
         return mixed
+
+    def mixed(self, first: Parameters, second: Parameters) -> Parameters:
+        """The parameters of an unlike pair, by the mixing rule."""
+        rule: Any = MIXING[self.mixing] if isinstance(self.mixing, str) else self.mixing
+        return rule(first, second)
 
     def _checked_parameters(
         self, parameters: Any, pairs: Any
@@ -440,7 +444,7 @@ class PairTerm(OwnTerm):
         return energy / system.volume, virial / system.volume
 
 
-def _checked_cutoffs(cutoff: Any) -> dict[Any, float]:
+def checked_cutoffs(cutoff: Any) -> dict[Any, float]:
     """The cutoffs of pairs of species, in both orders; or of all pairs, infinite if none is given, under None."""
     if cutoff is None:
         return {None: inf}
@@ -481,30 +485,26 @@ def curvature_at_minimum(epsilon: Any, sigma: Any) -> Any:
     return 72.0 * epsilon / (2.0 ** (1.0 / 3.0) * sigma * sigma)
 
 
-class LennardJones(Nonbonded):
-    """Lennard-Jones 12-6 potential u(r) = 4ε [(σ/r)¹² − (σ/r)⁶]."""
+class Well(Nonbonded):
+    """Base class of wells with numbers of their own: for all atoms, or a mapping from species in place of the first.
 
-    epsilon: float | Mapping[Label, tuple[float, float]] = declared(
-        kind.given, "depth of the well", "energy", of=WELLS
-    )
-    sigma: float | None = declared(
-        kind.given, "where u = 0", "length", of="one number", default=None
-    )
-    cutoff: Cutoff | None = CUTOFF
-    truncation: TruncationName = TRUNCATION
-    mixing: MixingName | Rule | None = declared(
-        kind.given, OTHERS, of=A_RULE, default="lorentz-berthelot", kw_only=True
-    )
+    well : law type.
+    numbers_of_well : what each must be, by name, σ second.
+    """
+
+    well: ClassVar[Any]
+    numbers_of_well: ClassVar[Mapping[str, str]] = {"epsilon": NOT_NEGATIVE, "sigma": POSITIVE}
 
     def as_law(self) -> tuple[Any, Any, Any]:
         """See Nonbonded."""
-        is_by_species = isinstance(self.epsilon, Mapping)
-        if is_by_species == (self.sigma is not None):
+        first, *others = (getattr(self, name) for name in self.numbers_of_well)
+        is_by_species = isinstance(first, Mapping)
+        if others.count(None) != (len(others) if is_by_species else 0):
+            names = ", ".join(self.numbers_of_well)
             raise ValueError(
-                "give LennardJones either epsilon and sigma, or one mapping from species to (epsilon, sigma)"
+                f"give {type(self).__name__} either all of {names}, or one mapping from species to ({names})"
             )
-        parameters = self.epsilon if is_by_species else (self.epsilon, self.sigma)
-        return LennardJonesLaw(), parameters, self.pairs
+        return self.well, first if is_by_species else (first, *others), self.pairs
 
     @property
     def shortest_length(self) -> float:
@@ -514,187 +514,105 @@ class LennardJones(Nonbonded):
             return shortest
         own = self.parameters
         parameters = [*own.values()] if isinstance(own, dict) else [own]
-        return min((sigma for _, sigma in (*parameters, *self._by_pair.values())), default=inf)
+        return min((sigma for _, sigma, *_ in (*parameters, *self._by_pair.values())), default=inf)
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
-        if not isinstance(numbers, Sequence | np.ndarray) or len(numbers) != 2:
+        demands = self.numbers_of_well
+        if not isinstance(numbers, Sequence | np.ndarray) or len(numbers) != len(demands):
             raise ValueError(
-                f"Lennard-Jones parameters are (epsilon, sigma); those of {of!r} are {shown(numbers)}"
+                f"{type(self).__name__} parameters are ({', '.join(demands)}); those of {of!r} are {shown(numbers)}"
             )
         whose = "" if of is None else f" of {of!r}"
-        epsilon = checked_number(f"epsilon{whose}", numbers[0], "finite and not negative")
-        sigma = checked_number(f"sigma{whose}", numbers[1], "positive and finite")
-        return epsilon, sigma
+        named = zip(demands.items(), numbers, strict=True)
+        return tuple(
+            checked_number(f"{name}{whose}", value, demand) for (name, demand), value in named
+        )
 
 
-class Table(Identical, namedtuple("Table", "knots coefficients density")):
-    """Splines on one set of knots.
+class LennardJones(Well):
+    """Lennard-Jones 12-6 potential u(r) = 4ε [(σ/r)¹² − (σ/r)⁶]."""
 
-    knots : (M + 1,) increasing [length], the distances of the table.
-    coefficients : (K, M, 6) of K splines with M pieces; u = Σ cₖ (r − knot)^(5 − k) [energy].
-    density : pieces per length, if all were equally long; it gives the piece where a search begins.
-    """
-
-    __slots__ = ()
-
-
-@scalar
-def tabulated(r2, table, parameters):
-    """One of the splines of a table.
-
-        u(r)     = S(r), a polynomial of degree 5 between two knots
-        −u′(r)/r = −S′(r)/r
-
-    r2 : squared distance [length²].
-    parameters : (k,) number of the spline.
-    Returns u [energy], −u′/r [energy/length²]; NaN closer than the first knot, where nothing is known;
-    the last piece continues beyond the last knot.
-    """
-    r = sqrt(r2)
-    n = table.knots.size - 1
-    if r < table.knots[0]:
-        return nan, nan
-    low = int(min((r - table.knots[0]) * table.density, n - 1.0))
-    high = n
-    if not table.knots[low] <= r < table.knots[low + 1]:
-        low = 0
-        while high - low > 1:
-            middle = (low + high) // 2
-            if r < table.knots[middle]:
-                high = middle
-            else:
-                low = middle
-
-    k = int(parameters[0])
-    x = r - table.knots[low]
-    u = slope = 0.0
-    for power in range(DEGREE + 1):
-        slope = slope * x + u
-        u = u * x + table.coefficients[k, low, power]
-    return u, -slope / r
-
-
-TabulatedLaw = law_type("TabulatedLaw", tabulated)
-TabulatedLaw.is_scalar = True
-
-
-class Tabulated(Nonbonded):
-    """A pair potential from a table: the quintic spline through the points (rᵢ, uᵢ), and its exact derivative.
-
-    The spline has four continuous derivatives and an error of order Δr⁶ in the energy, Δr⁵ in the force (not-a-knot
-    ends: C. de Boor, A Practical Guide to Splines (2001), chapters IV and XIII). Noise of the table appears in the
-    force, divided by Δr: smooth a measured table. Closer than the first point nothing is known: u is NaN there, and a
-    run ends with NonFiniteError. So begin the table well inside the repulsive wall. Tables use the pair list,
-    one pair at a time; a law with a formula is several times faster.
-    """
-
-    r: ArrayLike = declared(
-        kind.given, "equally spaced or not", "length", of=f"{FEWEST} or more increasing distances"
+    well = LennardJonesLaw()
+    lammps = LammpsStyle("lj/cut")
+    epsilon: float | Mapping[Label, tuple[float, float]] = declared(
+        kind.given, "depth of the well", "energy", of=WELLS
     )
-    u: ArrayLike | Mapping[tuple[Label, Label], ArrayLike] = declared(
-        kind.given, "u(r)", "energy", of=FOR_EACH
-    )
-    cutoff: Cutoff | None = declared(
-        kind.given, "r_c; the end of the table if not given", "length", of=FOR_PAIRS, default=None
-    )
+    sigma: float | None = SIGMA
+    cutoff: Cutoff | None = CUTOFF
     truncation: TruncationName = TRUNCATION
-    mixing: None = declared(kind.given, init=False, default=None)
-    pairs: None = declared(kind.given, init=False, default=None)
-    tail_correction: bool = declared(kind.flag, init=False, default=False)
+    mixing: MixingName | Rule | None = declared(
+        kind.given, OTHERS, of=A_RULE, default="lorentz-berthelot", kw_only=True
+    )
 
-    def as_law(self) -> tuple[Any, Any, Any]:
+
+class Mie(Well):
+    """Mie potential u(r) = C ε [(σ/r)ⁿ − (σ/r)ᵐ], C = n/(n − m) (n/m)^(m/(n − m)), whose well is ε deep.
+
+    n = 12, m = 6 is Lennard-Jones. The named mixing rules are for species with the same exponents; for others, mixing
+    is a function of two tuples (ε, σ, n, m), or pairs has their numbers. LAMMPS' `pair_style mie/cut`.
+    """
+
+    well = MieLaw()
+    numbers_of_well: ClassVar[Mapping[str, str]] = {
+        **Well.numbers_of_well,
+        "n": POSITIVE,
+        "m": POSITIVE,
+    }
+    lammps = LammpsStyle("mie/cut")
+    epsilon: float | Mapping[Label, tuple[float, float, float, float]] = declared(
+        kind.given, "depth of the well", "energy", of=MIE_WELLS
+    )
+    sigma: float | None = SIGMA
+    n: float | None = declared(kind.given, "exponent of repulsion", of="one number", default=None)
+    m: float | None = declared(
+        kind.given, "exponent of attraction, below n", of="one number", default=None
+    )
+    cutoff: Cutoff | None = CUTOFF
+    truncation: TruncationName = TRUNCATION
+    mixing: MixingName | Rule | None = declared(
+        kind.given, OTHERS, of=A_RULE, default="lorentz-berthelot", kw_only=True
+    )
+
+    def mixed(self, first: Parameters, second: Parameters) -> Parameters:
         """See Nonbonded."""
-        r = _checked_distances(self.r)
-        is_by_pair = isinstance(self.u, Mapping)
-        by_pair: Any = self.u if is_by_pair else {None: self.u}
-        energies: Any = {pair: _checked_energies(u, r, pair) for pair, u in by_pair.items()}
-        if not energies:
+        if not isinstance(self.mixing, str):
+            return super().mixed(first, second)
+        if first[2:] != second[2:]:
             raise ValueError(
-                "u must be energies, or a mapping with an entry for each pair of species; it is empty"
+                f"mixing {self.mixing!r} is for Mie potentials with the same n and m; these are {first[2:]} and "
+                f"{second[2:]}: give pairs={{...}}, or a function"
             )
+        return (*super().mixed(first, second), *first[2:])
 
-        self.r = r
-        self.u = energies if is_by_pair else energies[None]
-        if self.cutoff is None:
-            self.cutoff = float(r[-1])
-        cutoffs = _checked_cutoffs(self.cutoff).values()
-        shortest = min(cutoffs)
-        longest = max(cutoffs)
-        if not r[0] < shortest <= longest <= r[-1]:
-            wrong = longest if longest > r[-1] else shortest
-            raise ValueError(
-                f"cutoff must lie within the table, which goes from r = {r[0]:g} to {r[-1]:g}; "
-                f"cutoff = {wrong:g}: give another cutoff, or a longer table"
-            )
-
-        law = TabulatedLaw(_table(r, [*energies.values()]))
-        if not is_by_pair:
-            return law, (0.0,), {}
-        return law, {}, {pair: (float(k),) for k, pair in enumerate(energies)}
-
-    def _parameters_of(self, a: Any, b: Any) -> Parameters:
-        if isinstance(self.u, Mapping) and (a, b) not in self._by_pair:
-            raise ValueError(
-                f"Tabulated has no table for the pair {a!r}, {b!r}; it has {listed(self.u)}"
-            )
-        return super()._parameters_of(a, b)
+    def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
+        checked = super()._checked_numbers(numbers, of)
+        if not checked[2] > checked[3]:
+            raise ValueError(f"n must be larger than m; those of {of!r} are {checked[2:]}")
+        return checked
 
 
-def _checked_distances(r: Any) -> Array:
-    distances = checked_numbers("r", r, "increasing distances")
-    if distances.ndim != 1 or len(distances) < FEWEST:
-        raise ValueError(
-            f"r must be at least {FEWEST} distances, for a spline of degree {DEGREE}; "
-            f"its shape is {distances.shape}"
-        )
+class SoftRepulsion(Well):
+    """Soft repulsion u(r) = A [1 + cos(πr/r_c)], which lets atoms pass through each other and pushes them apart.
 
-    wrong = np.flatnonzero(~(np.isfinite(distances) & (distances >= 0.0)))
-    if wrong.size:
-        raise ValueError(
-            f"r must be finite and not negative; r[{wrong[0]}] = {distances[wrong[0]]:g}"
-        )
+    It is 2A high at r = 0, where it has no force, and goes to zero at r_c with its force. LAMMPS' `pair_style soft`.
+    """
 
-    steps = np.diff(distances)
-    if not steps.min() > 0.0:
-        k = np.argmin(steps > 0.0)
-        raise ValueError(
-            f"r must increase; r[{k + 1}] = {distances[k + 1]:g} follows r[{k}] = {distances[k]:g}: "
-            "sort the table, each r once"
-        )
+    well = SoftRepulsionLaw()
+    numbers_of_well: ClassVar[Mapping[str, str]] = {"height": NOT_NEGATIVE}
+    lammps = LammpsStyle("soft", lambda height, _reach: (height,))
+    height: float | Mapping[Label, tuple[float]] = declared(
+        kind.given, "A, half of u at r = 0", "energy", of=HEIGHTS
+    )
+    cutoff: Cutoff = declared(kind.given, "r_c, where u and force vanish", "length", of=FOR_PAIRS)
+    truncation: TruncationName = declared(
+        kind.choice, of=TRUNCATIONS, init=False, default="truncated"
+    )
 
-    return distances
-
-
-def _checked_energies(u: Any, r: Array, pair: Any) -> Array:
-    """The energies of a table.
-    pair : of species; None for all."""
-    name = "u" if pair is None else f"u of {pair!r}"
-    energies = checked_numbers(name, u, "one energy for each r")
-    if energies.shape != r.shape:
-        raise ValueError(
-            f"{name} must be {len(r)} energies, one for each r; its shape is {energies.shape}"
-        )
-    wrong = np.flatnonzero(~np.isfinite(energies))
-    if wrong.size:
-        k = wrong[0]
-        raise ValueError(
-            f"{name} must be finite; it is {shown(energies[k].item())} at r[{k}] = {r[k]:g}: leave such points out"
-        )
-    return energies
-
-
-def _table(r: Array, energies: Sequence[Array]) -> Table:
-    """The splines through energies, each (n,)."""
-    # here, so that importing minimd need not load it
-    from scipy.interpolate import make_interp_spline
-
-    splines = [make_interp_spline(r, u, DEGREE) for u in energies]
-    powers = range(DEGREE, -1, -1)
-    pieces = [[spline.derivative(k)(r[:-1]) / factorial(k) for k in powers] for spline in splines]
-    coefficients = np.ascontiguousarray(np.moveaxis(np.array(pieces), 1, -1))
-    return Table(r, coefficients, (len(r) - 1) / float(r[-1] - r[0]))
+    def _numbers_of_laws(self, parameters: Parameters, cutoff: float) -> Parameters:
+        return (*parameters, checked_number("cutoff", cutoff, "positive and finite"))
 
 
 # for isinstance: constructors differ, so that none can inherit another
 PairPotential.register(LennardJones)
-PairPotential.register(Tabulated)
+PairPotential.register(Mie)
+PairPotential.register(SoftRepulsion)

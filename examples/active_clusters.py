@@ -13,9 +13,9 @@ import numpy as np
 
 import minimd as md
 
-n, density = (30, 17), 0.75  # 1020 disks, 0.59 of the area
-timestep, duration = 0.004, 250.0  # σ/v = 1
-repulsion = md.LennardJones(0.1, 1.0, cutoff=2.0 ** (1.0 / 6.0))
+n, density = (26, 15), 0.75  # 780 disks, 0.59 of the area
+timestep, duration = 0.01, 300.0  # σ/v = 1
+repulsion = md.SoftRepulsion(3.0, cutoff=1.0)
 reach = 3.0
 
 constant = md.lattice.constant_from_density("triangular", density)

@@ -51,6 +51,27 @@ def test_a_double_well_is_found_within_errors_that_cover(correlation):
     assert errors.mean() < (0.15 if correlation == 0.0 else 0.4)
 
 
+def test_errors_are_the_response_of_the_profile_to_the_samples():
+    """All blocks of the windows are alike, but for half of those of one, in which one sample is another."""
+    centers, rng = np.linspace(-1.4, 1.4, 6), np.random.default_rng(6)
+    blocks = [samples(rng, 40, center, stiffness=6.0) for center in centers]
+    moved = blocks[1].copy()
+    moved[3] = moved.max()
+    is_moved = np.tile([False, True, True, False], 8)
+
+    def profile():
+        mixed = np.concatenate([moved if other else blocks[1] for other in is_moved])
+        series = [mixed if k == 1 else np.tile(block, 32) for k, block in enumerate(blocks)]
+        return md.free_energy.umbrella(series, centers, 6.0, KT, np.linspace(-1.2, 1.2, 9))
+
+    before = profile()
+    is_moved[0] = True
+    change = np.abs(profile().free_energy - before.free_energy)
+    errors = before.free_energy_error
+    assert change.max() > 1e-5
+    assert errors / errors.max() == pytest.approx(change / change.max(), rel=0.03, abs=0.01)  # truncation
+
+
 def test_windows_of_a_free_particle_cost_what_their_stiffness_says():
     """Gaussians of different stiffness: the free energies of the windows are kT ln(k/k₀)/2."""
     rng, stiffnesses = np.random.default_rng(7), np.array([1.0, 4.0, 9.0, 2.0])

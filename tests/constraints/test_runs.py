@@ -199,3 +199,17 @@ def test_the_temperature_of_interacting_molecules_is_off_by_the_square_of_the_ti
     assert 1.0 - long > 6.0 * error_long
     assert (4.0 * short - long) / 3.0 == pytest.approx(1.0, abs=4.0 * error)  # statistics
     assert error < 0.004
+
+
+@pytest.mark.parametrize("drifts", [1, 3])
+def test_more_drifts_come_nearer_to_the_geodesic(drifts):
+    """A rigid rotor turns by ωt; each drift over h turns it by arcsin ωh."""
+    rod = md.System([[-0.5, 0, 0], [0.5, 0, 0]], velocities=[[0, -0.5, 0], [0, 0.5, 0]], bonds=[[0, 1]])
+    method = md.LangevinBAOAB(0.2, 0.0, 0.0, 1, drifts=drifts)
+    simulation = md.Simulation(rod, [], method, md.DistanceConstraints(rod.bonds))
+    simulation.run(50, progress=False)
+    x, y, _ = simulation.positions[1] - simulation.positions[0]
+    late = (10.0 - np.arctan2(y, x) + np.pi) % (2.0 * np.pi) - np.pi
+    n = 100 * drifts
+    assert late == pytest.approx(10.0 - n * np.arcsin(10.0 / n), rel=1e-9)
+    assert np.linalg.norm(simulation.velocities[1]) == pytest.approx(0.5, rel=1e-12)

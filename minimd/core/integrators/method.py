@@ -94,11 +94,12 @@ class Method(Displayed):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The constructor arguments that recreate this method, by name: its attributes with the names of arguments."""
+        """The constructor arguments that recreate this method, by name: its attributes with the names of arguments,
+        without those that have their default."""
         return {
             name: getattr(self, name)
-            for name in signature(type(self)).parameters
-            if hasattr(self, name)
+            for name, argument in signature(type(self)).parameters.items()
+            if getattr(self, name, argument.default) is not argument.default
         }
 
     def display_rows(self) -> Rows:

@@ -51,6 +51,7 @@ class Splitting(Method):
     conserves_momentum : true unless a bath acts on each atom separately.
     is_thermostat : whether a bath acts at all.
     is_overdamped : whether motion has no inertia.
+    drifts : in how many parts drifts along rigid bonds are made.
     memory : (M,) float64, what a bath of yours remembers, such as ξ of Nosé and Hoover, changed in place; or None.
 
     Attributes computed from them
@@ -68,6 +69,7 @@ class Splitting(Method):
     is_thermostat: ClassVar[bool] = False
     is_overdamped: ClassVar[bool] = False
     memory: Array | None = None
+    drifts: int = 1
     order = ClassProperty(lambda method: nystrom_order(method.sequence()))
     is_symmetric = ClassProperty(lambda method: is_palindrome(method.sequence()))
     stages = ClassProperty(stages)

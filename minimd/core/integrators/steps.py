@@ -82,6 +82,7 @@ class Row(Protocol):
         """[time]."""
 
     substeps: ClassVar[Any]
+    drifts: int
 
     def contact(
         self, state: State, duration: float, around: Surroundings, moment: Moment
@@ -337,7 +338,9 @@ class Steps:
                 case Kick(coefficient) if forces.power is not None:
                     yield in_python(partial(self._work, coefficient * stride))
                 case Drift(coefficient) if around.constraints is not None:
-                    yield from self._constrained(coefficient * stride)
+                    n = self._method.drifts
+                    for _ in range(n):
+                        yield from self._constrained(coefficient * stride / n)
                 case Projection():
                     yield from projected(self._state, around)
                 case Thermalize(coefficient):

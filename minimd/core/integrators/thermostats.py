@@ -41,6 +41,7 @@ from minimd.core.structure.observables import AT_REST, SEEDS, kinetic_energy_of
 
 __all__ = ["BrownianDynamics", "LangevinBAOAB", "LangevinGJF", "StochasticVelocityRescaling"]
 
+MOST_DRIFTS = 100
 CALLS = {False: DirectCalls(), True: DirectCalls()}  # by whether there is a grid
 
 
@@ -159,6 +160,8 @@ class LangevinBAOAB(Thermostat):
     temperature : T ≥ 0, of the bath, or a Ramp.
     friction : γ ≥ 0 [1/time].
     seed : int ≥ 0 of the noise, below 2¹²⁸.
+    drifts : in which each drift along rigid bonds is made: with more, atoms come nearer to their geodesics (g-BAOAB),
+        without further forces. Nothing else changes.
 
     B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013); J. Chem. Phys. 138, 174102 (2013), eq. 7.
     With constraints: B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 20160138 (2016).
@@ -170,9 +173,12 @@ class LangevinBAOAB(Thermostat):
     conserves_momentum = False
     last_kick = 0.5
 
-    def __init__(self, timestep: float, temperature: Level, friction: float, seed: int) -> None:
+    def __init__(
+        self, timestep: float, temperature: Level, friction: float, seed: int, drifts: int = 1
+    ) -> None:
         super().__init__(timestep, temperature, seed)
         self.friction = checked_number("friction", friction, "finite and not negative")
+        self.drifts = checked_count("drifts", drifts, 1, MOST_DRIFTS)
 
     @classmethod
     def with_relaxation_time(

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ThreadPoolExecutor
 from contextlib import ExitStack, nullcontext, suppress
-from copy import copy
 from math import sqrt
 from pathlib import Path
 from pickle import PicklingError
@@ -230,9 +229,9 @@ class Replica:
     def _method_at(self, temperature: float) -> Any:
         """The method at a temperature, the same object each time: an engine remembers the steps of several methods."""
         if temperature not in self._methods:
-            method: Any = copy(self.simulation.method)
-            method.temperature = temperature
-            self._methods[temperature] = method
+            method: Any = self.simulation.method
+            arguments = method.parameters | {"temperature": temperature}
+            self._methods[temperature] = type(method)(**arguments)
         return self._methods[temperature]
 
     def steps_to(self, number: int) -> int:
@@ -429,16 +428,24 @@ def check_canonical(simulation: Any, member: Member) -> None:
 
 
 def check_replicas(replicas: list[Replica]) -> None:
-    """Raise ValueError unless all replicas have the same atoms and cell, and each its own noise."""
+    """Raise ValueError unless all replicas have the same atoms, cell, constraints and potentials, as far as their repr
+    shows these, and each its own noise."""
     first = replicas[0].simulation
     seeds: dict[Any, Member] = {}
     for replica in replicas:
-        system = replica.simulation.system
+        simulation = replica.simulation
+        system = simulation.system
         is_same = np.array_equal(system.masses, first.system.masses)
-        if not is_same or not np.array_equal(system.cell.vectors, first.system.cell.vectors):
+        if not is_same or not system.cell.same_as(first.system.cell):
             raise ValueError(
                 f"build must return the same atoms in the same cell for all replicas; {replica.member} has {system!r}, "
                 f"{replicas[0].member} has {first.system!r}"
+            )
+        laws = (simulation.potentials, simulation.n_dof, system.units)
+        if repr(laws) != repr((first.potentials, first.n_dof, first.system.units)):
+            raise ValueError(
+                "build must return the same potentials and constraints for all replicas; potentials, degrees of "
+                f"freedom and units of {replica.member} are {laws!r}"
             )
         seed = replica.simulation.method.parameters.get("seed")
         if seed is not None and seeds.setdefault(seed, replica.member) is not replica.member:

@@ -102,6 +102,11 @@ class Asked(NamedTuple):
     prepare: str
     run: str
 
+    @property
+    def is_ladder(self) -> bool:
+        """Whether it is of md.exchange."""
+        return self.run.startswith(EXCHANGE)
+
     def is_done(self, row: Row | None) -> bool:
         """Whether a member is done: it has made all steps, or with a function run, that function has returned."""
         if row is None or row["status"] != DONE:
@@ -192,9 +197,12 @@ class EnsembleFolder:
                     asked = asked._replace(seed=self.asked.seed)
                 difference = _difference(self.asked, asked)
                 if difference:
+                    possible = "new members can be appended at the end of the list"
+                    if asked.is_ladder:
+                        possible = "more steps are possible"
                     raise ValueError(
-                        f"folder {str(self.path)!r} holds another ensemble: {difference}; new members can be appended "
-                        "at the end of the list; for any other change choose another folder"
+                        f"folder {str(self.path)!r} holds another ensemble: {difference}; {possible}; for any other "
+                        "change choose another folder"
                     )
 
                 further = self.asked.parameters[len(asked.parameters) :]
@@ -339,7 +347,7 @@ def _difference(before: Asked, asked: Asked) -> str | None:
     for name in ("seed", "every", *FUNCTIONS, "steps"):
         old = getattr(before, name)
         new = getattr(asked, name)
-        goes_on = not asked.run or asked.run.startswith(EXCHANGE)
+        goes_on = not asked.run or asked.is_ladder
         may_grow = name == "steps" and goes_on and new > old
         # the code of one of them is not known
         if name in FUNCTIONS and not (CODE in old and CODE in new):

@@ -130,7 +130,8 @@ class Ladder(Result):
     @property
     def mean_acceptance(self) -> float:
         """The mean over all pairs."""
-        return float(np.nanmean(self.acceptance)) if len(self) else np.nan
+        known = self.acceptance[np.isfinite(self.acceptance)]
+        return float(known.mean()) if known.size else np.nan
 
     @property
     def round_trips(self) -> Indices:

@@ -469,7 +469,7 @@ class Diffusion(Displayed):
         self.result = result
         self.coefficient = per_time * result.diffusion
         self.error = per_time * result.diffusion_error
-        self.cm2_per_s = result.diffusion / CM2_PER_S if units is ASE else None
+        self.cm2_per_s = result.diffusion / CM2_PER_S if units.name == ASE.name else None
         self.infinite = None if np.isnan(result.infinite) else per_time * result.infinite
         self.infinite_error = per_time * result.infinite_error
         self.window = (start * ps, end * ps)

@@ -17,12 +17,12 @@ from minimd.observers.accumulator import ObservedRun
 from minimd.observers.arguments import argument, label, names, orders, positive, steps
 from minimd.observers.means import Means, MeansResult, Quantity
 
-CUTOFF = 1.4  # (V/N)^(1/3): beyond 12 neighbors in fcc and hcp, and 14 in bcc
+CUTOFF = 1.4  # (V/N)^(1/d): beyond 6 neighbors in a triangular lattice, 12 neighbors in fcc and hcp, and 14 in bcc
 WIDE = 10.0  # cutoffs: a box in which a bond has no images
 AMONG = (
     'species whose atoms and neighbors are meant, such as "O", or a list of them; all if not given'
 )
-REACH = "of neighbors; 1.4 (V/N)^(1/3) if not given, which is for three dimensions"
+REACH = "of neighbors; 1.4 (V/N)^(1/d) if not given, in d dimensions"
 
 
 class BondOrderResult(MeansResult):

@@ -347,9 +347,8 @@ class VelocityAutocorrelation(_OfAtoms):
             return running_integral(times, law(sums)[0] / scene.dimensions)
 
         along, its_error = self._estimate(times, longest, integral)
-        factor = (
-            2.0 * scene.dimensions * self.widening
-        )  # the integral of this one is a mean square displacement
+        # the integral of this one is a mean square displacement
+        factor = 2.0 * scene.dimensions * self.widening
         squares = factor * running_integral(times, along)
         without = factor * running_integral(times, self.sums.replicas(integral))
         of_all = diffusivity(times, squares, without, longest, dimensions=scene.dimensions)
@@ -552,7 +551,7 @@ class VelocityResult(MotionResult):
 
     times : (T,) lags [time].
     means, errors : (1 + S + 3, T) [length²/time²], of all atoms, of those of each species, and along x, y, z.
-    integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].
+    integral, integral_error : (T,) ∫₀ᵗ ⟨v · v⟩ / d in d dimensions [length²/time].
     diffusivity : Diffusivity, by means of the integral over octaves of lags.
     n_atoms, are_joined : see MotionResult.
     """
@@ -601,7 +600,8 @@ class VelocityResult(MotionResult):
         beside.fill_between(
             times, integral - errors, integral + errors, color=BESIDE, alpha=0.25, lw=0
         )
-        beside.set_ylabel(f"⅓ ∫ ⟨v(0) · v(t)⟩ dt  [{unit}]", color=BESIDE)
+        one_of_d = {2: "½", 3: "⅓"}[self.scene.dimensions]
+        beside.set_ylabel(f"{one_of_d} ∫ ⟨v(0) · v(t)⟩ dt  [{unit}]", color=BESIDE)
         if np.isfinite(self.diffusion):
             ends = np.array(self.diffusivity.window) * self.units.to_picosecond
             line: dict[str, Any] = {"color": "0.4", "lw": 3.0, "alpha": 0.5, "label": self.known}

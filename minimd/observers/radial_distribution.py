@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 FRAMES, HEAD = range(2)  # places in the sums: number of frames, then V times the numbers of pairs
 NO_PAIRS = np.zeros((0, 2), dtype=np.int64)
 SPACINGS = 4.0  # in r_max if not given: four shells of neighbors
-R_MAX = "largest distance; if not given, the smaller of 4 (V/N)^(1/3) and half the smallest height of the initial cell"
+R_MAX = "largest distance; if not given, the smaller of 4 (V/N)^(1/d) and half the smallest height of the initial cell"
 PAIRS = 'pairs of species, such as "O-O", or a list of them; all if not given'
 INSIDE = "whether pairs of atoms of one molecule count, too; without bonds, or with a single molecule, all pairs count"
 

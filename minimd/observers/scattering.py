@@ -46,7 +46,7 @@ TABLE = 2**18  # cosines of k for atoms
 N_WAVES = 3
 MANY = 60
 Q_MAX = "largest q; if not given, three times that of the main peak of a simple liquid"
-Q_SELF = "length of the wave vectors; if not given, the main peak of a simple liquid, 1.15 · 2π (N/V)^(1/3)"
+Q_SELF = "length of the wave vectors; if not given, the main peak of a simple liquid, 1.15 · 2π (N/V)^(1/d)"
 PER_SHELL = "number of directions for which wave vectors are chosen in each shell of q"
 
 

@@ -273,6 +273,39 @@ def langevin(member, temperature=1.0, friction=1.0, seed=None):
     return with_method(md.LangevinBAOAB(0.1, temperature, friction, seed), member)
 
 
+def other_laws(member):
+    simulation = ladders.oscillators(member)
+    springs = md.Restraint(1.0 + member.index, np.zeros(3))
+    return md.Simulation(simulation.system, springs, simulation.method)
+
+
+class Derived(md.LangevinBAOAB):
+    """A bath that computes something of its temperature once."""
+
+    def __init__(self, timestep, temperature, friction, seed):
+        super().__init__(timestep, temperature, friction, seed)
+        self.spread = np.sqrt(temperature)
+
+
+def derived(member):
+    bath = Derived(0.2, member["temperature"], 1.0, member.seed)
+    return md.Simulation(ladders.oscillators(member).system, md.Restraint(1.0, np.zeros(3)), bath, skin=0.5)
+
+
+def test_what_a_bath_derives_of_its_temperature_follows_it(tmp_path, monkeypatch):
+    seen = []
+    touch = Derived.touch
+
+    def told(self, *arguments):
+        seen.append(self.spread / self.temperature**0.5)
+        return touch(self, *arguments)
+
+    monkeypatch.setattr(Derived, "touch", told)
+    ladder = md.exchange(derived, [1.0, 1.1], 200, every=10, folder=tmp_path, progress=False)
+    assert ladder.accepted.any()
+    assert np.array(seen) == pytest.approx(1.0)
+
+
 def other_sizes(member):
     return oscillators(member, n=2 + member.index)
 
@@ -308,6 +341,7 @@ WRONG = [  # options, error, what is named and shown
     ({"build": partial(langevin, temperature=md.Ramp(0.1, 1.0, 10))}, ValueError, "build", "Ramp", "constant"),
     ({"build": partial(langevin, temperature=0.0)}, ValueError, "build", "temperature=0"),
     ({"build": partial(langevin, friction=0.0)}, ValueError, "build", "friction=0"),
+    ({"build": other_laws}, ValueError, "same potentials", "member 1", "Restraint"),
     ({"build": partial(langevin, seed=3)}, ValueError, "build", "member 1", "seed 3"),
     ({"build": other_sizes}, ValueError, "build", "member 1"), ({"build": pressed}, ValueError, "build", "volume"),
     ({"build": active}, ValueError, "build", "active"), ({"build": timed}, ValueError, "build", "depend on time"),

@@ -190,6 +190,25 @@ def test_what_leaves_the_plane_is_refused():
     assert_answered(lambda: md.System(np.zeros((2, 2)), **closed), ValueError, "third direction", "open")
 
 
+class Spilling(md.LangevinBAOAB):
+    """A bath of somebody's who thinks of three directions."""
+
+    def thermalize(self, state, duration, around):
+        state.velocities[:] = self.noise(around.bath).standard_normal(state.velocities.shape)
+
+
+def test_a_bath_that_leaves_the_plane_is_refused():
+    sim = md.Simulation(gas(50), [], Spilling(0.01, 1.0, 1.0, seed=1))
+    assert_answered(lambda: sim.run(20), ValueError, "plane", "positions of atom")
+
+
+def test_a_file_in_a_plane_is_a_structure_in_its_units(tmp_path):
+    sim = disks()
+    sim.run(2, every=1, trajectory=tmp_path / "a.h5md", progress=False)
+    again = md.ase.system_from_file(tmp_path / "a.h5md", units=md.units.LJ)
+    assert (again.dimensions, again.units) == (2, md.units.LJ.in_plane)
+
+
 def test_what_a_plane_has_not_is_refused():
     tailed = md.LennardJones(1.0, 1.0, 2.5, "truncated", tail_correction=True)
     assert_answered(lambda: md.evaluate(triangular(), tailed), ValueError, "tail_correction", "plane")

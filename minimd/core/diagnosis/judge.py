@@ -63,11 +63,14 @@ def runaway(
     else:
         name = "total energy"
         start = first["total_energy"] - first.get("work", 0.0)
-    earlier = first["kinetic_energy"] + abs(first["potential_energy"]) + rounding
+    earlier = first["kinetic_energy"] + abs(first["potential_energy"])
     now = kinetic + abs(potential)
-    if now > growth * earlier and engine.has_bath:
-        earlier += engine.n_dof * system.units.k_B * (engine.bath_settings[0] or 0.0)
-    if now > growth * earlier and abs(energy - start) > HALF * now:
+    if not now > growth * (earlier + rounding):
+        return None
+    heat = 0.0
+    if engine.has_bath:
+        heat = engine.n_dof * system.units.k_B * (engine.bath_settings[0] or 0.0)
+    if now > growth * (earlier + heat + rounding) and abs(energy - start) > HALF * now:
         change = f"from {start:.3g} to {energy:.3g} {system.units.energy}"
         return f"the {name} has gone {change} since {since}"
     return None

@@ -208,11 +208,12 @@ def _flat_motion(evidence: Evidence) -> Verdicts:
     n_moving = n_dof - n_flat * (n_atoms - leaves_out_center(n_atoms, engine.conserves_momentum))
     if 0 < n_moving < n_dof:
         where = ("in one plane", "on one line")[n_flat - 1]
+        in_space = "give velocities in all directions"
+        cures = (f"make a System with planar=True, or {in_space}", in_space)
         yield Verdict(
             "plane",
             f"all atoms lie and move {where}: {n_moving} of the {n_dof} degrees of freedom that are counted move",
-            f"their temperature is {n_dof / n_moving:.4g} times the one shown; "
-            f"{'make a System with planar=True, or ' * (n_flat == 1)}give velocities in all directions",
+            f"their temperature is {n_dof / n_moving:.4g} times the one shown; {cures[n_flat - 1]}",
         )
 
 

@@ -271,8 +271,6 @@ class Engine:
         self.interactions.place_sites()
         state = self._digest()
         if state != self._entered:
-            if self._bath.dimensions == 2:
-                self._system.check_plane()
             self._entered = state
             self._goes_on = False
             self._state.forces_are_current = False

@@ -165,7 +165,7 @@ def check_has_volume(engine: Engine) -> None:
     """Raise ValueError if the cell has no volume."""
     if engine.system.volume is None:
         raise ValueError(
-            "pressure and stress need a volume: a cell that is periodic in all three directions; "
+            "pressure and stress need a volume: a cell that is periodic in all three directions, a plane in two; "
             f"its pbc = {engine.system.cell.pbc.tolist()}"
         )
 

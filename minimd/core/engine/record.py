@@ -114,7 +114,7 @@ class Record(Displayed):
         if name == "pressure":
             raise AttributeError(
                 "pressure was not recorded: the cell has no volume; "
-                "it must be periodic in all three directions, pbc = (True, True, True)"
+                "it must be periodic in all three directions, pbc = (True, True, True), a plane in two"
             )
         raise AttributeError(f"a record has no {name!r}; it has {', '.join(series)}")
 

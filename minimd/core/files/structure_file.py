@@ -268,7 +268,9 @@ class Door(NamedTuple):
         names = [str(label) for label in labels]
         of_sites = system.masses == 0.0
         stated = Stated(self.source, names, system.positions, None, system.masses + of_sites)
-        weights, symbols = identified(stated, masses, self.elements, is_reduced=system.units is LJ)
+        weights, symbols = identified(
+            stated, masses, self.elements, is_reduced=system.units.is_reduced
+        )
         weights[of_sites] = 0.0
         arguments = arguments_of(system)
         arguments |= {"masses": weights, "species": species_of(symbols, labels)}
@@ -284,7 +286,7 @@ class Door(NamedTuple):
 
     def _check_units(self, stated: UnitSystem) -> None:
         """Raise ValueError if other units were asked for than those of the file."""
-        if self.units is not None and self.units != stated:
+        if self.units is not None and self.units.name != stated.name:
             raise ValueError(
                 f"{self.source} states units = {stated.name!r}; it cannot be read with units = "
                 f"{self.units.name!r}"

@@ -426,7 +426,10 @@ class Forces:
         return tuple(pairs.built() for pairs in self._lists)
 
     def place_sites(self) -> None:
-        """Bring massless sites, if there are any, to where their parents are in the present cell."""
+        """Bring massless sites, if there are any, to where their parents are in the present cell.
+        Raises ValueError as System.check_plane."""
+        if self._is_plane:
+            self.system.check_plane()
         if self.system.sites is not None:
             self._images.take(self.system.cell)
             self._sites.place()

@@ -83,8 +83,8 @@ class StochasticCellRescaling(Displayed):
 
     Parameters
     ----------
-    pressure : P₀ [energy/length³], or a Ramp.
-    compressibility : β, isothermal [length³/energy]; a rough value is enough, since only β/τ matters;
+    pressure : P₀ [energy/length^d], or a Ramp.
+    compressibility : β, isothermal [length^d/energy]; a rough value is enough, since only β/τ matters;
         4.6e-5 bar⁻¹ for water.
     relaxation_time : τ of the volume, > 0 [time]; at least 10 nΔt. With one free axis it takes three times as long.
     seed : int ≥ 0 of the noise, below 2¹²⁸.

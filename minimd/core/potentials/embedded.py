@@ -237,7 +237,7 @@ class EmbeddedAtomOfTables(EmbeddedAtom):
 
     def bind(self, system: System) -> PairTerm:
         """See Nonbonded. Raises ValueError also for a system in other units than eV and Å, those of the tables."""
-        if system.units != ASE:
+        if system.units.name != ASE.name:
             raise ValueError(
                 f"the tables of {self.given.file!r} are in eV and Å; the system must be in the units of ASE, it is in "
                 f"{system.units.name}"

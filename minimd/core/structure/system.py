@@ -207,7 +207,8 @@ class System(Displayed):
         if self.volume is not None:
             table[NAMES_OF_VOLUME[self.dimensions]] += f" {units.volume}"
             density = self.masses.sum() / self.volume
-            of_mass = f"{density:.6g} mass/{units.volume}"
+            mass = "mass" if units.is_reduced else "u"
+            of_mass = f"{density:.6g} {mass}/{units.volume}"
             if units is unit_systems.ASE:
                 of_mass = f"{density / unit_systems.GRAM_PER_CM3:.6g} g/cm³"
             table["density"] = f"{len(self) / self.volume:.6g} atoms/{units.volume}, {of_mass}"

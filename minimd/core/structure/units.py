@@ -61,6 +61,11 @@ class UnitSystem:
     volume: str = "σ³"
 
     @property
+    def is_reduced(self) -> bool:
+        """Whether they are those of a law, σ, ε and m."""
+        return self.name == LJ.name
+
+    @property
     def in_plane(self) -> "UnitSystem":
         """These units in two dimensions, with an area for a volume and a force per length for a pressure."""
         area = f"{self.length}²"

@@ -56,7 +56,8 @@ def strains_of_an_ideal_gas(coupling, duration, n_strains, d=3, n=12, pressure=0
     """Volumes of its isothermal-isobaric ensemble before and after, in units of their mean, and ΔH/kT; (3, K)."""
     inverse = {"compressibility": 1.0 / pressure, "relaxation_time": 1.0}
     bath, rng, found = barostat(pressure=pressure, coupling=coupling, **inverse), np.random.default_rng(5), []
-    state = lambda p, v: ThermodynamicState(p.T @ p / v, v, 0.5 * np.square(p).sum(), thermal, pressure, d)  # noqa: E731
+    wanted = thermal, pressure, d
+    state = lambda p, v: ThermodynamicState(p.T @ p / v, v, 0.5 * np.square(p).sum(), *wanted)  # noqa: E731
     for number in range(n_strains):
         volume, momenta = rng.gamma(n + 1) * thermal / pressure, rng.normal(scale=thermal**0.5, size=(n, 3))
         momenta[:, d:] = 0.0

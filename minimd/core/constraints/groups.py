@@ -99,10 +99,11 @@ def graph_of(pairs: Indices, inverse_masses: Array, ids: Indices) -> Graph:
     apart = n_atoms + np.arange(2 * n_pairs).reshape(-1, 2)
     bodies = np.where(inverse_masses[pairs] > 0.0, pairs, apart)
     body_masses = np.concatenate([inverse_masses, np.zeros(2 * n_pairs)])
-    places = (np.repeat(np.arange(n_pairs), 2), bodies.reshape(-1))
+    # of 32 bits: scipy 1.13 has no shortest paths for others
+    places = np.array([np.repeat(np.arange(n_pairs), 2), bodies.reshape(-1)], dtype=np.int32)
     signs = np.tile([-1.0, 1.0], n_pairs)
 
-    incidence = coo_array((signs, places), shape=(n_pairs, len(body_masses))).tocsr()
+    incidence = coo_array((signs, tuple(places)), shape=(n_pairs, len(body_masses))).tocsr()
     coupled = ((incidence * body_masses) @ incidence.T).tocsr()
     label = connected_components(coupled)[1]
 

@@ -34,9 +34,11 @@ def members(name: str, item: object) -> list[tuple[str, object]]:
 
 
 def is_told(key: str, value: object) -> bool:
-    """Whether an attribute of a class is public and has a docstring of its own."""
+    """Whether an attribute of a class is public and has a docstring of its own; arrays have one in some of NumPy's
+    versions."""
     is_of_its_type = inspect.getdoc(value) == inspect.getdoc(type(value))
-    return key[0] != "_" and not is_of_its_type and sentence(value) not in ("", "See Displayed")
+    is_code = callable(value) or hasattr(value, "__get__")
+    return key[0] != "_" and is_code and not is_of_its_type and sentence(value) not in ("", "See Displayed")
 
 
 def names_on(text: str) -> list[tuple[str, object]]:

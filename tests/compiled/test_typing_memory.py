@@ -21,7 +21,8 @@ def test_a_remembered_type_is_the_one_that_numba_finds(function):
     context.refresh()
     of_function = context.resolve_value_type(function)
     n = 1 if function is abs else 2
-    for arguments in [(a, b)[:n] for a in KINDS for b in KINDS]:
+    kinds = [kind for kind in KINDS if function is not max or kind is not types.boolean]  # not in all versions of Numba
+    for arguments in [(a, b)[:n] for a in kinds for b in kinds]:
         find = typing_memory._find_type
         found = [find(of_function, context, arguments, {}), *(of_function.get_call_type(context, arguments, {}),) * 2]
         assert len({(signature.return_type, signature.args) for signature in found}) == 1

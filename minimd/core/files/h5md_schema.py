@@ -169,8 +169,7 @@ def description(engine: Engine) -> dict[str, Item]:
         "title": engine.notes["title"] or f"{len(system)} atoms of {', '.join(labels)}",
         "scene": engine.notes["scene"],
     }
-    if system.dimensions == 2:
-        attributes["dimensions"] = 2
+    attributes |= {"dimensions": 2} if system.dimensions == 2 else {}
     items = {
         "h5md": Item({"version": [1, 1]}),
         "h5md/author": Item({"name": "N/A"}),

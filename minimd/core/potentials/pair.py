@@ -499,7 +499,8 @@ class Well(Nonbonded):
         """See Nonbonded."""
         first, *others = (getattr(self, name) for name in self.numbers_of_well)
         is_by_species = isinstance(first, Mapping)
-        if others.count(None) != (len(others) if is_by_species else 0):
+        n_missing = sum(number is None for number in others)
+        if n_missing != (len(others) if is_by_species else 0):
             names = ", ".join(self.numbers_of_well)
             raise ValueError(
                 f"give {type(self).__name__} either all of {names}, or one mapping from species to ({names})"

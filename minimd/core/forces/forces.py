@@ -245,7 +245,6 @@ class Forces:
                 "precision='fixed-point' is for atoms with masses; this system has massless sites, whose forces are "
                 "not handed over to the last bit: take precision='double'"
             )
-        self._is_plane = system.dimensions == 2
         self.pool = pool_for(self.options, len(system))
         self.potentials = as_potentials(potentials)
         self._bound: list[Term] = []
@@ -428,7 +427,7 @@ class Forces:
     def place_sites(self) -> None:
         """Bring massless sites, if there are any, to where their parents are in the present cell.
         Raises ValueError as System.check_plane."""
-        if self._is_plane:
+        if self.system.cell.dimensions == 2:
             self.system.check_plane()
         if self.system.sites is not None:
             self._images.take(self.system.cell)
@@ -561,7 +560,7 @@ class Forces:
             term.collect(target)
         if self.grid is not None:
             np.divide(self.impulses, target.steps.per_force[0], out=self.forces)
-        if self._is_plane:
+        if self.system.cell.dimensions == 2:
             check_in_plane("forces", self.forces)
         if target.detail == FORCES:
             return ForceResult(self.forces)

@@ -113,7 +113,7 @@ class System(Displayed):
                 f"{shown(constraints)}"
             )
 
-        if masses is None and units.name != unit_systems.LJ.name:
+        if masses is None and not units.is_reduced:
             raise ValueError(
                 f"masses are missing: give one number or one per atom; {units.name} units have no default"
             )
@@ -251,10 +251,9 @@ class System(Displayed):
         return net if abs(net) > NEUTRAL * float(np.abs(self.charges).sum()) else 0.0
 
     def check_plane(self) -> None:
-        """Raise ValueError for atoms of a plane that have left it."""
-        if self.dimensions == 2:
-            for name in ("positions", "velocities"):
-                check_in_plane(name, getattr(self, name))
+        """Raise ValueError for atoms that do not lie and move in z = 0."""
+        for name in ("positions", "velocities"):
+            check_in_plane(name, getattr(self, name))
 
     def copy(self) -> System:
         """An independent copy."""

@@ -31,7 +31,7 @@ from minimd.core.simulation.simulation import Simulation
 from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.constraints import molecules_of
 from minimd.core.structure.system import System
-from minimd.core.structure.units import ASE, CM2_PER_S
+from minimd.core.structure.units import CM2_PER_S
 from minimd.observers.arguments import interval
 from minimd.observers.motion import DisplacementResult
 from minimd.observers.radial_distribution import RadialDistributionResult
@@ -469,7 +469,7 @@ class Diffusion(Displayed):
         self.result = result
         self.coefficient = per_time * result.diffusion
         self.error = per_time * result.diffusion_error
-        self.cm2_per_s = result.diffusion / CM2_PER_S if units.name == ASE.name else None
+        self.cm2_per_s = None if units.is_reduced else result.diffusion / CM2_PER_S
         self.infinite = None if np.isnan(result.infinite) else per_time * result.infinite
         self.infinite_error = per_time * result.infinite_error
         self.window = (start * ps, end * ps)

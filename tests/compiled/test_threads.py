@@ -13,7 +13,7 @@ from processes import ended
 from minimd.core.compiled import threads
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import DirectCalls, called_kernel
-from minimd.core.compiled.program import GO_ON, JUMP, Program, in_python, operation
+from minimd.core.compiled.program import GO_ON, JUMP, Program, in_python, operation, side_by_side
 
 N_PHASES, STOPPED = 4, 7
 CALLS = DirectCalls()
@@ -182,6 +182,58 @@ def test_threads_of_python_take_turns_with_one_team():
     assert team is threads.thread_pool(2)
     with ThreadPoolExecutor(3) as pool:
         list(pool.map(lambda n: [counted(team, n) for _ in range(300)], [3, 17, 64]))
+
+
+@pytest.mark.parametrize("n_threads", [1, 2, 3, 8])
+def test_the_operation_behind_pythons_is_begun_beside_it_and_no_later_one(n_threads):
+    """Python waits for a chunk of the long operation, which only a helper can make; those that need Python's wait."""
+    team = threads.thread_pool(n_threads)
+    for n in (1, 2, 9, threads.MOST_CHUNKS, *np.random.default_rng(3).integers(1, 20, 300)):
+        program_of, done, early = program(team, int(n), 3)
+        before, long, after = program_of._make()
+        seen = []
+
+        def look(done=done, seen=seen):
+            until = time.monotonic() + 10.0
+            while n_threads > 1 and not done[1].any() and time.monotonic() < until:
+                time.sleep(0.0)
+            time.sleep(1e-5)
+            seen.append(done.any(axis=1).tolist())
+
+        first, part = [before, long._replace(is_long=True)], [in_python(look, is_beside=True), after]
+        Program(lambda made=(first, part): list(side_by_side(made[0], [made[1]], team)), lambda: 0, team).run()
+        assert seen == [[True, True, False]]
+        assert (np.all(done == 1), early.any()) == (True, False)
+
+
+def test_parts_are_begun_before_a_long_operation_only_up_to_pythons():
+    made = [operation(CALLS, walk, Walk(np.zeros(1, dtype=np.int64), 1, 1), 1) for _ in range(6)]
+    long, beside = made[1]._replace(is_long=True), in_python(print, is_beside=True)
+    first, parts = [made[0], long, made[2]], [[made[3]], [made[4], beside, made[5]]]
+    alone = [made[0], long, made[2], made[3], made[4], beside, made[5]]
+    assert list(side_by_side(first, parts, threads.ThreadPool(1))) == alone
+    assert list(side_by_side([made[0]], parts, threads.ThreadPool(2))) == [made[0], *alone[3:]]
+    assert list(side_by_side(first, parts, threads.ThreadPool(2))) == [
+        *(made[0], made[4], beside, long, made[2]),
+        *(made[3], made[5]),
+    ]
+
+
+@pytest.mark.parametrize("n_threads", [1, 2, 3])
+def test_an_error_of_python_beside_an_operation_comes_when_that_has_ended(n_threads):
+    team = threads.thread_pool(n_threads)
+
+    def fail():
+        raise KeyboardInterrupt
+
+    for n in (1, 5, 64) * 20:
+        program_of, done, _ = program(team, n, 2)
+        before, long = program_of._make()
+        made = [before, in_python(fail, is_beside=True), long._replace(is_long=True), in_python(pytest.fail)]
+        with pytest.raises(KeyboardInterrupt):
+            Program(lambda made=made: made, lambda: 0, team).run()
+        assert np.all(done == 1)
+        counted(team, n)
 
 
 @pytest.mark.parametrize("n_threads", [1, 2])

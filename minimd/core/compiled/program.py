@@ -1,6 +1,6 @@
 """A program: operations in a row, some of them made by Python, the others by compiled code on all threads."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +30,10 @@ class Operation(NamedTuple):
     python : what Python does at an operation of its own, called without arguments; or, called with an answer above 0,
         about that answer.
     again : the operation to go on with after the latter, counted from this one.
-    is_kept : whether its maker keeps the data, as long as the version of the program stays the same; else it does."""
+    is_kept : whether its maker keeps the data, as long as the version of the program stays the same; else it does.
+    is_beside : of Python: whether it, and its maker's operations before it, leave alone what a long operation reads and
+        writes; if that is the next one, other threads begin with it while Python works, see side_by_side.
+    is_long : see is_beside."""
 
     code: int
     data: ByAddress | None
@@ -40,6 +43,8 @@ class Operation(NamedTuple):
     python: Callable[..., Any] | None = None
     again: int = 0
     is_kept: bool = False
+    is_beside: bool = False
+    is_long: bool = False
 
 
 def operation(
@@ -50,9 +55,35 @@ def operation(
     return Operation(calls.address(kernel, data, 0), data, n_chunks, **more)
 
 
-def in_python(function: Callable[[], Any]) -> Operation:
+def in_python(function: Callable[[], Any], **more: Any) -> Operation:
     """An operation of Python."""
-    return Operation(0, None, 0, python=function)
+    return Operation(0, None, 0, python=function, **more)
+
+
+def side_by_side(
+    first: Iterable[Operation], parts: Sequence[Sequence[Operation]], pool: ThreadPool
+) -> Iterator[Operation]:
+    """The first operations, then those of the parts.
+
+    With several threads the parts are begun before the first long operation, up to Python's work that may go on beside
+    it. On one thread, what they write then would no longer be in the cache where they go on.
+    """
+    cuts = [0] * len(parts)
+    if pool.n_threads > 1:
+        for k, part in enumerate(parts):
+            beside = [place for place, step in enumerate(part) if step.is_beside]
+            cuts[k] = 1 + max(beside, default=-1)
+
+    is_begun = False
+    for step in first:
+        if step.is_long and not is_begun:
+            is_begun = True
+            for part, cut in zip(parts, cuts, strict=True):
+                yield from part[:cut]
+        yield step
+
+    for part, cut in zip(parts, cuts, strict=True):
+        yield from part[cut:] if is_begun else part
 
 
 def n_chunks_of(n: int) -> int:
@@ -109,8 +140,10 @@ class Program:
         self.prepare()
         course = self._course
         course[AT] = first
+        beside = None
         while course[AT] < len(self.operations):
-            answer = self._pool.run(self._rows, course)
+            answer = self._pool.run(self._rows, course, beside)
+            beside = None
             if not answer:  # the end is reached
                 continue
             current = self.operations[course[AT]]
@@ -120,6 +153,9 @@ class Program:
                 current.python(answer)
                 course[AT] += current.again
             else:
-                current.python()
                 course[AT] += current.then
+                if current.is_beside and self.operations[course[AT]].is_long:
+                    beside = current.python
+                else:
+                    current.python()
             self.prepare()

@@ -8,6 +8,8 @@ The next operation begins when all chunks are finished, whoever did them: thread
 calling thread starts at once; the others, which sleep if no program comes for a millisecond, join when they are awake
 (some 10 to 80 µs later), or not at all if the machine is busy: they can make a program faster, never delay it. In each
 operation a thread begins with the same chunks, whose memory is then in its cache, and then helps with the others.
+
+Python's own work can go on beside an operation that does not need it: the calling thread comes to that later.
 """
 
 import functools
@@ -16,6 +18,7 @@ import threading
 from collections import namedtuple
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 from numba import types
@@ -62,7 +65,7 @@ class Worker(namedtuple("Worker", "counters thread n_threads")):
 
 def no_counts() -> NDArray[np.int64]:
     """Counters at zero."""
-    return np.zeros(CLAIMS + MOST_CHUNKS, dtype=np.int64)
+    return np.zeros(CLAIMS + MOST_CHUNKS + 1, dtype=np.int64)
 
 
 class ThreadPool:
@@ -85,8 +88,15 @@ class ThreadPool:
             self._helpers.append(helper)
             helper.start()
 
-    def run(self, operations: NDArray[np.int64], course: NDArray[np.int64]) -> int:
-        """run_operations on this thread, and on the others as soon as they are awake; returns what it returns."""
+    def run(
+        self,
+        operations: NDArray[np.int64],
+        course: NDArray[np.int64],
+        beside: Callable[[], Any] | None = None,
+    ) -> int:
+        """run_operations on this thread, and on the others as soon as they are awake; returns what it returns.
+        beside : what this thread does first; the first operation does not need it, all others may. If it raises, the
+            operations are made nonetheless, up to the next of Python."""
         if self._code is None:
             worker = Worker(self._counters, 0, self.n_threads)
             self._code = code_for(run_operations, types_of((worker, 0, operations, course)))
@@ -104,7 +114,15 @@ class ThreadPool:
                 if wake.locked():
                     wake.release()
             try:
-                return int(self._code(worker, first, operations, course))
+                if beside is None:
+                    return int(self._code(worker, first, operations, course))
+                open_program(worker, first, operations, course, 1)
+                try:
+                    beside()
+                finally:  # the others are at work, also if it raises
+                    finish_chunk(worker, operations, course)
+                    answer = int(self._code(worker, first, operations, course))
+                return answer
             finally:
                 self._task = ()
 
@@ -158,9 +176,8 @@ def run_operations(worker, task, operations, course):
     counters = worker.counters
     if worker.n_threads == 1:
         return _run_alone(operations, course)
-    if worker.thread == 0:
-        _exchange(counters, TASK, task)
-        _open(counters, task, operations, course, course[AT], GO_ON)
+    if worker.thread == 0 and _read(counters, TASK) != task:
+        open_program(worker, task, operations, course, 0)
     word = _read(counters, OPEN)
     reads = 0
     while word >> 2 * BITS < task:  # a helper may be faster than the calling thread
@@ -177,8 +194,7 @@ def run_operations(worker, task, operations, course):
             answer = call_at(operations[at, CODE], (operations[at, DATA], chunk))
             if answer != GO_ON:
                 _exchange(counters, ANSWER, answer)
-            if _add(counters, FINISHED, 1) == n - 1:
-                _end_phase(counters, word, operations, course)
+            if finish_chunk(worker, operations, course):
                 break
             chunk = _take(worker, word, n)
         before = word
@@ -186,6 +202,25 @@ def run_operations(worker, task, operations, course):
         while word == before:
             word = _read(counters, OPEN)
             reads = _waited(reads)
+
+
+@without_lock
+def open_program(worker, task, operations, course, n_reserved):
+    """Let threads begin with the operation course[AT].
+    n_reserved : 1 if it ends only after one more finish_chunk, of this thread; else 0."""
+    _exchange(worker.counters, TASK, task)
+    _open(worker.counters, task, operations, course, course[AT], GO_ON, n_reserved)
+
+
+@without_lock
+def finish_chunk(worker, operations, course):
+    """Note that a chunk of the open phase is finished; whether it was the last one: then the next phase is open."""
+    counters = worker.counters
+    word = _read(counters, OPEN)
+    is_last = _add(counters, FINISHED, 1) == (word & MOST_OPERATIONS) - 1
+    if is_last:
+        _end_phase(counters, word, operations, course)
+    return is_last
 
 
 @scalar
@@ -211,11 +246,11 @@ def _end_phase(counters, word, operations, course):
     at = word >> BITS & MOST_OPERATIONS
     if answer <= GO_ON:
         at = operations[at, THEN if answer == GO_ON else OTHERWISE]
-    _open(counters, (word >> 2 * BITS) + 1, operations, course, at, max(answer, GO_ON))
+    _open(counters, (word >> 2 * BITS) + 1, operations, course, at, max(answer, GO_ON), 0)
 
 
 @scalar
-def _open(counters, phase, operations, course, at, answer):
+def _open(counters, phase, operations, course, at, answer, n_reserved):
     """Open a phase: that of an operation, or the end of the program.
     The word of a phase holds its number, that of its operation and that of its chunks, so that threads read all three
     at once: a chunk can be taken only as long as the phase is open, since only then some have not been taken in it."""
@@ -228,7 +263,10 @@ def _open(counters, phase, operations, course, at, answer):
         at = MOST_OPERATIONS
     _exchange(counters, FINISHED, 0)
     _exchange(counters, ANSWER, answer)
-    _exchange(counters, OPEN, (phase << BITS | at) << BITS | n)
+    word = (phase << BITS | at) << BITS | n + n_reserved
+    if n_reserved > 0:
+        _exchange(counters, CLAIMS + n, word)
+    _exchange(counters, OPEN, word)
 
 
 @scalar

@@ -121,7 +121,7 @@ def _short_step(evidence: Evidence) -> Verdicts:
     laws = evidence.potentials
     is_known = all(isinstance(law, Nonbonded | HarmonicBond) for law in laws)
     if is_short and is_known and not any(isinstance(law, EmbeddedAtom) for law in laws):
-        example = ", such as 5 * md.units.fs" if evidence.units.name == ASE.name else ""
+        example = ", such as 5 * md.units.fs" if not evidence.units.is_reduced else ""
         yield Verdict(
             "short step",
             f"timestep {evidence.step} is far shorter than the 20 steps in a period that atoms need",

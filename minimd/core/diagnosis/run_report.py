@@ -63,7 +63,7 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
         constraints=solvers,
         peak_memory=peak_memory(),
         observing=guard.observing,
-        nanoseconds=picoseconds / 1000.0 if engine.system.units.name == ASE.name else 0.0,
+        nanoseconds=0.0 if engine.system.units.is_reduced else picoseconds / 1000.0,
     )
     angular = is_free and not engine.system.cell.is_periodic
     lines = static_checks(engine, reversibility)

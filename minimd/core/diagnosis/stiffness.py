@@ -17,7 +17,7 @@ from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.bond_graph import among
 from minimd.core.structure.cell import nearest_vectors
 from minimd.core.structure.system import System
-from minimd.core.structure.units import ASE, BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_EV
+from minimd.core.structure.units import BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_EV
 
 # of the closest pair: central differences are then right to 1e-9, and few pairs cross their cutoff
 DISPLACEMENT = 1e-6
@@ -157,7 +157,7 @@ class Stiffness:
     @cached_property
     def strange_depth(self) -> tuple[str, str] | None:
         """A cause and an advice if an ε in eV is larger than that of any atom, as a number in K or kJ/mol would be."""
-        if self.system.units.name != ASE.name:
+        if self.system.units.is_reduced:
             return None
         for epsilon, sigma in self._wells():
             is_strange = (epsilon > DEEPEST) | ((epsilon > DEEP) & (sigma > WIDE))

@@ -8,7 +8,6 @@ import numpy as np
 from minimd.core.console.display import Rows
 from minimd.core.integrators.barostats import StochasticCellRescaling
 from minimd.core.structure.system import System
-from minimd.core.structure.units import ASE
 
 
 def scene_in_words(
@@ -63,7 +62,7 @@ def scene_in_words(
         rows.append(("barostat", settings("stochastic cell rescaling", barostat.stated)))
     mass = "m"
     picosecond = ""
-    if units.name == ASE.name:
+    if not units.is_reduced:
         mass = "u"
         picosecond = f", of which {units.to_picosecond**-1:.5g} make a ps"
     numbers = (

@@ -336,7 +336,7 @@ def _topology(system: System) -> dict[str, Item]:
     from ase.data import atomic_numbers
 
     names = system.species.astype(str)
-    elements = names if system.units.name == ASE.name else np.full(len(names), "")
+    elements = np.full(len(names), "") if system.units.is_reduced else names
     molecules = molecules_of(system)
     is_alone = np.bincount(molecules)[molecules] == 1
     residues = np.where(is_alone, names, "MOL")

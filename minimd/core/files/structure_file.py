@@ -302,7 +302,7 @@ class Door(NamedTuple):
             )
 
         def converted(values: Any, quantity: str) -> Any:
-            if values is None or units is LJ:
+            if values is None or units.is_reduced:
                 return values
             if name not in PER_PICOSECOND:
                 return convert(values, quantity, name, "ASE")
@@ -312,7 +312,7 @@ class Door(NamedTuple):
 
         positions = converted(data.positions, "distance")
         stated = Stated(self.source, data.types, positions, None, converted(data.masses, "mass"))
-        weights, symbols = identified(stated, masses, self.elements, is_reduced=units is LJ)
+        weights, symbols = identified(stated, masses, self.elements, is_reduced=units.is_reduced)
         species = data.types
         if self.elements is not None:
             species = species_of(symbols, data.types)
@@ -341,8 +341,12 @@ class Door(NamedTuple):
             )
 
         name = stated or self.lammps_units
-        if name is None and self.units is not None and (self.units is LJ or not has_velocities):
-            name = "lj" if self.units is LJ else "metal"
+        if (
+            name is None
+            and self.units is not None
+            and (self.units.is_reduced or not has_velocities)
+        ):
+            name = "lj" if self.units.is_reduced else "metal"
         if name is None:
             raise ValueError(
                 f"{self.source} does not state its units; give lammps_units='real', 'metal' or 'lj', in a scene "
@@ -384,7 +388,7 @@ class Door(NamedTuple):
         options: dict[str, Any] = {}
         if form == DUMP:
             name, units, columns, weights = self._dump()
-            options["units"] = "ASE" if units is LJ else name
+            options["units"] = "ASE" if units.is_reduced else name
         frames = ase.io.read(str(self.path), format=form, do_not_split_by_at_sign=True, **options)
         atoms = frames if isinstance(frames, Atoms) else frames[-1]
         if not len(atoms):
@@ -394,13 +398,13 @@ class Door(NamedTuple):
         if form in DL_POLY:  # ASE takes the velocities, in Å/ps, for atomic units
             symbols = atoms.get_chemical_symbols()
             names = map("".join, zip(symbols, atoms.arrays["dlp4_labels"], strict=True))
-            to_own = 1.0 if units is LJ else ASE.to_picosecond
+            to_own = 1.0 if units.is_reduced else ASE.to_picosecond
             _relabel(atoms, [*names], to_own / DLP_V_ASE)
         elif form == DUMP:
             kinds = atoms.arrays.pop("type", atoms.numbers)
             atoms.set_array(TYPES, kinds)
             if "element" not in columns:
-                if weights is not None and units is ASE and name not in PER_PICOSECOND:
+                if weights is not None and not units.is_reduced and name not in PER_PICOSECOND:
                     weights = convert(weights, "mass", name, "ASE")
                 _relabel(atoms, kinds.astype(str).tolist(), 1.0, weights)
 

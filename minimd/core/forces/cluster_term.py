@@ -166,7 +166,7 @@ class ClusterTerm(ListTerm):
         for passes, (_, source) in zip(self._passes, self._laws, strict=True):
             if passes is not None:
                 yield from passes.on_clusters(self.list.arrays, source, n)
-        yield operation(calls, add_domain, evaluation, n, is_kept=True)
+        yield operation(calls, add_domain, evaluation, n, is_kept=True, is_long=True)
         yield operation(calls, collect_domain, evaluation, n, is_kept=True)
 
     def _evaluation(self, target: Target) -> ClusterEvaluation:

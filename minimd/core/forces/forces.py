@@ -6,6 +6,7 @@ from collections import namedtuple
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import chain
 from math import nan
 from operator import attrgetter
 from typing import NamedTuple
@@ -28,6 +29,7 @@ from minimd.core.compiled.program import (
     n_chunks_of,
     operation,
     share_of,
+    side_by_side,
 )
 from minimd.core.console.quiet import warn
 from minimd.core.forces.cluster_term import ClusterTerm
@@ -90,12 +92,11 @@ def plan(
         terms.extend(special_terms(system, pair_laws, laws))
 
     is_fixed = options.precision == FIXED_POINT
-    n_threads = pool_for(options, len(system)).n_threads
 
     for law in pair_laws:
         if law.split is None or law.charges is None:
             continue
-        how = law.split, law.method, is_fixed, n_threads
+        how = law.split, law.method, is_fixed
         if not system.cell.pbc.all():
             terms.append(OpenSlabTerm(system, law.charges, law.slab, *how))
             continue
@@ -519,11 +520,9 @@ class Forces:
             yield operation(self._calls, clear_accumulators, accumulators)
         if not (with_lists and with_lists[0].assigns):
             yield operation(self._calls, clear_forces, self._clearing, self._clearing.n_chunks)
-        for term in (*with_lists, *linked):
-            yield from self._of(term, target)
-        yield from self._slots.operations(target)
-        for term in others:
-            yield from self._of(term, target)
+        first = [self._of(term, target) for term in (*with_lists, *linked)]
+        parts = [list(self._of(term, target)) for term in others]
+        yield from side_by_side(chain(*first, self._slots.operations(target)), parts, self.pool)
         yield from self._sites.after(target)
 
     def _tell_time(self) -> None:

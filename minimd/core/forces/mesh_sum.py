@@ -41,7 +41,6 @@ PER_WAVE = 0.18  # of an atom, in a sum wave by wave
 ROOM = 1.02  # for a cell that becomes larger
 MOST_POINTS = 2**27  # of a mesh: some gigabytes
 IN_A_BLOCK = 256  # atoms, in numpy
-ALONE = 50_000  # points that are transformed by one thread
 
 
 class Mesh(
@@ -306,7 +305,6 @@ def charge_sum(
     split: Split,
     method: str,
     is_fixed: bool,
-    n_threads: int,
 ) -> ChargeSum:
     """The sum that a method names: "waves", "mesh", or "ewald", the one that takes less time.
 
@@ -337,7 +335,7 @@ def charge_sum(
         raise ValueError(f'method of Coulomb must be "waves" or "ewald" {limit}; method = "mesh"')
     if best is None or (method != "mesh" and wave_by_wave < times[best]):
         return WaveSum(system, charges, split)
-    return MeshSum(system, charges, split, best, n_threads)
+    return MeshSum(system, charges, split, best)
 
 
 def shape_for(system: System, window: Window) -> tuple[int, int, int]:
@@ -353,8 +351,7 @@ def shape_for(system: System, window: Window) -> tuple[int, int, int]:
 
 class MeshSum(ChargeSum):
     """The sum of the charges of a system on a mesh.
-    window : one of windows(split).
-    n_threads : for transforms."""
+    window : one of windows(split)."""
 
     def __init__(
         self,
@@ -362,12 +359,10 @@ class MeshSum(ChargeSum):
         charges: Array,
         split: Split,
         window: Window,
-        n_threads: int,
     ) -> None:
         super().__init__(system, charges, split)
         self._window = window
         self.shape = shape_for(system, window)
-        self._workers = n_threads if np.prod(self.shape) > ALONE else 1
         self._width = Lanes8() if window.points <= Lanes8.size else Lanes16()
         n = len(system)
         width = self._width.size
@@ -435,7 +430,7 @@ class MeshSum(ChargeSum):
         yield operation(self._calls, sort_atoms, mesh)
         yield operation(self._calls, see_points, mesh, self._n_chunks)
         yield operation(self._calls, put_charges, mesh, plane_chunks.py_func(self._sizes))
-        yield in_python(lambda: self._convolve(target.detail))
+        yield in_python(lambda: self._convolve(target.detail), is_beside=True)
         yield operation(self._calls, push_from_points, mesh, self._n_chunks)
         yield operation(self._calls, hold_center, mesh, self._n_chunks)
 
@@ -450,7 +445,7 @@ class MeshSum(ChargeSum):
         np.fft.rfft(points, out=self._rows)
         self._amplitudes[:] = self._rows[:, :, : self._amplitudes.shape[2]]
         # in place: new memory for each transform would take more time than they do
-        fftn(self._amplitudes, axes=(0, 1), overwrite_x=True, workers=self._workers)
+        fftn(self._amplitudes, axes=(0, 1), overwrite_x=True)
         if detail != FORCES:
             self._kept = self._amplitudes[self._used]
             half = 0.5 * self._twice * np.abs(self._kept) ** 2
@@ -471,7 +466,6 @@ class MeshSum(ChargeSum):
             axes=(0, 1),
             norm="forward",
             overwrite_x=True,
-            workers=self._workers,
         )
         np.fft.irfft(self._amplitudes, length, norm="forward", out=points)
         self._points[:, :, length:] = self._points[:, :, self._repeated]

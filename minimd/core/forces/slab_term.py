@@ -182,7 +182,7 @@ class OpenSlabTerm(OwnTerm):
     """A slab in a cell that is open across it: a sum over waves, and what is added to it, in a taller cell.
 
     That follows the slab up and down: energies depend on where atoms are, not on how they have come there.
-    split, method, options : see charge_sum.
+    split, method, is_fixed : see charge_sum.
     version : of the memory.
     """
 
@@ -195,14 +195,14 @@ class OpenSlabTerm(OwnTerm):
         axis: str,
         split: Split,
         method: str,
-        *options: Any,
+        is_fixed: bool,
     ) -> None:
         self._taller = copy(system)  # with the same positions
         self._lattice = system.cell.lattice
         self._charges = charges
         self._axis = axis
         self._open = "xyz".index(axis)
-        self._how = [split, method, *options]
+        self._how: list[Any] = [split, method, is_fixed]
         self._empty = max(empty_space(self._lattice, self._open, split.bound), split.cutoff)
         self.version = 0
         self._take(FIRST)

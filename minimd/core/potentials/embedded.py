@@ -53,7 +53,6 @@ from minimd.core.potentials.term import Embedding
 from minimd.core.potentials.truncation import TRUNCATIONS, TruncationName
 from minimd.core.structure.checks import checked_number
 from minimd.core.structure.system import System
-from minimd.core.structure.units import ASE
 
 LAW = "'sutton-chen', 'finnis-sinclair' or 'gupta'; or three functions: of a pair, of the density, of the embedding"
 OF_SPECIES = "a tuple, or a mapping from species to them"
@@ -237,7 +236,7 @@ class EmbeddedAtomOfTables(EmbeddedAtom):
 
     def bind(self, system: System) -> PairTerm:
         """See Nonbonded. Raises ValueError also for a system in other units than eV and Å, those of the tables."""
-        if system.units.name != ASE.name:
+        if system.units.is_reduced:
             raise ValueError(
                 f"the tables of {self.given.file!r} are in eV and Å; the system must be in the units of ASE, it is in "
                 f"{system.units.name}"

@@ -80,7 +80,7 @@ def system_arguments(
 
     groups = joined_in(atoms).groups if bonds is None else {"bonds": bonds}
     groups = groups | {name: rows for name, rows in others.items() if rows is not None}
-    weights, symbols = identified(stated, masses, elements, is_reduced=units is not ASE)
+    weights, symbols = identified(stated, masses, elements, is_reduced=units.is_reduced)
     # files of the databank have this cell where there is none
     is_dummy = "residuenames" in atoms.arrays and np.array_equal(atoms.cell.array, np.eye(3))
     labels = stated.names if "type" in atoms.arrays and not any(symbols) else _labels(atoms)
@@ -157,7 +157,7 @@ def _velocities(atoms: Atoms, source: str, units: UnitSystem, has_masses: bool) 
     nobody states."""
     name = next((name for name in VELOCITIES if name in atoms.arrays), "")
     if not name or atoms.has("momenta"):
-        is_known = units is ASE or has_masses or TYPES in atoms.arrays
+        is_known = not units.is_reduced or has_masses or TYPES in atoms.arrays
         return np.asarray(atoms.get_velocities() * is_known)
     column = np.array(atoms.arrays[name], float)
     if units is not ASE:

@@ -45,7 +45,7 @@ def write_lammps_data(file: Any, system: Any, overwrite: bool = False) -> None:
     units = "lj"
     charges = system.charges * system.units.coulomb**0.5  # k_e = 1 in LAMMPS' units lj
     velocities = box.turned(system.velocities)
-    if system.units.name == ASE.name:
+    if not system.units.is_reduced:
         units = "metal"
         charges = system.charges
         velocities /= ASE.to_picosecond

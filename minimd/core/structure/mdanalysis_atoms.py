@@ -18,7 +18,7 @@ from minimd.core.structure.bond_graph import GROUPS
 from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.elements import ISOTOPES, Stated, identified, symbol_of
 from minimd.core.structure.lammps_units import LAMMPS_UNITS
-from minimd.core.structure.units import LJ, UnitSystem
+from minimd.core.structure.units import UnitSystem
 
 
 def universe_arguments(
@@ -47,7 +47,7 @@ def universe_arguments(
     length, speed = _scales(trajectory, units, source)
     positions = length * as_decimals(atoms.positions)
     stated = stated_of(atoms, source, positions)
-    weights, symbols = identified(stated, masses, elements, is_reduced=units is LJ)
+    weights, symbols = identified(stated, masses, elements, is_reduced=units.is_reduced)
     topology = None
     with suppress(NoDataError, UnicodeEncodeError):
         texts = np.array([stated.names, symbols, atoms.resnames, atoms.resids, atoms.segids], "S")
@@ -85,7 +85,7 @@ def _scales(trajectory: Any, units: UnitSystem, source: str) -> tuple[float, flo
     to_speed = get_conversion_factor("speed", speed, "Angstrom/ps")
     is_converted = getattr(trajectory, "convert_units", False)
     is_lammps = trajectory.format in ("DATA", "LAMMPSDUMP")
-    if units is LJ:
+    if units.is_reduced:
         return 1.0, 1.0 / to_speed if is_converted and is_lammps else 1.0
     scale = 1.0 if is_converted else to_speed
     if is_lammps and trajectory.ts.has_velocities:

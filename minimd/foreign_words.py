@@ -53,8 +53,10 @@ Nanocluster Nanoparticle Lindemann LindemannIndex
     an open cell and md.EmbeddedAtom; Lindemann's index is one line of numpy, in examples/metal.py | metals
 Melting MeltingPoint Freezing Superheating Coexistence TwoPhase
     density and U against T, md.observers.BondOrder("q6"); one phase alone melts too late | temperature
-RESPA MTS MultipleTimestep RK4 RungeKutta4 run_style
-    one time step for all forces; Runge-Kutta methods are in md.integrators, for small systems | small-systems
+MTS MultipleTimestep run_style rRESPA
+    md.RESPA, md.LangevinRESPA: bonded forces in inner steps, all others around them | timestep
+RK4 RungeKutta4
+    not here for atoms; Runge-Kutta methods are in md.integrators, for small systems | small-systems
 Tersoff StillingerWeber MEAM SNAP MACE MLPotential sw
     not here: pass a calculator of ASE as the potential | limits
 Umbrella UmbrellaSampling WHAM MBAR Histogram PMF PotentialOfMeanForce

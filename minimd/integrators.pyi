@@ -10,6 +10,7 @@ from minimd.core.integrators.order_conditions import (
     stability_limit as stability_limit,
 )
 from minimd.core.integrators.ramp import Ramp as Ramp
+from minimd.core.integrators.respa import RESPA as RESPA, LangevinRESPA as LangevinRESPA
 from minimd.core.integrators.rows import (
     PEFRL as PEFRL,
     SE1 as SE1,

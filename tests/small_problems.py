@@ -6,9 +6,10 @@ from scipy.integrate import solve_ivp
 
 import minimd.integrators as mi
 
-DETERMINISTIC = [method for method in mi.METHODS.values() if not getattr(method, "is_thermostat", False)]
+NOT_BARE = [mi.RESPA, *mi.THERMOSTATS.values()]  # they need bonds, or a temperature
+DETERMINISTIC = [method for method in mi.METHODS.values() if method not in NOT_BARE]
 ONE_STEP = [method for method in DETERMINISTIC if not hasattr(method, "n_past")]  # a BDF looks back
-SPLITTINGS = list(mi.SPLITTINGS.values())
+SPLITTINGS = [method for method in mi.SPLITTINGS.values() if method not in NOT_BARE]
 GAUSS = [mi.GaussLegendre1, mi.GaussLegendre2, mi.GaussLegendre3, mi.GaussLegendre4]
 RADAU = [mi.ImplicitEuler, mi.RadauIIA2, mi.RadauIIA3]
 ROUNDING = 4e-15  # a few ulp of the terms of an invariant, which are of order one

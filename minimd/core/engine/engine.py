@@ -197,7 +197,7 @@ class Engine:
         forces = self.interactions
         power = (lambda: forces.power) if forces.depend_on_time else None
         work = forces.version, lambda: forces.pool
-        source = ForceSource(self._forces_at, *work, forces.running, power, self._taken)
+        source = ForceSource(self._forces_at, *work, forces.running, power, self._taken, forces)
         steps = Steps(self._method, self._state, self.surroundings, source)
         self._known_steps = [(made_of, steps), *self._known_steps[: MOST_STEPS - 1]]
         return steps

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import namedtuple
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,24 +13,26 @@ from typing import NamedTuple
 import numpy as np
 from numba.core.errors import NumbaError
 
-from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import (
     DirectCalls,
     announce_compilation,
-    called_kernel,
     kernel,
 )
 from minimd.core.compiled.program import (
-    GO_ON,
     Operation,
     Program,
     in_python,
     n_chunks_of,
     operation,
-    share_of,
     side_by_side,
 )
 from minimd.core.console.quiet import warn
+from minimd.core.forces.clearing import (
+    Accumulators,
+    Clearing,
+    clear_accumulators,
+    clear_forces,
+)
 from minimd.core.forces.cluster_term import ClusterTerm
 from minimd.core.forces.mesh_sum import charge_sum
 from minimd.core.forces.options import FIXED_POINT, Options, pool_for
@@ -130,37 +131,6 @@ def special_terms(system: System, members: Sequence[PairLaw], laws: PairLaws) ->
 
 # the skin is chosen anew when atoms are faster or slower by this factor: its optimum is flat
 CHANGED_SPEED = 2.0
-
-
-class Clearing(ByAddress, namedtuple("Clearing", "forces n_chunks")):
-    """Forces (N, 3) to be set to zero, in chunks."""
-
-
-@called_kernel
-def clear_forces(clearing, chunk):
-    """Forces = 0."""
-    forces, n_chunks = clearing
-    n = forces.shape[0]
-    first, last = share_of(chunk, n_chunks, n)
-    for i in range(first, last):
-        for c in range(3):
-            forces[i, c] = 0
-    return GO_ON
-
-
-class Accumulators(ByAddress, namedtuple("Accumulators", "energies virials")):
-    """Energies and virials of a Target."""
-
-
-@called_kernel
-def clear_accumulators(accumulators, _chunk):
-    """Energies and virials = 0."""
-    energies, virials = accumulators
-    for i in range(energies.size):
-        energies[i] = 0.0
-        for c in range(virials.shape[1]):
-            virials[i, c] = 0.0
-    return GO_ON
 
 
 @kernel
@@ -348,8 +318,8 @@ class Forces:
         self._in_order = with_lists, linked, others
         self._slots = Slots(linked)
         self._memory = self.forces if self.grid is None else self.impulses
+        self.bonded_pushes = self._memory[:0]
         self._slot_forces = np.zeros(3 * self._slots.size, dtype=self._memory.dtype)
-        self._clearing = Clearing(self._memory, n_chunks_of(len(self.system)))
         self._targets: dict[tuple[int, float], Target] = {}
         self._programs: dict[int, Program] = {}  # by the id of their target
         self._n_plans += 1
@@ -519,11 +489,26 @@ class Forces:
             accumulators = Accumulators(target.energies, target.virials)
             yield operation(self._calls, clear_accumulators, accumulators)
         if not (with_lists and with_lists[0].assigns):
-            yield operation(self._calls, clear_forces, self._clearing, self._clearing.n_chunks)
+            yield self._cleared(target)
         first = [self._of(term, target) for term in (*with_lists, *linked)]
         parts = [list(self._of(term, target)) for term in others]
         yield from side_by_side(chain(*first, self._slots.operations(target)), parts, self.pool)
         yield from self._sites.after(target)
+
+    def bonded_operations(self, unit: float) -> Iterator[Operation]:
+        """The operations for forces of bonds, angles and dihedrals alone, which set bonded_pushes; see target."""
+        if not self.bonded_pushes.size:
+            self.bonded_pushes = np.zeros_like(self._memory)
+        target = self.target(FORCES, unit)._replace(forces=self.bonded_pushes)
+        yield self._cleared(target)
+        for term in self._in_order[1]:
+            yield from self._of(term, target)
+        yield from self._slots.operations(target)
+        yield from self._sites.after(target)
+
+    def _cleared(self, target: Target) -> Operation:
+        clearing = Clearing(target.forces, n_chunks_of(len(self.system)))
+        return operation(self._calls, clear_forces, clearing, clearing.n_chunks)
 
     def _tell_time(self) -> None:
         for term in self._timed:

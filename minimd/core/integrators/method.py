@@ -47,13 +47,14 @@ class Step(Protocol):
 
 
 class ClassProperty:
-    """An attribute of a class that is computed, here from the coefficients of a method, whenever it is read."""
+    """An attribute of a class, or of an instance, that is computed, here from the coefficients of a method, whenever it
+    is read."""
 
     def __init__(self, compute: Callable[[Any], Any]) -> None:
         self._compute = compute
 
-    def __get__(self, _instance: object, owner: type) -> Any:
-        return self._compute(owner)
+    def __get__(self, instance: object, owner: type) -> Any:
+        return self._compute(owner if instance is None else instance)
 
 
 class Method(Displayed):

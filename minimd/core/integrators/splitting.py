@@ -10,11 +10,19 @@ sequence equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerica
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from minimd.core.integrators.method import ClassProperty, Method, Problem, Step
 from minimd.core.integrators.order_conditions import nystrom_order
-from minimd.core.integrators.substeps import Kick, Substeps, is_palindrome, mechanical, merged
+from minimd.core.integrators.substeps import (
+    Kick,
+    Substeps,
+    is_palindrome,
+    mechanical,
+    merged,
+    of_all_forces,
+)
 from minimd.core.structure.arrays import Array
 
 if TYPE_CHECKING:
@@ -28,7 +36,8 @@ __all__ = ["Splitting"]
 def stages(method: type[Splitting]) -> int:
     """Force evaluations per step of a long run: groups of kicks with no drift between them;
     the last and the first kick form one group."""
-    kicks = [isinstance(substep, Kick) for substep in merged(mechanical(method.substeps))]
+    row = of_all_forces(mechanical(method.substeps))
+    kicks = [isinstance(substep, Kick) for substep in row]
     return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
 
 
@@ -56,6 +65,7 @@ class Splitting(Method):
 
     Attributes computed from them
     -----------------------------
+    sequence : a function without arguments: one step, neighbors of one kind merged.
     order : p of the global error O(Δtᵖ) for H = p²/2m + V(q).
     stages : force evaluations per step of a long run.
     is_symmetric : whether Φ_Δt ∘ Φ_{−Δt} = 1; the method is then also reversible.
@@ -70,6 +80,7 @@ class Splitting(Method):
     is_overdamped: ClassVar[bool] = False
     memory: Array | None = None
     drifts: int = 1
+    sequence = ClassProperty(lambda method: partial(merged, method.substeps))
     order = ClassProperty(lambda method: nystrom_order(method.sequence()))
     is_symmetric = ClassProperty(lambda method: is_palindrome(method.sequence()))
     stages = ClassProperty(stages)
@@ -82,11 +93,6 @@ class Splitting(Method):
     def timestep_of(self, stride: float) -> float:
         """The time step with a stride [time]."""
         return stride
-
-    @classmethod
-    def sequence(cls) -> Substeps:
-        """One step, neighbors of one kind merged."""
-        return merged(cls.substeps)
 
     @classmethod
     def on(cls, problem: Problem) -> Step:

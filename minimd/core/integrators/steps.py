@@ -16,6 +16,7 @@ from functools import partial
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from minimd.core.compiled.by_address import ByAddress
 from minimd.core.compiled.kernels import DirectCalls, called_kernel
@@ -33,7 +34,15 @@ from minimd.core.compiled.threads import ThreadPool, thread_pool
 from minimd.core.console.words import shown
 from minimd.core.integrators.flows import DRIFT, KICK, Moving, move_atoms
 from minimd.core.integrators.state import GridState, State, Surroundings
-from minimd.core.integrators.substeps import Drift, Kick, Substep, Substeps, Thermalize, merged
+from minimd.core.integrators.substeps import (
+    BondedKick,
+    Drift,
+    Kick,
+    Substep,
+    Substeps,
+    Thermalize,
+    merged,
+)
 from minimd.core.structure.arrays import Indices
 from minimd.core.structure.errors import RangeError
 from minimd.core.structure.grid import TOO_LARGE
@@ -98,7 +107,8 @@ class ForceSource(NamedTuple):
     pool : the threads.
     running : context for the run of a program with such operations.
     power : ∂U/∂t of the last evaluation [energy/time], if forces depend on time.
-    taken : called after a run, with whether the last evaluation had the energy, and its unit [time]."""
+    taken : called after a run, with whether the last evaluation had the energy, and its unit [time].
+    bonded : has forces of bonded terms alone, see Forces.bonded_operations and bonded_pushes."""
 
     operations: Callable[[bool, float, Moment], Iterable[Operation]]
     version: Callable[[], Any] = lambda: 0
@@ -106,6 +116,7 @@ class ForceSource(NamedTuple):
     running: Callable[[Program], AbstractContextManager] = lambda _program: nullcontext()
     power: Callable[[], float] | None = None
     taken: Callable[[bool, float], None] = lambda _with_energy, _unit: None
+    bonded: Any = None
 
 
 class Force(NamedTuple):
@@ -117,6 +128,13 @@ class Force(NamedTuple):
     with_energy: bool = False
 
 
+class BondedForce(NamedTuple):
+    """New forces of bonded terms alone.
+    unit : see Force."""
+
+    unit: float
+
+
 class Projection(NamedTuple):
     """Velocities projected onto the constraints."""
 
@@ -125,7 +143,7 @@ class Beginning(NamedTuple):
     """The beginning of the next step."""
 
 
-Event = Substep | Force | Projection | Beginning
+Event = Substep | Force | BondedForce | Projection | Beginning
 Events = tuple[Event, ...]
 
 
@@ -253,19 +271,21 @@ class Steps:
         row: list[Event] = list(self._method.substeps)
         if self._around.constraints is not None and not isinstance(row[-1], Thermalize):
             row.append(Projection())
-        unit = 0.0
-        is_current = False
+        current: dict[type, float] = {}  # units of the forces that are those of the positions
         events = list[Event]()
         for _ in range(2):  # the second time the first kick may have the forces of the step before
             events.clear()
+            current.pop(BondedKick, None)  # which nobody keeps
             for event in row:
+                kind = type(event)
                 if isinstance(event, Kick):
-                    own = unit_of(self._row, event)
-                    if not is_current or (own != unit and isinstance(self._state, GridState)):
-                        events.append(Force(own))
-                    unit = own
-                    is_current = True
-                is_current &= not isinstance(event, Drift)
+                    unit = unit_of(self._row, event)
+                    is_other = current.get(kind) != unit and isinstance(self._state, GridState)
+                    if kind not in current or is_other:
+                        events.append(BondedForce(unit) if kind is BondedKick else Force(unit))
+                    current[kind] = unit
+                elif isinstance(event, Drift):
+                    current.clear()
                 events.append(event)
         n = _first_place(Force, tuple(events))
         return tuple(events[:n]), tuple(events[n:])
@@ -322,19 +342,29 @@ class Steps:
         forces = self._forces
         stride = self._method.stride
         flows: list[tuple[float, float, float]] = []
+        pushes = self._state.pushes
         for event in events:
             if isinstance(event, Kick) or (isinstance(event, Drift) and around.constraints is None):
                 kind = KICK if isinstance(event, Kick) else DRIFT
+                wanted = self._pushes_of(event) if isinstance(event, Kick) else pushes
+                if flows and wanted is not pushes:
+                    yield self._passed(flows, pushes)
+                    flows = []
+                pushes = wanted
                 unit = unit_of(self._row, event) * stride
                 flows.append((kind, event.coefficient * stride, unit))
             elif flows and not isinstance(event, Beginning):
-                yield self._passed(flows)
+                yield self._passed(flows, pushes)
                 flows = []
             match event:
                 case Force(unit, with_energy):
                     yield from forces.operations(with_energy, unit * stride, moment)
                     if forces.power is not None:
                         yield in_python(self._note_power)
+                case BondedForce(unit):
+                    yield from forces.bonded.bonded_operations(unit * stride)
+                case BondedKick():
+                    pass
                 case Kick(coefficient) if forces.power is not None:
                     yield in_python(partial(self._work, coefficient * stride))
                 case Drift(coefficient) if around.constraints is not None:
@@ -347,7 +377,15 @@ class Steps:
                     yield from self._contact(coefficient * stride, moment)
             moment = moment.after(event)
         if flows:
-            yield self._passed(flows)
+            yield self._passed(flows, pushes)
+
+    def _pushes_of(self, kick: Kick) -> NDArray[Any]:
+        """What a kick is made with, see State.pushes."""
+        return (
+            self._forces.bonded.bonded_pushes
+            if isinstance(kick, BondedKick)
+            else self._state.pushes
+        )
 
     def _constrained(self, duration: float) -> Iterable[Operation]:
         """A drift that keeps constrained lengths."""
@@ -368,14 +406,14 @@ class Steps:
             )
         return operations
 
-    def _passed(self, flows: list[tuple[float, float, float]]) -> Operation:
+    def _passed(self, flows: list[tuple[float, float, float]], pushes: NDArray[Any]) -> Operation:
         """Kicks and drifts in one pass over memory."""
         state = self._state
         n_chunks = n_chunks_of(len(state.positions))
         moving = Moving(
             state.positions.reshape(-1),
             state.velocities.reshape(-1),
-            state.pushes.reshape(-1),
+            pushes.reshape(-1),
             state.inverse_masses,
             np.array(flows),
             state.steps,

@@ -28,6 +28,11 @@ class Kick:
 
 
 @dataclass(frozen=True, slots=True)
+class BondedKick(Kick):
+    """The same, by bonds, angles and dihedrals alone."""
+
+
+@dataclass(frozen=True, slots=True)
 class Thermalize:
     """Contact with a bath over coefficient · Δt: velocities change, positions do not. See thermostats. Where
     is_thermostat is false, it is no bath, and no heat is counted, as where a magnetic field turns velocities."""
@@ -94,6 +99,11 @@ def alternating(kind: type[Substep], coefficients: Iterable[float]) -> Substeps:
 def palindrome(half: Sequence[float]) -> tuple[float, ...]:
     """The coefficients up to the middle one, then the same in reverse."""
     return (*half, *half[-2::-1])
+
+
+def of_all_forces(substeps: Substeps) -> Substeps:
+    """The sequence as forces see it that are not of bonded terms."""
+    return merged(part for part in substeps if not isinstance(part, BondedKick))
 
 
 def are_alike(first: Substeps, second: Substeps) -> bool:

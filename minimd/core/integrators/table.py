@@ -1,10 +1,10 @@
 """The methods for atoms, by name."""
 
-from minimd.core.integrators import rows, thermostats
+from minimd.core.integrators import respa, rows, thermostats
 from minimd.core.integrators.method import methods_of
 
 __all__ = ["SPLITTINGS", "THERMOSTATS"]
 
-SPLITTINGS = methods_of(rows)
-THERMOSTATS = methods_of(thermostats)
-METHODS = {**SPLITTINGS, **THERMOSTATS}
+METHODS = methods_of(rows, thermostats, respa)
+SPLITTINGS = {name: method for name, method in METHODS.items() if not method.is_thermostat}
+THERMOSTATS = {name: method for name, method in METHODS.items() if method.is_thermostat}

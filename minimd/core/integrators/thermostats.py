@@ -35,11 +35,21 @@ from minimd.core.integrators.ramp import Level, checked_level, level_at, points_
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.state import Bath, State, Surroundings
 from minimd.core.integrators.steps import FIRST, MADE, Moment, projected
-from minimd.core.integrators.substeps import Drift, Kick, Substeps, Thermalize
+from minimd.core.integrators.substeps import (
+    Drift,
+    Kick,
+    Substeps,
+    Thermalize,
+)
 from minimd.core.structure.checks import SHORTEST, checked_count, checked_number
 from minimd.core.structure.observables import AT_REST, SEEDS, kinetic_energy_of
 
-__all__ = ["BrownianDynamics", "LangevinBAOAB", "LangevinGJF", "StochasticVelocityRescaling"]
+__all__ = [
+    "BrownianDynamics",
+    "LangevinBAOAB",
+    "LangevinGJF",
+    "StochasticVelocityRescaling",
+]
 
 MOST_DRIFTS = 100
 CALLS = {False: DirectCalls(), True: DirectCalls()}  # by whether there is a grid
@@ -168,7 +178,13 @@ class LangevinBAOAB(Thermostat):
     """
 
     name = "langevin-baoab"
-    substeps = (Kick(0.5), Drift(0.5), Thermalize(1.0), Drift(0.5), Kick(0.5))
+    substeps: ClassVar[Substeps] = (
+        Kick(0.5),
+        Drift(0.5),
+        Thermalize(1.0),
+        Drift(0.5),
+        Kick(0.5),
+    )
     source = "B. Leimkuhler, C. Matthews, J. Chem. Phys. 138, 174102 (2013)"
     conserves_momentum = False
     last_kick = 0.5

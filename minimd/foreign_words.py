@@ -20,7 +20,9 @@ NPT NPH Barostat ParrinelloRahman MTK BerendsenBarostat MonteCarloBarostat CResc
 NVE Verlet VerletIntegrator LeapFrog Integrator MD Dynamics CustomIntegrator
     md.VelocityVerlet, or another of md.integrators.METHODS | timestep
 Anneal Annealing Quench Heating
-    temperature=md.Ramp(start, stop, n_steps) of a bath, also pressure=; or stages with sim.method = ... | temperature
+    temperature=md.Ramp(start, stop, steps) of a bath, also pressure=; or stages with sim.method = ... | temperature
+Reverse Reversible TimeReversal reversibility backwards
+    precision="fixed-point", then sim.run_back, or sim.velocities *= -1; not with rigid bonds | fixed-point
 Minimizer FIRE BFGS LBFGS ConjugateGradient SteepestDescent Relax Optimizer minimizeEnergy
     sim.minimize(), or md.minimize | blow-up
 KobAndersen Kob BinaryMixture Mixture
@@ -135,6 +137,8 @@ GRO editconf
     ase.io.write("last.gro", sim.system.to_ase()); trajectories by md.to_gromacs(run, file) | formats
 Barometric Sedimentation Atmosphere
     md.Gravity, md.Wall and md.observers.Profile | recipes
+Density MassDensity rho
+    print(sim.system); of a record, system.masses.sum() / record.volume / md.units.GRAM_PER_CM3 | units
 DensityProfile TemperatureProfile Chunk
     md.observers.Profile | observers
 PressureProfile IrvingKirkwood

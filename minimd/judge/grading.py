@@ -39,7 +39,7 @@ def grade(
     cell: float | Sequence[float] | None = None,
     cutoff: float | None = None,
     positions: ArrayLike | None = None,
-    order: int = 2,
+    order: int | None = None,
     kind: str | None = None,
     **options: Any,
 ) -> Grade:
@@ -67,7 +67,7 @@ def grade(
     cell : edge of the cubic cell, or three edges, if forces are periodic [length].
     cutoff : distance beyond which forces are zero [length].
     positions : (N, 3), for a force function that is written for these atoms only [length].
-    order : expected order of a step.
+    order : expected order of a step; 2 if not given, or that of a Splitting.
     kind : "step", "forces", "law" or "pair", if the names of the parameters do not show it.
 
     Returns
@@ -86,6 +86,8 @@ def grade(
     if isinstance(function, Splitting) or (isclass(function) and issubclass(function, Splitting)):
         from minimd.judge.splittings import as_function
 
+        if order is None:
+            order = function.order or None  # 0 if its coefficients are wrong
         function, kind = as_function(function, kind, options)
     hint = "a function, as step(x, v, force, m, dt) or forces(positions)"
     checked_kind("function", function, Callable, hint)
@@ -109,7 +111,7 @@ def grade(
             f"options such as {', '.join(options)} are for dynamics; {shown(function)} takes no atoms"
         )
 
-    checked_count("order", order)
+    order = 2 if order is None else checked_count("order", order)
     if cutoff is not None:
         checked_number("cutoff", cutoff, "positive and finite")
     roles = {role_of(name) for name in names}

@@ -363,6 +363,12 @@ class Accumulator(StoredObserver, Displayed):
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         own = fields(dataclass(eq=False, repr=False)(cls))  # type: ignore[arg-type]
+        for part in own:
+            if part.init and "argument" not in part.metadata:
+                raise TypeError(
+                    f"{cls.__name__}.{part.name} must be declared by minimd.observers.arguments, such as "
+                    f"{part.name}: float = argument(positive, 'what it is', 1.5, 'length')"
+                )
         cls.declared = {part.name: part.metadata["argument"] for part in own if part.init}
         cls.settled = tuple(part.name for part in own if not part.init)
         lines = [cleandoc(cls.__doc__ or ""), "", "Parameters", "----------"]

@@ -522,6 +522,9 @@ def test_probes_of_a_long_way_of_rigid_bonds_and_of_an_atom_on_which_nothing_act
     far.set_temperature(3.0, seed=1)
     assert far.probe_reversibility(3000).is_reversible is None  # it cannot tell
     assert SCENES["dumbbells"]().simulation().probe_reversibility(60).is_reversible
+    rounded = SCENES["dumbbells"]().simulation(precision="fixed-point").probe_reversibility(60)
+    assert "impulses of rigid bonds are rounded to the grid" in str(rounded)
+    assert not rounded.is_exact
     for speed in (0.0, 1.0):
         alone = md.System([[0.0, 0.0, 0.0]], velocities=[[speed, 0.0, 0.0]])
         simulation = md.Simulation(alone, md.LennardJones(1.0, 1.0), md.VelocityVerlet(0.01))

@@ -204,8 +204,9 @@ class UnevenVerlet(md.integrators.Splitting):
 @pytest.mark.parametrize("name", md.integrators.SPLITTINGS)
 def test_each_splitting_is_judged_by_its_kicks_and_drifts(name):
     method = md.integrators.SPLITTINGS[name]
-    grade = md.grade(method, order=min(method.order, 2))
+    grade = md.grade(method)
     assert grade.passed, str(grade)
+    assert f"{method.order} expected" in str(grade)
     assert grade["order"].value == pytest.approx(method.order, abs=0.3)
     assert grade["cost"].value == method.stages
 

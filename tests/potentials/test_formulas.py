@@ -311,6 +311,21 @@ def test_a_spring_moves_from_its_start_to_its_end_and_only_then(method):
     assert (changes != 0.0).tolist() == [False, False, True, True, False, False, False, False]
 
 
+@pytest.mark.parametrize("name", ["velocity-verlet", "position-verlet", "respa"])
+def test_the_energy_minus_the_work_has_order_2_where_a_motion_begins_and_ends_under_tension(name):
+    """Half a step of the power at either end is 0.03: of order 1."""
+    apart = []
+    for dt in (0.02, 0.01, -0.01):
+        spring = md.SteeredSpring(10.0, [0, 0, 0], [0.3, 0, 0], start=np.sign(dt), end=3.0)
+        laws = [md.Restraint(20.0, [0, 0, 0]), spring]
+        sim = md.Simulation(md.System([[0.3, 0, 0]]), laws, md.integrators.METHODS[name](dt))
+        record = sim.run(round(5.0 / abs(dt)), every=1, progress=False)
+        apart.append(np.ptp(np.asarray(record.total_energy) - record.work))
+    assert apart[0] < 0.01
+    assert apart[0] == pytest.approx(4.0 * apart[1], rel=0.05)
+    assert apart[2] < 2.0 * apart[1]
+
+
 def test_looking_changes_no_bit_of_the_work_though_it_evaluates_the_forces_again():
     """A bath at the end of a step leaves no energy there: it is evaluated at the time of the last kick exactly."""
     bath = md.StochasticVelocityRescaling(0.003, temperature=1.0, relaxation_time=0.2, seed=2)

@@ -40,6 +40,7 @@ class Reversibility(Displayed):
     rounding : growth of one rounding error from the turning point to the end, times √(2 n_steps) [length]; infinite if
         too chaotic to tell. Not measured, and 0, if is_exact.
     is_exact : whether all bits of positions and velocities came back.
+    reason : why no run of this kind comes back to the last bit, if known.
     """
 
     n_steps: int
@@ -48,6 +49,7 @@ class Reversibility(Displayed):
     rounding: float
     unit: str
     is_exact: bool = False
+    reason: str = ""
 
     @property
     def is_reversible(self) -> bool | None:
@@ -63,7 +65,7 @@ class Reversibility(Displayed):
         if self.is_exact:
             return f"{back}, atoms went up to {self.way:.3g} {self.unit}: returned to the last bit"
         from_start = f"{self.distance:.1e} {self.unit} from the start (rounding grows to {self.rounding:.1e})"
-        return f"{back}: {from_start}: {VERDICTS[self.is_reversible]}"
+        return f"{back}: {from_start}{self.reason}: {VERDICTS[self.is_reversible]}"
 
     def display_rows(self) -> Rows:
         """See Displayed."""
@@ -171,4 +173,6 @@ def _probed(guard: RunGuard, n_steps: int) -> Reversibility:
         # two roundings may undo each other, as where nothing acts
         rounding = max(growth / AMPLIFIED, ROUNDING * way) * (2.0 * n_steps) ** 0.5
     distance = longest(returned - start.positions)[1]
-    return Reversibility(n_steps, distance, way, rounding, unit)
+    is_rounded = bonds is not None and engine.interactions.grid is not None
+    reason = ", since impulses of rigid bonds are rounded to the grid" if is_rounded else ""
+    return Reversibility(n_steps, distance, way, rounding, unit, reason=reason)

@@ -64,11 +64,11 @@ def correction(engine: Engine) -> float:
     squares = float(np.einsum("ij,ij,i->", engine.forces, engine.forces, inverse_masses))
     duration = NUDGE * engine.method.timestep
     change = -3.0 * engine.forces
-    of_power = -3.0 * engine.surroundings.power
+    of_power = -3.0 * engine.surroundings.powers[1]
     for weight, later in ((4.0, duration), (-1.0, 2.0 * duration)):
         with engine.coasted(later) as forces:
             change += weight * forces
-            of_power += weight * engine.interactions.power
+            of_power += weight * engine.interactions.powers[1]
     power_of_forces = float(np.einsum("ij,ij->", engine.velocities, change))
     v_hessian_v = (of_power - power_of_forces) / (2.0 * duration)
     return engine.method.timestep**2 * (of_motion * v_hessian_v + of_forces * squares)

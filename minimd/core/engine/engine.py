@@ -195,7 +195,7 @@ class Engine:
             if len(parts) == len(made_of) and all(map(operator.is_, made_of, parts)):
                 return steps
         forces = self.interactions
-        power = (lambda: forces.power) if forces.depend_on_time else None
+        power = (lambda: forces.powers) if forces.depend_on_time else None
         work = forces.version, lambda: forces.pool
         source = ForceSource(self._forces_at, *work, forces.running, power, self._taken, forces)
         steps = Steps(self._method, self._state, self.surroundings, source)
@@ -325,7 +325,7 @@ class Engine:
         self.interactions.time = self._time_at(step)
         self.sums = self.interactions.compute(TOTALS, self._state.unit)
         self._state.forces_are_current = True
-        self.surroundings.power = self.interactions.power
+        self.surroundings.powers = self.interactions.powers
         if is_aside:
             self.interactions.n_evaluations -= 1  # of an observation, not of a step
         if is_aside and self.interactions.n_builds != n_builds:

@@ -631,9 +631,13 @@ class Forces:
             ) from error
 
     @property
-    def power(self) -> float:
-        """∂U/∂t of the last compute [energy/time]: zero unless a term depends on time."""
-        return sum(term.power for term in self._timed)
+    def powers(self) -> tuple[float, float]:
+        """∂U/∂t of the last compute [energy/time], just before its time and just after: zero unless a term depends on
+        time."""
+        before, after = (
+            sum(term.power * term.is_moved[side] for term in self._timed) for side in (0, 1)
+        )
+        return before, after
 
     @property
     def n_builds(self) -> int:

@@ -180,14 +180,15 @@ class Surroundings:
     constraints : solver for the lengths that drifts keep, or None.
     bath : of a thermostat, or None.
     stop_requested : set it to True to end a run of steps after the present one.
-    power : ∂U/∂t with the forces of the next kick [energy/time].
-    work : its integral, Σ duration · power over all kicks [energy]. Time is treated as a coordinate with momentum
+    powers : ∂U/∂t with the forces of the next kick [energy/time], just before their time and just after.
+    work : its integral, Σ duration · power over all kicks [energy], those at the end of a step with the first power,
+        those at its beginning with the second. Time is treated as a coordinate with momentum
         −work, and this larger system is split: total energy minus work is conserved as well as an energy is."""
 
     constraints: ConstraintSolver | None = None
     bath: Bath | None = None
     stop_requested: bool = False
-    power: float = 0.0
+    powers: tuple[float, float] = (0.0, 0.0)
     work: float = 0.0
 
     def drift(self, state: State, duration: float) -> None:

@@ -106,7 +106,7 @@ class ForceSource(NamedTuple):
     version : of the memory that they work on.
     pool : the threads.
     running : context for the run of a program with such operations.
-    power : ∂U/∂t of the last evaluation [energy/time], if forces depend on time.
+    power : ∂U/∂t of the last evaluation, see Surroundings.powers, if forces depend on time.
     taken : called after a run, with whether the last evaluation had the energy, and its unit [time].
     bonded : has forces of bonded terms alone, see Forces.bonded_operations and bonded_pushes."""
 
@@ -114,7 +114,7 @@ class ForceSource(NamedTuple):
     version: Callable[[], Any] = lambda: 0
     pool: Callable[[], ThreadPool] = lambda: thread_pool(1)
     running: Callable[[Program], AbstractContextManager] = lambda _program: nullcontext()
-    power: Callable[[], float] | None = None
+    power: Callable[[], tuple[float, float]] | None = None
     taken: Callable[[bool, float], None] = lambda _with_energy, _unit: None
     bonded: Any = None
 
@@ -366,7 +366,8 @@ class Steps:
                 case BondedKick():
                     pass
                 case Kick(coefficient) if forces.power is not None:
-                    yield in_python(partial(self._work, coefficient * stride))
+                    is_after = (moment.phase == 0.0) == (stride > 0.0)
+                    yield in_python(partial(self._work, coefficient * stride, is_after))
                 case Drift(coefficient) if around.constraints is not None:
                     n = self._method.drifts
                     for _ in range(n):
@@ -428,10 +429,10 @@ class Steps:
 
     def _note_power(self) -> None:
         if self._forces.power is not None:
-            self._around.power = self._forces.power()
+            self._around.powers = self._forces.power()
 
-    def _work(self, duration: float) -> None:
-        self._around.work += duration * self._around.power
+    def _work(self, duration: float, is_after: bool) -> None:
+        self._around.work += duration * self._around.powers[is_after]
 
 
 def projected(state: State, around: Surroundings) -> Iterator[Operation]:

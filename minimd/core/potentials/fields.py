@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import namedtuple
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from math import inf, isfinite, nan
+from math import inf, isclose, isfinite, nan
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -58,6 +58,7 @@ REACH = "distance beyond which the wall exerts no force; no cutoff if not given"
 OF_DISTANCE = "energy at the distance d: ε [2/15 (σ/d)⁹ − (σ/d)³], or 4ε [(σ/d)¹² − (σ/d)⁶]; shifted to 0 at the cutoff"
 # of a lattice vector: one that leaves the plane of a wall by less counts as parallel to it
 ALONG = 1e-9
+ROUNDED = 1e-12  # of a time that is a number of steps
 # arguments of several classes
 ATOMS = declared(kind.atoms, default=None)
 EPSILON = declared(kind.each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
@@ -316,10 +317,14 @@ class SteeredSpring(Springs):
 
     def _move_points(self, term: FieldTerm) -> None:
         """Move the points to where they are at the time of the term."""
-        term.anchors[:] = self.points_at(term.time)
-        moves = self.start <= term.time < self.end
+        time = term.time
+        for end in (self.start, self.end):
+            if isclose(time, end, rel_tol=ROUNDED):
+                time = end
+        term.anchors[:] = self.points_at(time)
+        term.is_moved = self.start < time <= self.end, self.start <= time < self.end
         for column, v in zip(term.columns[3:], np.asarray(self.velocity), strict=True):
-            column[:] = v if moves else 0.0
+            column[:] = v
 
 
 class Field(OnAtoms):

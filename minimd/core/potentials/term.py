@@ -153,7 +153,8 @@ class Term:
     needs_one_accumulator : whether TOTALS needs the first elements of energies and virials only.
     depends_on_time : whether its forces depend on time. Its attribute time [time] is then set before each evaluation,
         and it must set power to ∂U/∂t of its energy [energy/time],
-        from which the work that is done from outside is counted.
+        from which the work that is done from outside is counted. is_moved says whether that holds just before this time
+        and just after it: one of both where a motion begins or ends.
     is_checked : whether the first run compares its force with its energy, see check_force. False for a force that is no
         gradient, such as friction beside an energy. A term without any energy is not checked.
     fits_grid : whether it can add impulses, for precision="fixed-point".
@@ -178,6 +179,7 @@ class Term:
     depends_on_time: bool = False
     time: float = 0.0
     power: float = 0.0
+    is_moved: tuple[bool, bool] = (True, True)
     is_checked: bool = True
     fits_grid: bool = False
     has_heat_flux: bool = False

@@ -344,7 +344,8 @@ def _kepler(_name: str, quick: bool, repeats: int) -> Case:
     points = []
     implicit = [method for method in IMPLICIT.values() if method.is_symmetric]
 
-    for method in (*SPLITTINGS.values(), *implicit):
+    explicit = [method for method in SPLITTINGS.values() if method is not md.RESPA]
+    for method in (*explicit, *implicit):
         for cost in COSTS_QUICK if quick else COSTS:
             # a tenth of the forces: orbits are slow
             n = PERIODS * max(1, round(cost / method.stages * END / PERIODS / 10))

@@ -25,7 +25,7 @@ def as_function(method: Any, kind: str | None, options: dict[str, Any]) -> tuple
     """What a splitting, an instance or a class, is judged as: a step or dynamics, with its kind.
 
     options : of grade; those of an instance are added.
-    Raises TypeError for overdamped motion, which has no velocities to be judged.
+    Raises TypeError for overdamped motion, which has no velocities to be judged, and for a step with several forces.
     """
     own: Any = method if isclass(method) else type(method)
     if own.is_overdamped:
@@ -35,6 +35,11 @@ def as_function(method: Any, kind: str | None, options: dict[str, Any]) -> tuple
         )
     has_bath = any(isinstance(part, Thermalize) for part in own.substeps)
     if kind == "step" or (kind is None and not has_bath):
+        if own.inner > 1:
+            raise TypeError(
+                f"md.grade judges a step with one force, and {own.__name__} has two; "
+                'judge it with kind="dynamics"'
+            )
         return step_of(own), "step"
     known = {} if own is method else method.parameters
     for name, value in known.items():

@@ -201,7 +201,7 @@ def test_the_operation_behind_pythons_is_begun_beside_it_and_no_later_one(n_thre
             seen.append(done.any(axis=1).tolist())
 
         first, part = [before, long._replace(is_long=True)], [in_python(look, is_beside=True), after]
-        Program(lambda made=(first, part): list(side_by_side(made[0], [made[1]], team)), lambda: 0, team).run()
+        Program(lambda made=(first, part): list(side_by_side(made[0], [made[1]], n_threads)), lambda: 0, team).run()
         assert seen == [[True, True, False]]
         assert (np.all(done == 1), early.any()) == (True, False)
 
@@ -211,9 +211,9 @@ def test_parts_are_begun_before_a_long_operation_only_up_to_pythons():
     long, beside = made[1]._replace(is_long=True), in_python(print, is_beside=True)
     first, parts = [made[0], long, made[2]], [[made[3]], [made[4], beside, made[5]]]
     alone = [made[0], long, made[2], made[3], made[4], beside, made[5]]
-    assert list(side_by_side(first, parts, threads.ThreadPool(1))) == alone
-    assert list(side_by_side([made[0]], parts, threads.ThreadPool(2))) == [made[0], *alone[3:]]
-    assert list(side_by_side(first, parts, threads.ThreadPool(2))) == [
+    assert list(side_by_side(first, parts, 1)) == alone
+    assert list(side_by_side([made[0]], parts, 2)) == [made[0], made[4], beside, made[3], made[5]]
+    assert list(side_by_side(first, parts, 2)) == [
         *(made[0], made[4], beside, long, made[2]),
         *(made[3], made[5]),
     ]

@@ -71,8 +71,8 @@ def test_the_energy_of_an_oscillator_swings_as_told(method):
 def test_limits_and_recommendations_that_are_known():
     """A contact with a bath changes no limit; the recommended step swings the energy by 1/80."""
     for method in (md.VelocityVerlet, *THERMOSTATS.values()):
-        n_inner = 4 if method is md.LangevinRESPA else 1
-        assert stability_limit(method.sequence()) == pytest.approx(2.0 * n_inner, abs=1e-14)  # rounding
+        limit = np.pi if method is md.LangevinRESPA else 2.0
+        assert stability_limit(method.sequence()) == pytest.approx(limit, abs=1e-14)  # rounding
     twice = repeated(md.VelocityVerlet.sequence(), (0.5, 0.5))  # tr M touches −2 at h = 2√2, where nothing happens
     assert stability_limit(twice) == pytest.approx(4.0, rel=1e-6)
     advice, euler = md.advise_timestep(*diatomic()), md.advise_timestep(*diatomic(), method=md.integrators.SE1)

@@ -67,8 +67,8 @@ def test_without_other_forces_it_is_velocity_verlet_with_inner_steps(chains):
     several, plain = moved(alone, md.RESPA(0.012, 4), 50), moved(alone, md.VelocityVerlet(0.003), 200)
     assert np.allclose(several.positions, plain.positions, rtol=0, atol=1e-11)
     assert (md.RESPA(0.012, 5).order, md.RESPA.is_symmetric, md.RESPA.is_symplectic) == (2, True, True)
-    limit = md.integrators.stability_limit(md.RESPA(0.01, 5).sequence())
-    assert limit == pytest.approx(10.0)
+    assert md.integrators.stability_limit(md.RESPA(0.01, 1).sequence()) == pytest.approx(2.0)
+    assert md.integrators.stability_limit(md.RESPA(0.01, 100).sequence()) == pytest.approx(np.pi)  # of resonance
 
 
 def test_without_bonded_terms_it_is_velocity_verlet():
@@ -128,7 +128,41 @@ def test_the_bath_has_its_temperature_and_lengths_of_bonds_theirs(chains):
     assert np.mean(kinetic) == pytest.approx(0.995, abs=0.02)
 
 
+def test_compositions_and_a_number_of_inner_steps_that_is_changed_are_what_they_say(chains):
+    """Kicks of bonded terms in the middle of a step have the forces of the last inner step."""
+    twice = md.integrators.compose(md.RESPA, md.RESPA)
+    whole, parts = moved(chains, twice(0.01), 40), Scene(chains.system.copy(), chains.laws).simulation(twice(0.01))
+    for _ in range(4):
+        parts.run(10, every=10, progress=False)
+    single = moved(chains, md.RESPA(0.005), 80)
+    assert np.array_equal(whole.positions, parts.positions)
+    assert np.allclose(whole.positions, single.positions, rtol=0, atol=1e-10)
+    changed = md.RESPA(0.006, 2)
+    changed.inner = 3
+    assert np.array_equal(moved(chains, changed, 10).positions, moved(chains, md.RESPA(0.006, 3), 10).positions)
+
+
+def test_massless_sites_follow_their_molecules_in_inner_steps():
+    system, laws, rigid = md.water("TIP4P/2005", 64, density=0.997)
+    sim = md.Simulation(system, laws, md.RESPA(1.0 * md.units.fs, 4), rigid)
+    sim.set_temperature(300.0, seed=1)
+    sim.run(50, every=50, progress=False)
+    assert sim.probe_reversibility(25).is_reversible
+
+
+def test_what_knows_one_force_only_is_refused():
+    state = md.integrators.State(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3)), np.ones(2))
+    for call in (
+        lambda: md.RESPA(0.01).advance(state, lambda state, with_energy: None, 2),
+        lambda: md.RESPA.on(None),
+        lambda: md.grade(md.RESPA),
+    ):
+        with pytest.raises(TypeError, match=r"(?i)respa"):
+            call()
+
+
 def test_bad_numbers_of_inner_steps_are_refused():
+    assert md.RESPA(0.004, np.int64(100)).inner == 100
     for n in (0, 101, 2.5, "4"):
         with pytest.raises((TypeError, ValueError), match="inner"):
             md.RESPA(0.004, n)
@@ -137,9 +171,12 @@ def test_bad_numbers_of_inner_steps_are_refused():
 
 
 def test_a_long_outer_step_is_told_by_its_collisions_and_advice_knows_inner_steps(chains):
-    advice = md.advise_timestep(chains.system, chains.laws, method=md.RESPA(0.004, 8))
     plain = md.advise_timestep(chains.system, chains.laws)
-    assert advice.collision == pytest.approx(plain.collision)
-    assert advice.harmonic == pytest.approx(8.0 * plain.harmonic)
-    with pytest.warns(UserWarning, match="is long for Lennard-Jones atoms"):
+    for n, longest in ((3, 3.0 * plain.harmonic), (50, 0.25 * plain.period)):
+        advice = md.advise_timestep(chains.system, chains.laws, method=md.RESPA(0.004, n))
+        assert advice.collision == pytest.approx(plain.collision)
+        assert advice.harmonic == pytest.approx(longest, rel=1e-3)
+    with pytest.warns(UserWarning, match=r"respa is stable up to 3\.142"):
         moved(chains, md.RESPA(0.05, 50), 1)
+    with pytest.warns(UserWarning, match="is long for Lennard-Jones atoms"):
+        moved(SCENES["argon"](), md.RESPA(0.03, 50), 1)

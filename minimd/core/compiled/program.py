@@ -31,9 +31,10 @@ class Operation(NamedTuple):
         about that answer.
     again : the operation to go on with after the latter, counted from this one.
     is_kept : whether its maker keeps the data, as long as the version of the program stays the same; else it does.
-    is_beside : of Python: whether it, and its maker's operations before it, leave alone what a long operation reads and
-        writes; if that is the next one, other threads begin with it while Python works, see side_by_side.
-    is_long : see is_beside."""
+    is_long : whether other threads may begin with it while Python is at work on the operation before it, if that
+        is_beside.
+    is_beside : of Python: whether it, and all that its maker yields before it, neither write what long operations read
+        or write, nor read what these write. See side_by_side."""
 
     code: int
     data: ByAddress | None
@@ -61,29 +62,28 @@ def in_python(function: Callable[[], Any], **more: Any) -> Operation:
 
 
 def side_by_side(
-    first: Iterable[Operation], parts: Sequence[Sequence[Operation]], pool: ThreadPool
+    first: Iterable[Operation], parts: Iterable[Sequence[Operation]], n_threads: int
 ) -> Iterator[Operation]:
     """The first operations, then those of the parts.
 
-    With several threads the parts are begun before the first long operation, up to Python's work that may go on beside
-    it. On one thread, what they write then would no longer be in the cache where they go on.
+    With several threads, what the parts have up to Python's work that may go on beside a long operation is made before
+    the first long one. On one thread, what it writes would no longer be in the cache where a part goes on.
     """
-    cuts = [0] * len(parts)
-    if pool.n_threads > 1:
-        for k, part in enumerate(parts):
-            beside = [place for place, step in enumerate(part) if step.is_beside]
-            cuts[k] = 1 + max(beside, default=-1)
+    ahead: list[Operation] = []
+    rest: list[Operation] = []
+    for part in parts:
+        beside = [k for k, step in enumerate(part) if step.is_beside and n_threads > 1]
+        cut = 1 + max(beside, default=-1)
+        ahead += part[:cut]
+        rest += part[cut:]
 
-    is_begun = False
     for step in first:
-        if step.is_long and not is_begun:
-            is_begun = True
-            for part, cut in zip(parts, cuts, strict=True):
-                yield from part[:cut]
+        if step.is_long:
+            yield from ahead
+            ahead = []
         yield step
-
-    for part, cut in zip(parts, cuts, strict=True):
-        yield from part[cut:] if is_begun else part
+    yield from ahead
+    yield from rest
 
 
 def n_chunks_of(n: int) -> int:

@@ -65,7 +65,8 @@ class Worker(namedtuple("Worker", "counters thread n_threads")):
 
 def no_counts() -> NDArray[np.int64]:
     """Counters at zero."""
-    return np.zeros(CLAIMS + MOST_CHUNKS + 1, dtype=np.int64)
+    n_claims = MOST_CHUNKS + 1  # one more for what open_program reserves
+    return np.zeros(CLAIMS + n_claims, dtype=np.int64)
 
 
 class ThreadPool:
@@ -116,11 +117,10 @@ class ThreadPool:
             try:
                 if beside is None:
                     return int(self._code(worker, first, operations, course))
-                open_program(worker, first, operations, course, 1)
                 try:
+                    open_program(worker, first, operations, course, 1)
                     beside()
                 finally:  # the others are at work, also if it raises
-                    finish_chunk(worker, operations, course)
                     answer = int(self._code(worker, first, operations, course))
                 return answer
             finally:
@@ -176,8 +176,11 @@ def run_operations(worker, task, operations, course):
     counters = worker.counters
     if worker.n_threads == 1:
         return _run_alone(operations, course)
-    if worker.thread == 0 and _read(counters, TASK) != task:
-        open_program(worker, task, operations, course, 0)
+    if worker.thread == 0:
+        if _read(counters, TASK) != task:
+            open_program(worker, task, operations, course, 0)
+        else:  # it was opened before, with a chunk that the caller has finished by now
+            finish_chunk(worker, operations, course)
     word = _read(counters, OPEN)
     reads = 0
     while word >> 2 * BITS < task:  # a helper may be faster than the calling thread
@@ -207,7 +210,7 @@ def run_operations(worker, task, operations, course):
 @without_lock
 def open_program(worker, task, operations, course, n_reserved):
     """Let threads begin with the operation course[AT].
-    n_reserved : 1 if it ends only after one more finish_chunk, of this thread; else 0."""
+    n_reserved : 1 if it ends only after one more chunk, which the calling thread finishes in run_operations; else 0."""
     _exchange(worker.counters, TASK, task)
     _open(worker.counters, task, operations, course, course[AT], GO_ON, n_reserved)
 
@@ -253,7 +256,8 @@ def _end_phase(counters, word, operations, course):
 def _open(counters, phase, operations, course, at, answer, n_reserved):
     """Open a phase: that of an operation, or the end of the program.
     The word of a phase holds its number, that of its operation and that of its chunks, so that threads read all three
-    at once: a chunk can be taken only as long as the phase is open, since only then some have not been taken in it."""
+    at once: a chunk can be taken only as long as the phase is open, since only then some have not been taken in it.
+    n_reserved : chunks more, up to one, that nobody takes."""
     n = 0
     if at < operations.shape[0] and answer == GO_ON:
         n = operations[at, CHUNKS]

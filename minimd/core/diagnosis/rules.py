@@ -13,7 +13,7 @@ from minimd.core.diagnosis.evidence import USUAL, Evidence, Verdict, is_overlap,
 from minimd.core.diagnosis.timestep import OSCILLATION
 from minimd.core.engine.cell_rescaling import EVAPORATED
 from minimd.core.integrators.order_conditions import accurate_step
-from minimd.core.integrators.substeps import of_all_forces
+from minimd.core.integrators.substeps import outer_substeps
 from minimd.core.neighbors.queries import closest_pair
 from minimd.core.potentials.bonded import HarmonicBond
 from minimd.core.potentials.coulomb import SUMS, Coulomb, spaces
@@ -102,7 +102,7 @@ def long_steps(evidence: Evidence) -> Verdicts:
     if method.is_overdamped or not fastest * dt > TOO_LONG * OSCILLATION**0.5:
         return  # spares usual steps the search for what the method can do
     step = accurate_step(
-        of_all_forces(method.sequence()), OSCILLATION
+        outer_substeps(method.sequence()), OSCILLATION
     )  # 0 of a method without kicks
     if step != 0.0 and dt > TOO_LONG * step / fastest:
         longest_stride = step / stiffness.collisions()  # for the heat of these atoms

@@ -5,6 +5,7 @@ They are about jumps at the cutoff, the number of steps that a list lasts, veloc
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from math import isnan, nan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -97,7 +98,8 @@ def bath_changes(guard: RunGuard) -> list[str]:
 
 
 def bath_of(engine: Engine) -> tuple[float, float] | None:
-    """Temperature of the thermostat, and how far below it that of the velocities is expected; None without one.
+    """Temperature of the thermostat, and how far below it that of the velocities is expected, NaN if that is not known;
+    None without one.
 
         T − T_kin = c² Δt² Σ m a² / (n_dof k_B)
 
@@ -108,6 +110,8 @@ def bath_of(engine: Engine) -> tuple[float, float] | None:
     constraint_set = engine.constraint_set
     if not isinstance(method, Thermostat):
         return None
+    if isnan(method.last_kick):
+        return method.temperature_at(engine.step), nan
     if method.last_kick:
         engine.evaluate()
     inverse_masses = constraint_set.inverse_masses[:, None]

@@ -17,7 +17,7 @@ from minimd.core.forces.forces import Forces, Potential
 from minimd.core.integrators.order_conditions import accurate_step, stability_limit
 from minimd.core.integrators.rows import VelocityVerlet
 from minimd.core.integrators.splitting import Splitting
-from minimd.core.integrators.substeps import of_all_forces
+from minimd.core.integrators.substeps import outer_substeps
 from minimd.core.potentials.bonded import Bond
 from minimd.core.structure.constraints import Constraint
 from minimd.core.structure.errors import NonFiniteError
@@ -217,7 +217,7 @@ def _advice(
     colliding = stiffness.collisions() if collides else 0.0
     timestep_of = method.timestep_of if isinstance(method, Splitting) else float
     harmonic = timestep_of(accurate_step(row, OSCILLATION) / frequency) if frequency else inf
-    step = accurate_step(of_all_forces(row), OSCILLATION)
+    step = accurate_step(outer_substeps(row), OSCILLATION)
     collision = timestep_of(step / colliding) if colliding else inf
     # the bond whose stretching by itself makes up more than half of the mode
     bonds = [law.groups_in(system) for law in forces.potentials if isinstance(law, Bond)]

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba.core.errors import NumbaError
+from numpy.typing import NDArray
 
 from minimd.core.compiled.kernels import (
     DirectCalls,
@@ -318,7 +319,7 @@ class Forces:
         self._in_order = with_lists, linked, others
         self._slots = Slots(linked)
         self._memory = self.forces if self.grid is None else self.impulses
-        self.bonded_pushes = self._memory[:0]
+        self._bonded_pushes: NDArray | None = None
         self._slot_forces = np.zeros(3 * self._slots.size, dtype=self._memory.dtype)
         self._targets: dict[tuple[int, float], Target] = {}
         self._programs: dict[int, Program] = {}  # by the id of their target
@@ -492,19 +493,29 @@ class Forces:
             yield self._cleared(target)
         first = [self._of(term, target) for term in (*with_lists, *linked)]
         parts = [list(self._of(term, target)) for term in others]
-        yield from side_by_side(chain(*first, self._slots.operations(target)), parts, self.pool)
+        sums = self._slots.operations(target)
+        yield from side_by_side(chain(*first, sums), parts, self.pool.n_threads)
         yield from self._sites.after(target)
 
     def bonded_operations(self, unit: float) -> Iterator[Operation]:
-        """The operations for forces of bonds, angles and dihedrals alone, which set bonded_pushes; see target."""
-        if not self.bonded_pushes.size:
-            self.bonded_pushes = np.zeros_like(self._memory)
+        """The operations for forces of bonded terms alone, which set bonded_pushes: of bonds, angles, dihedrals, and of
+        the excluded and scaled pairs that belong to them.
+        unit : see target [time]."""
+        _, linked, _ = self._in_order
         target = self.target(FORCES, unit)._replace(forces=self.bonded_pushes)
+        yield from self._sites.before()
         yield self._cleared(target)
-        for term in self._in_order[1]:
+        for term in linked:
             yield from self._of(term, target)
         yield from self._slots.operations(target)
         yield from self._sites.after(target)
+
+    @property
+    def bonded_pushes(self) -> NDArray:
+        """(N, 3), forces or impulses of bonded terms alone, where somebody wants them."""
+        if self._bonded_pushes is None:
+            self._bonded_pushes = np.zeros_like(self._memory)
+        return self._bonded_pushes
 
     def _cleared(self, target: Target) -> Operation:
         clearing = Clearing(target.forces, n_chunks_of(len(self.system)))

@@ -19,7 +19,7 @@ Simulating Hamiltonian Dynamics (2004), 2.6.
 from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import product
-from math import factorial, prod
+from math import factorial, pi, prod
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +32,8 @@ from minimd.core.integrators.substeps import (
     Substeps,
     checked_substeps,
     mechanical,
+    merged,
+    outer_substeps,
 )
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_number
@@ -177,12 +179,19 @@ def stability_limit(substeps: Substeps) -> float:
 
     tr M is a polynomial in x = h², from M = (a hb; −hc d), where a, b, c and d are polynomials in x. It is evaluated
     once between each two neighboring roots of tr M = ±2, so that no window of instability is too narrow to be found. A
-    root at which tr M only touches ±2 is no limit."""
+    root at which tr M only touches ±2 is no limit.
+
+    With kicks of bonded terms alone, ω is a vibration of these: its phase must not change by π between two other kicks,
+    with which it would resonate, nor by 2 between any two."""
     return _stability_limit(checked_substeps(substeps))
 
 
 @cache
 def _stability_limit(substeps: Substeps) -> float:
+    row = merged(mechanical(substeps))
+    outer = outer_substeps(row)
+    if outer != row:
+        return min(pi / longest_drift(outer), 2.0 / longest_drift(row))
     a = d = Polynomial([1.0])
     b = c = Polynomial([0.0])
     x = Polynomial([0.0, 1.0])
@@ -203,6 +212,11 @@ def _stability_limit(substeps: Substeps) -> float:
             break
         start = end
     return float(np.sqrt(start))
+
+
+def longest_drift(substeps: Substeps) -> float:
+    """The largest coefficient of a drift, by magnitude."""
+    return max(abs(part.coefficient) for part in substeps if isinstance(part, Drift))
 
 
 def energy_oscillation(substeps: Substeps, h: float) -> float:

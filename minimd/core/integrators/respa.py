@@ -1,6 +1,8 @@
 """Multiple time steps: forces of bonds, angles and dihedrals in inner steps, all others by kicks around them."""
 
-from minimd.core.integrators.method import Problem, Step
+from math import nan
+
+from minimd.core.integrators.method import ClassProperty, Problem, Step
 from minimd.core.integrators.ramp import Level
 from minimd.core.integrators.rows import VelocityVerlet
 from minimd.core.integrators.splitting import Splitting
@@ -17,9 +19,7 @@ MOST_INNER = 100
 
 def with_inner_steps(substeps: Substeps, n: int) -> Substeps:
     """S_{Δt/2} ∘ (Φ_{Δt/n})ⁿ ∘ S_{Δt/2}: Φ are the substeps with kicks by bonded terms alone, S is a kick by all other
-    forces.
-    Raises ValueError unless n is from 1 to MOST_INNER."""
-    n = checked_count("inner", n, 1, MOST_INNER)
+    forces."""
     outer = (Kick(0.5), BondedKick(-0.5))
     inner = [
         BondedKick(part.coefficient) if isinstance(part, Kick) else part
@@ -36,9 +36,9 @@ class RESPA(Splitting):
         n times: velocity Verlet over Δt/n with F_b
         v ← v + Δt/2 (F − F_b)/m
 
-    All forces are computed once in a step, those of bonded terms n + 2 times. Kicks of the others resonate with a
-    vibration of half the period: Δt must stay below some third of the shortest one, whatever n. That does not exist
-    with rigid bonds; constraints are kept in each inner step.
+    F_b are the forces of bonds, angles and dihedrals, and those of the excluded and scaled pairs of their atoms. They
+    are computed n + 2 times in a step, all forces once. Kicks of the others resonate with a vibration whose half period
+    is Δt: it must stay below a third of the shortest period, whatever n. Constraints are kept in each inner step.
 
     Parameters
     ----------
@@ -53,13 +53,13 @@ class RESPA(Splitting):
     """
 
     name = "respa"
-    substeps = with_inner_steps(VelocityVerlet.substeps, INNER)
+    inner = INNER
+    substeps = ClassProperty(lambda method: with_inner_steps(VelocityVerlet.substeps, method.inner))
     source = "M. Tuckerman, B. J. Berne, G. J. Martyna, J. Chem. Phys. 97, 1990 (1992)"
 
     def __init__(self, timestep: float, inner: int = INNER) -> None:
         super().__init__(timestep)
-        self.substeps = with_inner_steps(VelocityVerlet.substeps, inner)  # type: ignore[misc]
-        self.inner = inner
+        self.inner = checked_count("inner", inner, 1, MOST_INNER + 1)
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
@@ -72,6 +72,13 @@ class RESPA(Splitting):
 class LangevinRESPA(LangevinBAOAB):
     """Langevin dynamics with multiple time steps: RESPA whose inner steps are those of LangevinBAOAB, each with noise.
 
+        v ← v + Δt/2 (F − F_b)/m
+        n times: LangevinBAOAB over Δt/n with F_b
+        v ← v + Δt/2 (F − F_b)/m
+
+    The kicks at both ends make velocities too slow, as those of LangevinBAOAB do; by how much is not known here. Energy
+    minus reservoir energy drifts, since the bath takes up what kicks do wrong (shadow work), in proportion to friction.
+
     Parameters
     ----------
     timestep, temperature, friction, seed : see LangevinBAOAB.
@@ -79,13 +86,13 @@ class LangevinRESPA(LangevinBAOAB):
     """
 
     name = "langevin-respa"
-    substeps = with_inner_steps(LangevinBAOAB.substeps, INNER)
+    inner = INNER
+    substeps = ClassProperty(lambda method: with_inner_steps(LangevinBAOAB.substeps, method.inner))
     source = RESPA.source
+    last_kick = nan
 
     def __init__(
         self, timestep: float, temperature: Level, friction: float, seed: int, inner: int = INNER
     ) -> None:
         super().__init__(timestep, temperature, friction, seed)
-        self.substeps = with_inner_steps(LangevinBAOAB.substeps, inner)  # type: ignore[misc]
-        self.inner = inner
-        self.last_kick = 0.5 / self.inner  # of bonded terms
+        self.inner = checked_count("inner", inner, 1, MOST_INNER + 1)

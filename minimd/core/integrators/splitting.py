@@ -21,7 +21,7 @@ from minimd.core.integrators.substeps import (
     is_palindrome,
     mechanical,
     merged,
-    of_all_forces,
+    outer_substeps,
 )
 from minimd.core.structure.arrays import Array
 
@@ -36,7 +36,7 @@ __all__ = ["Splitting"]
 def stages(method: type[Splitting]) -> int:
     """Force evaluations per step of a long run: groups of kicks with no drift between them;
     the last and the first kick form one group."""
-    row = of_all_forces(mechanical(method.substeps))
+    row = outer_substeps(mechanical(method.substeps))
     kicks = [isinstance(substep, Kick) for substep in row]
     return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
 
@@ -61,6 +61,7 @@ class Splitting(Method):
     is_thermostat : whether a bath acts at all.
     is_overdamped : whether motion has no inertia.
     drifts : in how many parts drifts along rigid bonds are made.
+    inner : in how many inner steps bonded terms act, see RESPA.
     memory : (M,) float64, what a bath of yours remembers, such as ξ of Nosé and Hoover, changed in place; or None.
 
     Attributes computed from them
@@ -80,6 +81,7 @@ class Splitting(Method):
     is_overdamped: ClassVar[bool] = False
     memory: Array | None = None
     drifts: int = 1
+    inner: int = 1
     sequence = ClassProperty(lambda method: partial(merged, method.substeps))
     order = ClassProperty(lambda method: nystrom_order(method.sequence()))
     is_symmetric = ClassProperty(lambda method: is_palindrome(method.sequence()))

@@ -220,6 +220,8 @@ class Steps:
         self._calls = DirectCalls()
         self._counting = StepCounting(self.counts)
         self._row = merged_row(method)
+        if forces.bonded is None and any(isinstance(part, BondedKick) for part in self._row):
+            raise TypeError(f"{type(method).__name__} needs a Simulation, which knows bonds")
         self._first_unit = first_unit(method)
         self._head, self._rest = self._cut()
         moves = [event for event in self._rest if isinstance(event, Force | Drift)]
@@ -275,7 +277,7 @@ class Steps:
         events = list[Event]()
         for _ in range(2):  # the second time the first kick may have the forces of the step before
             events.clear()
-            current.pop(BondedKick, None)  # which nobody keeps
+            current.pop(BondedKick, None)  # those of the step before are not stored in a restart
             for event in row:
                 kind = type(event)
                 if isinstance(event, Kick):
@@ -346,7 +348,11 @@ class Steps:
         for event in events:
             if isinstance(event, Kick) or (isinstance(event, Drift) and around.constraints is None):
                 kind = KICK if isinstance(event, Kick) else DRIFT
-                wanted = self._pushes_of(event) if isinstance(event, Kick) else pushes
+                wanted = pushes
+                if isinstance(event, BondedKick):
+                    wanted = forces.bonded.bonded_pushes
+                elif isinstance(event, Kick):
+                    wanted = self._state.pushes
                 if flows and wanted is not pushes:
                     yield self._passed(flows, pushes)
                     flows = []
@@ -379,14 +385,6 @@ class Steps:
             moment = moment.after(event)
         if flows:
             yield self._passed(flows, pushes)
-
-    def _pushes_of(self, kick: Kick) -> NDArray[Any]:
-        """What a kick is made with, see State.pushes."""
-        return (
-            self._forces.bonded.bonded_pushes
-            if isinstance(kick, BondedKick)
-            else self._state.pushes
-        )
 
     def _constrained(self, duration: float) -> Iterable[Operation]:
         """A drift that keeps constrained lengths."""

@@ -29,7 +29,7 @@ class Kick:
 
 @dataclass(frozen=True, slots=True)
 class BondedKick(Kick):
-    """The same, by bonds, angles and dihedrals alone."""
+    """The same, by bonded terms alone: see Forces.bonded_operations."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +101,8 @@ def palindrome(half: Sequence[float]) -> tuple[float, ...]:
     return (*half, *half[-2::-1])
 
 
-def of_all_forces(substeps: Substeps) -> Substeps:
-    """The sequence as forces see it that are not of bonded terms."""
+def outer_substeps(substeps: Substeps) -> Substeps:
+    """Without kicks of bonded terms alone: what is left where these have no forces."""
     return merged(part for part in substeps if not isinstance(part, BondedKick))
 
 

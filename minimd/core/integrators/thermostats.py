@@ -85,7 +85,7 @@ class Thermostat(Splitting):
     is_symmetric = is_symplectic = False
     is_thermostat = True
     order = 2
-    last_kick = 0.0  # of Δt, after the bath and the drifts: see run_report.bath_of
+    last_kick = 0.0  # of Δt, after the bath and the drifts, NaN if of several forces: see run_report.bath_of
 
     def __init__(self, timestep: float, temperature: Level, seed: int) -> None:
         super().__init__(timestep)

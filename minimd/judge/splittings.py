@@ -35,7 +35,8 @@ def as_function(method: Any, kind: str | None, options: dict[str, Any]) -> tuple
         )
     has_bath = any(isinstance(part, Thermalize) for part in own.substeps)
     if kind == "step" or (kind is None and not has_bath):
-        if own.inner > 1:
+        kicks = [type(part) for part in own.substeps if isinstance(part, Kick)]
+        if kicks.count(Kick) < len(kicks):  # some are made with a part of the forces
             raise TypeError(
                 f"md.grade judges a step with one force, and {own.__name__} has two; "
                 'judge it with kind="dynamics"'

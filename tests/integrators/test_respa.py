@@ -156,8 +156,9 @@ def test_what_knows_one_force_only_is_refused():
         lambda: md.RESPA(0.01).advance(state, lambda state, with_energy: None, 2),
         lambda: md.RESPA.on(None),
         lambda: md.grade(md.RESPA),
+        lambda: md.grade(md.integrators.compose(md.RESPA, md.RESPA)),
     ):
-        with pytest.raises(TypeError, match=r"(?i)respa"):
+        with pytest.raises(TypeError, match=r"(?i)respa|composition"):
             call()
 
 

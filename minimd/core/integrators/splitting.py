@@ -61,7 +61,6 @@ class Splitting(Method):
     is_thermostat : whether a bath acts at all.
     is_overdamped : whether motion has no inertia.
     drifts : in how many parts drifts along rigid bonds are made.
-    inner : in how many inner steps bonded terms act, see RESPA.
     memory : (M,) float64, what a bath of yours remembers, such as ξ of Nosé and Hoover, changed in place; or None.
 
     Attributes computed from them
@@ -81,7 +80,6 @@ class Splitting(Method):
     is_overdamped: ClassVar[bool] = False
     memory: Array | None = None
     drifts: int = 1
-    inner: int = 1
     sequence = ClassProperty(lambda method: partial(merged, method.substeps))
     order = ClassProperty(lambda method: nystrom_order(method.sequence()))
     is_symmetric = ClassProperty(lambda method: is_palindrome(method.sequence()))

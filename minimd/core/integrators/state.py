@@ -181,8 +181,8 @@ class Surroundings:
     bath : of a thermostat, or None.
     stop_requested : set it to True to end a run of steps after the present one.
     powers : ∂U/∂t with the forces of the next kick [energy/time], just before their time and just after.
-    work : its integral, Σ duration · power over all kicks [energy], those at the end of a step with the first power,
-        those at its beginning with the second. Time is treated as a coordinate with momentum
+    work : its integral, Σ duration · power over all kicks [energy], those that begin a step with the second power, all
+        others with the first; of a step back in time the other way round. Time is treated as a coordinate with momentum
         −work, and this larger system is split: total energy minus work is conserved as well as an energy is."""
 
     constraints: ConstraintSolver | None = None

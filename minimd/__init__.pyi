@@ -24,6 +24,7 @@ from minimd.core.files.h5md_reader import (
 )
 from minimd.core.forces.forces import ForceResult as ForceResult, Forces as Forces
 from minimd.core.integrators.barostats import StochasticCellRescaling as StochasticCellRescaling
+from minimd.core.integrators.hybrid_monte_carlo import HybridMonteCarlo as HybridMonteCarlo
 from minimd.core.integrators.ramp import Ramp as Ramp
 from minimd.core.integrators.respa import RESPA as RESPA, LangevinRESPA as LangevinRESPA
 from minimd.core.integrators.rows import (

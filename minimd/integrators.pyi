@@ -1,6 +1,7 @@
 """Public names: the methods for atoms, and those of the textbook."""
 
 from minimd.core.integrators.barostats import StochasticCellRescaling as StochasticCellRescaling
+from minimd.core.integrators.hybrid_monte_carlo import HybridMonteCarlo as HybridMonteCarlo
 from minimd.core.integrators.method import Method as Method
 from minimd.core.integrators.order_conditions import (
     accurate_step as accurate_step,

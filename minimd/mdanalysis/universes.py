@@ -239,7 +239,7 @@ def universe(
         spacing["dt"] = 1.0
         if isinstance(run, Simulation):
             source(run)
-            spacing["dt"] = run.method.timestep * run.system.units.to_picosecond
+            spacing["dt"] = run.method.duration * run.system.units.to_picosecond
         if source.system is None:
             raise ValueError("these Frames are empty; pass them to a run as observers=[frames]")
         name = "in memory"

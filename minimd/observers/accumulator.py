@@ -173,7 +173,7 @@ class ObservedRun:
             units=system.units.name,
             species=[*map(str, system.species_names)],
             numbers=numbers.tolist(),
-            spacing=every * engine.method.timestep,
+            spacing=every * engine.method.duration,
             n_dof=engine.n_dof,
             bath_temperature=temperature,
             bath_pressure=pressure,

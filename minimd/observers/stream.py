@@ -259,7 +259,7 @@ class Stream(PeriodicObserver):
         length = units.to_angstrom
         time = units.to_picosecond
         energy = units.to_kj_per_mol
-        frame["clock"][0] = engine.method.timestep * time, engine.time * time
+        frame["clock"][0] = engine.method.duration * time, engine.time * time
         frame["step"] = engine.step
         frame["step_of_energies"] = min(engine.step, MOST_STEPS)
         energies = (look.temperature, look.total_energy * energy, look.potential_energy * energy)

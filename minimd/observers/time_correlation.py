@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.core.console.display import Rows
+from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import Look
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.statistics import spread, with_error
@@ -126,6 +127,16 @@ class TimeCorrelation(Accumulator):
     multiple-tau correlator."""
 
     convention = 2  # relative to the center of mass where its motion is no degree of freedom
+
+    def prepare(self, engine: Engine) -> None:
+        """See Accumulator.
+        Raises ValueError also for a method whose steps do not follow each other in time."""
+        if not engine.method.is_dynamics:
+            raise ValueError(
+                f"{self.kind} is a correlation in time, which {engine.method.name} does not have: "
+                "take dynamics, such as LangevinBAOAB or VelocityVerlet"
+            )
+        super().prepare(engine)
 
     def interrupt(self) -> None:
         """See Accumulator."""

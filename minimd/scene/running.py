@@ -317,7 +317,7 @@ def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]
     rows += simulation.engine.scene_in_words()
     if simulation.constraints:
         rows.append(("n_dof", f"{simulation.n_dof} degrees of freedom"))
-    duration = scene.units.shown(n_steps * simulation.method.timestep)
+    duration = scene.units.shown(n_steps * simulation.method.duration)
     every = scene.sections.output.every
     rows.append(("run", f"{n_steps} steps = {duration}, observed every {every}"))
     return [f"{name:<{NAME_WIDTH}} {text}" for name, text in rows]

@@ -55,7 +55,7 @@ def begun(scene, name, threads=1, **options):
     """The simulation of a scene by the method of a name."""
     scene, of = RUNS[scene](), METHODS[name]
     timestep = 0.002 * scene.timestep if of.is_overdamped else scene.timestep
-    method = of(timestep, 1.2, 0.7, seed=4) if of.is_thermostat else of(timestep)
+    method = of.with_relaxation_time(timestep, 1.2, 0.7, seed=4) if of.is_thermostat else of(timestep)
     return scene.simulation(method, threads=threads, **options)
 
 

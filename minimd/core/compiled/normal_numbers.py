@@ -89,7 +89,7 @@ def start_stream(stream, atom, contact, step):
 def normal(stream):
     """The next normal number."""
     while True:
-        word = _next(stream)
+        word = next_word(stream)
         x, is_inside = _inside(word)
         if is_inside:
             return x
@@ -154,11 +154,11 @@ def _at_edge(x, layer, mantissa, stream):
 @scalar
 def _uniform(stream):
     """From 0 to 1, without 1."""
-    return (_next(stream) >> np.uint64(11)) * UNIT
+    return (next_word(stream) >> np.uint64(11)) * UNIT
 
 
 @scalar
-def _next(stream):
+def next_word(stream):
     """The next word."""
     if stream.place[0] == 4:
         stream.counter[0] += np.uint64(1)

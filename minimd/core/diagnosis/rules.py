@@ -157,7 +157,7 @@ def _settings_of_barostat(evidence: Evidence) -> Verdicts:
     shown = units.shown
     if barostat is None:
         return
-    interval = barostat.every * evidence.engine.method.timestep
+    interval = barostat.every * evidence.engine.method.duration
     relaxation_time = barostat.relaxation_time
     if interval > QUICK * relaxation_time:
         yield Verdict(

@@ -19,6 +19,7 @@ from minimd.core.engine.cell_rescaling import EVAPORATED
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.record import Record
 from minimd.core.integrators.barostats import StochasticCellRescaling
+from minimd.core.integrators.hybrid_monte_carlo import HybridMonteCarlo
 from minimd.core.integrators.ramp import level_at
 from minimd.core.integrators.thermostats import Thermostat
 from minimd.core.potentials.law import law_at
@@ -41,6 +42,8 @@ FEW_STEPS = 3.0  # a list that lasts no longer is rebuilt so often that a wider 
 ROOM = 0.99  # of the widest skin: beyond this it cannot be made wider
 TURNING = 1e-8  # of the speed, along a rigid bond
 ENOUGH = 20  # frames, for a mean that is judged
+FAR_WEIGHT = 5.0  # standard errors of a mean of weights, whose distribution has a long tail
+FEW_ACCEPTED = 0.3
 FAR = 3.0  # standard errors within which a mean counts as that of the barostat
 
 
@@ -52,7 +55,7 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     bonds = engine.constraint_set.bonds
     is_free = engine.conserves_momentum
     solvers = f"{bonds.summary}; at most {bonds.iterations} iterations in a drift" if bonds else ""
-    picoseconds = guard.n_steps * abs(engine.method.timestep) * engine.system.units.to_picosecond
+    picoseconds = guard.n_steps * abs(engine.method.duration) * engine.system.units.to_picosecond
     cost = Cost(
         n_atoms=len(engine.system),
         n_steps=guard.n_steps,
@@ -68,6 +71,8 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     )
     angular = is_free and not engine.system.cell.is_periodic
     lines = static_checks(engine, reversibility)
+    if isinstance(engine.method, HybridMonteCarlo):
+        lines.append(proposals_line(engine.method))
     changes = bath_changes(guard)
     mass = float(engine.system.masses.sum())
     lines += pressure_lines(record, mass, engine.barostat, is_free, is_ramp=bool(changes))
@@ -79,6 +84,24 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     return replace(
         report, bath=bath_of(engine), changed=changed, uncounted=uncounted, is_smooth=is_smooth
     )
+
+
+def proposals_line(method: HybridMonteCarlo) -> Line:
+    """What has become of the proposals since the last equilibration."""
+    n_made, *_, n_retraced = method.memory.astype(int)
+    mean, error = method.mean_weight
+    summary = (
+        f"accepted {method.acceptance:.3f} of {n_made}; <exp(-dH/kT)> {mean:.4f} +- {error:.4f}, 1 in theory; "
+        f"{n_retraced} undone and found again"
+    )
+    verdict = "as theory says"
+    is_good = not abs(mean - 1.0) > FAR_WEIGHT * error
+    if not is_good:
+        verdict = "NOT AS THEORY SAYS: equilibrate first"
+    elif method.acceptance < FEW_ACCEPTED:
+        verdict = "few are accepted: take a shorter time step, or fewer steps"
+        is_good = False
+    return Line("proposals", summary, verdict, is_good)
 
 
 def uncounted_work(engine: Engine) -> str:

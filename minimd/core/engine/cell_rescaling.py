@@ -150,17 +150,19 @@ class CellRescaling:
         bath: Bath,
         sums: ForceResult,
         forces_follow: Callable[[], ForceResult],
+        accepts: Callable[[float], bool] | None = None,
     ) -> None:
         """Strain the whole scene once.
 
         noise_number : selects the noise.
         sums : forces, energy and virial of the present state.
         forces_follow : computes them after cell and positions changed.
+        accepts : decides about ΔH/k_B T of the change, in hybrid Monte Carlo; else nobody does, and ΔH is an error.
 
         Raises RangeError for a strain too large, or a cell that nothing holds together; ValueError without a virial.
         """
         barostat = self.barostat
-        duration = barostat.every * method.timestep
+        duration = barostat.every * method.duration
         thermal = self._system.units.k_B * level_at(self.temperature(method), noise_number)
         wanted = thermal, level_at(barostat.pressure, noise_number)
         before = self._thermodynamic_state(wanted, bath, sums)
@@ -178,13 +180,19 @@ class CellRescaling:
             )
         if before.target <= 0.0 and before.volume > EVAPORATED * self._first_volume:
             raise RangeError(self._growth(before))
+        system = self._system
+        cell, positions, velocities = system.cell, system.positions.copy(), system.velocities.copy()
         back = self._move(exponential(strain), bath)
         after = self._thermodynamic_state(wanted, bath, forces_follow(), back)
-        bath.energy += (
-            after.energy
-            - before.energy
-            - barostat.change_of_conserved(before, after, strain, duration)
-        )
+        change = barostat.change_of_conserved(before, after, strain, duration)
+        if accepts is None:
+            bath.energy += after.energy - before.energy - change
+        elif accepts(change / thermal):
+            bath.energy += after.energy - before.energy
+        else:
+            self._constraints.follow(system.cell, cell)
+            system.cell, system.positions[:], system.velocities[:] = cell, positions, velocities
+            forces_follow()
 
     def _growth(self, state: ThermodynamicState) -> str:
         volume = self._system.units.volume

@@ -4,20 +4,29 @@ import operator
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from minimd.core.compiled.program import Operation, in_python
 from minimd.core.console.display import Rows
-from minimd.core.console.quiet import quiet, warn
+from minimd.core.console.quiet import quiet
 from minimd.core.constraints.constraint_set import ConstraintSet
 from minimd.core.constraints.groups import bodies_of
 from minimd.core.engine.cell_rescaling import CellRescaling, check_cell, rescaling_of
+from minimd.core.engine.proposals import RETRACED_EVERY, Proposals
+from minimd.core.engine.scene_checks import (
+    check_center,
+    checked_method,
+    holds_center,
+    warn_of_dropped,
+)
 from minimd.core.engine.scene_in_words import scene_in_words
 from minimd.core.forces.forces import ForceResult, Forces, Potential
 from minimd.core.forces.options import FIXED_POINT, Options, described
 from minimd.core.integrators.barostats import StochasticCellRescaling
+from minimd.core.integrators.hybrid_monte_carlo import HybridMonteCarlo
 from minimd.core.integrators.ramp import Level, Ramp, level_at
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.state import Bath, GridState, State, Surroundings
@@ -27,7 +36,6 @@ from minimd.core.neighbors.verlet_list import Built
 from minimd.core.potentials.term import FORCES, TOTALS
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.cell import Cell
-from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.constraints import Constraint
 from minimd.core.structure.grid import Grid
 from minimd.core.structure.observables import center, kinetic_energy, leaves_out_center
@@ -107,13 +115,13 @@ class Engine:
         options: Options | None = None,
         barostat: StochasticCellRescaling | None = None,
     ) -> None:
-        self._method = _checked_method(method)
+        self._method = checked_method(method)
         self._system = system.copy() if isinstance(system, System) else System.from_ase(system)
-        self.holds_center = _holds_center(system)
+        self.holds_center = holds_center(system)
         self.counts_center = False
         self._step = 0
         self._clock = (0, 0.0)
-        self._pace = method.timestep
+        self._pace = method.duration
         self.noise_shift = 0
         self.equilibrated = 0
         self.is_whole = True
@@ -122,13 +130,13 @@ class Engine:
         self.extra_observables: Sequence[str] = ()
         self.interactions = Forces(self.system, potentials, options)
         self.interactions.warn_of_potentials()
-        _warn_of_dropped(self.system.constraints, constraints)
+        warn_of_dropped(self.system.constraints, constraints)
         held = self.system.constraints if constraints is None else constraints
         self.constraint_set = ConstraintSet(
             self.system, held, self.interactions.options.most_threads
         )
         self.system.constraints = self.constraint_set.kept
-        _check_center(self.holds_center, self._is_still_under(method), method)
+        check_center(self.holds_center, self._is_still_under(method), method)
         self._state = self._laid_out()
         self._fit_grid()
         self._bath = Bath(k_B=self.system.units.k_B, dimensions=self.system.dimensions)
@@ -138,7 +146,7 @@ class Engine:
         self._goes_on = False
         self.beginnings = 0
         self.sums = ForceResult(self.interactions.forces)
-        self._known_steps: list[tuple[tuple[Any, ...], Steps]] = []
+        self._known_steps: list[tuple[tuple[Any, ...], Steps, Proposals | None]] = []
         self._describe_bath()
         parts = self.system, self.interactions, self.constraint_set, method, self.holds_center
         self.barostat, self._rescaling = barostat, rescaling_of(barostat, *parts)
@@ -155,9 +163,7 @@ class Engine:
         )
         if options.precision != FIXED_POINT:
             return State(*parts)
-        interactions.lay_grid(
-            options.grid or Grid.of_scene(self.system, self.method.stride, interactions.depth())
-        )
+        interactions.lay_grid(options.grid or self._grid_of_scene())
         bonds = self.constraint_set.bonds
         bodies = (
             None if bonds is None else bodies_of(bonds.pairs, self.constraint_set.inverse_masses)
@@ -170,11 +176,18 @@ class Engine:
         state = self._state
         if interactions.grid is None or not isinstance(state, GridState):
             return
-        if interactions.options.grid is None and not interactions.grid.has_room_for(self.system):
-            scene = self.system, self.method.stride, interactions.depth()
-            interactions.grid = interactions.grid.widened(Grid.of_scene(*scene))
+        is_free = interactions.options.grid is None and self.method.is_dynamics
+        if is_free and not interactions.grid.has_room_for(self.system):
+            interactions.grid = interactions.grid.widened(self._grid_of_scene())
         self._lay(interactions.grid)
         state.grid.take(self.system, state.inverse_masses)
+
+    def _grid_of_scene(self) -> Grid:
+        """With room for thermal momenta, if a method draws them."""
+        depth = self.interactions.depth()
+        if isinstance(self._method, HybridMonteCarlo):
+            depth = max(depth, self.system.units.k_B * self._method.temperature_at(self._step))
+        return Grid.of_scene(self.system, self._method.stride, depth)
 
     def _lay(self, grid: Grid | None) -> None:
         """Take a grid for the steps to come, if this engine has one."""
@@ -186,21 +199,26 @@ class Engine:
         interactions.unit = state.unit = first_unit(self.method)
 
     @property
-    def _own_steps(self) -> Steps:
-        """The steps of the method, made anew if anything else than the state is another one; some are remembered."""
+    def _own_steps(self) -> tuple[Steps, Proposals | None]:
+        """The steps of the method, and the proposals of hybrid Monte Carlo, made anew if anything else than the state
+        is another one; some are remembered."""
         constraints = self.surroundings.constraints
         grid = self.interactions.grid
         made_of = self._method, constraints, grid, *vars(self._method).values()
-        for parts, steps in self._known_steps:
+        for parts, steps, proposals in self._known_steps:
             if len(parts) == len(made_of) and all(map(operator.is_, made_of, parts)):
-                return steps
+                return steps, proposals
         forces = self.interactions
         power = (lambda: forces.powers) if forces.depend_on_time else None
         work = forces.version, lambda: forces.pool
         source = ForceSource(self._forces_at, *work, forces.running, power, self._taken, forces)
         steps = Steps(self._method, self._state, self.surroundings, source)
-        self._known_steps = [(made_of, steps), *self._known_steps[: MOST_STEPS - 1]]
-        return steps
+        proposals = None
+        if isinstance(self._method, HybridMonteCarlo):
+            scene = self._method, self._system, self._state, forces
+            proposals = Proposals(*scene, self.surroundings, self.constraint_set)
+        self._known_steps = [(made_of, steps, proposals), *self._known_steps[: MOST_STEPS - 1]]
+        return steps, proposals
 
     def _forces_at(self, with_energy: bool, unit: float, moment: Moment) -> Iterator[Operation]:
         """The operations of forces at a moment of a step."""
@@ -235,19 +253,52 @@ class Engine:
             due = None if rescaling is None else rescaling.next_step(step)
             at = end if due is None else min(end, due)
             wants_energy = at == due or (with_energy and at == end)
-            steps = self._own_steps
-            n_done = steps.advance(at - step, wants_energy, step + self.noise_shift)
-            self.interactions.n_evaluations += n_done * steps.n_evaluations
+            steps, proposals = self._own_steps
+            if proposals is None:
+                n_done = steps.advance(at - step, wants_energy, step + self.noise_shift)
+                self.interactions.n_evaluations += n_done * steps.n_evaluations
+            else:
+                n_done = self._propose(proposals, step)
             step += n_done
-            if rescaling is not None and step == due:
-                self._rescale_cell(rescaling, step)
+            if rescaling is not None and step == due and n_done:
+                self._rescale_cell(rescaling, step, proposals)
             if self.surroundings.stop_requested:
                 break
         self.interactions.place_sites()
         return step - self.step
 
-    def _rescale_cell(self, rescaling: CellRescaling, step: int) -> None:
-        """Contact with the barostat at the end of a step."""
+    def _propose(self, proposals: Proposals, step: int) -> int:
+        """One step of hybrid Monte Carlo; returns 1, or 0 if it was stopped, and the state is that before it."""
+        number = step + self.noise_shift
+        first = self.velocities.copy()
+        given = self.reservoir_energy
+        potential = self._evaluate(step).potential_energy
+        energy = potential + self._state.kinetic_energy()
+        proposals.begin(number, potential)
+        if number % RETRACED_EVERY == 0:
+            proposals.retrace(self._trajectory, lambda: self._evaluate(step).potential_energy)
+        if not self._trajectory():
+            proposals.take_back()
+            self.velocities[:] = first
+            self.reservoir_energy = given
+            return 0
+        proposals.decide(number, self.potential_energy)
+        after = self._evaluate(step).potential_energy + self._state.kinetic_energy()
+        self.reservoir_energy = given + after - energy
+        return 1
+
+    def _trajectory(self) -> bool:
+        """Make a trajectory of hybrid Monte Carlo; returns whether it was not stopped."""
+        n_steps = self._method.n_steps  # type: ignore[attr-defined]
+        steps, _ = self._own_steps
+        n_done = steps.advance(n_steps, True)
+        self.interactions.n_evaluations += n_done * steps.n_evaluations
+        return n_done == n_steps
+
+    def _rescale_cell(
+        self, rescaling: CellRescaling, step: int, proposals: Proposals | None
+    ) -> None:
+        """Contact with the barostat at the end of a step; with proposals, another cell is one of them."""
 
         def forces_follow() -> ForceResult:
             self._state.forces_are_current = False
@@ -257,11 +308,12 @@ class Engine:
         check_cell(self._system)
         sums = self._evaluate(step)
         number = step + self.noise_shift
-        rescaling.apply(self._method, number, self._bath, sums, forces_follow)
+        accepts = None if proposals is None else partial(proposals.accepts_volume, number)
+        rescaling.apply(self._method, number, self._bath, sums, forces_follow, accepts)
 
     def prepare(self) -> None:
         """Compile what steps need."""
-        self._own_steps.prepare()
+        self._own_steps[0].prepare()
 
     def enter(self) -> bool:
         """Bring forces and images of rigid bonds up to date with a state that may have been changed since leave.
@@ -383,7 +435,7 @@ class Engine:
             self._system.cell = cell
         self._step = snapshot.step
         self._clock = snapshot.clock or (snapshot.step, snapshot.time)
-        self._pace = self._method.timestep
+        self._pace = self._method.duration
         if self.time != snapshot.time:  # counted with the time step of another method
             self.time = snapshot.time
 
@@ -469,9 +521,9 @@ class Engine:
 
     def _keep_pace(self) -> None:
         """Count further time with the time step that the method has now; it may have been changed in place."""
-        if self._pace != self._method.timestep:
+        if self._pace != self._method.duration:
             self._clock = (self._step, self.time)
-            self._pace = self._method.timestep
+            self._pace = self._method.duration
 
     def count(self, n_steps: int) -> None:
         """Count n_steps more steps."""
@@ -496,10 +548,10 @@ class Engine:
     @method.setter
     def method(self, method: Splitting) -> None:
         is_alone = (
-            _checked_method(method).conserves_momentum and not self.interactions.act_from_outside
+            checked_method(method).conserves_momentum and not self.interactions.act_from_outside
         )
         self.constraint_set.degrees_of_freedom(is_alone)
-        _check_center(self.holds_center, self._is_still_under(method), method)
+        check_center(self.holds_center, self._is_still_under(method), method)
         if self._rescaling is not None:
             self._rescaling.temperature(method)
         if type(method) is not type(self._method) or method.parameters != self._method.parameters:
@@ -655,44 +707,3 @@ def _copied(
     for name, value in more.items():
         setattr(engine, name, value)
     return engine
-
-
-def _checked_method(method: Splitting) -> Any:
-    """The method.
-    Raises TypeError for anything but a splitting with its time step."""
-    needed = "an integrator with its time step, such as VelocityVerlet(0.005)"
-    return checked_kind("method", method, Splitting, needed)
-
-
-def _warn_of_dropped(
-    of_system: Sequence[Constraint], constraints: Constraint | Sequence[Constraint] | None
-) -> None:
-    """Warn if the given constraints replace those of the system and one kind of the latter is missing."""
-    if constraints is None:
-        return
-    kinds = set(map(type, constraints if isinstance(constraints, Sequence) else [constraints]))
-    lost = ", ".join(repr(constraint) for constraint in of_system if type(constraint) not in kinds)
-    if kinds and lost:
-        warn(f"the constraints given replace those of the system, and {lost} is lost")
-
-
-def _holds_center(system: AnySystem) -> bool:
-    """Whether the system is an ase.Atoms with FixCom; a System never has it."""
-    if isinstance(system, System):
-        return False
-    from minimd.core.structure.ase_atoms import fixes_center  # loads ase
-
-    return fixes_center(system)
-
-
-def _check_center(is_held: bool, stays: bool, method: Splitting) -> None:
-    """Raise ValueError for atoms with FixCom whose center of mass would move."""
-    if stays or not is_held:
-        return
-    cause = "a force from outside or a fixed atom moves the center of mass: remove FixCom, or what moves it"
-    if not method.conserves_momentum:
-        cause = (
-            f"{method.name} moves the center of mass: "
-            "take StochasticVelocityRescaling or minimd.ase.Langevin, or remove FixCom"
-        )
-    raise ValueError(f"atoms.constraints holds FixCom, but {cause}")

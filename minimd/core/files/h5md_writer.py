@@ -192,7 +192,7 @@ class H5MDWriter:
         if frame.step == self._last_step:
             return
         if not self._room:
-            spacing = None if self._every is None else self._every * self._engine.method.timestep
+            spacing = None if self._every is None else self._every * self._engine.method.duration
             self._columns = layout.columns(
                 self._engine.system, list(frame.observables), self._store_forces, spacing
             )

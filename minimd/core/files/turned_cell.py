@@ -173,7 +173,7 @@ class MDAnalysisWriter(Writer):
         self._every = every
         self._angstrom = system.units.to_angstrom
         self._picosecond = system.units.to_picosecond
-        self._timestep = engine.method.timestep * self._picosecond
+        self._timestep = engine.method.duration * self._picosecond
         self._cell = system.cell
         self._waiting: list[Frame] = []
         self._writer: Any = None

@@ -34,19 +34,15 @@ from minimd.core.forces.clearing import (
     clear_accumulators,
     clear_forces,
 )
-from minimd.core.forces.cluster_term import ClusterTerm
-from minimd.core.forces.mesh_sum import charge_sum
 from minimd.core.forces.options import FIXED_POINT, Options, pool_for
-from minimd.core.forces.pair_laws import ListTerm, PairLaws, deepest
-from minimd.core.forces.pair_list_term import PairListTerm
+from minimd.core.forces.pair_laws import ListTerm, deepest
+from minimd.core.forces.planning import plan
 from minimd.core.forces.site_passes import SitePasses
-from minimd.core.forces.slab_term import OpenSlabTerm, SlabTerm
+from minimd.core.forces.slab_term import OpenSlabTerm
 from minimd.core.neighbors.verlet_list import Built, VerletList
-from minimd.core.potentials.coulomb import Coulomb, SpecialLaw
+from minimd.core.potentials.coulomb import Coulomb
 from minimd.core.potentials.fields import FieldTerm
-from minimd.core.potentials.laws import Scaled
-from minimd.core.potentials.links import FixedPairs, Lines, LinkedTerm, Slots
-from minimd.core.potentials.pair_loop import from_table
+from minimd.core.potentials.links import Lines, LinkedTerm, Slots
 from minimd.core.potentials.term import (
     BOND_LOOP,
     FORCES,
@@ -54,7 +50,6 @@ from minimd.core.potentials.term import (
     TOTALS,
     VOIGT,
     OwnTerm,
-    PairLaw,
     Potential,
     Target,
     Term,
@@ -68,67 +63,6 @@ from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.errors import RangeError, why_not_compiled
 from minimd.core.structure.grid import TOO_LARGE, Grid, steps_of
 from minimd.core.structure.system import System, check_in_plane, check_resolution
-
-
-def plan(
-    terms_bound: Sequence[Term],
-    system: System,
-    options: Options,
-    displacement: float,
-    skins: Sequence[float] = (),
-) -> list[Term]:
-    """The terms to run: those that add their forces themselves, one with a list for all pair laws, others for what
-    the list leaves out, and for sums over waves.
-
-    terms_bound : the terms that the potentials were bound to.
-    displacement : of the fastest atom in a step [length], 0 if unknown.
-    skins : of the lists [length], if they are known.
-    """
-    terms = [term for term in terms_bound if term.pair_law is None]
-    pair_laws = [term.pair_law for term in terms_bound if term.pair_law is not None]
-    if pair_laws:
-        known = replace(options, skin=skins[0]) if skins else options
-        laws = PairLaws(system, pair_laws)
-        with_list = ClusterTerm if laws.fit_clusters(system, known, displacement) else PairListTerm
-        terms.append(with_list(system, laws, known, displacement))
-        terms.extend(special_terms(system, pair_laws, laws))
-
-    is_fixed = options.precision == FIXED_POINT
-
-    for law in pair_laws:
-        if law.split is None or law.charges is None:
-            continue
-        how = law.split, law.method, is_fixed
-        if not system.cell.pbc.all():
-            terms.append(OpenSlabTerm(system, law.charges, law.slab, *how))
-            continue
-        terms.append(charge_sum(system, law.charges, *how))
-        if law.slab != "none":
-            terms.append(SlabTerm(system, law.charges, law.slab))
-
-    return terms
-
-
-def special_terms(system: System, members: Sequence[PairLaw], laws: PairLaws) -> Iterator[Term]:
-    """Terms for the pairs that the list leaves out: each law times its factors."""
-    for member, factors in zip(members, laws.factors, strict=True):
-        acts = (factors != 0.0) | (member.split is not None)
-        if not acts.any():
-            continue
-        pairs = laws.excluded[acts]
-        factors = factors[acts]
-        species = system.species_index[pairs] if len(member.table) > 1 else np.zeros_like(pairs)
-        rows = member.table[species[:, 0], species[:, 1]]
-        products = [] if member.charges is None else [member.charges[pairs].prod(axis=1)]
-        if member.split is None:
-            columns = [rows[:, 0], factors, *products, rows[:, 1:]]
-            law = Scaled(member.law)
-        else:
-            columns = [np.full(len(pairs), np.inf), *products, factors, rows[:, 0]]
-            law = SpecialLaw(member.split.numbers)
-
-        yield FixedPairs(pairs, law, from_table(np.column_stack(columns)))
-
 
 # the skin is chosen anew when atoms are faster or slower by this factor: its optimum is flat
 CHANGED_SPEED = 2.0
@@ -259,13 +193,7 @@ class Forces:
     def warn_of_potentials(self) -> None:
         """Warn of charges that no potential uses, unless one of a user's own may use them; and of a field whose force
         is another one a lattice vector away, unless a slab has only empty space there."""
-        slabs = {
-            "xyz".find(potential.slab)
-            for potential in self.potentials
-            if isinstance(potential, Coulomb)
-        }
-        fields = [term for term in self._bound if isinstance(term, FieldTerm)]
-        for axis in sorted({axis for field in fields for axis in field.changes_along} - slabs):
+        for axis in self.changing_along():
             warn(
                 f"the cell is periodic along {'abc'[axis]}, but the field is not: an atom and its image feel "
                 f"different forces; set pbc to False there, or, in a charged slab, give "
@@ -279,6 +207,22 @@ class Forces:
                 f"no potential uses the charges of the atoms, up to {largest:.4g} e: add Coulomb(cutoff), "
                 "or leave charges out of the system if they shall not act on each other"
             )
+
+    def changing_along(self) -> list[int]:
+        """Periodic directions, but that of a slab, along which a field is another one a lattice vector away."""
+        slabs = {
+            "xyz".find(potential.slab)
+            for potential in self.potentials
+            if isinstance(potential, Coulomb)
+        }
+        fields = [term for term in self._bound if isinstance(term, FieldTerm)]
+        return sorted({axis for field in fields for axis in field.changes_along} - slabs)
+
+    def falling_along(self) -> list[int]:
+        """Periodic directions along which an atom has another energy a lattice vector away."""
+        fields = [term for term in self._bound if isinstance(term, FieldTerm)]
+        falls = {axis for field in fields for axis in field.falls_along}
+        return sorted(falls.union(self.changing_along()))
 
     def _bind(self) -> None:
         """Bind the potentials to the system, as it is in its present cell, and plan the terms."""

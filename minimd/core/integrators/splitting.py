@@ -60,6 +60,7 @@ class Splitting(Method):
     conserves_momentum : true unless a bath acts on each atom separately.
     is_thermostat : whether a bath acts at all.
     is_overdamped : whether motion has no inertia.
+    is_dynamics : whether steps follow each other in time; not of Monte Carlo.
     drifts : in how many parts drifts along rigid bonds are made.
     memory : (M,) float64, what a bath of yours remembers, such as ξ of Nosé and Hoover, changed in place; or None.
 
@@ -78,6 +79,7 @@ class Splitting(Method):
     conserves_momentum: ClassVar[bool] = True
     is_thermostat: ClassVar[bool] = False
     is_overdamped: ClassVar[bool] = False
+    is_dynamics: ClassVar[bool] = True
     memory: Array | None = None
     drifts: int = 1
     sequence = ClassProperty(lambda method: partial(merged, method.substeps))
@@ -89,6 +91,14 @@ class Splitting(Method):
     def stride(self) -> float:
         """The time over which the substeps of a step act [time]: the time step, except in overdamped dynamics."""
         return self.timestep
+
+    @property
+    def duration(self) -> float:
+        """The time that a step of a simulation takes [time]: the time step, except in Monte Carlo."""
+        return self.timestep
+
+    def adapt(self) -> None:
+        """Called again and again in an equilibration, where a method may adapt itself; here it does nothing."""
 
     def timestep_of(self, stride: float) -> float:
         """The time step with a stride [time]."""

@@ -136,11 +136,13 @@ class FieldTerm(OwnTerm):
     columns : (n,) numbers of each, for each parameter of the law.
     anchors : see FieldRows.
     prepare : called before each evaluation, if given.
-    changes_along : periodic directions along which an atom and its image feel different forces."""
+    changes_along, falls_along : periodic directions along which an atom and its image feel different forces; or have
+        different energies."""
 
     acts_from_outside = fits_grid = True
     prepare: Callable[[], None] | None = None
     changes_along: tuple[int, ...] = ()
+    falls_along: tuple[int, ...] = ()
 
     def __init__(
         self, acting: Indices, law: tuple, columns: tuple, anchors: Array = NOWHERE
@@ -222,6 +224,15 @@ def rows_of(name: str, vectors: Any, n: int) -> Array:
     return np.array(np.broadcast_to(vectors, (n, 3)))
 
 
+def falling(term: FieldTerm, system: System) -> FieldTerm:
+    """The term of constant forces, with the directions along which they do work."""
+    forces = np.column_stack(term.columns)
+    for axis in np.flatnonzero(system.cell.pbc).tolist():
+        if (forces @ system.cell.vectors[axis]).any():
+            term.falls_along += (axis,)
+    return term
+
+
 class ConstantForce(OnAtoms):
     """A constant force F on atoms, u = −F·r. r is never wrapped: u changes steadily as an atom is pulled along."""
 
@@ -233,7 +244,7 @@ class ConstantForce(OnAtoms):
         Raises ValueError if atoms, or their forces, are missing."""
         acting = self.atoms_in(system)
         forces = rows_of("force", self.force, len(acting))
-        return FieldTerm(acting, ConstantLaw(), tuple(forces.T))
+        return falling(FieldTerm(acting, ConstantLaw(), tuple(forces.T)), system)
 
 
 class Gravity(OnAtoms):
@@ -247,7 +258,7 @@ class Gravity(OnAtoms):
         Raises ValueError if atoms do not exist."""
         acting = self.atoms_in(system)
         weights = np.outer(np.asarray(self.acceleration), system.masses[acting])
-        return FieldTerm(acting, ConstantLaw(), tuple(weights))
+        return falling(FieldTerm(acting, ConstantLaw(), tuple(weights)), system)
 
 
 class Springs(OnAtoms):

@@ -408,7 +408,7 @@ class Simulation(Closed, Displayed):
             stop_on_signals(engine.surroundings),
         ):
             if engine.interactions.depend_on_time:
-                engine.time = -n_steps * engine.method.timestep  # so that it ends at 0
+                engine.time = -n_steps * engine.method.duration  # so that it ends at 0
             guard.check_start()
             thermal = engine.n_dof * self.system.units.k_B * temperature
             most = RUNAWAY * (engine.kinetic_energy + abs(engine.potential_energy) + thermal)
@@ -416,6 +416,7 @@ class Simulation(Closed, Displayed):
                 guard.make_steps(min(every, n_steps - done + every))
                 guard.check_kinetic_energy(most)
                 self.rescale_temperature(temperature)
+                engine.method.adapt()
                 guard.drop_snapshots()  # a replay does not rescale
                 tell(min(done, n_steps))
         engine.step = 0

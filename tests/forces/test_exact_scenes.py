@@ -3,7 +3,6 @@
 `python tests/exact_scenes.py` prints the hashes, of the motion and of energies and pressures, kept in tests/data.
 """
 
-import platform
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +20,7 @@ FAST = ("melt", "salt", "net charge", "salt, fixed atoms")
 EACH = [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in SCENES]
 OTHER_LIBRARIES = {"NPY_DISABLE_CPU_FEATURES": "X86_V3", "OPENBLAS_CORETYPE": "Nehalem"}
 
-has_fma = vector.register_bits() > 128 or platform.machine() in ("arm64", "aarch64")
-pytestmark = [
-    pytest.mark.skipif(not has_fma, reason="the hashes are those of fused multiply-adds"),
-    pytest.mark.filterwarnings("ignore"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore")
 
 
 def hash_in_another_process(name, **environment):
@@ -56,7 +51,7 @@ def test_vectors_of_four_and_eight_numbers_give_these_hashes(lanes, monkeypatch)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("environment", [{"MINIMD_VECTORS": "avx2"}, OTHER_LIBRARIES])
+@pytest.mark.parametrize("environment", [{"MINIMD_VECTORS": "avx2"}, {"MINIMD_VECTORS": "sse"}, OTHER_LIBRARIES])
 def test_so_do_older_instructions_of_kernels_and_of_numpy_and_blas(environment):
     assert {name: hash_in_another_process(name, **environment) for name in SCENES} == HASHES
 

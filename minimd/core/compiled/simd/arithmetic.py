@@ -64,12 +64,13 @@ _floor = _function("floor")
 @intrinsic
 def _multiply_add(_context, a, b, c):
     suffix = a.suffix if isinstance(a, Vector) else f"f{a.bitwidth}"
-    function = f"llvm.fmuladd.{suffix}"
+    function = f"llvm.fma.{suffix}"
     return a(a, b, c), emitting(lambda builder, *abc: call(builder, function, abc[0].type, abc))
 
 
 def fma(a, b, c):
-    """a · b + c of numbers, or of vectors (b and c may be numbers); rounded once where the processor can."""
+    """a · b + c of numbers, or of vectors (b and c may be numbers); in kernels rounded once: where the processor cannot,
+    by a function of the C library."""
     return a * b + c
 
 

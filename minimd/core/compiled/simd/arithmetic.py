@@ -69,8 +69,8 @@ def _multiply_add(_context, a, b, c):
 
 
 def fma(a, b, c):
-    """a · b + c of numbers, or of vectors (b and c may be numbers); in kernels rounded once: where the processor cannot,
-    by a function of the C library."""
+    """a · b + c of numbers, or of vectors (b and c may be numbers), rounded once in kernels: where the processor cannot
+    do it, by a function of the C library."""
     return a * b + c
 
 

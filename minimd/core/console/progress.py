@@ -13,10 +13,11 @@ TENTHS = 10
 
 @contextmanager
 def progress_of(
-    end: int, label: str, show: bool | None = None, unit: str = "step", start: int = 0
-) -> Iterator[Callable[[int], Any]]:
-    """Show on standard error, or in a notebook, how much of the way from start to end is done; yields a function to be
-    called with the step that is reached.
+    end: int | None, label: str, show: bool | None = None, unit: str = "step", start: int = 0
+) -> Iterator[Callable[..., Any]]:
+    """Show on standard error, or in a notebook, how much of the way from start to end, None if that is not known, is
+    done; yields a function to be
+    called with the step that is reached, and perhaps another end.
     unit : what is counted, if not steps.
     show : True for a bar on a terminal or in a notebook, and ten lines elsewhere; False for nothing; None for a bar
         where one is possible. ValueError for anything else."""
@@ -24,9 +25,10 @@ def progress_of(
         raise ValueError(f"progress must be True or False; progress = {shown(show)}")
     tenths = 0
 
-    def tell_tenths(done: int) -> None:
-        nonlocal tenths
-        if show and (done - start) * TENTHS // (end - start) > tenths:
+    def tell_tenths(done: int, to: int | None = None) -> None:
+        nonlocal tenths, end
+        end = to or end
+        if show and end is not None and (done - start) * TENTHS // (end - start) > tenths:
             tenths = (done - start) * TENTHS // (end - start)
             tell(f"{label}: {unit} {done} of {end}")
 
@@ -37,7 +39,12 @@ def progress_of(
 
     style: dict[str, Any] = {"unit": unit, "unit_scale": True, "file": sys.stderr}
     with tqdm(total=end, initial=start, desc=label, **style) as bar:
-        yield lambda done: bar.update(done - bar.n)
+
+        def update(done: int, to: int | None = None) -> None:
+            bar.total = to or bar.total
+            bar.update(done - bar.n)
+
+        yield update
 
 
 def in_notebook() -> bool:

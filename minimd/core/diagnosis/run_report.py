@@ -19,7 +19,7 @@ from minimd.core.engine.cell_rescaling import EVAPORATED
 from minimd.core.engine.engine import Engine
 from minimd.core.engine.record import Record
 from minimd.core.integrators.barostats import StochasticCellRescaling
-from minimd.core.integrators.hybrid_monte_carlo import HybridMonteCarlo
+from minimd.core.integrators.hybrid_monte_carlo import MADE, RETRACED, HybridMonteCarlo
 from minimd.core.integrators.ramp import level_at
 from minimd.core.integrators.thermostats import Thermostat
 from minimd.core.potentials.law import law_at
@@ -88,7 +88,8 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
 
 def proposals_line(method: HybridMonteCarlo) -> Line:
     """What has become of the proposals since the last equilibration."""
-    n_made, *_, n_retraced = method.memory.astype(int)
+    n_made = int(method.memory[MADE])
+    n_retraced = int(method.memory[RETRACED])
     mean, error = method.mean_weight
     summary = (
         f"accepted {method.acceptance:.3f} of {n_made}; <exp(-dH/kT)> {mean:.4f} +- {error:.4f}, 1 in theory; "

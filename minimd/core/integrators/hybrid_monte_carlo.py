@@ -9,6 +9,7 @@ from minimd.core.integrators.ramp import Level, checked_level
 from minimd.core.integrators.rows import VelocityVerlet
 from minimd.core.integrators.state import State, Surroundings
 from minimd.core.integrators.thermostats import LangevinBAOAB
+from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import SHORTEST, checked_count, checked_number
 
 __all__ = ["HybridMonteCarlo"]
@@ -57,6 +58,7 @@ class HybridMonteCarlo(LangevinBAOAB):
     source = "S. Duane, A. D. Kennedy, B. J. Pendleton, D. Roweth, Phys. Lett. B 195, 216 (1987)"
     is_dynamics: ClassVar[bool] = False
     last_kick = 0.0
+    memory: Array
 
     def __init__(
         self,

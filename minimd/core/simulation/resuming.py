@@ -12,6 +12,7 @@ from minimd.core.console.quiet import warn
 from minimd.core.engine.observation import extras_in
 from minimd.core.forces.forces import Potential
 from minimd.core.integrators.splitting import Splitting
+from minimd.core.simulation.goal import UNLIMITED
 from minimd.core.structure.checks import checked_count
 
 if TYPE_CHECKING:
@@ -64,12 +65,23 @@ def stored_potentials(contents: H5MDContents, file: str | Path) -> Any:
     return from_annex("potentials of a scene")(contents.scene, contents.potentials, Path(file))
 
 
-def last_step(step: int, n_steps: int | None, until_step: int | None) -> int:
-    """The step at which a run ends.
-    Raises ValueError unless exactly one of n_steps and until_step is given, or if until_step has passed."""
+def last_step(
+    step: int, n_steps: int | None, until_step: int | None, has_goal: bool, max_steps: int | None
+) -> int:
+    """The last step at which a run ends.
+    has_goal : whether it may end before, with max_steps if there is a limit.
+    Raises ValueError unless exactly one of n_steps, until_step and a goal is given, or if until_step has passed."""
+    if has_goal:
+        if (n_steps, until_step) != (None, None):
+            raise ValueError(
+                "a run with until=... ends by itself: give max_steps in place of n_steps and until_step"
+            )
+        return step + (UNLIMITED if max_steps is None else checked_count("max_steps", max_steps))
+    if max_steps is not None:
+        raise ValueError(f"max_steps belongs to until=...; max_steps = {max_steps!r}: give n_steps")
     if (n_steps is None) == (until_step is None):
         raise ValueError(
-            "a run needs either n_steps or until_step; "
+            "a run needs either n_steps or until_step, or until=...; "
             f"n_steps = {n_steps!r}, until_step = {until_step!r}"
         )
     if n_steps is not None:

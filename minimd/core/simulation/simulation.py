@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import inf
 from pathlib import Path
@@ -39,6 +39,7 @@ from minimd.core.minimization.minimization import (
 )
 from minimd.core.simulation.attached import Attached
 from minimd.core.simulation.engine_attribute import Closed, EngineAttribute, MeasuredAttribute
+from minimd.core.simulation.goal import UNLIMITED, Goal
 from minimd.core.simulation.resuming import last_step, resumed
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.checks import checked_count, checked_flag, checked_kind, checked_number
@@ -73,6 +74,7 @@ class Simulation(Closed, Displayed):
     engine : Engine, which holds state, forces, constraints and method.
     guard : RunGuard, which makes its steps.
     record : Record of the last run, None before.
+    goal : Goal of the last run, None without.
     reversibility : Reversibility that was probed last, or None.
 
     Raises
@@ -80,7 +82,7 @@ class Simulation(Closed, Displayed):
     TypeError, ValueError : for wrong arguments, and as Forces.
     """
 
-    own = ("engine", "guard", "record", "reversibility")
+    own = ("engine", "guard", "record", "goal", "reversibility")
     system = EngineAttribute[System](
         "The state; its arrays can be changed, not replaced by those of another system."
     )
@@ -164,6 +166,7 @@ class Simulation(Closed, Displayed):
     def _hold(self, engine: Engine) -> None:
         self.engine, self.guard, self._is_running = engine, RunGuard(engine), False
         self.record: Record | None = None
+        self.goal: Goal | None = None
         self.reversibility: Reversibility | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -229,9 +232,11 @@ class Simulation(Closed, Displayed):
         progress: bool | None = None,
         crash_report: str | Path | bool = True,
         max_seconds: float | None = None,
+        until: Mapping[str, float] | Literal["equilibrated"] | None = None,
+        max_steps: int | None = None,
     ) -> Record:
-        """Make n_steps steps, or those up to until_step; observe the first state, and those at multiples of every.
-        Return the Record of these steps only; minimd.read_record(file) has all frames of a file.
+        """Make n_steps steps, or those up to until_step, or as many as until needs; observe the first state, and those
+        at multiples of every. Return the Record of these steps only; minimd.read_record(file) has all frames of a file.
 
         A run of N steps and one of M steps give the same numbers, to the last bit, as one of N + M steps,
         if nothing is changed in between.
@@ -253,6 +258,10 @@ class Simulation(Closed, Displayed):
             an existing file is kept unless overwrite, and the new one numbered.
         max_seconds : of wall time, after which the run ends with a whole step, all files valid, and a sentence on
             standard error; sim.step says how far it came. It can go on with append.
+        until : relative errors of means, such as {"pressure": 0.01}, by names of observables of the record, or of
+            numbers with an error in results of the observers, such as "diffusion"; or "equilibrated". The run ends as
+            soon as all are reached, and sim.goal tells what was. See docs/until.md.
+        max_steps : that such a run may make.
 
         Raises
         ------
@@ -266,7 +275,7 @@ class Simulation(Closed, Displayed):
         guard = self.guard
         start = engine.step
         every = checked_count("every", every)
-        end = last_step(start, n_steps, until_step)
+        end = last_step(start, n_steps, until_step, until is not None, max_steps)
         if isinstance(append, str) and append == "auto":
             append = any(map(Path.exists, named_files("trajectory", trajectory)))
         append = checked_flag("append", append)
@@ -277,6 +286,8 @@ class Simulation(Closed, Displayed):
         seconds = inf
         if max_seconds is not None:
             seconds = checked_number("max_seconds", max_seconds, "positive and finite")
+        goal = None if until is None else Goal(until, attached.accumulators, seconds)
+        self.goal = goal
         place = crash_file_place(crash_report, trajectory)
         # the crash file is written after all others are closed
         with self._running(engine.noise_shift), crash_file_left(place, guard, overwrite):
@@ -290,10 +301,12 @@ class Simulation(Closed, Displayed):
                     overwrite=overwrite,
                     append=append,
                     every=every,
-                    n_steps=end - start,
+                    n_steps=None if until is not None else end - start,
                     observers=attached.accumulators,
                 ) as writers,
-                progress_of(end, "running", progress, start=start) as tell,
+                progress_of(
+                    end if end < UNLIMITED else None, "running", progress, start=start
+                ) as tell,
                 attached.broken_off(),
             ):
                 system = engine.system
@@ -304,6 +317,8 @@ class Simulation(Closed, Displayed):
                 attached.begin()
                 is_written = append and start % every != 0
                 self._observe([] if is_written else writers, attached)
+                if goal is not None:
+                    goal.check(self.record)
                 self._make_observed_steps(start, end, every, writers, attached, tell)
                 engine.leave()
         return self.record
@@ -315,7 +330,7 @@ class Simulation(Closed, Displayed):
         every: int,
         writers: Sequence[Writer],
         attached: Attached,
-        tell: Callable[[int], None],
+        tell: Callable[..., None],
     ) -> None:
         """The steps of a run, in blocks that end where somebody looks."""
         engine = self.engine
@@ -334,6 +349,10 @@ class Simulation(Closed, Displayed):
             guard.observing += attached.look()
             if step == next_look:
                 self._observe(writers, attached)
+                if self.goal is not None and self.record is not None:
+                    tell(step, self.goal.judge(self.record, start, end))
+                    if self.goal.is_reached:
+                        break
             if monotonic() > checkpoint_due:
                 for writer in writers:
                     writer.checkpoint()

@@ -169,6 +169,8 @@ MEANINGS = {
         "Of a thermostat also two numbers, from the first of which to the second it goes during the run, "
         "a [ramp](temperature.md#annealing-ramps-and-the-next-day)",
         "relaxation_time": "relaxation time of a thermostat, required with one; 1/friction in Langevin dynamics",
+        "inner": "of `respa` and `langevin-respa`: number of [inner steps](timestep.md#several-time-steps), at most "
+        "100; 4 if not given",
         "seed": "seed of velocities and noise",
         "threads": "largest number of threads; if not given, the number of cores that the process may use",
         "max_seconds": "seconds of wall time after which a run ends, [to be resumed](files.md#one-run-on-a-cluster)",

@@ -159,6 +159,8 @@ def as_sections(tables: Mapping[str, Numbers], texts: Mapping[str, str], units: 
 GIVEN_TWICE = {"lattice", "bonds", "charges", "molecules", "density", "seed"}
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
+# arguments of single methods, with the methods that take them
+OF_METHODS = {"inner": ("respa", "langevin-respa")}
 OF_FILES = ("format", "masses", "elements", "atom_style", "lammps_units")  # of system_from_file
 
 
@@ -429,6 +431,7 @@ class TabulatedSection(WithFiles):
 class DynamicsSection(Section):
     """[dynamics]: method and length of the run. Without a temperature, velocities are those of the structure.
     temperature : of a thermostat also two numbers, from which and to which it goes during the run.
+    inner : of OF_METHODS.
     """
 
     method: Annotated[str, one_of(METHODS)] = "velocity-verlet"
@@ -438,6 +441,7 @@ class DynamicsSection(Section):
         NotNegative | Annotated[list[NotNegative], Two] | None, Dimension("temperature")
     ] = None
     relaxation_time: Annotated[Positive | None, Dimension("time")] = None
+    inner: PositiveInt | None = None
     seed: NonNegativeInt = 1
     threads: PositiveInt | None = None
     precision: Precision = "double"
@@ -464,6 +468,17 @@ class DynamicsSection(Section):
                 f"must have one {self.key('temperature', units)} with method {self.method!r}, at which the run begins; "
                 f"{', '.join(THERMOSTATS)} can change it during the run"
             )
+        for name in self._of_method():
+            methods = OF_METHODS[name]
+            if self.method not in methods:
+                key = self.key(name, units)
+                yield f"cannot have {key} with method {self.method!r}; {', '.join(methods)} have it"
+
+    def _of_method(self) -> dict[str, Any]:
+        """The arguments of OF_METHODS that are given."""
+        return {
+            name: getattr(self, name) for name in self.model_fields_set.intersection(OF_METHODS)
+        }
 
     @property
     def first_temperature(self) -> float | None:
@@ -479,10 +494,11 @@ class DynamicsSection(Section):
 
     def integrator(self) -> Splitting:
         """The method with its time step; a thermostat with its bath."""
+        own = self._of_method()
         if self.method not in THERMOSTATS:
-            return SPLITTINGS[self.method](self.timestep)
+            return SPLITTINGS[self.method](self.timestep, **own)
         return THERMOSTATS[self.method].with_relaxation_time(
-            self.timestep, self.level(self.temperature), self.relaxation_time, self.seed
+            self.timestep, self.level(self.temperature), self.relaxation_time, self.seed, **own
         )
 
 

@@ -255,6 +255,16 @@ def test_every_registered_thermostat_is_built_from_its_own_parameters(monkeypatc
     assert (method.timestep, method.temperature, method.friction, method.seed) == (0.004, 1.44, 4.0, 3)
 
 
+def test_inner_steps_of_a_scene_are_those_of_its_method():
+    bath = "\nrelaxation_time = 0.5"
+    for name, more in (("respa", ""), ("langevin-respa", bath)):
+        keys = f'seed = 3\nmethod = "{name}"{more}'
+        for inner, line in ((4, ""), (7, "\ninner = 7")):
+            method = scene_of(REDUCED.replace("seed = 3", keys + line)).method()
+            assert (method.name, method.inner) == (name, inner)
+    assert (method.timestep, method.temperature, method.friction, method.seed) == (0.004, 1.44, 2.0, 3)
+
+
 def test_unlike_pairs_follow_the_mixing_rule_unless_they_are_given(folder):
     Path("pair.xyz").write_text("2\n\nAr 0 0 0\nKr 4.0 0 0\n")
     for extra, epsilon, sigma in (

@@ -104,7 +104,7 @@ class Thermostat(Splitting):
     def with_relaxation_time(
         cls, timestep: float, temperature: Level, relaxation_time: float, seed: int
     ) -> Self:
-        """The thermostat with this relaxation time, τ > 0 [time]; scene files know no other parameter.
+        """The thermostat with this relaxation time, τ > 0 [time], which all have in scene files.
         Other arguments : see Thermostat."""
         raise NotImplementedError(
             f"{cls.name} cannot be used in a scene, because it has no with_relaxation_time; run it from a script"

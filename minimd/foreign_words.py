@@ -79,6 +79,8 @@ Ions NaCl Salt Solvate AddIons
     md.water("SPC/E", 512, ions={"Na": 5, "Cl": 5}); other solutes by md.from_openmm | water
 Chain Polymer Chains RandomWalk Rouse
     md.lattice.chains, and sim.minimize() for walks that overlap | recipes
+Packmol Packing InsertMolecules RandomPlacement
+    md.lattice.packing([(molecule, n), ...], edges, distance) | recipes
 InternalDistances MSID EquilibratedMelt
     numpy, since positions are never wrapped: ten lines | recipes
 RadiusOfGyration Gyration EndToEnd Asphericity

@@ -147,3 +147,83 @@ test_wrong_chains_are_answered = answered(
     (lambda: md.lattice.chains(5, 5, -0.8), ValueError, "density", "-0.8"),
     (lambda: md.lattice.chains(10**6, 10**6, 0.8), ValueError, "atoms", "1000000000000"),
 )
+
+
+BENT = md.System(
+    [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0]],
+    species=["C", "O", "O", "H"],
+    masses=[12.0, 16.0, 16.0, 1.0],
+    charges=[0.3, -0.1, -0.2, 0.0],
+    bonds=[[0, 1], [1, 2], [2, 3]],
+    angles=[[0, 1, 2], [1, 2, 3]],
+    dihedrals=[[0, 1, 2, 3]],
+    impropers=[[1, 0, 2, 3]],
+    constraints=[md.DistanceConstraints([[0, 1], [0, 2]], tolerance=1e-9, solver="shake")],
+    units=md.units.ASE,
+)
+NEON = md.System([[7.0, 0.0, 0.0]], species="Ne", masses=20.0, units=md.units.ASE)
+
+
+def test_packed_molecules_keep_their_distance_through_the_faces_of_the_cell():
+    edges = np.array([14.0, 17.0, 20.0])
+    distance = 2.1
+    mixture = md.lattice.packing([(NEON, 60), (BENT, 90)], edges, distance, seed=2)
+    label = np.concatenate([np.arange(60), 60 + np.repeat(np.arange(90), 4)])
+    apart = mixture.positions[:, None] - mixture.positions
+    apart -= edges * np.rint(apart / edges)
+    lengths = np.linalg.norm(apart, axis=2)[label[:, None] != label]
+    assert distance <= lengths.min() < 1.01 * distance
+    assert np.array_equal(mixture.positions, md.lattice.packing([(NEON, 60), (BENT, 90)], edges, 2.1, 2).positions)
+    assert not np.array_equal(mixture.positions, md.lattice.packing([(NEON, 60), (BENT, 90)], edges, 2.1).positions)
+
+
+def test_packed_molecules_are_those_given_with_all_that_belongs_to_them():
+    mixture = md.lattice.packing([(BENT, 3), (NEON, 2), (BENT, 1)], 20.0, 2.0)
+    starts = np.array([0, 4, 8, 14])
+    assert (mixture.units, mixture.cell.vectors.tolist()) == (md.units.ASE, (20.0 * np.eye(3)).tolist())
+    assert mixture.species.tolist() == 3 * BENT.species.tolist() + ["Ne", "Ne"] + BENT.species.tolist()
+    for name, of_neon in (("masses", [20.0, 20.0]), ("charges", [0.0, 0.0])):
+        of_one = getattr(BENT, name).tolist()
+        assert getattr(mixture, name).tolist() == 3 * of_one + of_neon + of_one
+    for name in ("bonds", "angles", "dihedrals", "impropers"):
+        shifted = [getattr(BENT, name) + start for start in starts]
+        assert getattr(mixture, name).tolist() == np.concatenate(shifted).tolist()
+    (rigid,) = mixture.constraints
+    assert rigid.pairs.tolist() == [[k + first, k + second] for k in starts for first, second in ((0, 1), (0, 2))]
+    assert (rigid.lengths.tolist(), rigid.tolerance, rigid.solver) == (4 * [1.0, 2.0**0.5], 1e-9, "shake")
+    places = mixture.positions[starts[:, None] + np.arange(4)]
+    steps = np.diff(places, axis=1)
+    assert steps @ steps.swapaxes(1, 2) == pytest.approx(np.broadcast_to(np.eye(3), (4, 3, 3)), abs=1e-13)  # rounding
+    assert np.linalg.det(steps) == pytest.approx(1.0, abs=1e-13)  # not mirrored
+
+
+def test_packed_molecules_are_turned_evenly_and_stand_everywhere():
+    """Means of R_ij are 0, of R_ij² 1/3, of R_ij⁴ 1/5, of places 1/2 of the edge, within 4 standard errors."""
+    n = 8000
+    box = md.lattice.packing([(BENT, n)], 100.0, 0.5, seed=4)
+    turns = np.diff(box.positions.reshape(n, 4, 3), axis=1)
+    for power, expected in ((1, 0.0), (2, 1.0 / 3.0), (4, 1.0 / 5.0)):
+        error = np.sqrt((1.0 / (2 * power + 1) - expected**2) / n)
+        assert np.abs((turns**power).mean(axis=0) - expected).max() < 4.0 * error
+    inside = box.positions[::4] % 100.0 / 100.0
+    assert np.abs(inside.mean(axis=0) - 0.5).max() < 4.0 / np.sqrt(12.0 * n)
+
+
+PLANE = md.System([[0.0, 0.0]], planar=True)
+SITED = md.System([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 0.0, 0.0]], sites=md.Sites([2], [[0, 1]], [0.5, 0.5]))
+HELD = md.System([[0.0, 0.0, 0.0]], constraints=[md.FixedAtoms([0])])
+test_wrong_packings_are_answered = answered(
+    (lambda: md.lattice.packing([(BENT, 500), (NEON, 9)], 13.0, 2.5), ValueError, "of 500 copies of molecules[0]"),
+    (lambda: md.lattice.packing([(NEON, 5), (BENT, 5)], 3.5, 2.0), ValueError, "edges", "3.87083", "3.5"),
+    (lambda: md.lattice.packing([(BENT, 0)], 10.0, 2.0), ValueError, "molecules[0][1]", "0"),
+    (lambda: md.lattice.packing((BENT, 5), 10.0, 2.0), TypeError, "molecules[0]", "System"),
+    (lambda: md.lattice.packing([(NEON, 10**9)], 10.0, 2.0), ValueError, "molecules", "1000000000"),
+    (lambda: md.lattice.packing([], 10.0, 2.0), ValueError, "molecules", "0"),
+    (lambda: md.lattice.packing([(NEON, 5)], [10.0, 5.0], 2.0), ValueError, "edges", "(2,)"),
+    (lambda: md.lattice.packing([(NEON, 5)], 10.0, -2.0), ValueError, "distance", "-2.0"),
+    (lambda: md.lattice.packing([(NEON, 5)], 10.0, 2.0, seed=-1), ValueError, "seed", "-1"),
+    (lambda: md.lattice.packing([(NEON, 5), (HELD, 2)], 9.0, 2.0), ValueError, "molecules[1]", "'LJ'"),
+    (lambda: md.lattice.packing([(HELD, 2)], 9.0, 2.0), ValueError, "molecules[0]", "FixedAtoms"),
+    (lambda: md.lattice.packing([(PLANE, 2)], 9.0, 2.0), ValueError, "molecules[0]", "in space"),
+    (lambda: md.lattice.packing([(SITED, 2)], 9.0, 2.0), ValueError, "molecules[0]", "Sites"),
+)

@@ -1,7 +1,7 @@
 """Analysis during a run: observers that keep sums instead of frames, and give results with error bars; and a stream
 of frames to other programs."""
 
-from minimd.observers.accumulator import Accumulator, Result
+from minimd.observers.accumulator import Accumulator, Result, joined
 from minimd.observers.bond_order import BondOrder
 from minimd.observers.chain_shape import ChainShape
 from minimd.observers.conductivity import Conductivity
@@ -62,4 +62,5 @@ __all__ = [
     "VelocityAutocorrelation",
     "Viscosity",
     "finite_size_correction",
+    "joined",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
@@ -14,6 +15,7 @@ from typing import (
     Any,
     ClassVar,
     NamedTuple,
+    TypeVar,
     dataclass_transform,
     get_args,
     get_origin,
@@ -28,6 +30,7 @@ from minimd.core.engine.engine import Engine
 from minimd.core.engine.observer import StoredObserver
 from minimd.core.integrators.ramp import Ramp
 from minimd.core.structure.arrays import Array, Indices
+from minimd.core.structure.checks import checked_kind
 from minimd.core.structure.statistics import MOST_BLOCKS, replicas, spread
 from minimd.core.structure.units import SYSTEMS, UnitSystem
 from minimd.observers.arguments import Argument, argument, label, steps
@@ -43,6 +46,7 @@ COLORS = 10  # of curves, before they come again
 AIR = 1.15  # height of a picture, where its highest curve is 1
 
 State = dict[str, NDArray[Any]]
+Observer = TypeVar("Observer", bound="Accumulator")
 
 
 def _is_of_type(value: Any, kind: Any) -> bool:
@@ -81,6 +85,25 @@ class BlockedSums:
         self._length = 1
         self._n_marks = 0
         self._marks = np.zeros((MOST_BLOCKS, n))
+
+    @classmethod
+    def joined(cls, runs: Sequence[BlockedSums]) -> BlockedSums:
+        """The sums of several runs: their blocks one after the other, those of short runs together as long as those of
+        the longest. Entries behind the last block of a run count in the total, but are in no block."""
+        sums = cls(runs[0].total.size)
+        sums.total = np.sum([run.total for run in runs], axis=0)
+        sums.n_entries = sum(run.n_entries for run in runs)
+        # lengths are powers of 2, so that blocks that become shorter always fill a longer one
+        ordered = sorted(runs, key=lambda run: -run._length)
+        ends = np.cumsum(np.concatenate([np.full(run._n_marks, run._length) for run in ordered]))
+        marks = np.cumsum(np.concatenate([run.parts() for run in ordered]), axis=0)
+        sums._length = ordered[0]._length
+        while ends[-1] // sums._length >= MOST_BLOCKS:
+            sums._length *= 2
+        marks = marks[ends % sums._length == 0]
+        sums._n_marks = len(marks)
+        sums._marks[: len(marks)] = marks
+        return sums
 
     def close_entry(self) -> None:
         """Count an entry that has been added completely."""
@@ -350,8 +373,10 @@ class Accumulator(StoredObserver, Displayed):
     scene : ObservedRun; None before the first run.
     n_looks : number of looks.
     last_step : the step of the last look, −1 if there is none.
+    n_runs : number of runs whose sums it has, more than 1 if it is joined.
     """
 
+    n_runs: int = 1
     convention: ClassVar[int] = 1  # of its sums; those of another cannot go on
     fits_plane: ClassVar[bool] = False  # whether it is defined in two dimensions
     declared: ClassVar[dict[str, Argument]]  # all arguments
@@ -412,6 +437,12 @@ class Accumulator(StoredObserver, Displayed):
         arguments["name"] = arguments.pop("name")  # the last one
         return arguments
 
+    def setting(self) -> dict[str, Any]:
+        """What is the same where sums can be added: class, arguments but for the name, what the first run settles."""
+        setting = self.made_with() | {name: getattr(self, name) for name in self.settled}
+        del setting["name"]
+        return setting | {"class": type(self), "scene": self.scene}
+
     def prepare(self, engine: Engine) -> None:
         """Prepare for a run, or a look.
         Raises ValueError if the engine cannot be observed, as in a plane, or is another scene than the one observed
@@ -424,6 +455,11 @@ class Accumulator(StoredObserver, Displayed):
                     f"{self!r} averages over a state that does not change, but {level!r} of the bath goes on "
                     f"until step {level[-1][0]}: pass the observer to a run after it"
                 )
+        if self.n_runs > 1:
+            raise ValueError(
+                f"{self!r} is joined from {self.n_runs} runs and cannot look at another one: "
+                "pass a new observer to this run, and join it with them"
+            )
         scene = ObservedRun.of(engine, self.every)
         if self.scene is None:
             self._begin(engine)
@@ -559,3 +595,47 @@ class Accumulator(StoredObserver, Displayed):
             raise ValueError(
                 f"the arrays of the observer {self.name} are not of the kinds that it keeps"
             )
+
+
+def joined(observers: Sequence[Observer]) -> Observer:
+    """An observer with the sums of several, which have looked at independent runs of one scene: its result is that of
+    all of them, with a common error bar. It cannot look at another run.
+
+        parts = [md.read_observers(file)["viscosity"] for file in files]
+        print(md.observers.joined(parts).result())
+
+    observers : of one class, with the same arguments, but for their names; they stay as they are.
+
+    Raises
+    ------
+    TypeError : for anything but observers with results.
+    ValueError : for none, for one that has not looked yet, for other arguments or another scene, for something that the
+        first run has settled otherwise, as r_max by its cell or the reference of Fluctuations, and for two with the
+        same sums, whose runs are one.
+    """
+    if not len(observers):
+        raise ValueError("observers must be those of one run or more; there are none")
+    for k, observer in enumerate(observers):
+        checked_kind(f"observers[{k}]", observer, Accumulator, "an observer with a result")
+        observer.answered()
+        setting = observer.setting()
+        different = [
+            name for name, value in observers[0].setting().items() if setting.get(name) != value
+        ]
+        if different:
+            raise ValueError(
+                f"observers[{k}] must be as observers[0], of the same scene; they differ in {', '.join(different)}: "
+                f"{observer!r} and {observers[0]!r}; give both the same, or compare their results"
+            )
+        for i, other in enumerate(observers[:k]):
+            if np.array_equal(observer.sums.total, other.sums.total, equal_nan=True):
+                raise ValueError(
+                    f"observers[{k}] must be of another run than observers[{i}], but has the same sums to the last "
+                    "bit: give independent runs different seeds"
+                )
+
+    whole = copy.deepcopy(observers[0])
+    whole.sums = BlockedSums.joined([observer.sums for observer in observers])
+    whole.scene = replace(observers[0].answered(), times=[])
+    whole.n_runs = sum(observer.n_runs for observer in observers)
+    return whole

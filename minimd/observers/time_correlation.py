@@ -164,7 +164,7 @@ class TimeCorrelation(Accumulator):
         seen = counts > 0.0
         spacing = self.answered().spacing
         times: Array = self._correlator.lags[seen] * np.float64(spacing)
-        return seen, times, LONGEST * (self.n_looks - 1) * spacing
+        return seen, times, LONGEST * (self.n_looks / self.n_runs - 1) * spacing
 
     def _estimate(
         self, times: Array, longest: float, law: Callable[[Array], Array]

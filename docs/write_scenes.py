@@ -171,6 +171,8 @@ MEANINGS = {
         "relaxation_time": "relaxation time of a thermostat, required with one; 1/friction in Langevin dynamics",
         "inner": "of `respa` and `langevin-respa`: number of [inner steps](timestep.md#several-time-steps), at most "
         "100; 4 if not given",
+        "n_steps": "of `hybrid-monte-carlo`: steps of a [trajectory](hybrid-monte-carlo.md); 20 if not given. Then "
+        "`steps` counts trajectories",
         "seed": "seed of velocities and noise",
         "threads": "largest number of threads; if not given, the number of cores that the process may use",
         "max_seconds": "seconds of wall time after which a run ends, [to be resumed](files.md#one-run-on-a-cluster)",

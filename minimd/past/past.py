@@ -14,9 +14,9 @@ import numpy as np
 
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.progress import progress_of
-from minimd.core.engine.engine import Snapshot
 from minimd.core.engine.observation import observe
 from minimd.core.engine.record import Frame, Record
+from minimd.core.engine.snapshot import Snapshot
 from minimd.core.simulation.resuming import Potentials
 from minimd.core.simulation.simulation import Observer, Simulation
 from minimd.core.structure.checks import COUNTS, checked_count

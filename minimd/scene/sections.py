@@ -160,7 +160,7 @@ GIVEN_TWICE = {"lattice", "bonds", "charges", "molecules", "density", "seed"}
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
 # arguments of single methods, with the methods that take them
-OF_METHODS = {"inner": ("respa", "langevin-respa")}
+OF_METHODS = {"inner": ("respa", "langevin-respa"), "n_steps": ("hybrid-monte-carlo",)}
 OF_FILES = ("format", "masses", "elements", "atom_style", "lammps_units")  # of system_from_file
 
 
@@ -431,7 +431,7 @@ class TabulatedSection(WithFiles):
 class DynamicsSection(Section):
     """[dynamics]: method and length of the run. Without a temperature, velocities are those of the structure.
     temperature : of a thermostat also two numbers, from which and to which it goes during the run.
-    inner : of OF_METHODS.
+    inner, n_steps : of OF_METHODS.
     """
 
     method: Annotated[str, one_of(METHODS)] = "velocity-verlet"
@@ -442,6 +442,7 @@ class DynamicsSection(Section):
     ] = None
     relaxation_time: Annotated[Positive | None, Dimension("time")] = None
     inner: PositiveInt | None = None
+    n_steps: PositiveInt | None = None
     seed: NonNegativeInt = 1
     threads: PositiveInt | None = None
     precision: Precision = "double"

@@ -9,8 +9,8 @@ import pytest
 from damages import FAILED, SENTENCE, outcome
 from h5md_runs import N_ATOMS, resumed, simulation
 
-from minimd.core.engine.engine import Checkpoint, Snapshot
 from minimd.core.engine.record import SERIES
+from minimd.core.engine.snapshot import Checkpoint, Snapshot
 from minimd.core.files.h5_items import put
 from minimd.core.files.h5md_digest import EARLIER, RESTART, checked, flattened, read_group, sign
 from minimd.core.files.h5md_reader import damage, read_file

@@ -265,6 +265,13 @@ def test_inner_steps_of_a_scene_are_those_of_its_method():
     assert (method.timestep, method.temperature, method.friction, method.seed) == (0.004, 1.44, 2.0, 3)
 
 
+def test_a_step_of_hybrid_monte_carlo_has_the_inner_steps_of_its_scene():
+    keys = 'seed = 3\nmethod = "hybrid-monte-carlo"\nrelaxation_time = 0.5'
+    for n_steps, line in ((20, ""), (7, "\nn_steps = 7")):
+        method = scene_of(REDUCED.replace("seed = 3", keys + line)).method()
+        assert (method.n_steps, method.friction, method.seed) == (n_steps, 2.0, 3)
+
+
 def test_unlike_pairs_follow_the_mixing_rule_unless_they_are_given(folder):
     Path("pair.xyz").write_text("2\n\nAr 0 0 0\nKr 4.0 0 0\n")
     for extra, epsilon, sigma in (

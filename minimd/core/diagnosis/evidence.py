@@ -11,7 +11,8 @@ from minimd.core.console.quiet import quiet
 from minimd.core.diagnosis.contacts import Contact, contacts
 from minimd.core.diagnosis.stiffness import Stiffness
 from minimd.core.diagnosis.timestep import OSCILLATION, StepAdvice, advice_at
-from minimd.core.engine.engine import Engine, Snapshot
+from minimd.core.engine.engine import Engine
+from minimd.core.engine.snapshot import Snapshot
 from minimd.core.integrators.order_conditions import stability_limit
 from minimd.core.neighbors.queries import ClosestPair, closest_pair
 from minimd.core.structure.arrays import Array

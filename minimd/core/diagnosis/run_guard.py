@@ -12,9 +12,10 @@ from minimd.core.diagnosis.crash_report import examine
 from minimd.core.diagnosis.evidence import Evidence, Failure
 from minimd.core.diagnosis.judge import GROWTH, RUNAWAY, fault_of, hints, runaway
 from minimd.core.diagnosis.rules import at_start, not_finite
-from minimd.core.engine.engine import Engine, Snapshot
+from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import observe
 from minimd.core.engine.record import Frame
+from minimd.core.engine.snapshot import Snapshot
 from minimd.core.neighbors.queries import closest_pair
 from minimd.core.potentials.term import PER_ATOM
 from minimd.core.structure.arrays import Array

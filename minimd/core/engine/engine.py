@@ -5,7 +5,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from minimd.core.engine.scene_checks import (
     warn_of_dropped,
 )
 from minimd.core.engine.scene_in_words import scene_in_words
+from minimd.core.engine.snapshot import Checkpoint, Snapshot
 from minimd.core.forces.forces import ForceResult, Forces, Potential
 from minimd.core.forces.options import FIXED_POINT, Options, described
 from minimd.core.integrators.barostats import StochasticCellRescaling
@@ -32,56 +33,14 @@ from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.state import Bath, GridState, State, Surroundings
 from minimd.core.integrators.steps import ForceSource, Moment, Steps, first_unit
 from minimd.core.integrators.substeps import Drift, mechanical
-from minimd.core.neighbors.verlet_list import Built
 from minimd.core.potentials.term import FORCES, TOTALS
 from minimd.core.structure.arrays import Array
-from minimd.core.structure.cell import Cell
 from minimd.core.structure.constraints import Constraint
 from minimd.core.structure.grid import Grid
 from minimd.core.structure.observables import center, kinetic_energy, leaves_out_center
 from minimd.core.structure.system import AnySystem, System
 
 MOST_STEPS = 16  # of methods: replica exchange goes to and fro between temperatures
-
-
-class Snapshot(NamedTuple):
-    """A stored state, see Engine.restore.
-    positions, velocities : (N, 3), copies.
-    reservoir_energy : [energy].
-
-    clock : a step and its time, from which the times of other steps are counted.
-    cell : with a barostat, else None.
-    work : done by forces that depend on time [energy].
-    memory : of the method, see Splitting, or None.
-    """
-
-    step: int
-    time: float
-    positions: Array
-    velocities: Array
-    reservoir_energy: float
-    clock: tuple[int, float] | None = None
-    work: float = 0.0
-    cell: Cell | None = None
-    memory: Array | None = None
-
-
-class Checkpoint(NamedTuple):
-    """What determines the bits of the steps to come, besides system, potentials, method, constraints and options.
-
-    displacement : of the fastest atom in a step, for which skins were chosen [length].
-    lists : of neighbors.
-    images : (K, 3) lattice vectors of rigid bonds [length], and their tolerance; None without.
-    equilibrated : steps of equilibrations so far.
-    grid : of fixed-point arithmetic; None without.
-    """
-
-    state: Snapshot
-    displacement: float
-    lists: tuple[Built, ...]
-    images: tuple[Array, float] | None
-    equilibrated: int
-    grid: Grid | None = None
 
 
 class Engine:

@@ -25,8 +25,8 @@ from minimd.core.diagnosis.contacts import Contact
 from minimd.core.diagnosis.crash_report import CrashReport
 from minimd.core.diagnosis.judge import RUNAWAY
 from minimd.core.diagnosis.run_guard import RunGuard
-from minimd.core.engine.engine import Snapshot
 from minimd.core.engine.observation import observe
+from minimd.core.engine.snapshot import Snapshot
 from minimd.core.files.trajectory import Paths, named_files
 from minimd.core.neighbors.queries import ClosestPair
 from minimd.core.structure.checks import COUNTS, checked_path

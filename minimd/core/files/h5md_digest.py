@@ -34,8 +34,8 @@ import numpy as np
 from minimd.core.console.annexes import from_annex
 from minimd.core.console.quiet import warn
 from minimd.core.console.words import listed, shown
-from minimd.core.engine.engine import Checkpoint, Snapshot
 from minimd.core.engine.observer import StoredObserver
+from minimd.core.engine.snapshot import Checkpoint, Snapshot
 from minimd.core.files.h5_items import NOTHING, REFERENCE, Item, put
 from minimd.core.files.stored_fields import FIELDS, STEPS, check_fields
 from minimd.core.neighbors.verlet_list import Built

@@ -29,10 +29,10 @@ import minimd.core.diagnosis.shadow_energy  # noqa: F401 - registers an observab
 from minimd.core.console.display import Displayed, Rows
 from minimd.core.console.quiet import quiet, warn
 from minimd.core.console.words import printable
-from minimd.core.engine.engine import Checkpoint
 from minimd.core.engine.observer import StoredObserver
 from minimd.core.engine.record import SERIES, Frame, Record
 from minimd.core.engine.scene_in_words import scene_in_words
+from minimd.core.engine.snapshot import Checkpoint
 from minimd.core.files import h5md_digest as digest
 from minimd.core.files.claim import end_with, repair
 from minimd.core.files.h5_items import REFERENCE

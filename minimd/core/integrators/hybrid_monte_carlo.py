@@ -14,6 +14,7 @@ from minimd.core.structure.checks import SHORTEST, checked_count, checked_number
 
 __all__ = ["HybridMonteCarlo"]
 
+N_STEPS = 20  # of a trajectory, if not given
 WANTED = 0.8  # of all proposals, accepted in an equilibration
 # of the time step there: Δt ← Δt exp(GAIN k^(−FORGETTING) (acceptance − WANTED))
 GAIN, FORGETTING = 2.0, 0.7
@@ -65,7 +66,7 @@ class HybridMonteCarlo(LangevinBAOAB):
         timestep: float,
         temperature: Level,
         seed: int,
-        n_steps: int = 20,
+        n_steps: int = N_STEPS,
         friction: float | None = None,
     ) -> None:
         known = 0.0 if friction is None else friction
@@ -80,11 +81,16 @@ class HybridMonteCarlo(LangevinBAOAB):
 
     @classmethod
     def with_relaxation_time(
-        cls, timestep: float, temperature: Level, relaxation_time: float, seed: int
+        cls,
+        timestep: float,
+        temperature: Level,
+        relaxation_time: float,
+        seed: int,
+        n_steps: int = N_STEPS,
     ) -> Self:
         """See Thermostat; γ = 1/τ."""
         tau = checked_number("relaxation_time", relaxation_time, "positive and finite", SHORTEST)
-        return cls(timestep, temperature, seed, friction=1.0 / tau)
+        return cls(timestep, temperature, seed, n_steps, 1.0 / tau)
 
     @property
     def duration(self) -> float:

@@ -20,10 +20,11 @@ from minimd.core.diagnosis.report import Report
 from minimd.core.diagnosis.reversibility import Reversibility, make_steps_back, probe
 from minimd.core.diagnosis.run_guard import RunGuard
 from minimd.core.diagnosis.run_report import report_of
-from minimd.core.engine.engine import Engine, Snapshot
+from minimd.core.engine.engine import Engine
 from minimd.core.engine.observation import check_extras, observe
 from minimd.core.engine.observer import PeriodicObserver
 from minimd.core.engine.record import Frame, Record
+from minimd.core.engine.snapshot import Snapshot
 from minimd.core.files.crash_file import crash_file_left, crash_file_place
 from minimd.core.files.trajectory import Writer, first_h5md, named_files, open_trajectories
 from minimd.core.forces.forces import Potential

@@ -9,6 +9,8 @@ from collections.abc import Callable
 WORDS = """
 NVT NoseHoover NoseHooverChain NoseHooverChainNVT Bussi CSVR VRescale Thermostat tcoupl
     md.StochasticVelocityRescaling, or md.LangevinBAOAB; minimd.ase has NoseHooverChainNVT and Bussi | temperature
+HMC GHMC GHMCIntegrator Hamiltonian MonteCarlo MC Metropolis
+    md.HybridMonteCarlo, trajectories that are accepted or taken back; no other moves | hybrid-monte-carlo
 Langevin Brownian Overdamped LangevinIntegrator LangevinMiddleIntegrator BrownianIntegrator BAOAB sd bd
     md.LangevinBAOAB, or md.BrownianDynamics for overdamped motion | temperature
 Berendsen NVTBerendsen VelocityRescaling
@@ -175,7 +177,7 @@ Scan Sweep Replica
     md.ensemble makes many runs | ensembles
 ReplicaExchange ParallelTempering REMD Tempering temper
     md.exchange: replicas at several temperatures, which neighbors exchange | ensembles
-MonteCarlo MC GCMC Alchemical
+GCMC Alchemical
     not here; md.free_energy has those of distances, and of energies that you compute | limits
 GPU CUDA OpenCL Kokkos MPI Platform mpirun
     not here: threads= of md.Simulation uses the cores of one machine | limits

@@ -33,7 +33,7 @@ def as_function(method: Any, kind: str | None, options: dict[str, Any]) -> tuple
             f"md.grade judges motion with inertia, and {own.__name__} has none: "
             "compare averages of positions with exact ones"
         )
-    has_bath = any(isinstance(part, Thermalize) for part in own.substeps)
+    has_bath = own.is_thermostat or any(isinstance(part, Thermalize) for part in own.substeps)
     if kind == "step" or (kind is None and not has_bath):
         kicks = [type(part) for part in own.substeps if isinstance(part, Kick)]
         if kicks.count(Kick) < len(kicks):  # some are made with a part of the forces

@@ -174,9 +174,16 @@ def test_a_rotation_of_whole_numbers_is_undone():
     np.testing.assert_allclose(turned, 0.8 * p + 0.6 * q, atol=2.0)
 
 
-@pytest.mark.parametrize("friction", [None, 2.0])
-@pytest.mark.parametrize("precision", ["double", "fixed-point"])
-def test_averages_have_no_error_of_the_time_step(friction, precision):
+@pytest.mark.parametrize(
+    ("precision", "friction"),
+    [
+        ("double", None),
+        ("fixed-point", 2.0),
+        pytest.param("double", 2.0, marks=pytest.mark.slow),
+        pytest.param("fixed-point", None, marks=pytest.mark.slow),
+    ],
+)
+def test_averages_have_no_error_of_the_time_step(precision, friction):
     """Oscillators with ωΔt = 0.8, where LangevinBAOAB has kinetic energies too low by 16 %."""
     n = 12
     masses = np.tile([1.0, 2.0], n // 2)
@@ -188,10 +195,10 @@ def test_averages_have_no_error_of_the_time_step(friction, precision):
         threads=1,
     )
     sim.make_steps(200)
-    record = sim.run(8000, every=2, progress=False)
+    record = sim.run(5000, every=2, progress=False)
     for energy in (record.kinetic_energy, record.potential_energy):
         mean, error = mean_and_error(energy / n)
-        assert error < 0.05 * T
+        assert error < 0.06 * T
         assert abs(mean - 1.5 * T) < 4.5 * error
     assert 0.05 < sim.method.acceptance < 0.9
     mean, error = sim.method.mean_weight
@@ -263,10 +270,9 @@ def test_a_trajectory_that_is_stopped_leaves_the_state_before_it():
     assert sim.engine.reservoir_energy == before[2]
 
 
-@pytest.mark.parametrize("precision", ["double", "fixed-point"])
-def test_an_energy_that_is_no_function_of_the_positions_ends_the_run(precision, monkeypatch):
+def test_an_energy_that_changes_from_cell_to_cell_ends_the_run(monkeypatch):
     """Once in a thousand proposals it is asked, here at the first: an energy that knows in which cell atom 0 is."""
-    sim = SCENES["argon"]().simulation(md.HybridMonteCarlo(0.002, T, 3), precision=precision)
+    sim = SCENES["argon"]().simulation(md.HybridMonteCarlo(0.002, T, 3), precision="fixed-point")
     evaluate, edge = md.core.engine.engine.Engine._evaluate, sim.system.cell.vectors[0, 0]
 
     def told(engine, step):
@@ -288,7 +294,7 @@ def test_a_trajectory_that_does_not_come_back_ends_the_run(monkeypatch):
         return is_complete
 
     monkeypatch.setattr(md.core.engine.engine.Engine, "_trajectory", skewed)
-    with pytest.raises(RuntimeError, match="has come back to"):
+    with pytest.raises(RuntimeError, match=r"ends .* from its start"):
         sim.make_steps(1)
 
 

@@ -235,7 +235,12 @@ class Engine:
         energy = potential + self._state.kinetic_energy()
         proposals.begin(number, potential)
         if number % RETRACED_EVERY == 0:
-            proposals.retrace(self._trajectory, lambda: self._evaluate(step).potential_energy)
+
+            def potential_energy() -> float:
+                self._state.forces_are_current = False
+                return self._evaluate(step).potential_energy
+
+            proposals.retrace(self._trajectory, potential_energy)
         if not self._trajectory():
             proposals.take_back()
             self.velocities[:] = first

@@ -10,6 +10,7 @@ from wrong_calls import answered
 
 import minimd as md
 from minimd.core.files.h5md_writer import H5MDWriter
+from minimd.core.integrators.barostats import ThermodynamicState
 from minimd.core.integrators.substeps import Thermalize
 from minimd.integrators import THERMOSTATS, Bath, Drift, Kick, State, Surroundings, adjoint, compose
 from minimd.view.check import check_file
@@ -274,3 +275,17 @@ def test_kinetic_energies_are_gamma_distributed(runs):
         right, wrong = (stats.gamma(0.5 * n_dof, scale=factor * K_B * temperature).cdf for factor in (1.0, 1.03))
         assert stats.kstest(record.kinetic_energy[::20], right).pvalue > 1e-3
         assert stats.kstest(record.kinetic_energy[::20], wrong).pvalue < 1e-3  # it would see three percent
+
+
+def test_a_barostat_and_a_bath_with_one_seed_have_independent_noise():
+    """Before, the strain of a step had the noise of atom 1 in the next one."""
+    seed, step = 7, 40
+    barostat = md.StochasticCellRescaling(1.0, 1.0, 1.0, seed, temperature=1.0, coupling="xyz")
+    strain = barostat.strain(ThermodynamicState(np.eye(3), 1.0, 1.0, 1.0, 1.0), 1.0, step).diagonal()
+    free = md.Restraint(k=0.0, points=np.zeros((6, 3)))
+    bath = md.LangevinBAOAB(1.0, 1.0, 1e3, seed)  # a step forgets all velocities
+    sim = md.Simulation(md.System(np.zeros((6, 3))), free, bath, threads=1)
+    sim.step = step
+    sim.make_steps(1)
+    ratios = strain / np.sqrt(2.0 / 3.0) / sim.velocities
+    assert np.abs(ratios - 1.0).min() > 1e-6

@@ -34,6 +34,8 @@ WIDTHS = numpys.wi_double
 HEIGHTS = numpys.fi_double
 TAIL = numpys.ziggurat_nor_r  # where the lowest layer ends and the tail of the curve begins
 UNIT = 2.0**-53
+# contacts that no bath of atoms reaches: one seed may serve a bath and all of these
+OF_BAROSTATS, OF_DIRECTIONS, OF_DECISIONS = 2**32, 2**32 + 1, 2**32 + 2
 # numbers of steps are taken modulo this; those of an equilibration, before step 0, are negative
 STEPS = 2**64
 

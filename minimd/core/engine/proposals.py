@@ -7,7 +7,7 @@ from math import exp, inf, nan
 
 import numpy as np
 
-from minimd.core.compiled.normal_numbers import UNIT, philox
+from minimd.core.compiled.normal_numbers import OF_DECISIONS, UNIT, philox
 from minimd.core.compiled.program import Program
 from minimd.core.constraints.constraint_set import ConstraintSet
 from minimd.core.forces.forces import Forces
@@ -21,8 +21,7 @@ from minimd.core.structure.system import System
 RETRACED_EVERY = 1000  # proposals
 CLOSE = 1e-6  # of the way, with rigid bonds: farther from the start, a trajectory has not come back
 ROOM = 16  # widths of the momenta that must be in the range of a grid
-# which words select a decision; 0 are those of momenta
-OF_MOMENTA, OF_PROPOSALS, OF_VOLUMES = 1, 2, 3
+OF_MOMENTA, OF_PROPOSALS, OF_VOLUMES = range(3)  # words of decisions
 
 
 def half_squares(widths: Indices, *momenta: Array) -> Fraction:
@@ -127,7 +126,7 @@ class Proposals:
 
     def _happens(self, x: float | Fraction, which: int, number: int) -> bool:
         """True with probability min(1, e^(−x)); false of NaN."""
-        generator = philox(self._method.seed, which, number).bit_generator
+        generator = philox(self._method.seed, OF_DECISIONS, number, which).bit_generator
         words: Callable[[], int] = generator.random_raw  # type: ignore[attr-defined]
         if isinstance(x, Fraction):
             return happens(x, words)

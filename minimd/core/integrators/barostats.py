@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from minimd.core.compiled.normal_numbers import STEPS, normals
+from minimd.core.compiled.normal_numbers import OF_BAROSTATS, STEPS, normals
 from minimd.core.console.display import Displayed, Rows, as_text
 from minimd.core.integrators.ramp import Level, checked_level
 from minimd.core.integrators.thermostats import key_of
@@ -23,7 +23,6 @@ __all__ = ["StochasticCellRescaling"]
 
 AXES = "xyz"
 COUPLINGS = ("isotropic", "triclinic", "x", "y", "z", "xy", "xz", "yz", "xyz")
-OWN_STREAM = 1  # of random numbers; the stream of thermostats is 0
 
 
 class ThermodynamicState(NamedTuple):
@@ -148,7 +147,7 @@ class StochasticCellRescaling(Displayed):
         """ε, (3, 3).
         duration : h [time].
         number : of the step; it selects the noise."""
-        white = normals(self._key, OWN_STREAM, 0, np.uint64(number % STEPS), 9).reshape(3, 3)
+        white = normals(self._key, 0, OF_BAROSTATS, np.uint64(number % STEPS), 9).reshape(3, 3)
         if self.coupling == "isotropic":
             variance = 0.5 * state.thermal * self.compressibility * duration / self.relaxation_time
             change = self._drift_of_root(state, duration) + sqrt(variance) * white[0, 0]

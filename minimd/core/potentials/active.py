@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.core.compiled.normal_numbers import philox
+from minimd.core.compiled.normal_numbers import OF_DIRECTIONS, philox
 from minimd.core.potentials import declared as kind
 from minimd.core.potentials.declared import NOT_NEGATIVE, POSITIVE, declared
 from minimd.core.potentials.fields import ATOMS, OnAtoms
@@ -17,7 +17,6 @@ from minimd.core.potentials.term import Term
 from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.system import System
 
-OWN_STREAM = 2  # of random numbers; those of thermostats and barostats are 0 and 1
 TIME, TURNS, DIRECTIONS = 0, 1, 2  # places in the memory
 
 LEAST_KEPT = 1e-300  # its logarithm is finite
@@ -129,7 +128,7 @@ class ActiveTerm(Term):
         duration = self.time - memory[TIME]
         if n_turns and not duration > 0.0:
             return directions
-        noise = philox(self._of.seed, 0, n_turns, OWN_STREAM)
+        noise = philox(self._of.seed, OF_DIRECTIONS, n_turns)
         turn, kept = self._turn, exp(-duration / self._of.persistence_time)
         if n_turns == 0:
             directions[:] = 1.0

@@ -29,6 +29,7 @@ from minimd.core.engine.engine import Engine
 from minimd.core.engine.record import Frame
 from minimd.core.files.crash_file import crash_file_place
 from minimd.core.files.trajectory import open_trajectories
+from minimd.core.integrators.hybrid_monte_carlo import HybridMonteCarlo
 from minimd.core.simulation.simulation import Simulation
 from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.checks import (
@@ -410,7 +411,8 @@ def check_canonical(simulation: Any, member: Member) -> None:
     engine = simulation.engine
     temperature = method.parameters.get("temperature")
     is_constant = isinstance(temperature, float | int)
-    remembers = method.memory is not None or engine.interactions.memories
+    counts = isinstance(method, HybridMonteCarlo)  # its memory
+    remembers = engine.interactions.memories or (method.memory is not None and not counts)
     faults = {
         "which is no thermostat": not method.is_thermostat,
         "whose temperature is no constant above zero": not is_constant or temperature <= 0.0,

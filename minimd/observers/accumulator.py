@@ -105,6 +105,14 @@ class BlockedSums:
         sums._marks[: len(marks)] = marks
         return sums
 
+    def begins_as(self, other: BlockedSums) -> bool:
+        """Whether two runs have the same sums at an end of a block of both, which are not zero."""
+        _, own, theirs = np.intersect1d(self.ends, other.ends, return_indices=True)
+        if not len(own):
+            return False
+        last = self.until()[own[-1]]
+        return bool(last.any()) and np.array_equal(last, other.until()[theirs[-1]], equal_nan=True)
+
     def close_entry(self) -> None:
         """Count an entry that has been added completely."""
         self.n_entries += 1
@@ -613,11 +621,16 @@ def joined(observers: Sequence[Observer]) -> Observer:
         first run has settled otherwise, as r_max by its cell or the reference of Fluctuations, and for two with the
         same sums, whose runs are one.
     """
-    if not len(observers):
+    observers = list(observers)
+    if not observers:
         raise ValueError("observers must be those of one run or more; there are none")
     for k, observer in enumerate(observers):
         checked_kind(f"observers[{k}]", observer, Accumulator, "an observer with a result")
         observer.answered()
+        if observer.n_runs > 1:
+            raise ValueError(
+                f"observers[{k}] is joined from {observer.n_runs} runs already: join all runs at once"
+            )
         setting = observer.setting()
         different = [
             name for name, value in observers[0].setting().items() if setting.get(name) != value
@@ -628,14 +641,14 @@ def joined(observers: Sequence[Observer]) -> Observer:
                 f"{observer!r} and {observers[0]!r}; give both the same, or compare their results"
             )
         for i, other in enumerate(observers[:k]):
-            if np.array_equal(observer.sums.total, other.sums.total, equal_nan=True):
+            if observer.sums.begins_as(other.sums):
                 raise ValueError(
-                    f"observers[{k}] must be of another run than observers[{i}], but has the same sums to the last "
-                    "bit: give independent runs different seeds"
+                    f"observers[{k}] must be of another run than observers[{i}], but begins with the same sums to the "
+                    "last bit: give independent runs different seeds"
                 )
 
     whole = copy.deepcopy(observers[0])
     whole.sums = BlockedSums.joined([observer.sums for observer in observers])
     whole.scene = replace(observers[0].answered(), times=[])
-    whole.n_runs = sum(observer.n_runs for observer in observers)
+    whole.n_runs = len(observers)
     return whole

@@ -64,7 +64,7 @@ def survey(size, most, n_steps=3):
         put(x)
         levels[x] = proposals.level(0, engine.evaluate().potential_energy)
         assert whole(sim) == x
-        assert engine._trajectory()
+        assert engine._trajectory() is not None
         a, b, p, q = whole(sim)
         to[x] = (a, b, -p, -q)
     return to, levels
@@ -296,6 +296,60 @@ def test_a_trajectory_that_does_not_come_back_ends_the_run(monkeypatch):
     monkeypatch.setattr(md.core.engine.engine.Engine, "_trajectory", skewed)
     with pytest.raises(RuntimeError, match=r"ends .* from its start"):
         sim.make_steps(1)
+
+
+class Lagging(md.Term):
+    """A spring whose force has a part of the last one, as that of an iteration that begins with its last result."""
+
+    acts_from_outside, is_checked = True, False
+    before = 0.0
+
+    def bind(self, system):
+        return self
+
+    def add(self, system, detail, forces, energies, virials):
+        now = -system.positions.copy()
+        forces += 0.97 * now + 0.03 * self.before
+        self.before = now
+        if len(energies):
+            energies[0] += 0.5 * (system.positions**2).sum()
+
+
+def test_forces_that_are_no_function_of_the_positions_end_the_run():
+    system = md.System(np.random.default_rng(1).normal(size=(5, 3)))
+    sim = md.Simulation(system, Lagging(), md.HybridMonteCarlo(0.1, T, 3), threads=1)
+    sim.step = 999
+    sim.make_steps(1)
+    with pytest.raises(RuntimeError, match="forces computed twice differ by"):
+        sim.make_steps(1)
+
+
+def test_a_trajectory_to_infinity_is_not_accepted():
+    sim = SCENES["argon"]().simulation(md.HybridMonteCarlo(0.3, T, 3), threads=1)
+    before = sim.positions.copy()
+    sim.make_steps(5)
+    assert sim.method.acceptance == 0.0
+    np.testing.assert_array_equal(sim.positions, before)
+
+
+def test_a_proposal_that_was_stopped_changes_no_bit_of_those_to_come(monkeypatch):
+    whole, stopped = (SCENES["argon"]().simulation(md.HybridMonteCarlo(0.01, T, 3), threads=1) for _ in range(2))
+    whole.make_steps(12)
+    stopped.make_steps(3)
+    advance = md.core.integrators.steps.Steps.advance
+
+    def halfway(steps, n_steps, *rest):
+        stopped.engine.surroundings.stop_requested = n_steps > 1
+        return advance(steps, n_steps // 2, *rest)
+
+    monkeypatch.setattr(md.core.integrators.steps.Steps, "advance", halfway)
+    with pytest.raises(KeyboardInterrupt):
+        stopped.make_steps(9)
+    monkeypatch.undo()
+    stopped.engine.surroundings.stop_requested = False
+    stopped.make_steps(9)
+    np.testing.assert_array_equal(stopped.positions, whole.positions)
+    np.testing.assert_array_equal(stopped.method.memory, whole.method.memory)
 
 
 def test_rigid_bonds_are_sampled_in_float64():

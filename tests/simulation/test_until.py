@@ -119,6 +119,17 @@ def test_a_crystal_melts_until_it_is_equilibrated():
     assert not goal.is_reached
 
 
+def test_a_wrong_name_touches_no_file(tmp_path):
+    """Nor a number of an observer, or the step."""
+    sim, file = liquid(), tmp_path / "a.h5md"
+    sim.run(20, every=10, trajectory=file)
+    observers = [md.observers.MeanSquareDisplacement(every=10)]
+    for name, given in (("presure", []), ("step", []), ("difusion", observers)):
+        with pytest.raises(ValueError, match=f"it names '{name}'"):
+            sim.run(until={name: 0.1}, every=10, trajectory=file, overwrite=True, observers=given)
+    assert len(md.read_record(file)) == 3
+
+
 def test_what_cannot_be_reached_is_told_after_a_tenth():
     sim = liquid()
     sim.make_steps(2000)

@@ -15,9 +15,9 @@ TENTHS = 10
 def progress_of(
     end: int | None, label: str, show: bool | None = None, unit: str = "step", start: int = 0
 ) -> Iterator[Callable[..., Any]]:
-    """Show on standard error, or in a notebook, how much of the way from start to end, None if that is not known, is
-    done; yields a function to be
+    """Show on standard error, or in a notebook, how much of the way from start to end is done; yields a function to be
     called with the step that is reached, and perhaps another end.
+    end : None if it is not known.
     unit : what is counted, if not steps.
     show : True for a bar on a terminal or in a notebook, and ten lines elsewhere; False for nothing; None for a bar
         where one is possible. ValueError for anything else."""

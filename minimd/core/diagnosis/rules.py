@@ -99,7 +99,8 @@ def long_steps(evidence: Evidence) -> Verdicts:
             "check the unit of the time step",
         )
     fastest = stiffness.collisions(at_rest=True)
-    if method.is_overdamped or not fastest * dt > TOO_LONG * OSCILLATION**0.5:
+    is_usual = method.is_dynamics and not method.is_overdamped
+    if not is_usual or not fastest * dt > TOO_LONG * OSCILLATION**0.5:
         return  # spares usual steps the search for what the method can do
     step = accurate_step(
         outer_substeps(method.sequence()), OSCILLATION

@@ -168,6 +168,8 @@ class CellRescaling:
         before = self._thermodynamic_state(wanted, bath, sums)
         strain = barostat.strain(before, duration, noise_number)
         largest = float(np.abs(strain).max())
+        if largest > LARGEST_STRAIN and accepts is not None:
+            return  # not accepted: its reverse would not be, either
         if not largest <= LARGEST_STRAIN:
             if not np.isfinite(sums.virial).all() and np.isfinite(sums.forces).all():
                 cure = "take one that does, such as a calculator with a stress"

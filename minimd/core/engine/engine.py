@@ -5,6 +5,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from minimd.core.console.quiet import quiet
 from minimd.core.constraints.constraint_set import ConstraintSet
 from minimd.core.constraints.groups import bodies_of
 from minimd.core.engine.cell_rescaling import CellRescaling, check_cell, rescaling_of
-from minimd.core.engine.proposals import RETRACED_EVERY, Proposals
+from minimd.core.engine.proposals import CHECKED_EVERY, Proposals
 from minimd.core.engine.scene_checks import (
     check_center,
     checked_method,
@@ -36,6 +37,7 @@ from minimd.core.integrators.substeps import Drift, mechanical
 from minimd.core.potentials.term import FORCES, TOTALS
 from minimd.core.structure.arrays import Array
 from minimd.core.structure.constraints import Constraint
+from minimd.core.structure.errors import NonFiniteError, RangeError
 from minimd.core.structure.grid import Grid
 from minimd.core.structure.observables import center, kinetic_energy, leaves_out_center
 from minimd.core.structure.system import AnySystem, System
@@ -228,36 +230,48 @@ class Engine:
 
     def _propose(self, proposals: Proposals, step: int) -> int:
         """One step of hybrid Monte Carlo; returns 1, or 0 if it was stopped, and the state is that before it."""
+
+        def evaluated() -> ForceResult:
+            self._state.forces_are_current = False
+            return self._evaluate(step)
+
         number = step + self.noise_shift
-        first = self.velocities.copy()
-        given = self.reservoir_energy
         potential = self._evaluate(step).potential_energy
         energy = potential + self._state.kinetic_energy()
+        before = self.snapshot(), self.interactions.lists_built()
+        given = self.reservoir_energy
         proposals.begin(number, potential)
-        if number % RETRACED_EVERY == 0:
-
-            def potential_energy() -> float:
-                self._state.forces_are_current = False
-                return self._evaluate(step).potential_energy
-
-            proposals.retrace(self._trajectory, potential_energy)
-        if not self._trajectory():
+        if number % CHECKED_EVERY == 0:
+            proposals.retrace(self._trajectory, evaluated)
+            self._state.forces_are_current = False
+        end = self._trajectory()
+        if end is None:
             proposals.take_back()
-            self.velocities[:] = first
+            self._state.forces_are_current = False
+            self.velocities[:] = before[0].velocities
             self.reservoir_energy = given
+            self._remember(before[0].memory)
+            self.interactions.build_lists(before[1])
             return 0
-        proposals.decide(number, self.potential_energy)
+        self._state.forces_are_current &= proposals.decide(number, end)
         after = self._evaluate(step).potential_energy + self._state.kinetic_energy()
         self.reservoir_energy = given + after - energy
         return 1
 
-    def _trajectory(self) -> bool:
-        """Make a trajectory of hybrid Monte Carlo; returns whether it was not stopped."""
+    def _trajectory(self) -> float | None:
+        """Make a trajectory of hybrid Monte Carlo; returns the potential energy at its end [energy], infinite if atoms
+        have left for infinity, or None if it was stopped.
+        Raises RangeError in fixed point, where what is in range is no matter of the positions alone."""
         n_steps = self._method.n_steps  # type: ignore[attr-defined]
         steps, _ = self._own_steps
-        n_done = steps.advance(n_steps, True)
+        try:
+            n_done = steps.advance(n_steps, True)
+        except NonFiniteError as error:
+            if isinstance(error, RangeError):
+                raise
+            return inf
         self.interactions.n_evaluations += n_done * steps.n_evaluations
-        return n_done == n_steps
+        return self.potential_energy if n_done == n_steps else None
 
     def _rescale_cell(
         self, rescaling: CellRescaling, step: int, proposals: Proposals | None

@@ -10,15 +10,16 @@ import numpy as np
 from minimd.core.compiled.normal_numbers import OF_DECISIONS, UNIT, philox
 from minimd.core.compiled.program import Program
 from minimd.core.constraints.constraint_set import ConstraintSet
-from minimd.core.forces.forces import Forces
+from minimd.core.forces.forces import ForceResult, Forces
 from minimd.core.integrators.exact_chances import WIDEST, happens, rotated, whole_normals
-from minimd.core.integrators.hybrid_monte_carlo import RETRACED, HybridMonteCarlo
+from minimd.core.integrators.hybrid_monte_carlo import CHECKED, HybridMonteCarlo
 from minimd.core.integrators.state import GridState, State, Surroundings
 from minimd.core.integrators.steps import FIRST, Moment
 from minimd.core.structure.arrays import Array, Indices
 from minimd.core.structure.system import System
 
-RETRACED_EVERY = 1000  # proposals
+CHECKED_EVERY = 1000  # proposals
+SAME_FORCE = 1e-6  # of the largest one
 CLOSE = 1e-6  # of the way, with rigid bonds: farther from the start, a trajectory has not come back
 ROOM = 16  # widths of the momenta that must be in the range of a grid
 OF_MOMENTA, OF_PROPOSALS, OF_VOLUMES = range(3)  # words of decisions
@@ -106,19 +107,20 @@ class Proposals:
         kinetic = half_squares(self.widths(state, number), momenta)
         return Fraction(potential_energy) / Fraction(thermal) + kinetic
 
-    def decide(self, number: int, potential_energy: float) -> None:
-        """Accept the trajectory to the present state, or take it back and turn the velocities round."""
+    def decide(self, number: int, potential_energy: float) -> bool:
+        """Whether the trajectory to the present state is accepted; if not, it is taken back, and velocities are turned
+        round."""
         x = self.level(number, potential_energy) - self._level
         is_accepted = self._happens(x, OF_PROPOSALS, number)
         self._method.note(float(x), is_accepted)
         if not is_accepted:
             self.take_back()
             self._state.velocities *= -1.0
+        return is_accepted
 
     def take_back(self) -> None:
-        """Return to the state before the trajectory."""
+        """Return to the state before the trajectory; forces are left."""
         self._state.positions[:], self._state.velocities[:] = self._before
-        self._state.forces_are_current = False
 
     def accepts_volume(self, number: int, x: float) -> bool:
         """Whether another cell is accepted; x = ΔH/k_B T of the change, see StochasticCellRescaling."""
@@ -132,36 +134,36 @@ class Proposals:
             return happens(x, words)
         return x <= 0.0 or (words() >> 11) * UNIT < exp(-x)
 
-    def retrace(self, go: Callable[[], bool], potential_energy: Callable[[], float]) -> None:
-        """Make a trajectory and undo it: rigid bonds must come back, in fixed point every bit; there the energy must
-        also stay the same if each atom is moved by lattice vectors.
+    def retrace(self, go: Callable[[], float | None], evaluated: Callable[[], ForceResult]) -> None:
+        """Check what balance rests on. Forces computed twice must agree. In fixed point, and with rigid bonds, a
+        trajectory is made, and undone, and must come back, in fixed point to the last bit; there the energy must stay
+        the same if each atom is moved by lattice vectors.
 
-        go : makes it, and returns whether it was not stopped.
-        potential_energy : computes it anew.
+        go : makes a trajectory, see Engine.
+        evaluated : forces and energy of the present state, computed anew.
         Raises RuntimeError if it is not so."""
         state = self._state
-        positions, velocities = self._before
+        fault = ""
+        forces = state.forces.copy()
+        apart = float(np.abs(evaluated().forces - forces).max())
+        if apart > SAME_FORCE * np.abs(forces).max():
+            fault = f"forces computed twice differ by {apart:.1e}"
         is_exact = isinstance(state, GridState)
-        for _ in range(2):
-            is_complete = go()
-            state.velocities *= -1.0
-            if not is_complete:
-                self.take_back()
-                return
-
-        way = float(np.abs(state.positions - positions).max())
-        allowed = inf if self._around.constraints is None else CLOSE * self._method.duration
-        is_back = not way > allowed * np.abs(velocities).max()
+        if is_exact or self._around.constraints is not None:
+            for _ in range(2):
+                end = go()
+                state.velocities *= -1.0
+                if end is None or not end < inf:
+                    self.take_back()
+                    return
+            fault = fault or self._missed()
+            self.take_back()
         if is_exact:
-            is_back = way == 0.0 and np.array_equal(state.velocities, velocities)
-        fault = "" if is_back else f"a trajectory that was undone ends {way:.1e} from its start"
-        self.take_back()
-        if is_exact:
-            energy = potential_energy()
+            energy = evaluated().potential_energy
             cell = self._system.cell
-            signs = 1.0 - 2.0 * (np.arange(len(positions)) % 2)
+            signs = 1.0 - 2.0 * (np.arange(len(forces)) % 2)
             state.positions += np.outer(signs, cell.vectors[cell.pbc].sum(axis=0))
-            elsewhere = potential_energy()
+            elsewhere = evaluated().potential_energy
             self.take_back()
             if elsewhere != energy:
                 fault = f"the energy is {energy!r}, and {elsewhere!r} of atoms that are each moved by lattice vectors"
@@ -170,7 +172,18 @@ class Proposals:
                 f"{self._method.name} cannot go on: {fault}; forces must be functions of the positions, and rigid "
                 "bonds be found again: take a shorter time step, or look at potentials of your own"
             )
-        self._method.memory[RETRACED] += 1.0
+        self._method.memory[CHECKED] += 1.0
+
+    def _missed(self) -> str:
+        """A clause if a trajectory that was undone has not come back; empty if it has."""
+        state = self._state
+        positions, velocities = self._before
+        way = float(np.abs(state.positions - positions).max())
+        if isinstance(state, GridState):
+            is_back = way == 0.0 and np.array_equal(state.velocities, velocities)
+        else:
+            is_back = way <= CLOSE * np.abs(velocities).max() * self._method.duration
+        return "" if is_back else f"a trajectory that was undone ends {way:.1e} from its start"
 
     def _check(self, interactions: Forces, constraints: ConstraintSet) -> None:
         """Raise ValueError for forces that depend on time, or change from cell to cell; and in fixed point for rigid

@@ -16,9 +16,10 @@ __all__ = ["HybridMonteCarlo"]
 
 N_STEPS = 20  # of a trajectory, if not given
 WANTED = 0.8  # of all proposals, accepted in an equilibration
-# of the time step there: Δt ← Δt exp(GAIN k^(−FORGETTING) (acceptance − WANTED))
-GAIN, FORGETTING = 2.0, 0.7
-MADE, ACCEPTED, CHANCES, WEIGHTS, SQUARES, RETRACED = range(6)  # places in the memory
+# of the time step there: Δt ← Δt exp(GAIN k^(−FORGETTING) (acceptance − WANTED)), k − 1 times turned round
+GAIN, FORGETTING = 1.0, 0.7
+FARTHEST = 1000.0  # times the first time step, for scenes that accept all
+MADE, ACCEPTED, CHANCES, WEIGHTS, SQUARES, CHECKED = range(6)  # places in the memory
 N_COUNTS = 6
 
 
@@ -33,14 +34,15 @@ class HybridMonteCarlo(LangevinBAOAB):
 
     One step of a simulation is one such proposal, decided: what is seen of it has the distribution of the ensemble, at
     any time step. A longer one lowers the acceptance, and no more. There is no dynamics: what correlates in time is
-    refused. All 3N degrees of freedom are thermal. In an equilibration the time step finds itself: 0.8 of all proposals
-    are accepted at its end. Later it stays.
+    refused. All 3N degrees of freedom are thermal. In an equilibration the time step finds itself, so that 0.8 of all
+    proposals are accepted. Later it stays.
 
     With precision="fixed-point" all this is *exact*: a trajectory is a one-to-one map of whole numbers, momenta come
     from the exact Gaussian distribution of whole numbers, and decisions are made by whole numbers: detailed balance,
     π_i P_ij = π_j P_ji, is an identity of integers. See docs/hybrid-monte-carlo.md. There are no rigid bonds then.
 
-    One proposal of a thousand is made, and undone, beforehand: see Report.
+    Once in a thousand proposals a trajectory is undone: see Report. In fixed point a run ends with RangeError where a
+    number leaves its range; in float64 atoms that leave for infinity are taken back.
 
     Parameters
     ----------
@@ -77,7 +79,9 @@ class HybridMonteCarlo(LangevinBAOAB):
         if friction is not None:
             checked_number("friction", friction, "positive and finite", SHORTEST)
         self.memory = np.zeros(N_COUNTS)
-        self._n_adapted = 0
+        self._first = self.timestep
+        self._n_turns = 0  # of the time step, from too long to too short and back
+        self._excess = 0.0
 
     @classmethod
     def with_relaxation_time(
@@ -115,15 +119,17 @@ class HybridMonteCarlo(LangevinBAOAB):
     def note(self, x: float, is_accepted: bool) -> None:
         """Count a proposal with x = ΔH/k_B T."""
         weight = exp(min(-x, 700.0)) if x < inf else 0.0
-        self.memory[:RETRACED] += 1.0, is_accepted, min(1.0, weight), weight, weight * weight
+        self.memory[:CHECKED] += 1.0, is_accepted, min(1.0, weight), weight, weight * weight
 
     def adapt(self) -> None:
         """See Splitting; the proposals so far are forgotten."""
         n_made, _, chances, *_ = self.memory
         if n_made:
-            self._n_adapted += 1
-            gain = GAIN * self._n_adapted**-FORGETTING
-            self.timestep *= exp(gain * (chances / n_made - WANTED))
+            excess = chances / n_made - WANTED
+            self._n_turns += excess * self._excess < 0.0
+            self._excess = excess
+            factor = exp(GAIN * (1 + self._n_turns) ** -FORGETTING * excess)
+            self.timestep = min(factor * self.timestep, FARTHEST * self._first)
         self.memory[:] = 0.0
 
     @property

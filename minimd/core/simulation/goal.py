@@ -6,6 +6,7 @@ P. W. Glynn, W. Whitt, Ann. Appl. Probab. 2, 180 (1992), on means at such times;
 12, 1799 (2016), on the equilibration.
 """
 
+import sys
 from collections.abc import Mapping, Sequence
 from math import ceil, exp, hypot, inf, log, nan, sqrt
 from time import monotonic
@@ -77,15 +78,21 @@ class Goal(Displayed):
         self._is_told = False
         self._logs: dict[str, tuple[float, float]] = {}
 
-    def check(self, record: Record) -> None:
-        """Raise ValueError for a name that is none of an observable, if there is no observer either."""
+    def check(self, observables: Mapping[str, Any]) -> None:
+        """Raise ValueError for a name that is none of an observable, nor of a number of a result; numbers of observers
+        that do not say before their first look what they have are checked later."""
+        names = [name for name, value in observables.items() if np.ndim(value) == 0]
+        numbers = [_numbers_of(observer) for observer in self._observers]
+        if not all(numbers):
+            return
+        self._refuse_other_than([*names, *(name for each in numbers for name in each)])
+
+    def _refuse_other_than(self, names: Sequence[str]) -> None:
         for name in self.until:
-            is_series = name in record and getattr(record, name).ndim == 1
-            if not is_series and not self._observers:
-                names = [name for name in record.names[2:] if getattr(record, name).ndim == 1]
+            if name not in names:
                 raise ValueError(
-                    f"until must name an observable, {', '.join(names)}, or a number of an observer's result; it names "
-                    f"{name!r}"
+                    "until must name an observable, or a number with an error of an observer's result: "
+                    f"{', '.join(names)}; it names {name!r}"
                 )
 
     def judge(self, record: Record, first: int, end: int) -> int | None:
@@ -112,7 +119,7 @@ class Goal(Displayed):
     def _progress(self, name: str, wanted: float, record: Record) -> Progress:
         """Of a quantity: the error that a mean has now, and the looks that it will need."""
         n = len(record)
-        if name in record:
+        if name in record.names[2:]:
             series = getattr(record, name)
             mean = float(series.mean())
             error, independent, v = windowed_error(series)
@@ -124,12 +131,7 @@ class Goal(Displayed):
             plain = n * (error / (wanted * mean)) ** 2 / (1.0 + 2.0 * v)
             return Progress(mean, error, 0.5 * (plain + sqrt(plain**2 + 8.0 * v * n * plain)))
         numbers = self._numbers()
-        if f"{name}_error" not in numbers:
-            known = [other for other in numbers if f"{other}_error" in numbers]
-            raise ValueError(
-                f"until must name an observable, or a number of an observer's result with an error: "
-                f"{', '.join(known) or 'none has one'}; it names {name!r}"
-            )
+        self._refuse_other_than([*record.names[2:], *_with_errors(numbers)])
         mean = float(numbers[name])
         error = float(numbers[f"{name}_error"])
         if not error > 0.0 or not np.isfinite(mean):
@@ -159,7 +161,7 @@ class Goal(Displayed):
         n = len(record)
         needed = float(n)
         start = 0
-        for name in ("potential_energy", "volume"):
+        for name in ("potential_energy", "kinetic_energy", "volume"):
             if name not in record:
                 continue
             series: Array = getattr(record, name)
@@ -223,6 +225,17 @@ class Goal(Displayed):
 
     def __repr__(self) -> str:
         return f"Goal({self.until or EQUILIBRATED!r}, {'reached' if self.is_reached else 'not reached'})"
+
+
+def _with_errors(numbers: Sequence[str] | Mapping[str, Any]) -> list[str]:
+    return [name for name in numbers if f"{name}_error" in numbers]
+
+
+def _numbers_of(observer: StoredObserver) -> list[str]:
+    """The numbers with an error that the results of an observer have; empty if its class does not say."""
+    kind = type(observer).result.__annotations__.get("return")  # type: ignore[attr-defined]
+    result = getattr(sys.modules[type(observer).__module__], str(kind), None)
+    return _with_errors(getattr(result, "coefficients", ()))
 
 
 def _part(progress: Progress) -> float:

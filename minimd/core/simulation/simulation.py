@@ -180,6 +180,7 @@ class Simulation(Closed, Displayed):
             guard.n_steps,
             self.record,
             self.reversibility,
+            self.goal,
         )
 
     def __repr__(self) -> str:
@@ -293,6 +294,8 @@ class Simulation(Closed, Displayed):
         # the crash file is written after all others are closed
         with self._running(engine.noise_shift), crash_file_left(place, guard, overwrite):
             guard.check_start()
+            if goal is not None:
+                goal.check(observe(engine).observables)
             with (
                 stop_on_signals(engine.surroundings, seconds),
                 open_trajectories(
@@ -318,8 +321,6 @@ class Simulation(Closed, Displayed):
                 attached.begin()
                 is_written = append and start % every != 0
                 self._observe([] if is_written else writers, attached)
-                if goal is not None:
-                    goal.check(self.record)
                 self._make_observed_steps(start, end, every, writers, attached, tell)
                 engine.leave()
         return self.record
@@ -560,10 +561,10 @@ def _copied(
     kind: type[Simulation], engine: Engine, seconds: float, n_steps: int, *results: Any
 ) -> Simulation:
     """The simulation that __reduce__ has described.
-    results : record, reversibility."""
+    results : record, reversibility, goal."""
     simulation = kind.__new__(kind)
     simulation._hold(copy.deepcopy(engine))
     simulation.guard.seconds = seconds
     simulation.guard.n_steps = n_steps
-    simulation.record, simulation.reversibility = copy.deepcopy(results)
+    simulation.record, simulation.reversibility, simulation.goal = copy.deepcopy(results)
     return simulation

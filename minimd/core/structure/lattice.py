@@ -40,6 +40,7 @@ CUBE = (1.0, 1.0, 1.0)
 # of a packing: fewest places tried at once, and how many times in a row none may be free
 TRIED = 200
 MOST_FAILURES = 500
+ROOMY = 10.0  # places tried at once, at most, in a cube of the distance
 
 
 def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tuple[Array, Array]:
@@ -159,6 +160,10 @@ def packing(
     ValueError : for numbers out of range, too many atoms, molecules in a plane, of several unit systems, with fixed
         atoms or with massless sites, edges that are shorter than a molecule, and if the molecules do not fit.
     """
+    if not isinstance(molecules, list | tuple):
+        raise TypeError(
+            f"molecules must be a list of a System and the number of its copies; got {shown(molecules)}"
+        )
     for k, pair in enumerate(molecules):
         _check_copied(f"molecules[{k}]", pair, molecules[0])
     n_atoms = sum(n * len(molecule) for molecule, n in molecules)
@@ -220,7 +225,8 @@ def _placed(
     n_left = n
     failures = 0
     while n_left and failures < MOST_FAILURES:
-        n_tried = max(TRIED, n_left)
+        room = ROOMY * edges.prod() / distance**3
+        n_tried = max(TRIED, int(min(n_left, room)))
         turns = Rotation.from_quat(rng.standard_normal((n_tried, 4))).as_matrix()
         tried = rng.uniform(0.0, edges, (n_tried, 1, 3)) + shape @ turns
         tree = cKDTree(_inside(atoms, edges), boxsize=edges)

@@ -143,5 +143,6 @@ def moves_of(name, grid):
 
 
 if __name__ == "__main__":
-    for scene in sys.argv[1:] or SCENES:
-        print(f"{Run(scene).hash}  {scene}", flush=True)
+    n_steps, *names = sys.argv[1:] or [STEPS]
+    for scene in names or SCENES:
+        print(f"{Run(scene, n_steps=int(n_steps)).hash}  {scene}", flush=True)

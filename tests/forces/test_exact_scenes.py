@@ -1,6 +1,7 @@
 """Fixed-point runs have the same bits on every processor and for atoms in any order: twelve scenes, two hashes each.
 
-`python tests/exact_scenes.py` prints the hashes, of the motion and of energies and pressures, kept in tests/data.
+`python tests/exact_scenes.py [STEPS [SCENE ...]]` prints the hashes, of the motion and of energies and pressures; those
+of 100 steps are kept in tests/data. release/same_bits.py compares them on several processors.
 """
 
 from pathlib import Path
@@ -24,8 +25,8 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 
 
 def hash_in_another_process(name, **environment):
-    printed = ended("-W", "ignore", str(Path(__file__).parents[1] / "exact_scenes.py"), name, **environment).stdout
-    return printed[:33]
+    script = str(Path(__file__).parents[1] / "exact_scenes.py")
+    return ended("-W", "ignore", script, "100", name, **environment).stdout[:33]
 
 
 @pytest.mark.parametrize("name", EACH)

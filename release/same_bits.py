@@ -28,7 +28,7 @@ TESTS = ROOT / "tests"
 KEPT = TESTS / "data" / "fixed_point_hashes.txt"
 KEPT_LONG = TESTS / "data" / "fixed_point_hashes_long.txt"  # the first line says of how many steps
 STEPS_OF_KEPT = 100
-FEATURES = {"avx512": "avx512f", "avx2": "avx2", "sse": "sse2"}  # of processors that have these vectors
+FEATURES = {"avx512": "avx512f", "avx2": "avx2", "sse-exact": "sse2"}  # of processors that have these vectors
 COMPILED = ("numpy", "scipy", "llvmlite", "numba")  # packages that are not pure Python
 SUITE, PYTHON = "bookworm", "3.11"  # a Debian and its Python
 

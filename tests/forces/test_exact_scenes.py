@@ -52,9 +52,15 @@ def test_vectors_of_four_and_eight_numbers_give_these_hashes(lanes, monkeypatch)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("environment", [{"MINIMD_VECTORS": "avx2"}, {"MINIMD_VECTORS": "sse"}, OTHER_LIBRARIES])
+@pytest.mark.parametrize("environment", [{"MINIMD_VECTORS": "avx2"}, {"MINIMD_VECTORS": "sse-exact"}, OTHER_LIBRARIES])
 def test_so_do_older_instructions_of_kernels_and_of_numpy_and_blas(environment):
     assert {name: hash_in_another_process(name, **environment) for name in SCENES} == HASHES
+
+
+def test_a_processor_that_rounds_twice_is_told(monkeypatch):
+    monkeypatch.setenv("MINIMD_VECTORS", "sse")
+    with pytest.warns(UserWarning, match="no fused multiply-add.*MINIMD_VECTORS=sse-exact"):
+        Run("melt", n_steps=2)
 
 
 def test_the_sum_of_terms_does_not_depend_on_their_order():

@@ -13,7 +13,7 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).parents[2]
 PACKAGE = REPOSITORY / "minimd"
-MOST_TOKENS, MOST_TOKENS_OF_CORE = 401_000, 226_800
+MOST_TOKENS, MOST_TOKENS_OF_CORE = 401_500, 227_200
 DENSEST_ROOM, DENSEST = 7.0, 6.2  # tokens on a line
 MOST_HIDDEN = 0.01  # statements more than `a, b, c = x, y, z` shows, of all statements
 MOST_LINES_OF_FACE = 300

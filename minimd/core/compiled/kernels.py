@@ -32,7 +32,7 @@ from numba.extending import overload
 
 from minimd.core.compiled import typing_memory
 from minimd.core.compiled.code_cache import FailedCompilations, KernelCache
-from minimd.core.compiled.machine import NEWEST, restrict_features
+from minimd.core.compiled.machine import chosen_vectors, restrict_features, rounds_once
 from minimd.core.compiled.terminal import tell
 
 
@@ -72,7 +72,7 @@ class PartCompiler(Compiler):
         )
 
 
-restrict_features(os.environ.get("MINIMD_VECTORS", NEWEST))
+restrict_features(chosen_vectors())
 typing_memory.remember()
 
 WORDS = rb"\w*kernels?|inlined|scalar|by_type|type_of"
@@ -87,7 +87,7 @@ def cache_folder() -> Path | None:
     """The folder for compiled code, one per state of the kernels' sources; None, where each process compiles anew.
     It lies in the first of $NUMBA_CACHE_DIR, the user's cache folder and the temporary folder that can be written, and
     that nobody else can change: what is in it will be executed. Warns of one that others can change."""
-    name = f"minimd-{_source_hash()}"
+    name = f"minimd-{_source_hash()}{'' if rounds_once() else '-twice'}"
     for base in _cache_bases():
         folder = Path(os.path.realpath(base / name))
         try:

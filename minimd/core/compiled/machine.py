@@ -81,10 +81,25 @@ WIDER = {
     "avx2": ("avx512", "avx10"),
     "sse": ("avx", "fma", "f16c", "vaes", "vpclmulqdq", "xop"),
 }
+EXACT = "sse-exact"  # the same, but with the bits of newer ones
+WIDER[EXACT] = WIDER["sse"]
+
+
+def chosen_vectors() -> str:
+    """What MINIMD_VECTORS says, or the newest."""
+    return os.environ.get("MINIMD_VECTORS", NEWEST)
+
+
+def rounds_once() -> bool:
+    """Whether kernels round a · b + c once: by an instruction that the processor has; with EXACT by a function of the C
+    library, which takes many times as long."""
+    features = llvm.get_host_cpu_features()
+    is_there = features.get("fma", platform.machine() not in ("x86_64", "AMD64"))
+    return chosen_vectors() == EXACT or (is_there and chosen_vectors() != "sse")
 
 
 def restrict_features(choice: str) -> None:
-    """Let Numba compile for the vectors of an older processor, avx512, avx2 or sse; only before anything is compiled.
+    """Let Numba compile for the vectors of an older processor, see WIDER; only before anything is compiled.
     Raises ValueError for another word."""
     if choice not in WIDER:
         raise ValueError(f"MINIMD_VECTORS must be one of {', '.join(WIDER)}; it is {choice!r}")

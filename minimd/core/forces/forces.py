@@ -19,6 +19,7 @@ from minimd.core.compiled.kernels import (
     announce_compilation,
     kernel,
 )
+from minimd.core.compiled.machine import rounds_once
 from minimd.core.compiled.program import (
     Operation,
     Program,
@@ -191,8 +192,14 @@ class Forces:
             )
 
     def warn_of_potentials(self) -> None:
-        """Warn of charges that no potential uses, unless one of a user's own may use them; and of a field whose force
-        is another one a lattice vector away, unless a slab has only empty space there."""
+        """Warn of charges that no potential uses, unless one of a user's own may use them; of a field whose force is
+        another one a lattice vector away, unless a slab has only empty space there; and of fixed-point runs with bits
+        of their own."""
+        if self.options.precision == FIXED_POINT and not rounds_once():
+            warn(
+                "this processor has no fused multiply-add: fixed-point runs have other bits than on those that have "
+                "it; MINIMD_VECTORS=sse-exact gives the same bits, many times more slowly"
+            )
         for axis in self.changing_along():
             warn(
                 f"the cell is periodic along {'abc'[axis]}, but the field is not: an atom and its image feel "

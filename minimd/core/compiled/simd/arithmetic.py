@@ -8,6 +8,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from minimd.core.compiled.kernels import in_kernels, scalar
+from minimd.core.compiled.machine import rounds_once
 from minimd.core.compiled.simd.vector import (
     Vector,
     broadcast,
@@ -64,13 +65,12 @@ _floor = _function("floor")
 @intrinsic
 def _multiply_add(_context, a, b, c):
     suffix = a.suffix if isinstance(a, Vector) else f"f{a.bitwidth}"
-    function = f"llvm.fma.{suffix}"
+    function = f"llvm.{'fma' if rounds_once() else 'fmuladd'}.{suffix}"
     return a(a, b, c), emitting(lambda builder, *abc: call(builder, function, abc[0].type, abc))
 
 
 def fma(a, b, c):
-    """a · b + c of numbers, or of vectors (b and c may be numbers), rounded once in kernels: where the processor cannot
-    do it, by a function of the C library."""
+    """a · b + c of numbers, or of vectors (b and c may be numbers), rounded once in kernels, see rounds_once."""
     return a * b + c
 
 

@@ -124,7 +124,7 @@ def main(arguments: argparse.Namespace) -> None:
     print(f"all hashes are equal, of {len(hashes)} scenes after {n_steps} steps")
     if arguments.write:
         kept |= {scene: digests for scene, (digests,) in hashes.items()}
-        lines = [f"{digests}  {scene}" for scene, digests in kept.items()]
+        lines = [f"{kept[scene]}  {scene}" for scene in kept_hashes(STEPS_OF_KEPT) if scene in kept]
         KEPT_LONG.write_text("\n".join([f"{n_steps} steps", *lines, ""]), encoding="utf-8")
 
 

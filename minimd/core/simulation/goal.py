@@ -28,10 +28,8 @@ FIRST = 100  # looks before the first judgment
 GROWTH = 1.1  # of the run from one judgment to the next, at least; and TWICE at most
 TWICE = 2.0
 INDEPENDENT = 50.0  # looks that a run must have
-EARLY = (
-    0.1  # of the run that is allowed: then it is known whether that will do, or else in the MIDDLE
-)
-MIDDLE = 0.5
+# parts of the run that is allowed, after which it is told that this will not do: where the length is known, and not
+EARLY, MIDDLE = 0.1, 0.5
 LAST_PART = 2.0 / 3.0  # of the looks at an equilibration, which must be equilibrated
 STARTS = 20  # places where equilibration may have ended, that are compared
 UNLIMITED = 10**15

@@ -93,7 +93,7 @@ def places_reached(to):
     return len(seen)
 
 
-@pytest.mark.parametrize(("size", "most"), [(6, 2), pytest.param(16, 7, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("size", "most"), [(5, 2), pytest.param(16, 7, marks=pytest.mark.slow)])
 def test_detailed_balance_is_an_identity_of_whole_numbers(size, most):
     """All states of two atoms: every trajectory is undone by itself, and H is a rational number."""
     to, levels = survey(size, most)
@@ -244,9 +244,9 @@ def test_volumes_are_accepted_by_the_isothermal_isobaric_ensemble():
 @pytest.mark.parametrize("precision", ["double", "fixed-point"])
 def test_threads_and_skins_change_no_bit_of_a_chain(precision):
     """Of floating point, threads; of fixed point also the lists."""
-    skins = [None, 0.1, None] if precision == "fixed-point" else [None, None]
+    skins = [None, 0.1 if precision == "fixed-point" else None]
     ends = []
-    for threads, skin in zip((1, 2, 3), skins, strict=False):
+    for threads, skin in zip((1, 3), skins, strict=False):
         method = md.HybridMonteCarlo(0.02, T, 3, n_steps=3, friction=1.0)
         sim = SCENES["argon"]().simulation(method, threads=threads, skin=skin, precision=precision)
         sim.make_steps(40)

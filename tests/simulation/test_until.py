@@ -61,7 +61,7 @@ def test_the_error_of_a_window_is_that_of_the_correlations():
     assert windowed_error(np.full(50, 3.0)) == (0.0, 50.0, 0.0)
 
 
-@pytest.mark.parametrize(("time", "wanted"), [(2.0, 0.1), (1.0, 0.015)])
+@pytest.mark.parametrize(("time", "wanted"), [(2.0, 0.1), pytest.param(1.0, 0.015, marks=pytest.mark.slow)])
 def test_bars_at_the_end_of_a_run_cover(time, wanted):
     """An estimate that ends a run when it happens to be small would cover in 91 of 100."""
     rng = np.random.default_rng(3)

@@ -28,12 +28,12 @@ def soft(r2, a, b):
     return a * c**3 - b * c, 2.0 * (3.0 * a * c**4 - b * c**2)
 
 
-def two_atoms(size, spacing=0.5, timestep=1.0, n_steps=3, friction=None):
+def two_atoms(size, spacing=0.5, timestep=1.0, n_steps=3):
     """Masses 2 and 3 on a line of few places, where half of all displacements lie between two of them."""
     law = md.PairPotential(soft, (6.0, 4.0), cutoff=0.45 * size * spacing, truncation="truncated")
     system = md.System([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]], cell=[size * spacing] * 3, masses=[2.0, 3.0])
     grid = md.Grid(length=spacing, momentum=0.5, energy=2.0**-3)
-    method = md.HybridMonteCarlo(timestep, 2.0, 1, n_steps, friction)
+    method = md.HybridMonteCarlo(timestep, 2.0, 1, n_steps)
     return md.Simulation(system, law, method, precision="fixed-point", grid=grid, threads=1)
 
 

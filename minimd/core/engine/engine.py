@@ -242,7 +242,7 @@ class Engine:
         given = self.reservoir_energy
         proposals.begin(number, potential)
         if number % CHECKED_EVERY == 0:
-            proposals.retrace(self._trajectory, evaluated)
+            proposals.audit(self._trajectory, evaluated)
             self._state.forces_are_current = False
         end = self._trajectory()
         if end is None:

@@ -134,7 +134,7 @@ class Proposals:
             return happens(x, words)
         return x <= 0.0 or (words() >> 11) * UNIT < exp(-x)
 
-    def retrace(self, go: Callable[[], float | None], evaluated: Callable[[], ForceResult]) -> None:
+    def audit(self, go: Callable[[], float | None], evaluated: Callable[[], ForceResult]) -> None:
         """Check what balance rests on. Forces computed twice must agree. In fixed point, and with rigid bonds, a
         trajectory is made, and undone, and must come back, in fixed point to the last bit; there the energy must stay
         the same if each atom is moved by lattice vectors.

@@ -1,7 +1,7 @@
 """Hybrid Monte Carlo: trajectories of velocity Verlet, accepted or taken back, so that the time step makes no error."""
 
 from math import exp, inf
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -82,19 +82,6 @@ class HybridMonteCarlo(LangevinBAOAB):
         self._first = self.timestep
         self._n_turns = 0  # of the time step, from too long to too short and back
         self._excess = 0.0
-
-    @classmethod
-    def with_relaxation_time(
-        cls,
-        timestep: float,
-        temperature: Level,
-        relaxation_time: float,
-        seed: int,
-        n_steps: int = N_STEPS,
-    ) -> Self:
-        """See Thermostat; γ = 1/τ."""
-        tau = checked_number("relaxation_time", relaxation_time, "positive and finite", SHORTEST)
-        return cls(timestep, temperature, seed, n_steps, 1.0 / tau)
 
     @property
     def duration(self) -> float:

@@ -1,7 +1,6 @@
 """Multiple time steps: forces of bonds, angles and dihedrals in inner steps, all others by kicks around them."""
 
 from math import nan
-from typing import Self
 
 from minimd.core.integrators.method import ClassProperty, Problem, Step
 from minimd.core.integrators.ramp import Level
@@ -9,7 +8,7 @@ from minimd.core.integrators.rows import VelocityVerlet
 from minimd.core.integrators.splitting import Splitting
 from minimd.core.integrators.substeps import BondedKick, Kick, Substeps, merged, scaled
 from minimd.core.integrators.thermostats import LangevinBAOAB
-from minimd.core.structure.checks import SHORTEST, checked_count, checked_number
+from minimd.core.structure.checks import checked_count
 
 __all__ = ["RESPA", "LangevinRESPA"]
 
@@ -97,16 +96,3 @@ class LangevinRESPA(LangevinBAOAB):
     ) -> None:
         super().__init__(timestep, temperature, friction, seed)
         self.inner = checked_count("inner", inner, 1, MOST_INNER + 1)
-
-    @classmethod
-    def with_relaxation_time(
-        cls,
-        timestep: float,
-        temperature: Level,
-        relaxation_time: float,
-        seed: int,
-        inner: int = INNER,
-    ) -> Self:
-        """See LangevinBAOAB."""
-        tau = checked_number("relaxation_time", relaxation_time, "positive and finite", SHORTEST)
-        return cls(timestep, temperature, 1.0 / tau, seed, inner)

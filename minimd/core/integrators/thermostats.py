@@ -11,7 +11,7 @@ from collections import namedtuple
 from collections.abc import Iterator
 from functools import partial
 from math import exp, sqrt
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -198,11 +198,16 @@ class LangevinBAOAB(Thermostat):
 
     @classmethod
     def with_relaxation_time(
-        cls, timestep: float, temperature: Level, relaxation_time: float, seed: int
+        cls,
+        timestep: float,
+        temperature: Level,
+        relaxation_time: float,
+        seed: int,
+        **more: Any,
     ) -> Self:
         """See Thermostat; γ = 1/τ."""
         tau = checked_number("relaxation_time", relaxation_time, "positive and finite", SHORTEST)
-        return cls(timestep, temperature, 1.0 / tau, seed)
+        return cls(timestep, temperature, friction=1.0 / tau, seed=seed, **more)
 
     def kept_and_lost(self, duration: float) -> tuple[float, float]:
         """The part of a velocity that is left after a duration, e^(−γΔt), and that of its variance that is new."""

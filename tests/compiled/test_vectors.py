@@ -14,6 +14,7 @@ from references import liquid
 from wrong_calls import assert_answered
 
 import minimd as md
+from minimd.core.compiled.fixed_point import BIAS, biased_product
 from minimd.core.compiled.kernels import kernel, scalar
 from minimd.core.compiled.machine import restrict_features
 from minimd.core.compiled.simd import bits_from_mask, broadcast, fma, lane, load, select, store, total, with_lane
@@ -169,6 +170,24 @@ def test_masks_lanes_and_sums_and_a_multiply_add_that_rounds_once(kind):
     assert changed == pytest.approx(a.sum() - a[2] + 100.0, rel=1e-5)
     looked_into(np.full(8, 1 + small), out)
     assert np.array_equal(out[8:], np.full(8, 2 * small + small * small))
+
+
+@kernel
+def rounded_products(a, b, wholes):
+    for k in range(len(a)):
+        wholes[k] = biased_product(a[k], b[k]) - BIAS
+    products = biased_product(load(a, 0, 4), load(b, 0, 4)) - BIAS
+    for k in range(4):
+        wholes[4 + k] = lane(products, k)
+
+
+def test_a_product_on_the_grid_is_rounded_once():
+    """2²⁵ + ½ + 2⁻²⁹ is nearer to 2²⁵ + 1; rounded to float64 first, it is as near to 2²⁵, which is even."""
+    a = np.array([1.0, -1.0, 1.0, 3.0]) * [2**27 + 1, 2**27 + 1, 2**27, 0.5]
+    b = np.array([2**27 + 1, 2**27 + 1, 2**27 + 1, 2**29 * 5.0]) * 2.0**-29
+    wholes = np.zeros(8, np.int64)
+    rounded_products(a, b, wholes)
+    assert [*wholes] == 2 * [2**25 + 1, -(2**25) - 1, 2**25, 8]
 
 
 @pytest.mark.slow  # compiles the kernels of both widths; those of this processor are compared with pairs in test_lists

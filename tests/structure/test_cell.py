@@ -52,6 +52,14 @@ def test_reduced_lattice_is_the_same_lattice_with_shorter_vectors(cell):
     assert np.allclose(open_rows @ cell.lattice[pbc].T, 0.0)
 
 
+def test_a_cell_of_nearly_parallel_vectors_is_reduced_at_once():
+    """The longest vector is reduced by combinations of shorter ones that are reduced themselves: not ten million times
+    by the difference of two that are nearly parallel."""
+    cell = Cell.of(10.0 * np.array([[1.0, 0.0, 0.0], [1.0, 1e-7, 0.0], [0.3, 1.0, 1.0]]))
+    assert np.allclose(cell.reduction @ cell.vectors, cell.lattice)
+    assert np.allclose(np.sort(np.linalg.norm(cell.lattice, axis=1)), [1e-6, 10.0, 10.0 * 1.09**0.5])
+
+
 @given(cells(), st.integers(0, 2**32 - 1))
 def test_minimum_image_is_the_shortest_of_all(cell, seed):
     vector, translations = np.random.default_rng(seed).normal(size=3) * 3.0, np.zeros((1, 3))

@@ -2,7 +2,7 @@
 
 from collections import namedtuple
 from dataclasses import dataclass, field
-from itertools import compress
+from itertools import compress, product
 from math import sqrt
 from typing import Any, Self
 
@@ -441,20 +441,21 @@ def _reduced(vectors: Array, pbc: NDArray[np.bool_]) -> tuple[Array, Indices]:
 
 def _shorten(steps: Indices, rows: Array) -> bool:
     """Replace one vector of steps @ rows by a shorter one of the same lattice; False if there is none.
-    Candidates: the vector plus multiples of the others, once the rounded projection (Gauss), then all of −1, 0, 1
-    (Minkowski's conditions)."""
+    From the second shortest on, each vector is compared with itself minus the nearest combinations of all that are
+    shorter (Semaev, in CaLC 2001, LNCS 2146, p. 181): their number grows as the logarithm of what is skewed."""
     current = steps @ rows
     length2 = (current**2).sum(axis=1)
-    for i in np.argsort(-length2).tolist():
-        near = [steps[i].copy()]
-        gauss = []
-        for j in range(len(steps)):
-            if j != i:
-                projection = int(np.rint(current[i] @ current[j] / length2[j]))
-                gauss.append(steps[i] - projection * steps[j])
-                near = [step + a * steps[j] for step in near for a in (-1, 0, 1)]
-        for candidate in gauss + near:
-            if ((candidate @ rows) ** 2).sum() < SHORTER * length2[i]:
-                steps[i] = candidate
-                return True
+    order = np.argsort(length2, kind="stable")
+    for k in range(1, len(order)):
+        shorter = order[:k]
+        vector = order[k]
+        coefficients, *_ = np.linalg.lstsq(current[shorter].T, current[vector])
+        nearest = np.rint(coefficients).astype(np.int64)
+        around = nearest + np.array([*product((0, -1, 1), repeat=k)])
+        candidates = steps[vector] - around @ steps[shorter]
+        candidate2 = ((candidates @ rows) ** 2).sum(axis=1)
+        best = int(np.argmin(candidate2))
+        if candidate2[best] < SHORTER * length2[vector]:
+            steps[vector] = candidates[best]
+            return True
     return False

@@ -30,6 +30,7 @@ P = 0.002  # eV/Å³
 RATE = 0.02 / fs
 LANGEVIN = T | {"friction": RATE}
 LOAD = T | {"pressure": P}
+SHORT = {"runs": 24, "steps": 1500}
 # engine: its module and distribution; class of the dynamics (of its own with ASE's interface, or of engines.py),
 # options
 LEAGUE = {
@@ -86,14 +87,14 @@ LEAGUE = {
     "TorchSim": ("torch_sim", "torch-sim-atomistic", [
         ("TorchSim", {"integrator": "nve"}),
         ("TorchSim", {"integrator": "nvt_langevin", "gamma": RATE} | T),
-        ("TorchSim", {"integrator": "nvt_nose_hoover", "start": {"tau": 50 * fs}, "steps": 1000} | T),
-        ("TorchSim", {"integrator": "nvt_vrescale", "tau": 50 * fs} | T),
+        ("TorchSim", {"integrator": "nvt_vrescale", "tau": 50 * fs, "steps": 2000} | T),
+        ("TorchSim", {"integrator": "nvt_nose_hoover", "start": {"tau": 50 * fs}, "steps": 600} | T),
         ("TorchSim", {"integrator": "npt_langevin_isotropic",
-                      "start": {"alpha": RATE, "cell_alpha": RATE, "b_tau": 100 * fs}, "steps": 3000} | LOAD),
-        ("TorchSim", {"integrator": "npt_nose_hoover_isotropic",
-                      "start": {"t_tau": 50 * fs, "b_tau": 100 * fs}, "steps": 2000} | LOAD),
+                      "start": {"alpha": RATE, "cell_alpha": RATE, "b_tau": 100 * fs}} | SHORT | LOAD),
         ("TorchSim", {"integrator": "npt_crescale_isotropic", "tau": 50 * fs,
-                      "start": {"tau_p": 100 * fs, "isothermal_compressibility": 1.0 / P}, "steps": 3000} | LOAD),
+                      "start": {"tau_p": 100 * fs, "isothermal_compressibility": 1.0 / P}} | SHORT | LOAD),
+        ("TorchSim", {"integrator": "npt_nose_hoover_isotropic",
+                      "start": {"t_tau": 50 * fs, "b_tau": 100 * fs}} | SHORT | LOAD),
     ]),
     "TorchMD": ("torchmd", "torchmd", [("TorchMD", {}), ("TorchMD", LANGEVIN)]),
     "hippynn": ("hippynn", "hippynn", [
@@ -103,9 +104,9 @@ LEAGUE = {
     ]),
     "nvalchemi": ("nvalchemi", "nvalchemi-toolkit", [
         ("NVAlchemi", {"integrator": "NVE"}),
-        ("NVAlchemi", {"integrator": "NVTLangevin"} | LANGEVIN),
-        ("NVAlchemi", {"integrator": "NVTNoseHoover", "thermostat_time": 50.0} | T),
-        ("NVAlchemi", {"integrator": "NPT", "thermostat_time": 50.0, "barostat_time": 100.0, "steps": 2000} | LOAD),
+        ("NVAlchemi", {"integrator": "NVTLangevin", "steps": 2000} | LANGEVIN),
+        ("NVAlchemi", {"integrator": "NVTNoseHoover", "thermostat_time": 50.0, "steps": 2000} | T),
+        ("NVAlchemi", {"integrator": "NPT", "thermostat_time": 50.0, "barostat_time": 100.0} | SHORT | LOAD),
     ]),
     "i-PI": ("ipi", "ipi", [
         ("IPI", {"dynamics": "<dynamics mode='nve'></dynamics>"}),

@@ -121,7 +121,7 @@ LEAGUE = {
     ]),
     "ASAP": ("asap3", "asap3", [
         ("asap3.md.verlet.VelocityVerlet", {}),
-        ("asap3.md.langevin.Langevin", LANGEVIN),
+        ("asap3.md.langevin.Langevin_Fast", LANGEVIN),
         ("asap3.md.bussi.Bussi", T | {"taut": 50 * fs}),
         ("asap3.md.nose_hoover_chain.NoseHooverChainNVT", T | {"tdamp": 50 * fs}),
     ]),

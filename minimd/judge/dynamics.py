@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from inspect import Parameter, isclass, signature
+from inspect import Parameter, signature
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -424,8 +424,7 @@ def maker(dynamics: Any, timestep: float, options: dict[str, Any]) -> Make:
             f"({', '.join(parameters)})"
         )
 
-    takes_all = has_any_name and isclass(dynamics)
-    taken = {name: value for name, value in options.items() if takes_all or name in parameters}
+    taken = {name: value for name, value in options.items() if has_any_name or name in parameters}
     left = [name for name in options if name not in (*taken, "temperature_K", "pressure")]
     if left:
         raise ValueError(f"{shown(dynamics)} takes {', '.join(parameters)}; got {', '.join(left)}")

@@ -163,6 +163,10 @@ class Named(VelocityVerlet):
         super().__init__(**kwargs)
 
 
+def chosen(atoms, *args, **kwargs):
+    return (LangevinBAOAB if "T_tau" in kwargs else VelocityVerlet)(atoms, *args, **kwargs)
+
+
 class Default(VelocityVerlet):
     def __init__(self, system=None, dt=fs):
         super().__init__(system, dt)
@@ -178,11 +182,16 @@ class Runless:
         self.args = args
 
 
-@pytest.mark.parametrize("dynamics", [Starred, Named, Default])
+@pytest.mark.parametrize("dynamics", [Starred, Named, Default, chosen])
 def test_a_class_is_judged_however_it_takes_atoms_and_time_step(dynamics):
     grade, known = md.grade(dynamics, steps=100), md.grade(VelocityVerlet, steps=100)
     assert grade.passed, str(grade)
     assert [law.value for law in grade] == [law.value for law in known]
+
+
+def test_a_function_that_takes_any_name_gets_all_options():
+    grade = md.grade(chosen, temperature_K=300.0, T_tau=50 * fs, runs=6, steps=40)
+    assert grade.function.startswith("chosen(temperature_K, T_tau): NVT")
 
 
 def test_a_conserved_energy_is_judged_where_one_is_offered():

@@ -324,6 +324,14 @@ def test_forces_that_are_no_function_of_the_positions_end_the_run():
         sim.make_steps(1)
 
 
+@pytest.mark.parametrize(("timestep", "verdict"), [(0.2, "as theory says"), (1.9, "few are accepted")])
+def test_the_report_tells_whether_few_are_accepted(timestep, verdict):
+    system = md.System(np.zeros((100, 3)))
+    sim = md.Simulation(system, md.Restraint(1.0, np.zeros((100, 3))), md.HybridMonteCarlo(timestep, T, 3), threads=1)
+    sim.run(50, every=1, progress=False)
+    assert verdict in str(sim.report())
+
+
 def test_a_trajectory_to_infinity_is_not_accepted():
     sim = SCENES["argon"]().simulation(md.HybridMonteCarlo(0.3, T, 3), threads=1)
     before = sim.positions.copy()

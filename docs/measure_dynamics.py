@@ -144,6 +144,8 @@ def shown(name, value):
 def named(name, options):
     """The dynamics and its options, as the table has them."""
     method = next((options[key] for key in NAMES if key in options), name.rpartition(".")[2])
+    if name == "TorchMD":
+        method = "Integrator"  # its only one
     if "fixes" in options:
         method = "`, `".join(f"fix {fix}" for fix in method)
     if "dynamics" in options:

@@ -1,7 +1,8 @@
 """nvalchemi: NPT, isotropic, gives its barostat three times the temperature, so that the volume fluctuates too much.
 
-All three diagonal elements of the strain rate are equal, one degree of freedom, but its thermostat counts three
-(_cell_dof_count). An ideal gas of N atoms has p(V) ∝ V^N exp(−PV/kT), for which the variance of ln V is ψ′(N + 1).
+All three diagonal elements of the strain rate are equal: one degree of freedom. Its thermostat counts three of them
+(_cell_dof_count). An ideal gas of N atoms has p(V) ∝ V^N exp(−PV/kT), for which the variance of ln V is ψ′(N + 1); 200
+of them start from exact samples.
 Cure: one degree of freedom for pressure_coupling="isotropic"; npt_thermostat_half_step multiplies its count by 3."""
 
 import numpy as np
@@ -13,8 +14,10 @@ from nvalchemi.dynamics import NPT
 from nvalchemi.models.base import BaseModelMixin, ModelConfig
 from scipy.special import polygamma
 
-N, T, VOLUME, STEPS = 8, 300.0, 1000.0, 20_000
+N, SYSTEMS, T, PRESSURE = 8, 200, 300.0, 2e-4  # eV/Å³
+EQUILIBRATION, STEPS, EVERY = 1000, 2000, 20  # of 4 fs
 NAMES = {"energy", "forces", "stress"}
+rng = np.random.default_rng(1)
 
 
 class IdealGas(torch.nn.Module, BaseModelMixin):
@@ -29,25 +32,33 @@ class IdealGas(torch.nn.Module, BaseModelMixin):
 
     def forward(self, data):
         """Zeros."""
-        forces = torch.zeros_like(data.positions)
-        return {"energy": forces[:1, :1], "forces": forces, "stress": torch.zeros_like(data.cell)}
+        return {
+            "energy": torch.zeros((SYSTEMS, 1), dtype=torch.float64),
+            "forces": torch.zeros_like(data.positions),
+            "stress": torch.zeros_like(data.cell),
+        }
 
 
-rng = np.random.default_rng(1)
-atoms = Atoms(f"Ar{N}", rng.uniform(0.0, 10.0, (N, 3)), cell=[VOLUME ** (1 / 3)] * 3, pbc=True)
-momenta = rng.normal(size=(N, 3)) * np.sqrt(kB * T * atoms.get_masses())[:, None]
-atoms.set_momenta(momenta - momenta.mean(axis=0))
-data = AtomicData.from_atoms(atoms, dtype=torch.float64)
-data.velocities = torch.tensor(atoms.get_velocities())
-data.forces = torch.zeros_like(data.velocities)
-batch = Batch.from_data_list([data])
-pressure = (N + 1) * kB * T / VOLUME
-dynamics = NPT(IdealGas(), 4.0, T, pressure, barostat_time=100.0, thermostat_time=50.0)
+def sample():
+    """A gas with its center of mass at rest, of a volume and momenta from the ensemble."""
+    edge = (rng.gamma(N + 1) * kB * T / PRESSURE) ** (1 / 3)
+    atoms = Atoms(f"Ar{N}", rng.uniform(0.0, edge, (N, 3)), cell=[edge] * 3, pbc=True)
+    momenta = rng.normal(size=(N, 3)) * np.sqrt(kB * T * atoms.get_masses())[:, None]
+    atoms.set_momenta(momenta - momenta.mean(axis=0))
+    data = AtomicData.from_atoms(atoms, dtype=torch.float64)
+    data.velocities = torch.tensor(atoms.get_velocities())
+    data.forces = torch.zeros_like(data.velocities)
+    return data
+
+
+batch = Batch.from_data_list([sample() for _ in range(SYSTEMS)])
+dynamics = NPT(IdealGas(), 4.0, T, PRESSURE, barostat_time=100.0, thermostat_time=50.0)
+dynamics.run(batch, EQUILIBRATION)
 logs = []
-for _ in range(STEPS):
-    dynamics.run(batch, 1)
-    logs.append(float(torch.log(torch.linalg.det(batch.cell[0]))))
-logs = np.array(logs[STEPS // 10 :])
-blocks = [block.var() for block in np.array_split(logs, 5)]
-error = np.std(blocks, ddof=1) / len(blocks) ** 0.5
-print(f"variance of ln V: {logs.var():.3f} ± {error:.3f}; right: {polygamma(1, N + 1):.3f}")
+for _ in range(STEPS // EVERY):
+    dynamics.run(batch, EVERY)
+    logs.append(torch.linalg.det(batch.cell).log().numpy())
+squares = (np.array(logs) - np.mean(logs)) ** 2
+variances = squares.mean(axis=0)  # of each system
+error = variances.std(ddof=1) / SYSTEMS**0.5
+print(f"variance of ln V: {variances.mean():.4f} ± {error:.4f}; right: {polygamma(1, N + 1):.4f}")

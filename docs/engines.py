@@ -45,7 +45,8 @@ def openmm_system(atoms):
 
 
 class OpenMM:
-    """OpenMM.  integrator : the name of a class of (temperature, friction, time step), or of the time step alone."""
+    """OpenMM.  integrator : the name of a class of (temperature, friction, time step), or of the time step alone; one
+    of openmmtools' chains takes the System before them."""
 
     def __init__(self, atoms, timestep, integrator, temperature_K=None, friction=0.0, rng=np.random, module="openmm"):
         import openmm as mm
@@ -55,7 +56,8 @@ class OpenMM:
         bath = () if temperature_K is None else (temperature_K * kelvin, PS * friction / ps)
         bath = (system, *bath) if integrator.startswith("NoseHooverChain") else bath
         self.stepper = getattr(import_module(module), integrator)(*bath, timestep / PS * ps)
-        getattr(self.stepper, "setRandomNumberSeed", int)(seed_from(rng))
+        if hasattr(self.stepper, "setRandomNumberSeed"):
+            self.stepper.setRandomNumberSeed(seed_from(rng))
         self.context = mm.Context(system, self.stepper, mm.Platform.getPlatformByName("Reference"))
         self.context.setPositions(0.1 * atoms.positions)
         self.context.setVelocities(0.1 * PS * atoms.get_velocities())
@@ -107,7 +109,7 @@ class Lammps:
 
 
 @cache
-def jax_md(springs, simulator, **options):
+def jax_functions(springs, simulator, **options):
     """The two functions of a simulator of JAX MD, for the bonds of a calculator."""
     import jax
     from jax_md import simulate
@@ -128,7 +130,7 @@ class JaxMD:
 
     def __init__(self, atoms, timestep, simulator, temperature_K=None, rng=np.random, **options):
         kt = {} if temperature_K is None else {"kT": units.kB * temperature_K}
-        start, self.advance = jax_md(atoms.calc, simulator, dt=timestep, **kt, **options)
+        start, self.advance = jax_functions(atoms.calc, simulator, dt=timestep, **kt, **options)
         from jax.random import PRNGKey
 
         self.atoms, more = atoms, {} if kt else {"kT": 1.0}
@@ -268,7 +270,7 @@ def nvalchemi_model(springs):
 
 
 class NVAlchemi:
-    """NVIDIA's ALCHEMI toolkit.  integrator : a class of nvalchemi.dynamics, of which `options` are arguments [fs]."""
+    """NVIDIA's ALCHEMI toolkit.  integrator : a class of nvalchemi.dynamics; options : of it, in ASE's units."""
 
     def __init__(self, atoms, timestep, integrator, rng=np.random, temperature_K=None, **options):
         import torch
@@ -281,6 +283,7 @@ class NVAlchemi:
         self.batch = Batch.from_data_list([data])
         if temperature_K is not None:
             options["temperature"] = temperature_K
+        options |= {name: time / FS for name, time in options.items() if name.endswith("_time")}
         if "friction" in options:
             options |= {"friction": FS * options["friction"], "random_seed": seed_from(rng)}
         self.dynamics = getattr(dynamics, integrator)(nvalchemi_model(atoms.calc), timestep / FS, **options)
@@ -293,9 +296,10 @@ class NVAlchemi:
 
 
 class IPI:
-    """i-PI.  dynamics : XML of its dynamics, such as "<dynamics mode='nve'/>"."""
+    """i-PI.  dynamics : XML of its dynamics, such as "<dynamics mode='nve'></dynamics>".
+    fixcom : whether i-PI keeps the center of mass at rest, its own default."""
 
-    def __init__(self, atoms, timestep, dynamics, temperature_K=300.0, rng=np.random):
+    def __init__(self, atoms, timestep, dynamics, fixcom=True, temperature_K=300.0, rng=np.random):
         from ipi import scripting
         from ipi.utils.units import unit_to_internal
 
@@ -307,11 +311,11 @@ class IPI:
         self.length, self.momentum, energy, mass = (unit_to_internal(name, "ase", 1.0) for name in names)
         self.atoms, springs = atoms, scripting.forcefield_xml("springs", pes="dummy")
         dynamics = dynamics.replace(">", f"> <timestep units='ase'> {timestep} </timestep>", 1)
-        motion = f"<motion mode='dynamics'> <fixcom> False </fixcom> {dynamics} </motion>"
-        kt = units.kB * temperature_K
-        xml = scripting.simulation_xml(atoms, springs, motion, kt, output="<output></output>")
+        motion = f"<motion mode='dynamics'> <fixcom> {fixcom} </fixcom> {dynamics} </motion>"
+        xml = scripting.simulation_xml(atoms, springs, motion, temperature_K, output="<output></output>")
         xml = xml.replace("<system>", f"<prng> <seed> {seed_from(rng)} </seed> </prng> <system>", 1)
         self.simulation = scripting.InteractiveSimulation(xml)
+        self.simulation.chk.stride = 2**62  # it writes no RESTART
         self.simulation.fflist["springs"].driver.compute_structure = compute
         self.beads = self.simulation.syslist[0].beads
         self.beads.m[:] = mass * atoms.get_masses()
@@ -326,7 +330,7 @@ class IPI:
 class PySCF:
     """PySCF.  integrator : a class of pyscf.md.integrators."""
 
-    def __init__(self, atoms, timestep, integrator, temperature_K=None, taut=0.0, rng=None):
+    def __init__(self, atoms, timestep, integrator, temperature_K=None, taut=0.0):
         from pyscf import gto, lib
         from pyscf.md import integrators
 
@@ -340,13 +344,15 @@ class PySCF:
                 atoms.positions[:] = mol.atom_coords() * units.Bohr
                 return atoms.get_potential_energy() / units.Ha, -atoms.get_forces() / units.Ha * units.Bohr
 
-        second, masses = units._aut * units.s, atoms.get_masses() * units._amu / units._me
-        own = {"_masses": property(lambda _: masses, lambda *_: None)}  # for those of the elements
-        bath = {"T": temperature_K, "taut": taut / second} if taut else {}
+        atomic_time = units._aut * units.s
+        masses = atoms.get_masses() * units._amu / units._me
+        own = {"_masses": property(lambda _: masses, lambda *_: None)}  # instead of those of the elements
+        bath = {"T": temperature_K, "taut": taut / atomic_time} if taut else {}
         integrator = type(integrator, (getattr(integrators, integrator),), own)
-        self.dynamics = integrator(Scanner(), dt=timestep / second, **bath)
-        self.atoms, self.unit = atoms, units.Bohr / second
-        self.dynamics.kernel(veloc=atoms.get_velocities() / self.unit, steps=1)  # moves nothing
+        self.dynamics = integrator(Scanner(), dt=timestep / atomic_time, **bath)
+        self.atoms = atoms
+        self.unit = units.Bohr / atomic_time
+        self.dynamics.kernel(veloc=atoms.get_velocities() / self.unit, steps=1)  # the first only computes forces
 
     def run(self, steps):  # noqa: D102
         self.dynamics.kernel(steps=steps)

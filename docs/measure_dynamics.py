@@ -81,7 +81,7 @@ LEAGUE = {
         ("JaxMD", {"simulator": "nve"}),
         ("JaxMD", {"simulator": "nvt_langevin", "gamma": RATE} | T),
         ("JaxMD", {"simulator": "nvt_nose_hoover", "tau": 50 * fs} | T),
-        ("JaxMD", {"simulator": "temp_csvr", "tau": 50.0 * fs} | T),
+        ("JaxMD", {"simulator": "temp_csvr", "tau": 50 * fs} | T),
         ("JaxMD", {"simulator": "temp_berendsen", "tau": 50 * fs} | T),
     ]),
     "TorchSim": ("torch_sim", "torch-sim-atomistic", [
@@ -105,15 +105,16 @@ LEAGUE = {
     "nvalchemi": ("nvalchemi", "nvalchemi-toolkit", [
         ("NVAlchemi", {"integrator": "NVE"}),
         ("NVAlchemi", {"integrator": "NVTLangevin", "steps": 2000} | LANGEVIN),
-        ("NVAlchemi", {"integrator": "NVTNoseHoover", "thermostat_time": 50.0, "steps": 2000} | T),
-        ("NVAlchemi", {"integrator": "NPT", "thermostat_time": 50.0, "barostat_time": 100.0} | SHORT | LOAD),
+        ("NVAlchemi", {"integrator": "NVTNoseHoover", "thermostat_time": 50 * fs, "steps": 2000} | T),
+        ("NVAlchemi", {"integrator": "NPT", "thermostat_time": 50 * fs, "barostat_time": 100 * fs} | SHORT | LOAD),
     ]),
     "i-PI": ("ipi", "ipi", [
-        ("IPI", {"dynamics": "<dynamics mode='nve'></dynamics>"}),
+        ("IPI", {"dynamics": "<dynamics mode='nve'></dynamics>", "fixcom": False}),
         ("IPI", {"dynamics": "<dynamics mode='nvt'><thermostat mode='langevin'>"
-                             " <tau units='femtosecond'> 50 </tau> </thermostat></dynamics>"} | T),
+                             " <tau units='femtosecond'> 50 </tau> </thermostat></dynamics>",
+                 "fixcom": False, "steps": 2000} | T),
         ("IPI", {"dynamics": "<dynamics mode='nvt'><thermostat mode='svr'>"
-                             " <tau units='femtosecond'> 50 </tau> </thermostat></dynamics>"} | T),
+                             " <tau units='femtosecond'> 50 </tau> </thermostat></dynamics>", "steps": 2000} | T),
     ]),
     "PySCF": ("pyscf", "pyscf", [
         ("PySCF", {"integrator": "VelocityVerlet"}),
@@ -126,8 +127,22 @@ LEAGUE = {
         ("asap3.md.nose_hoover_chain.NoseHooverChainNVT", T | {"tdamp": 50 * fs}),
     ]),
 }  # fmt: skip
-TIMES = {"T_tau", "P_tau", "taut", "taup", "tdamp", "pdamp", "tau", "t_tau", "b_tau", "tau_p", "relaxation_time"}
-RATES = {"friction", "gamma", "alpha", "cell_alpha"}
+TIMES = {
+    "T_tau",
+    "P_tau",
+    "taut",
+    "taup",
+    "tdamp",
+    "pdamp",
+    "tau",
+    "t_tau",
+    "b_tau",
+    "tau_p",
+    "relaxation_time",
+    "thermostat_time",
+    "barostat_time",
+}
+RATES = {"friction", "gamma"}
 SAID = {"temperature_K", "pressure", "pressure_au", "externalstress", "kind", "start"}  # in words above the table
 NAMES = {"integrator", "simulator", "updater", "fixes", "dynamics"}  # of the dynamics
 
@@ -191,7 +206,7 @@ def main(wanted):
     """Write the tables."""
     judged = [name for name in wanted or LEAGUE if find_spec(LEAGUE[name][0])]
     with ProcessPoolExecutor(2, get_context("spawn"), max_tasks_per_child=1) as pool:
-        tasks = {engine: [pool.submit(row, engine, *one) for one in LEAGUE[engine][2]] for engine in judged}
+        tasks = {engine: [pool.submit(row, engine, *dynamics) for dynamics in LEAGUE[engine][2]] for engine in judged}
         rows = {engine: [task.result() for task in tasks[engine]] for engine in judged}
     today = f"{datetime.now(UTC):%d %B %Y}"
     versions = {engine: [f"| {engine} | {version(LEAGUE[engine][1])} | {today} |"] for engine in judged}

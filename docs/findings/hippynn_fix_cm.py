@@ -1,8 +1,9 @@
-"""hippynn: ASELangevinDynamics with fix_cm=True, the default, is wrong for unequal masses, as ASE's fixcm=True was.
+"""hippynn: ASELangevinDynamics with fix_cm=True, the default, is wrong for unequal masses, as ASE's
+fixcm=True, from which it is derived.
 
 It subtracts the mean of the noise with weights that are right for equal masses only. Four free atoms, 300 K: light
 atoms get the noise of heavy ones. fix_cm=False is right.
-Cure: draw noise for all, and subtract the velocity of the center of mass, sum(m v)/sum(m), from every atom."""
+Cure: subtract sum(m r)/sum(m) of both noises, rnd_vel and rnd_pos, from every atom."""
 
 import torch
 from ase.units import fs, kB

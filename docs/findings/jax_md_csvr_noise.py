@@ -2,7 +2,8 @@
 
 If 3N − 1 is odd, the same number is counted in r1² and in r2. Two free atoms with momenta that are drawn from kT = 1 (6
 degrees of freedom all move, as nothing centers them): K has mean 3 and variance 3 in the canonical ensemble.
-Cure: key, first, second = random.split(state.rng, 3), and first for r1, second for r2."""
+Cure: key, first, second = random.split(state.rng, 3), and first for r1, second for r2; sum_noises
+splits its key, too, for its normal and its gamma number."""
 
 import jax
 from jax import numpy as jnp

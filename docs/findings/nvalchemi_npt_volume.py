@@ -1,9 +1,11 @@
 """nvalchemi: NPT, isotropic, gives its barostat three times the temperature, so that the volume fluctuates too much.
 
 All three diagonal elements of the strain rate are equal: one degree of freedom. Its thermostat counts three of them
-(_cell_dof_count). An ideal gas of N atoms has p(V) ∝ V^N exp(−PV/kT), for which the variance of ln V is ψ′(N + 1); 200
-of them start from exact samples.
-Cure: one degree of freedom for pressure_coupling="isotropic"; npt_thermostat_half_step multiplies its count by 3."""
+(_cell_dof_count). An ideal gas of N atoms with its center of mass at rest has p(V) ∝ V^(N−1) exp(−PV/kT) under a
+barostat that scales momenta, for which the variance of ln V is ψ′(N); 200 of them start from exact samples. (That the
+atoms have 3N − 3 degrees of freedom, where NPT counts 3N, makes it 2 % larger.)
+Cure: one degree of freedom for pressure_coupling="isotropic", in the count (npt_thermostat_half_step multiplies it by
+3) and in the masses of its chain."""
 
 import numpy as np
 import torch
@@ -41,7 +43,7 @@ class IdealGas(torch.nn.Module, BaseModelMixin):
 
 def sample():
     """A gas with its center of mass at rest, of a volume and momenta from the ensemble."""
-    edge = (rng.gamma(N + 1) * kB * T / PRESSURE) ** (1 / 3)
+    edge = (rng.gamma(N) * kB * T / PRESSURE) ** (1 / 3)
     atoms = Atoms(f"Ar{N}", rng.uniform(0.0, edge, (N, 3)), cell=[edge] * 3, pbc=True)
     momenta = rng.normal(size=(N, 3)) * np.sqrt(kB * T * atoms.get_masses())[:, None]
     atoms.set_momenta(momenta - momenta.mean(axis=0))
@@ -61,4 +63,4 @@ for _ in range(STEPS // EVERY):
 squares = (np.array(logs) - np.mean(logs)) ** 2
 variances = squares.mean(axis=0)  # of each system
 error = variances.std(ddof=1) / SYSTEMS**0.5
-print(f"variance of ln V: {variances.mean():.4f} ± {error:.4f}; right: {polygamma(1, N + 1):.4f}")
+print(f"variance of ln V: {variances.mean():.4f} ± {error:.4f}; right: {polygamma(1, N):.4f}")

@@ -406,8 +406,9 @@ def names_of(dynamics: Any, options: dict[str, Any]) -> list[str]:
 
 
 def maker(dynamics: Any, timestep: float, options: dict[str, Any]) -> Make:
-    """Makes the dynamics of atoms; options that a function does not take are claims only, a generator goes where one
-    is taken. Atoms and time step are passed in this order, or by their names if only these are taken.
+    """Makes the dynamics of atoms. Options that a function does not take are claims only; one that takes any name gets
+    all. A generator goes where one is taken. Atoms and time step are passed in this order, or by their names if only
+    these are taken.
 
     Raises TypeError if neither can be passed, and ValueError for options that are not taken.
     """

@@ -441,8 +441,9 @@ def _reduced(vectors: Array, pbc: NDArray[np.bool_]) -> tuple[Array, Indices]:
 
 def _shorten(steps: Indices, rows: Array) -> bool:
     """Replace one vector of steps @ rows by a shorter one of the same lattice; False if there is none.
-    From the second shortest on, each vector is compared with itself minus the nearest combinations of all that are
-    shorter (Semaev, in CaLC 2001, LNCS 2146, p. 181): their number grows as the logarithm of what is skewed."""
+    Beginning with the second shortest, the combination of all shorter ones that is nearest to a vector is subtracted
+    from it; it is found among the rounded coefficients and their neighbors. The number of replacements grows as the
+    logarithm of the skew (Semaev, CaLC 2001, LNCS 2146, p. 181)."""
     current = steps @ rows
     length2 = (current**2).sum(axis=1)
     order = np.argsort(length2, kind="stable")

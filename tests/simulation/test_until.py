@@ -61,6 +61,20 @@ def test_the_error_of_a_window_is_that_of_the_correlations():
     assert windowed_error(np.full(50, 3.0)) == (0.0, 50.0, 0.0)
 
 
+def test_a_long_window_holds_a_slow_part_of_the_correlations():
+    """A fifth of the variance has ten times the correlation time of the rest: a window of six times the mean alone
+    holds 0.85 of the error²; the larger of two is 1.09 of it."""
+    rng = np.random.default_rng(2)
+    shares = {2.0: 0.8, 20.0: 0.2}
+    g = sum(share * (1.0 + np.exp(-1.0 / time)) / (1.0 - np.exp(-1.0 / time)) for time, share in shares.items())
+    squares = []
+    for _ in range(300):
+        series = sum(np.sqrt(share) * correlated(2000, time, rng) for time, share in shares.items())
+        error, _, v = windowed_error(series)
+        squares.append(error**2 / (1.0 + 2.0 * v))
+    assert 0.98 < np.mean(squares) / (g / 2000) < 1.15
+
+
 @pytest.mark.parametrize(("time", "wanted"), [(2.0, 0.1), pytest.param(1.0, 0.015, marks=pytest.mark.slow)])
 def test_bars_at_the_end_of_a_run_cover(time, wanted):
     """An estimate that ends a run when it happens to be small would cover in 91 of 100."""

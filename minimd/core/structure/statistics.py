@@ -15,7 +15,7 @@ Weighted = Callable[[int], list[tuple[float, Array]]]
 FEWEST = 30.0
 FEW = 4  # entries or blocks: from fewer, no error can be estimated
 LEAST_POWER = -4  # of ten: smaller means are written with a power of ten
-WINDOW = 6.0  # of correlations, in correlation times
+WINDOWS = 6.0, 18.0  # of correlations, in correlation times
 MOST_BLOCKS = 32  # at this number, blocks are joined in pairs: a long run always has 16 to 31
 # of slow correlations, in parts of the run and of the variance of the mean
 TIMES = (0.02, 0.05, 0.12, 0.3)
@@ -155,10 +155,12 @@ def windowed_error(series: Any) -> tuple[float, float, float]:
     """The standard error of the mean of a series, how many independent entries it has, n/g, and v; from its
     correlations ρ:
 
-        error² = g s²/n (1 + 2 v),   g = 1 + 2 Σ ρ_t, t ≤ M,   M = g WINDOW/2,   v = 2 (2M + 1)/n
+        error² = g s²/n (1 + 2 v),   g = 1 + 2 Σ ρ_t, t ≤ M,   M = g w/2,   v = 2 (2M + 1)/n
 
-    v is the relative variance of this error². It fluctuates less than the error of mean_and_error, but knows only the
-    correlations that the window contains. 0 for equal numbers. U. Wolff, Comput. Phys. Commun. 156, 143 (2004)."""
+    v is the relative variance of this error². Of two windows w, the one with the larger g counts: a long one also holds
+    a slow part of the correlations, which may be small. The error fluctuates less than that of mean_and_error, but
+    knows only the correlations that its window contains. 0 for equal numbers. U. Wolff, Comput. Phys. Commun. 156, 143
+    (2004)."""
     from scipy.fft import irfft, next_fast_len, rfft
 
     values = np.asarray(series, float)
@@ -169,9 +171,11 @@ def windowed_error(series: Any) -> tuple[float, float, float]:
     if not products[0] > 0.0:
         return 0.0, float(n), 0.0
     growing = 2.0 * np.cumsum(products / products[0]) - 1.0
-    closed = np.flatnonzero(np.arange(n) >= 0.5 * WINDOW * growing)
-    last = int(closed[0]) if len(closed) else n - 1
-    g = max(growing[last] * (1.0 + (2 * last + 1) / n), 1.0 / n)
+    unbiased = growing * (1.0 + (2.0 * np.arange(n) + 1.0) / n)
+    is_closed = [np.arange(n) >= 0.5 * window * growing for window in WINDOWS]
+    ends = [int(np.argmax(closed)) if closed.any() else n - 1 for closed in is_closed]
+    last = max(ends, key=unbiased.__getitem__)
+    g = max(unbiased[last], 1.0 / n)
     v = 2.0 * (2 * last + 1) / n
     return float(np.sqrt(g * products[0] / n**2 * (1.0 + 2.0 * v))), n / g, v
 
